@@ -13,13 +13,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from analysis.waves.features import extract_features, mean_features
+from analysis.waves.features import average_features, extract_features
 from hardware_drivers.measurement import ShotKey
 from simulator.parameters.chain import ChainParameters
 from simulator.parameters.experiment import PAPER_THINNING, DriftParameters, ScatterParameters, TwinParameters
 from simulator.parameters.plate import CorrosionParameters, PlateParameters
 from simulator.shot.model import ShotModel
-from simulator.shot.pulse_summary import summarise
+from simulator.shot.pulse_summary import summarise_pulses
 from simulator.specimen import Specimen, Transducer, build_specimen
 
 NAMES = ("tof_pp_s", "amplitude_ratio", "isw_amplitude_v")
@@ -50,7 +50,7 @@ def print_scatter(model: ShotModel, scale: float, sets: int, seed: int) -> None:
                 continue
             features.append(extract_features(acquired.waveform))
             flagged += bool(features[-1].flags)
-        means.append([mean_features(features).mean[name] for name in NAMES])
+        means.append([average_features(features).mean[name] for name in NAMES])
     table = np.array(means)
     table = table[np.isfinite(table).all(axis=1)]
     sd = 100.0 * table.std(axis=0, ddof=1) / table.mean(axis=0)
@@ -64,7 +64,7 @@ def print_scatter(model: ShotModel, scale: float, sets: int, seed: int) -> None:
 def print_hole(position: str) -> None:
     model = ShotModel(CHAIN, PlateParameters(), CorrosionParameters(size_m=PATCH_M[position]))
     thinning = PAPER_THINNING[position]
-    pristine, last = (summarise(model.shot(depth_fraction=d)) for d in (0.0, thinning.depth_fraction))
+    pristine, last = (summarise_pulses(model.shot(depth_fraction=d)) for d in (0.0, thinning.depth_fraction))
     if pristine.tof_us is None or last.tof_us is None:
         raise SystemExit(f"no reflected wave at {position} before its hole")
     change = 100.0 * (last.tof_us / pristine.tof_us - 1.0)

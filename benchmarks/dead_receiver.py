@@ -45,7 +45,7 @@ class DeadReceiver:
         self.connections: list[asyncio.Task[Any] | None] = []
         self.reached = asyncio.Event()
 
-    async def hear(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+    async def report_message(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         """Hold one connection until its client gives up."""
         self.connections.append(asyncio.current_task())
         self.reached.set()
@@ -72,7 +72,7 @@ def notification_table(port: int | None, receivers: int) -> dict[str, Any]:
 async def measure(base: Path, receivers: int, requests: int) -> dict[str, Any]:
     """Return everything that `main` prints."""
     dead = DeadReceiver()
-    server = await asyncio.start_server(dead.hear, "127.0.0.1", 0)
+    server = await asyncio.start_server(dead.report_message, "127.0.0.1", 0)
     ports = {"none": None, "dead": server.sockets[0].getsockname()[1], "refusing": find_unused_port()}
     with ExitStack() as stack:
         services: dict[str, Service] = {}

@@ -40,7 +40,7 @@ from daq_service.catalogue import open_catalogue
 from daq_service.catalogue.rows import EventRow
 from daq_service.processes.data_folder import prepare_data_folder
 from daq_service.recording.recorder import STAGES
-from daq_service.recording.session import record
+from daq_service.recording.session import record_test
 from daq_service.rig.open_rig import open_rig
 from daq_service.settings.file import load_settings
 from daq_service.settings.tree import Settings
@@ -68,9 +68,11 @@ def one_thread_rig(settings: Settings, clock: Clock, epoch_utc_ns: int) -> Itera
                 chain=places[name].chain,
                 model=ShotModel(places[name].chain, places[name].plate, places[name].corrosion),
             )
-            for name in settings.names_of("solitary_wave")
+            for name in settings.list_positions("solitary_wave")
         },
-        probed_thickness_m={name: places[name].plate.thickness_m for name in settings.names_of("pulse_echo")},
+        probed_thickness_m={
+            name: places[name].plate.thickness_m for name in settings.list_positions("pulse_echo")
+        },
     )
     with Rig(
         kind="simulated",
@@ -107,7 +109,9 @@ def run_recorder(hours: float, kind: str) -> dict[str, Any]:
         prepare_data_folder(Path(folder))
         wall, processor = time.perf_counter(), sum(os.times()[:4])
         rig = one_thread_rig if kind == OBVIOUS else open_rig
-        finished = record(settings, Path(folder), rig, stop=threading.Event(), report=lambda *_, **__: None)
+        finished = record_test(
+            settings, Path(folder), rig, stop=threading.Event(), report=lambda *_, **__: None
+        )
         wall_s, processor_s = time.perf_counter() - wall, sum(os.times()[:4]) - processor
         assert finished
         with open_catalogue(Path(folder), writer=False) as catalogue:

@@ -42,8 +42,8 @@ from analysis.statistics.memory import prewhitened
 from analysis.statistics.mewma import known_limit, mewma
 from analysis.statistics.rules import AlarmRule, AlarmState, next_alarm_state
 from analysis.waves.features import FEATURE_NAMES
-from daq_service.assessment.rules import run_length
-from daq_service.cli.offline.twin_line import assessed_sets, specimen_of
+from daq_service.assessment.rules import compute_run_length
+from daq_service.cli.offline.twin_line import build_twin, simulate_assessed_sets
 from daq_service.settings.file import load_settings
 from daq_service.settings.tree import Settings
 
@@ -92,12 +92,12 @@ def settings_of(run: Run) -> Settings:
 
 def assess_run(run: Run) -> Outcome:
     settings = settings_of(run)
-    specimen = specimen_of(settings)
+    specimen = build_twin(settings)
     assessments: dict[int, Any] = {}
     raised: dict[int, bool] = {}
     vectors: dict[int, list[float]] = {}
     baseline_vectors, first_alarm_h, depth_at_alarm, n_baseline = [], None, None, 0
-    for found in assessed_sets(settings, run.position, specimen):
+    for found in simulate_assessed_sets(settings, run.position, specimen):
         position_result = found.position_result
         assessments |= {row.set_index: row for row in position_result.assessments}
         raised[found.due.set_index] = "wall_change" in found.raised
@@ -153,7 +153,9 @@ def alarms_of_other_designs(
         if begins <= index <= assessed_rows[-1].set_index:
             sets[index - begins] = vector
     history, p = sets[:n], len(FEATURE_NAMES)
-    budget = run_length(settings.schedule, settings.baseline.hours, settings.false_alarms_per_sensor_year())
+    budget = compute_run_length(
+        settings.schedule, settings.baseline.hours, settings.false_alarms_per_sensor_year()
+    )
     found, designs = directions_of(history), design_chart(history, budget)
     charts = {
         "chart, memory as found": chart_with_phi(history, found.matrix, found.guarded, designs.limit),

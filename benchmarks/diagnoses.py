@@ -33,21 +33,21 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import numpy as np
 from diagnosis_slopes import MEAN_TILT_RAD, slopes, walls
 
-from analysis.diagnosis.diagnose import diagnosis_of, state_with_diagnosis
+from analysis.diagnosis.diagnose import diagnose_latest_set, update_state
 from analysis.diagnosis.hypotheses import COUPLING, ENVIRONMENT, OK, SENSOR, WALL
-from analysis.diagnosis.parameters import diagnosis_parameters
+from analysis.diagnosis.parameters import compute_diagnosis_parameters
 from analysis.diagnosis.slopes import COMPONENTS, DEPTHS
 from analysis.diagnosis.state import DiagnosisState, with_confirmation, with_set
 from analysis.statistics.baseline import fit_baseline
 from analysis.statistics.distance import distance_squared
 from analysis.statistics.limits import f_predictive_limit
 from analysis.statistics.rules import NOMINAL_RATE, AlarmRule, AlarmState, next_alarm_state
-from daq_service.cli.offline.twin_line import assessed_sets
+from daq_service.cli.offline.twin_line import simulate_assessed_sets
 from daq_service.settings.file import load_settings
 from hardware_drivers.measurement import SetKey
-from simulator.experiment.processes import unit_t
-from simulator.experiment.scatter import temperature
-from simulator.experiment.seating import Climate, climate, seat_of_set
+from simulator.experiment.processes import draw_unit_student_t
+from simulator.experiment.scatter import draw_room_temperature
+from simulator.experiment.seating import Climate, draw_climate, draw_seat_of_set
 from simulator.numerics.arrays import FloatArray
 from simulator.parameters.chain import ChainParameters
 from simulator.parameters.environmental_variability import NUISANCE
@@ -99,7 +99,7 @@ def electronic_sd() -> FloatArray:
     """Return the SD that record noise leaves in the logarithms of a set's means, from real records."""
     twin = {"scatter": {"scale": 0.0}, "drift": {"enabled": False}}
     settings = load_settings(None, overrides={"twin": twin, "schedule": {"end_h": 12.0}})
-    rows = [one.position_result.features[-1] for one in assessed_sets(settings, "D")]
+    rows = [one.position_result.features[-1] for one in simulate_assessed_sets(settings, "D")]
     logs = [[math.log(getattr(row, part)) for part in COMPONENTS] for row in rows]
     return np.asarray(np.std(logs, axis=0, ddof=1))
 
@@ -163,14 +163,14 @@ def sets_of(case: Case, level: str, model: str, seed: int) -> tuple[FloatArray, 
     """Return logarithms of each set and a confirmation set, shape (n, 7), and the wall's depth."""
     chain, found, random = MODELS[model][0], model_slopes(model), np.random.default_rng(seed)
     n, drift, scatter = chain.bodies, DriftParameters(), ScatterParameters()
-    weather: Climate = climate(level, seed=seed, warmest_hour_h=drift.warmest_hour_h)
-    room, reseat = temperature(drift, seed=seed), reseat_of(level, random, n)
+    weather: Climate = draw_climate(level, seed=seed, warmest_hour_h=drift.warmest_hour_h)
+    room, reseat = draw_room_temperature(drift, seed=seed), reseat_of(level, random, n)
     places, seats = [], []
     for index in range(BASELINE + AFTER):
         hour_h = float(index)
         place, fault_k = source_values(case, case.part(index), reseat, n)
         warmer_k = room.at(hour_h) - drift.mean_temperature_c + fault_k
-        seat = seat_of_set(
+        seat = draw_seat_of_set(
             level, seed, "B", chain, weather, set_key=SetKey(index), hour_h=hour_h, warmer_k=warmer_k
         )
         places.append(place + seat.place)
@@ -185,7 +185,9 @@ def sets_of(case: Case, level: str, model: str, seed: int) -> tuple[FloatArray, 
     effects = np.array([seat.shot_effect for seat in seats])
     struck = []
     for _ in range(2):
-        shots = unit_t(random, NUISANCE[level].tail_dof, (sets, SHOTS, effects.shape[2])).mean(axis=1)
+        shots = draw_unit_student_t(random, NUISANCE[level].tail_dof, (sets, SHOTS, effects.shape[2])).mean(
+            axis=1
+        )
         own = place + (effects @ shots[:, :, None])[:, :, 0]
         own[:, 2 * n] += scatter.set_drop_height_sd_fraction * random.standard_normal(sets)
         of_shots = scatter.shot_drop_height_sd_fraction / math.sqrt(SHOTS)
@@ -201,7 +203,7 @@ def diagnose_run(
 ) -> dict[str, Any]:
     """Diagnose one run with the last sets before `BASELINE`; depths are None where it was never WALL."""
     logs, confirmation_logs, depths = sets_of(case, level, model, seed)
-    design = diagnosis_parameters(logs[BASELINE - baseline_sets : BASELINE], BASELINE - baseline_sets)
+    design = compute_diagnosis_parameters(logs[BASELINE - baseline_sets : BASELINE], BASELINE - baseline_sets)
     raw = np.exp(logs[:, :5])
     baseline = fit_baseline(raw[BASELINE - baseline_sets : BASELINE], range(baseline_sets), name="b")
     limit = f_predictive_limit(baseline.n, baseline.p, NOMINAL_RATE)
@@ -214,13 +216,13 @@ def diagnose_run(
     for index in range(BASELINE, BASELINE + AFTER):
         memory = with_set(memory, design.mean, logs[index], index)
         state = next_alarm_state(state, bool(beyond[index]), RULE)
-        diagnosis = diagnosis_of(memory, design, suspicious=state.active)
-        memory = state_with_diagnosis(memory, diagnosis)
+        diagnosis = diagnose_latest_set(memory, design, suspicious=state.active)
+        memory = update_state(memory, diagnosis)
         if diagnosis.cause not in (OK, COUPLING) and index - confirmed_at >= CONFIRMED_FOR:
             confirmed_at = index
             memory = with_confirmation(memory, design.mean, confirmation_logs[index])
-            diagnosis = diagnosis_of(memory, design, suspicious=True)
-            memory = state_with_diagnosis(memory, diagnosis)
+            diagnosis = diagnose_latest_set(memory, design, suspicious=True)
+            memory = update_state(memory, diagnosis)
         calls[diagnosis.cause] += 1
         for name, seen in (("wall", diagnosis.cause == WALL), ("f", state.active)):
             if seen and first[name] is None:

@@ -25,7 +25,7 @@ import scipy
 from diagnoses import AFTER, BASELINE, CORROSION, MODELS, SHOTS, electronic_sd, model_slopes
 
 from analysis.diagnosis.slopes import DEPTHS
-from simulator.experiment.seating import _sources
+from simulator.experiment.seating import _effects_of_sources
 from simulator.numerics.arrays import FloatArray
 from simulator.parameters.environmental_variability import NUISANCE
 from simulator.parameters.experiment import ScatterParameters
@@ -43,7 +43,11 @@ SETS = BASELINE + AFTER
 
 def covariances(level: str, model: str) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """Return covariances of set, drift, shots and re-seats in a set's seven logarithms, each shape (7, 7)."""
-    found, sources, scatter = model_slopes(model), _sources(level, MODELS[model][0]), ScatterParameters()
+    found, sources, scatter = (
+        model_slopes(model),
+        _effects_of_sources(level, MODELS[model][0]),
+        ScatterParameters(),
+    )
     to_features = found.of_place.T @ sources.effect
 
     def of(sd: FloatArray) -> FloatArray:

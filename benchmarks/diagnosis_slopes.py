@@ -22,7 +22,7 @@ from analysis.diagnosis.slopes import COMPONENTS, DEPTHS
 from analysis.waves.features import extract_features
 from hardware_drivers.measurement import Waveform
 from simulator.chain.spheres import Contacts
-from simulator.electronics.transduction import adc_calibration, counts_of
+from simulator.electronics.transduction import make_adc_calibration, quantise_volts
 from simulator.numerics.arrays import FloatArray
 from simulator.parameters.chain import ChainParameters
 from simulator.parameters.electronics import AdcParameters, SensorParameters
@@ -42,7 +42,7 @@ MEAN_TILT_RAD = ScatterParameters().mean_tilt_rad
 
 def logs_of(force: ShotForce, gain_v_per_n: float) -> FloatArray:
     """Return logarithms of the features of a noise-free record, in the order of `COMPONENTS`."""
-    calibration = adc_calibration(ADC)
+    calibration = make_adc_calibration(ADC)
     step_s = float(force.time_s[-1]) / (force.time_s.size - 1)
     grid_s = np.arange(force.time_s.size) * step_s
     found = []
@@ -50,7 +50,7 @@ def logs_of(force: ShotForce, gain_v_per_n: float) -> FloatArray:
         start_s = (phase / SHOTS_A_STEP - 1.0) / ADC.sample_rate_hz
         sampled_s = start_s + np.arange(-ADC.pretrigger_samples, ADC.record_samples) / ADC.sample_rate_hz
         volts = gain_v_per_n * np.interp(sampled_s, grid_s, force.force_n - force.preload_n, left=0.0)
-        counts = counts_of(volts, calibration)
+        counts = quantise_volts(volts, calibration)
         waveform = Waveform(
             counts=counts,
             sample_rate_hz=ADC.sample_rate_hz,

@@ -18,16 +18,16 @@ from numpy.typing import NDArray
 from analysis.ultrasound.thickness import (
     EchoReference,
     TravelTime,
-    reference_echo,
-    thickness,
-    thickness_interval,
-    travel_time,
+    compute_thickness,
+    compute_thickness_interval,
+    find_reference_echo,
+    measure_travel_time,
 )
 from hardware_drivers.measurement import ShotKey, Waveform
-from simulator.echo.far_wall import gaussian_field, rough_spot
-from simulator.echo.pulse import bubble_volts, echo_calibration, echo_volts
-from simulator.echo.records import ProbedWall, averaged_record, disturbance, probed_wall
-from simulator.electronics.transduction import counts_of
+from simulator.echo.far_wall import draw_gaussian_field, draw_rough_spot
+from simulator.echo.pulse import compute_bubble_volts, compute_echo_volts, echo_calibration
+from simulator.echo.records import ProbedWall, draw_disturbance, make_probed_wall, simulate_averaged_record
+from simulator.electronics.transduction import quantise_volts
 from simulator.parameters.echo import EchoParameters
 from simulator.parameters.experiment import TwinParameters
 from simulator.specimen import build_specimen
@@ -74,7 +74,7 @@ class Reading:
 def waveform_of(volts: NDArray[np.float64], echo: EchoParameters) -> Waveform:
     calibration = echo_calibration(echo)
     return Waveform(
-        counts=counts_of(volts, calibration),
+        counts=quantise_volts(volts, calibration),
         sample_rate_hz=echo.sample_rate_hz,
         pretrigger_samples=0,
         calibration=calibration,
@@ -84,15 +84,17 @@ def waveform_of(volts: NDArray[np.float64], echo: EchoParameters) -> Waveform:
 def record_wall(wall: ProbedWall, echo: EchoParameters, seed: int) -> Waveform:
     """Return the averaged record of a wall with noise and bubbles."""
     key = ShotKey(position="A", set_index=seed, shot_index=0)
-    found, _ = disturbance(echo, seed=seed, key=key)
-    volts, _ = averaged_record(wall, echo, echo_calibration(echo), found, seed=seed, key=key, noisy=True)
+    found, _ = draw_disturbance(echo, seed=seed, key=key)
+    volts, _ = simulate_averaged_record(
+        wall, echo, echo_calibration(echo), found, seed=seed, key=key, noisy=True
+    )
     return waveform_of(volts, echo)
 
 
 def sound_wall(echo: EchoParameters) -> EchoReference:
     """Return the reference without noise, so that one draw of it does not shift every reading."""
-    return reference_echo(
-        waveform_of(echo_volts(PRISTINE_M, echo), echo),
+    return find_reference_echo(
+        waveform_of(compute_echo_volts(PRISTINE_M, echo), echo),
         delay_s=echo.delay_s,
         initial_thickness_m=PRISTINE_M,
     )
@@ -109,13 +111,13 @@ def readings(
     """Return readings of walls of one mean thickness, each rough in its own way."""
     reference = sound_wall(echo)
     for seed in range(first_seed, first_seed + walls):
-        spot = rough_spot(echo, seed=seed, position="A")
-        wall = probed_wall(PRISTINE_M, 1.0 - thickness_m / PRISTINE_M, spot, 0.0)
-        found = travel_time(record_wall(wall, echo, seed), reference)
-        read = thickness(
+        spot = draw_rough_spot(echo, seed=seed, position="A")
+        wall = make_probed_wall(PRISTINE_M, 1.0 - thickness_m / PRISTINE_M, spot, 0.0)
+        found = measure_travel_time(record_wall(wall, echo, seed), reference)
+        read = compute_thickness(
             found.travel_time_s, reference.travel_time_s, echo.delay_s, PRISTINE_M, known_separation_m
         )
-        interval = thickness_interval(found, reference, PRISTINE_M, known_separation_m)
+        interval = compute_thickness_interval(found, reference, PRISTINE_M, known_separation_m)
         yield Reading(
             true_m=wall.thickness_m,
             roughness_rms_m=0.0 if wall.facets is None else wall.facets.rms_m,
@@ -129,7 +131,7 @@ def readings(
 def pick_bound_m(echo: EchoParameters, thickness_m: float) -> float:
     """Return the Cramer-Rao bound of the thickness: a pulse of known shape in the mean's white noise."""
     alone = replace(echo, multiple_ratio=0.0, front_wall_v=0.0)
-    slope = np.gradient(echo_volts(thickness_m, alone)) * echo.sample_rate_hz
+    slope = np.gradient(compute_echo_volts(thickness_m, alone)) * echo.sample_rate_hz
     noise_v = echo.noise_rms_v / math.sqrt(echo.averages)
     return 0.5 * echo.velocity_m_per_s * noise_v / math.sqrt(float(slope @ slope))
 
@@ -155,9 +157,9 @@ def print_path() -> None:
     echo = replace(DEFAULT, roughness_fraction=0.0)
     reference = sound_wall(echo)
     for mm in THICKNESSES_MM:
-        found = travel_time(waveform_of(echo_volts(mm * 1e-3, echo), echo), reference)
+        found = measure_travel_time(waveform_of(compute_echo_volts(mm * 1e-3, echo), echo), reference)
         times = (found.travel_time_s, reference.travel_time_s, echo.delay_s, PRISTINE_M)
-        plain, known = thickness(*times), thickness(*times, echo.element_separation_m)
+        plain, known = compute_thickness(*times), compute_thickness(*times, echo.element_separation_m)
         print(f"| {mm:g} mm | {1e3 * plain.thickness_m:.3f} mm | {1e3 * known.thickness_m:.3f} mm |")
 
 
@@ -205,7 +207,9 @@ def print_paper(walls: int) -> None:
     across_m = np.linspace(0.0, PATCH_M, 100)
     ranges = []
     for seed in range(40):
-        field = gaussian_field(across_m, across_m, DEFAULT.correlation_length_m, np.random.default_rng(seed))
+        field = draw_gaussian_field(
+            across_m, across_m, DEFAULT.correlation_length_m, np.random.default_rng(seed)
+        )
         ranges.append(np.ptp(field))
     span = math.log((PRISTINE_M - 2e-3) / (PRISTINE_M - 5e-3))
     print(
@@ -219,15 +223,15 @@ def print_demo() -> None:
     twin = TwinParameters()
     specimen = build_specimen(twin, transducers={}, probed_thickness_m={"A": PRISTINE_M})
     key = ShotKey(position="A", set_index=0, shot_index=0)
-    reference = reference_echo(
+    reference = find_reference_echo(
         specimen.echo(key, 0.5).waveform, delay_s=twin.echo.delay_s, initial_thickness_m=PRISTINE_M
     )
     print(f"\nThe default experiment's own wall, seed {twin.seed}")
     for hour_h in (100.0, 200.0, 300.0, 350.0):
         echo = specimen.echo(ShotKey(position="A", set_index=round(hour_h), shot_index=0), hour_h)
-        found = travel_time(echo.waveform, reference)
-        read = thickness(found.travel_time_s, reference.travel_time_s, twin.echo.delay_s, PRISTINE_M)
-        interval = thickness_interval(found, reference, PRISTINE_M)
+        found = measure_travel_time(echo.waveform, reference)
+        read = compute_thickness(found.travel_time_s, reference.travel_time_s, twin.echo.delay_s, PRISTINE_M)
+        interval = compute_thickness_interval(found, reference, PRISTINE_M)
         print(
             f"  hour {hour_h:g}: wall {1e3 * echo.truth['thickness_m']:.2f} mm (rms "
             f"{1e3 * echo.truth['roughness_rms_m']:.2f}), read {1e3 * read.thickness_m:.2f} mm in "
@@ -236,8 +240,8 @@ def print_demo() -> None:
 
 
 def print_bubbles() -> None:
-    records = bubble_volts(CORE_M, DEFAULT, np.random.default_rng(0), 400)
-    echo_v = float(np.abs(echo_volts(CORE_M, SMOOTH)).max())
+    records = compute_bubble_volts(CORE_M, DEFAULT, np.random.default_rng(0), 400)
+    echo_v = float(np.abs(compute_echo_volts(CORE_M, SMOOTH)).max())
     print(
         f"\nBubbles: RMS {records.std() / echo_v:.1e}, highest crest {np.abs(records).max() / echo_v:.1e} of "
         f"a smooth wall's echo; {DEFAULT.bubbles_per_beam:g} of {1e3 * DEFAULT.bubble_radius_m:g} mm a record"

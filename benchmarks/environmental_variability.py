@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 
 from analysis.waves.features import FEATURE_NAMES
-from daq_service.cli.offline.twin_line import assessed_sets
+from daq_service.cli.offline.twin_line import simulate_assessed_sets
 from daq_service.settings.file import load_settings
 from simulator.parameters.environmental_variability import NUISANCE
 
@@ -35,7 +35,7 @@ def run(level: str, seed: int, position: str, hours: float) -> dict[str, Any]:
         None, overrides={"twin": {"seed": seed, "nuisance": level}, "schedule": {"end_h": hours}}
     )
     assessments, baseline, first_alarm_h, strikes = {}, [], None, 0
-    for assessed in assessed_sets(settings, position):
+    for assessed in simulate_assessed_sets(settings, position):
         assessments |= {row.set_index: row for row in assessed.position_result.assessments}
         strikes += len(assessed.shots)
         if assessed.due.due_h <= settings.baseline.hours:

@@ -25,7 +25,7 @@ from support.healthy_sequences import NAMES, P, healthy
 
 from analysis.statistics.baseline_check import find_anomalies
 from analysis.statistics.design import Budget
-from analysis.statistics.sequence import Assessed, assess
+from analysis.statistics.sequence import Assessed, assess_sequence
 
 FIVE_YEARS = round(Budget().run_length)
 BASELINES = (48, 200)
@@ -37,7 +37,7 @@ FEATURES = [f"feature {k}" for k in range(P)]
 
 def assessed_sequence(vectors: Any, n: int) -> Assessed:
     """Assess a sequence whose first ``n`` sets are the baseline."""
-    return assess(vectors, np.arange(len(vectors)) < n, FEATURES, textbooks=False)
+    return assess_sequence(vectors, np.arange(len(vectors)) < n, FEATURES, textbooks=False)
 
 
 def assess_healthy(task: tuple[str, int, int]) -> dict[str, float]:

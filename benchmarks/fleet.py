@@ -30,10 +30,10 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 from support.healthy_sequences import P, healthy
 
 from analysis.statistics.design import Budget
-from analysis.statistics.sequence import assess
+from analysis.statistics.sequence import assess_sequence
 from daq_service.cli.offline.fleet import assess_fleet
 from daq_service.cli.offline.table_file import TableFile
-from simulator.numerics.one_thread import one_blas_thread
+from simulator.numerics.one_thread import use_one_blas_thread
 
 SETS = 2_000
 SICK = (0.0, 0.01, 0.1)
@@ -75,8 +75,8 @@ def assess_random_fleet(task: tuple[str, int, int, float, float, int]) -> dict[s
     def mapped(one: Any, of: Iterable[Any]) -> Iterable[Any]:
         return map(one, of)
 
-    with one_blas_thread():
-        alone = [list(assess(x, in_baseline, NAMES, textbooks=False).onsets) for x in tables]
+    with use_one_blas_thread():
+        alone = [list(assess_sequence(x, in_baseline, NAMES, textbooks=False).onsets) for x in tables]
         report = assess_fleet(paths, read, mapped, Budget(), 0.1, alone)
     raised = {int(one["file"]) for one in report["raised"]}
     by_budget = {k for k, rows in enumerate(alone) if rows}
@@ -128,7 +128,7 @@ def measure_speed() -> dict[str, float]:
         start_s = time.perf_counter()
         for path in paths:
             vectors = np.load(path)
-            assess(vectors, np.arange(len(vectors)) < 200, NAMES, textbooks=False)
+            assess_sequence(vectors, np.arange(len(vectors)) < 200, NAMES, textbooks=False)
         took["one after another"] = time.perf_counter() - start_s
         return took
 

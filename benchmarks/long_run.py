@@ -22,14 +22,14 @@ from typing import Any
 
 import numpy as np
 
-from daq_service.cli.forecast import stored_bytes
+from daq_service.cli.forecast import predict_stored_bytes
 from daq_service.processes.data_folder import own_data_folder, prepare_data_folder
 from daq_service.processes.resource_use import open_handles, resident_bytes
-from daq_service.recording.session import record
+from daq_service.recording.session import record_test
 from daq_service.settings.tree import Settings
 from hardware_drivers.instruments import Acquired, Clock, Echo, Rig
 from hardware_drivers.measurement import Calibration, ShotKey, Waveform
-from simulator.echo.pulse import echo_calibration, echo_volts
+from simulator.echo.pulse import compute_echo_volts, echo_calibration
 
 EVERY_SETS = 25
 POOL = 97
@@ -61,7 +61,7 @@ class PooledInstruments:
         ]
         receiver = echo_calibration(echo)
         self._echo = Waveform(
-            counts=np.rint(echo_volts(6.35e-3, echo) / receiver.coefficients_v[1]).astype(np.int16),
+            counts=np.rint(compute_echo_volts(6.35e-3, echo) / receiver.coefficients_v[1]).astype(np.int16),
             sample_rate_hz=echo.sample_rate_hz,
             pretrigger_samples=0,
             calibration=receiver,
@@ -136,7 +136,7 @@ def measure(hours: float, folder: Path) -> dict[str, Any]:
 
     prepare_data_folder(folder)
     with own_data_folder(folder):
-        record(settings, folder, opened, stop=threading.Event(), report=report)
+        record_test(settings, folder, opened, stop=threading.Event(), report=report)
     print(file=sys.stderr)
     sets = [count for count, *_ in samples]
     memory, handles = [mb for _, mb, _ in samples], [float(number) for *_, number in samples]
@@ -155,7 +155,7 @@ def measure(hours: float, folder: Path) -> dict[str, Any]:
             "slope_per_1000_sets": slope_per_1000(sets, handles),
         },
         "folder_bytes": sum(path.stat().st_size for path in folder.rglob("*") if path.is_file()),
-        "foretold_bytes": stored_bytes(settings, sets[-1]),
+        "foretold_bytes": predict_stored_bytes(settings, sets[-1]),
     }
 
 

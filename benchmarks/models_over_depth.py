@@ -28,8 +28,8 @@ from simulator.errors import SpecimenError
 from simulator.parameters.chain import ChainParameters
 from simulator.parameters.plate import CorrosionParameters, PlateParameters, SolidMesh
 from simulator.shot.model import ShotModel
-from simulator.shot.pulse_summary import summarise
-from simulator.zener.model import reflect
+from simulator.shot.pulse_summary import summarise_pulses
+from simulator.zener.model import compute_reflection
 
 REFERENCE = Path(__file__).resolve().parent.parent / "docs" / "reference"
 DEPTHS = tuple(k / 10 for k in range(9))
@@ -141,7 +141,7 @@ def tof_and_ratio_function(
 
 def tof_and_ratio(model: ShotModel, depth: float) -> tuple[float, float]:
     """Return time of flight in us and amplitude ratio of one shot."""
-    pulses = summarise(model.shot(depth_fraction=depth))
+    pulses = summarise_pulses(model.shot(depth_fraction=depth))
     if pulses.tof_us is None or pulses.amplitude_ratio is None:
         return float("nan"), float("nan")
     return pulses.tof_us, pulses.amplitude_ratio
@@ -151,7 +151,7 @@ def zener_rows() -> Iterator[Row]:
     """Yield the paper's analytical model within its range; it has no sensor and no patch."""
     for depth in DEPTHS:
         try:
-            found = reflect(ChainParameters(), PlateParameters(), depth_fraction=depth)
+            found = compute_reflection(ChainParameters(), PlateParameters(), depth_fraction=depth)
         except SpecimenError as error:
             print(f"\n{ZENER} ends at {depth:.0%}: {error}", file=sys.stderr)
             return

@@ -20,8 +20,8 @@ from typing import Any
 import h5py
 import numpy as np
 
-from daq_service.archive.reader import read_file
-from daq_service.catalogue.earlier_names import COLUMNS, TOPICS, current_row
+from daq_service.archive.reader import read_set_file
+from daq_service.catalogue.earlier_names import COLUMNS, TOPICS, to_current_row
 from daq_service.catalogue.reported_rows import ROW_OF_EVENT
 
 RENAMED_TABLES = TOPICS
@@ -82,7 +82,7 @@ def current_values(table: str, row: dict[str, Any]) -> dict[str, Any]:
     for name in NESTED.get(table, ()):
         if row.get(name) is not None:
             row[name] = json.loads(row[name])
-    return without_zeros(current_row(table, row), TIMELESS)
+    return without_zeros(to_current_row(table, row), TIMELESS)
 
 
 def without_zeros(row: dict[str, Any], left_out: Set[str] = frozenset()) -> dict[str, Any]:
@@ -119,7 +119,9 @@ def datasets(folder: Path) -> Iterator[tuple[str, bytes, str]]:
 
         with h5py.File(path, "r") as file:
             file.visititems(visit)
-        facts = [(item.sequence, dict(item.truth), dict(item.settings)) for item in read_file(path).records]
+        facts = [
+            (item.sequence, dict(item.truth), dict(item.settings)) for item in read_set_file(path).records
+        ]
         yield from [*found, (f"{path.name}/facts", repr(facts).encode(), "")]
 
 

@@ -27,7 +27,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 from simulator.parameters.chain import ChainParameters
 from simulator.parameters.plate import CorrosionParameters, PlateParameters
 from simulator.shot.model import Impact, ShotModel
-from simulator.shot.pulse_summary import summarise
+from simulator.shot.pulse_summary import summarise_pulses
 
 RECORD_S = 1.4e-3
 COLD_RUNS, DEPTHS, WARM_SHOTS = 5, 40, 200
@@ -62,7 +62,7 @@ def measure() -> dict[str, dict[str, float]]:
         model.shot()
         new = [seconds(lambda k=k: model.shot(depth_fraction=0.2 + 1e-3 * k)) for k in range(DEPTHS)]
         warm = [seconds(lambda: model.shot(drop_height_m=5.1e-3, tilt_rad=0.01)) for _ in range(WARM_SHOTS)]
-        summary = [seconds(lambda: summarise(model.shot())) for _ in range(WARM_SHOTS)]
+        summary = [seconds(lambda: summarise_pulses(model.shot())) for _ in range(WARM_SHOTS)]
         strikes = [Impact(drop_height_m=4e-3 + 2e-5 * k, tilt_rad=0.01) for k in range(80)]
         model.shots(strikes)
         batch = [seconds(lambda: model.shots(strikes)) for _ in range(10)]

@@ -29,7 +29,7 @@ from simulator.parameters.chain import ChainParameters
 from simulator.parameters.plate import CorrosionParameters, PlateParameters, SolidMesh
 from simulator.plate.solid.plate import build_solid_plate
 from simulator.shot.model import ShotModel
-from simulator.shot.pulse_summary import summarise
+from simulator.shot.pulse_summary import summarise_pulses
 
 RECORD_S = 1.4e-3
 MESHES = {
@@ -58,7 +58,7 @@ def cold_shot(mesh: SolidMesh, depth: float) -> ColdShot:
     started = time.perf_counter(), time.process_time()
     shot = ShotModel(ChainParameters(), plate, patch, duration_s=RECORD_S, cache_folder=None).shot()
     wall_s, processor_s = time.perf_counter() - started[0], time.process_time() - started[1]
-    summary = summarise(shot)
+    summary = summarise_pulses(shot)
     assert summary.tof_us is not None, "the wave comes back"
     assert summary.amplitude_ratio is not None, "the wave comes back"
     return ColdShot(
@@ -112,7 +112,7 @@ def one_basis_rows(depths: list[float]) -> Iterator[dict[str, Any]]:
         found = models[1].shot(depth_fraction=depth)
         shot_s = time.process_time() - started
         difference = np.linalg.norm(found.force_n - expected.force_n)
-        one, other = summarise(found).tof_us, summarise(expected).tof_us
+        one, other = summarise_pulses(found).tof_us, summarise_pulses(expected).tof_us
         assert one is not None, "the wave comes back"
         assert other is not None, "the wave comes back"
         yield {

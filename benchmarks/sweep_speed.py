@@ -24,11 +24,11 @@ import threading
 from concurrent.futures import Executor
 from functools import partial
 
-from daq_service.cli.sweep.execution import compute
+from daq_service.cli.sweep.execution import compute_plan
 from daq_service.cli.sweep.plan import Model, Plan, make_plan
-from daq_service.cli.sweep.shot import coupled_numbers, zener_numbers
+from daq_service.cli.sweep.shot import compute_zener_impact, summarise_coupled_shot
 from daq_service.cli.sweep.specification import parse_axis
-from daq_service.processes.executors import opened_executor, usable_cores
+from daq_service.processes.executors import count_usable_cores, open_executor
 from simulator.parameters.chain import ChainParameters
 from simulator.parameters.plate import CorrosionParameters, PlateParameters
 from simulator.shot.model import ShotModel
@@ -62,14 +62,14 @@ def run_loop(plan: Plan) -> None:
     for row in plan.rows:
         assert row.specimen is not None
         if plan.model == "zener":
-            zener_numbers(*row.specimen)
+            compute_zener_impact(*row.specimen)
         else:
-            coupled_numbers(ShotModel(*row.specimen).shot())
+            summarise_coupled_shot(ShotModel(*row.specimen).shot())
 
 
 def run_sweep(plan: Plan, executor: Executor, workers: int) -> None:
     kept: list[int] = []
-    compute(
+    compute_plan(
         plan,
         plan.rows,
         executor,
@@ -92,7 +92,7 @@ def measure(sweep: str, rows: int, workers: int) -> dict[str, float]:
     result = {"rows": float(len(plan_sweep(sweep, rows, 0).rows)), "loop_per_s": best(run_loop)}
     kinds: list[tuple[str, int]] = [("threads", 1), ("threads", workers), ("processes", workers)]
     for kind, count in kinds:
-        with opened_executor(kind, count) as executor:
+        with open_executor(kind, count) as executor:
             work = partial(run_sweep, executor=executor, workers=count)
             result[f"{kind}_start_s"] = seconds(partial(work, plan_sweep(sweep, 40 * count, next(numbers))))
             result[f"{kind}_{count}_per_s"] = best(work)
@@ -101,7 +101,9 @@ def measure(sweep: str, rows: int, workers: int) -> dict[str, float]:
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--workers", type=int, default=usable_cores(), help="default: one for each core")
+    parser.add_argument(
+        "--workers", type=int, default=count_usable_cores(), help="default: one for each core"
+    )
     parser.add_argument("--rows", type=int, default=400, help="of each sweep, about (default: 400)")
     parser.add_argument("--json", action="store_true", help="one JSON object on standard output")
     arguments = parser.parse_args()

@@ -26,8 +26,8 @@ from typing import Any
 # Small dense problems: BLAS threads only wait for each other.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-from daq_service.cli.offline.twin_line import assessed_sets, specimen_of
-from daq_service.rig.twin import transducers_of
+from daq_service.cli.offline.twin_line import build_twin, simulate_assessed_sets
+from daq_service.rig.twin import build_transducers
 from daq_service.settings.file import load_settings
 from daq_service.settings.tree import Settings
 from hardware_drivers.measurement import ShotKey
@@ -55,15 +55,17 @@ def settings_of(level: str, hours: float) -> Settings:
 def run_line(hours: float) -> tuple[float, int]:
     """Return seconds and strikes of the complete test."""
     warm = settings_of("laboratory", 1.0)
-    specimen = specimen_of(warm)
+    specimen = build_twin(warm)
     for position in POSITIONS:
-        list(assessed_sets(warm, position, specimen))
+        list(simulate_assessed_sets(warm, position, specimen))
     settings, strikes = settings_of("laboratory", hours), 0
 
     def work() -> None:
         nonlocal strikes
         for position in POSITIONS:
-            strikes += sum(len(assessed.shots) for assessed in assessed_sets(settings, position, specimen))
+            strikes += sum(
+                len(assessed.shots) for assessed in simulate_assessed_sets(settings, position, specimen)
+            )
 
     return cpu_seconds(work), strikes
 
@@ -71,7 +73,7 @@ def run_line(hours: float) -> tuple[float, int]:
 def ratios() -> dict[str, float]:
     """Return the cost of a shot at each level over that of one without variability, at the corroding B."""
     # The same plates for all: where their arrays lie in memory is worth a tenth.
-    transducers = transducers_of(settings_of("none", 350.0))
+    transducers = build_transducers(settings_of("none", 350.0))
     specimens = {
         level: build_specimen(settings_of(level, 350.0).twin, transducers=transducers, probed_thickness_m={})
         for level in ("none", *NUISANCE)

@@ -24,8 +24,8 @@ from numpy.typing import NDArray
 from daq_service.archive import FolderArchive, PositionRecord, SetRecord, SetReference
 from daq_service.archive.finalize_set import finalize_set
 from daq_service.archive.waterfall.image import Picture, Wanted, WaterfallReader
-from daq_service.archive.waterfall.tile_files import tiles_of, write_tiles_of_file
-from daq_service.archive.waterfall.tiles import Tiles, n_bytes
+from daq_service.archive.waterfall.tile_files import build_tiles, write_tiles_of_file
+from daq_service.archive.waterfall.tiles import Tiles, count_tile_bytes
 from hardware_drivers.measurement import Calibration, SetKey, Shot, ShotKey, Stamp, Waveform
 from hardware_drivers.nanoseconds import NS_PER_H
 
@@ -66,13 +66,13 @@ class _Index:
     def __init__(self, files: dict[int, SetReference]) -> None:
         self._files = files
 
-    def n_stored(self, first: int, last: int) -> int:
+    def count_stored_sets(self, first: int, last: int) -> int:
         return max(0, min(last, len(self._files) - 1) - first + 1)
 
     def file(self, set_index: int) -> SetReference | None:
         return self._files.get(set_index)
 
-    def anchors(self, set_index: int) -> dict[int, float]:
+    def read_anchors(self, set_index: int) -> dict[int, float]:
         return {}
 
 
@@ -100,7 +100,7 @@ def with_numpy(
 
 def from_tiles(tiles: Tiles, folder_reader: WaterfallReader, index: _Index, wanted: Wanted) -> Picture:
     """Draw it as the service does."""
-    picture = folder_reader.figure_of_sets(tiles, index, wanted)
+    picture = folder_reader.compute_figure(tiles, index, wanted)
     if picture.pending:
         raise SystemExit("the tiles lack a set")
     return picture
@@ -134,7 +134,7 @@ def main() -> None:
             start = time.perf_counter()
             write_tiles_of_file(folder, EXPERIMENT, files[index], {})
             kept_s += time.perf_counter() - start
-        tiles = tiles_of(folder, EXPERIMENT, archive.read_set(files[0]), POSITION, "trigger")
+        tiles = build_tiles(folder, EXPERIMENT, archive.read_set(files[0]), POSITION, "trigger")
         assert tiles is not None
         wanted = Wanted(first=0, last=given.sets - 1, rows=given.rows, columns=given.columns)
         tiles_s, numpy_s = [], []
@@ -159,7 +159,7 @@ def main() -> None:
             "numpy_over_files_s": min(numpy_s),
             "ratio": min(numpy_s) / min(tiles_s),
             "keep_a_set_s": kept_s / given.sets,
-            "tiles_mb": n_bytes(folder) / 1e6,
+            "tiles_mb": count_tile_bytes(folder) / 1e6,
             "files_mb": sum((folder / file).stat().st_size for file in files.values()) / 1e6,
         }
     if given.json:

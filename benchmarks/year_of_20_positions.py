@@ -34,16 +34,16 @@ from analysis.diagnosis.slopes import COMPONENTS
 from analysis.statistics.named_limits import AVERAGE, LIMITS, MEWMA
 from analysis.ultrasound.thickness import EXTRACTOR_VERSION as ECHO_EXTRACTOR
 from analysis.waves.features import EXTRACTOR_VERSION
-from daq_service.acquisition.schedule import plan
+from daq_service.acquisition.schedule import plan_sets
 from daq_service.archive import FolderArchive, PositionRecord, SetRecord
 from daq_service.archive.finalize_set import finalize_set
-from daq_service.archive.records import set_reference
-from daq_service.assessment.diagnosis_texts import diagnosis_details
+from daq_service.archive.records import to_reference
+from daq_service.assessment.diagnosis_texts import build_diagnosis_details
 from daq_service.background.live_figure import LiveFigure
 from daq_service.catalogue import SetCommit, open_catalogue
 from daq_service.catalogue.experiment_file import HISTORY_FILE
 from daq_service.catalogue.history import HistoryFollower
-from daq_service.catalogue.reported_rows import reported
+from daq_service.catalogue.reported_rows import to_payload
 from daq_service.catalogue.rows import (
     AlarmRow,
     AssessmentRow,
@@ -57,19 +57,19 @@ from daq_service.catalogue.rows import (
 from daq_service.cli.status.facts import describe_status
 from daq_service.clock import parse_utc
 from daq_service.processes.heartbeat import Heartbeat
-from daq_service.processes.lost_sets import lost_sets
+from daq_service.processes.lost_sets import find_lost_sets
 from daq_service.recording import session
 from daq_service.recording.recorder import Recorder
 from daq_service.recording.resources import Resources
 from daq_service.settings.tree import Settings
 from daq_service.web.app import create_app
-from daq_service.web.context import context_of
-from daq_service.web.routes.stream import frames
+from daq_service.web.context import find_app_context
+from daq_service.web.routes.stream import send_frames
 from daq_service.web.tables.choice import TABLES
 from hardware_drivers.instruments import Rig
 from hardware_drivers.measurement import Calibration, DueSet, PulseEchoRecord, Shot, ShotKey, Stamp, Waveform
 from simulator.clock import SimulatedClock
-from simulator.echo.pulse import echo_calibration, echo_volts
+from simulator.echo.pulse import compute_echo_volts, echo_calibration
 
 SETS = 17_500
 SETS_A_COMMIT = 25
@@ -97,7 +97,7 @@ def year_settings() -> Settings:
 
 def fill(folder: Path, settings: Settings, n_sets: int) -> None:
     """Store sets as a recorder does, many per transaction; return file names, and the last file itself."""
-    due_sets = plan(settings.schedule.phases, parse_utc(settings.clock.epoch))[:n_sets]
+    due_sets = plan_sets(settings.schedule.phases, parse_utc(settings.clock.epoch))[:n_sets]
     rng, sequence = np.random.default_rng(0), 0
     with open_catalogue(folder, writer=True) as catalogue:
         catalogue.create_experiment(
@@ -123,7 +123,7 @@ def fill(folder: Path, settings: Settings, n_sets: int) -> None:
     # The first one that the probe took (`MISSED_EVERY`): what every later reading refers to.
     first, last = records_of(settings, due_sets[1], 0), records_of(settings, due_sets[-1], sequence)
     for due in (due_sets[0], *due_sets[2:-1]):
-        path = folder / set_reference(due.set_key, due.due_utc_ns)
+        path = folder / to_reference(due.set_key, due.due_utc_ns)
         path.write_bytes(b"a file without content is one that was lost")
     with closing(FolderArchive(folder)) as archive:
         for record in (first, last):
@@ -151,7 +151,7 @@ def _chart_and_diagnosis_columns(drawn: list[float]) -> dict[str, Any]:
     return {
         "cause": cause.cause,
         "diagnosis_probability": cause.probability,
-        "diagnosis_details": diagnosis_details(cause),
+        "diagnosis_details": build_diagnosis_details(cause),
         "chart": abs(drawn[1]),
         "mewma_alarm": False,
         "limits": {name: 24.3 + abs(drawn[2]) for name in LIMITS},
@@ -164,7 +164,7 @@ def _add_set(
     commit: SetCommit, settings: Settings, due: DueSet, sequence: int, rng: np.random.Generator
 ) -> int:
     """Add all rows of a set to a commit; return the sequence of its last shot."""
-    file = set_reference(due.set_key, due.due_utc_ns)
+    file = to_reference(due.set_key, due.due_utc_ns)
     values = rng.standard_normal((len(settings.positions), 5))
     for number, (position, place) in enumerate(settings.positions.items()):
         own: dict[str, Any] = {"set_index": due.set_index, "position": position}
@@ -279,7 +279,7 @@ def _add_event(commit: SetCommit, due: DueSet, topic: str, kind: str, row: Any) 
             kind=kind,
             position=getattr(row, "position", None),
             set_index=due.set_index,
-            payload=reported(row),
+            payload=to_payload(row),
         )
     )
 
@@ -296,7 +296,9 @@ def records_of(settings: Settings, due: DueSet, first: int) -> SetRecord:
             }
             if place.method == "pulse_echo":
                 calibration = echo_calibration(echo)
-                counts = np.rint(echo_volts(6.35e-3, echo) / calibration.coefficients_v[1]).astype(np.int16)
+                counts = np.rint(compute_echo_volts(6.35e-3, echo) / calibration.coefficients_v[1]).astype(
+                    np.int16
+                )
                 wave = Waveform(
                     counts=counts, sample_rate_hz=echo.sample_rate_hz, pretrigger_samples=0,
                     calibration=calibration,
@@ -380,8 +382,8 @@ def queries(path: str, n_sets: int, chance: random.Random) -> list[str]:
         day = {table: hours[2] if table == "environment" else named[3] for table in TABLES}
         return [path.format(table=table) + f"?{query}" for table, query in day.items()]
     if path.endswith("/files/{name}"):
-        last = plan(year_settings().schedule.phases, parse_utc(year_settings().clock.epoch))[n_sets - 1]
-        return [path.format(name=Path(set_reference(last.set_key, last.due_utc_ns)).name)]
+        last = plan_sets(year_settings().schedule.phases, parse_utc(year_settings().clock.epoch))[n_sets - 1]
+        return [path.format(name=Path(to_reference(last.set_key, last.due_utc_ns)).name)]
     if path.endswith("/waveforms/{position}"):
         path += f"?first_set={n_sets - 1}&last_set={n_sets - 1}"
     path = path.replace("{set_index}", str(n_sets - 1)).replace("{shot_index}", "0")
@@ -412,11 +414,11 @@ async def routes_s(folder: Path, settings: Settings, n_sets: int, rounds: int) -
                 taken[path].extend(
                     [took async for took in _pages_s(client, queries(path, n_sets, chance)[0])]
                 )
-        context = context_of(app)
+        context = find_app_context(app)
         last = (await client.get("/api/v1/info")).json()["last_event_id"]
         for _ in range(FEWEST_A_ROUND * rounds):
             began = _now()
-            stream = frames(context, context.hub, None, last - CATCH_UP_EVENTS)
+            stream = send_frames(context, context.hub, None, last - CATCH_UP_EVENTS)
             async for chunk in stream:
                 if b"id: %d\n" % last in chunk:
                     break
@@ -454,13 +456,13 @@ def start_s(folder: Path, settings: Settings) -> dict[str, float]:
         note("open")
         HistoryFollower(folder, catalogue).begin()
         note("history")
-        assert not catalogue.without_digest()
+        assert not catalogue.list_sets_without_digest()
         note("digests")
-        assert not lost_sets(folder, catalogue)
+        assert not find_lost_sets(folder, catalogue)
         note("files")
         with closing(FolderArchive(folder)) as archive:
             note("archive")
-            resumed_ns = session._resume_utc_ns(catalogue, archive, 0)
+            resumed_ns = session._find_resume_utc_ns(catalogue, archive, 0)
             note("resume")
             rig = Rig(kind="simulated", clock=SimulatedClock(resumed_ns), striker=None, digitizer=None)  # type: ignore[arg-type]
             Recorder(

@@ -37,15 +37,15 @@ _Bound = tuple[str, Any, Callable[[Any, Any], bool]]
 _resolved: dict[type, dict[str, list[_Bound]]] = {}
 
 
-def _bounds(parameters: type) -> dict[str, list[_Bound]]:
+def _resolve_bounds(parameters: type) -> dict[str, list[_Bound]]:
     """Return the bounds of a class, resolved once: every shot with its own scatter checks them."""
     if parameters not in _resolved:
         hints = get_type_hints(parameters, include_extras=True)
-        _resolved[parameters] = {field.name: _of_hint(hints[field.name]) for field in fields(parameters)}
+        _resolved[parameters] = {field.name: _find_bounds(hints[field.name]) for field in fields(parameters)}
     return _resolved[parameters]
 
 
-def _of_hint(hint: Any) -> list[_Bound]:
+def _find_bounds(hint: Any) -> list[_Bound]:
     """Return the bounds of a type, also where it may be absent: ``Annotated[float, Gt(0.0)] | None``."""
     marks = getattr(hint, "__metadata__", ())
     if not marks:
@@ -60,16 +60,19 @@ def _of_hint(hint: Any) -> list[_Bound]:
 
 def check_bounds(parameters: Any) -> None:
     """Raise ValueError naming the field, its value and its limit if a bound is broken."""
-    _check((name, bounds, getattr(parameters, name)) for name, bounds in _bounds(type(parameters)).items())
+    _check_named_values(
+        (name, bounds, getattr(parameters, name))
+        for name, bounds in _resolve_bounds(type(parameters)).items()
+    )
 
 
 def check_values(parameters: type, values: Mapping[str, Any]) -> None:
     """Raise as `check_bounds` does for values by name, before the parameters are made."""
-    bounds = _bounds(parameters)
-    _check((name, bounds[name], value) for name, value in values.items())
+    bounds = _resolve_bounds(parameters)
+    _check_named_values((name, bounds[name], value) for name, value in values.items())
 
 
-def _check(checked: Iterable[tuple[str, list[_Bound], Any]]) -> None:
+def _check_named_values(checked: Iterable[tuple[str, list[_Bound], Any]]) -> None:
     """Raise ValueError for the first value that is not finite or breaks a bound; None breaks no bound."""
     for name, bounds, value in checked:
         if value is None:

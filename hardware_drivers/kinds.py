@@ -67,11 +67,11 @@ Value = float | str | bool | None
 """Value of a finding, for programs."""
 
 
-def _no_person(what: str) -> None:
+def _ignore_request(what: str) -> None:
     """Ignore a request to a person where there is none."""
 
 
-def _no_listener(what: str, begins: bool) -> None:
+def _ignore_notice(what: str, begins: bool) -> None:
     """Ignore the notice of a long operation where nothing listens."""
 
 
@@ -104,12 +104,12 @@ class Opening:
 
     clock: Clock
     serves: Mapping[Role, tuple[str, ...]] = field(default_factory=dict)
-    ask: Callable[[str], None] = _no_person
+    ask: Callable[[str], None] = _ignore_request
     shot_interval_s: float = 4.0
     epoch_utc_ns: int = 0
     boot_id: str = ""
     experiment: Mapping[str, Any] = field(default_factory=dict)
-    preparing: Callable[[str, bool], None] = _no_listener
+    preparing: Callable[[str, bool], None] = _ignore_notice
 
     @property
     def positions(self) -> tuple[str, ...]:
@@ -175,7 +175,7 @@ class Finding:
     values: Mapping[str, Value] = field(default_factory=dict)
 
 
-def finding_of_error(subject: str, check: str, error: InstrumentError, otherwise: str) -> Finding:
+def build_error_finding(subject: str, check: str, error: InstrumentError, otherwise: str) -> Finding:
     """Return the finding of an error; a message of this project ends in its remedy, or names an owner.
 
     Parameters
@@ -195,17 +195,17 @@ def finding_of_error(subject: str, check: str, error: InstrumentError, otherwise
     )
 
 
-def _no_packages(parameters: object) -> Iterable[str]:
+def _list_no_packages(parameters: object) -> Iterable[str]:
     """Return an empty tuple, because the kind needs no distributions."""
     return ()
 
 
-def _no_extra_time(parameters: object) -> float:
+def _return_zero_s(parameters: object) -> float:
     """Return 0 s: every call has a timeout."""
     return 0.0
 
 
-def _serves_anything(parameters: Any, serves: Mapping[Role, tuple[str, ...]]) -> None:
+def _accept_all_positions(parameters: Any, serves: Mapping[Role, tuple[str, ...]]) -> None:
     """Accept all positions: the parameters name none."""
 
 
@@ -239,7 +239,7 @@ class Kind(Generic[P]):
     parameters: type[P]
     open: Callable[[P, Opening], AbstractContextManager[Opened]]
     check: Callable[[P, Opening], Iterable[Finding]]
-    packages: Callable[[P], Iterable[str]] = _no_packages
-    longest_call_s: Callable[[P], float] = _no_extra_time
+    packages: Callable[[P], Iterable[str]] = _list_no_packages
+    longest_call_s: Callable[[P], float] = _return_zero_s
     reached_by: frozenset[str] = frozenset()
-    require: Callable[[P, Mapping[Role, tuple[str, ...]]], None] = _serves_anything
+    require: Callable[[P, Mapping[Role, tuple[str, ...]]], None] = _accept_all_positions

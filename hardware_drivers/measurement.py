@@ -21,7 +21,7 @@ from hardware_drivers.methods import PULSE_ECHO, SOLITARY_WAVE, Method
 Counts = NDArray[np.int16] | NDArray[np.int32]
 
 
-def _read_only(values: NDArray[np.generic]) -> NDArray[np.generic]:
+def _copy_read_only(values: NDArray[np.generic]) -> NDArray[np.generic]:
     """Return a copy of an array that cannot be changed."""
     copy = np.array(values, copy=True)
     copy.flags.writeable = False
@@ -59,7 +59,7 @@ class Calibration:
             raise ValueError(f"resolution_bits is {self.resolution_bits}; it must lie in 2..32")
         if not self.range_v > 0.0:
             raise ValueError(f"range_v is {self.range_v} V; it must be positive")
-        object.__setattr__(self, "coefficients_v", _read_only(coefficients))
+        object.__setattr__(self, "coefficients_v", _copy_read_only(coefficients))
 
     def volts(self, counts: Counts) -> NDArray[np.float64]:
         """Convert counts of any shape into volts of the same shape."""
@@ -110,7 +110,7 @@ class Waveform:
             raise ValueError(
                 f"pretrigger_samples is {self.pretrigger_samples}; it must lie in 0..{counts.size}"
             )
-        object.__setattr__(self, "counts", _read_only(counts))
+        object.__setattr__(self, "counts", _copy_read_only(counts))
 
     def volts(self) -> NDArray[np.float64]:
         """Return the record in volts, shape (n_samples,)."""
@@ -172,7 +172,7 @@ class SetKey(NamedTuple):
         return self.unscheduled_index * _SCHEDULED_SETS + self.set_index
 
     @classmethod
-    def of_number(cls, number: int) -> SetKey:
+    def from_number(cls, number: int) -> SetKey:
         """Return the key of a number: data of earlier versions store it as the index of the set."""
         unscheduled_index, set_index = divmod(number, _SCHEDULED_SETS)
         return cls(set_index, unscheduled_index)
@@ -352,7 +352,7 @@ class ClimateReading:
 
 
 @lru_cache(maxsize=64)
-def waveform_crc32(waveform: Waveform) -> int:
+def compute_crc32(waveform: Waveform) -> int:
     """Return the CRC-32 (zlib's) of a record's counts as little-endian bytes.
 
     Cached, since file, acknowledgement and catalogue need the CRC-32 of the same, immutable waveform.
@@ -480,13 +480,13 @@ class SetRecord(OfSet):
 
     def n_tried(self, position: str) -> int:
         """Count the shots of a position that were struck, with or without a record, without repetitions."""
-        return self._attempts_at(position).count(0)
+        return self._list_attempts(position).count(0)
 
     def n_restrikes(self, position: str) -> int:
         """Count the repetitions of a position's shots, with or without a record."""
-        return sum(attempt > 0 for attempt in self._attempts_at(position))
+        return sum(attempt > 0 for attempt in self._list_attempts(position))
 
-    def _attempts_at(self, position: str) -> list[int]:
+    def _list_attempts(self, position: str) -> list[int]:
         """Return the attempt number of each strike at a position, missed ones included."""
         tried: list[Shot | MissedShot] = [*self.shots, *self.missed]
         return [item.key.attempt for item in tried if item.key.position == position]

@@ -51,7 +51,7 @@ class Offer:
             raise ConfigurationError(
                 f"the kind {self.name!r} is offered by {' and by '.join(self.distributions)}; uninstall one"
             )
-        kinds = {id(kind): kind for kind in map(self._loaded, self.by_role.values())}
+        kinds = {id(kind): kind for kind in map(self._import_kind, self.by_role.values())}
         if len(kinds) > 1:
             raise ConfigurationError(
                 f"{self.distributions[0]} offers different objects as {self.name!r} for the roles "
@@ -59,7 +59,7 @@ class Offer:
             )
         return next(iter(kinds.values()))
 
-    def _loaded(self, entry_point: EntryPoint) -> Kind[Any]:
+    def _import_kind(self, entry_point: EntryPoint) -> Kind[Any]:
         """Import the kind that an entry point names."""
         offered = f"{self.distributions[0]} offers {entry_point.value} as the kind {self.name!r}"
         try:
@@ -79,17 +79,17 @@ class Offer:
 
 def offers() -> Mapping[str, Offer]:
     """Return every installed kind by its name."""
-    return _offers(tuple(sys.path))
+    return _read_offers(tuple(sys.path))
 
 
 @lru_cache(maxsize=1)
-def _offers(path: tuple[str, ...]) -> Mapping[str, Offer]:
+def _read_offers(path: tuple[str, ...]) -> Mapping[str, Offer]:
     """Return the kinds of a path, read once: installed packages stay while a process runs."""
     found: dict[str, dict[str, dict[Role, EntryPoint]]] = {}
     every = entry_points()
     for role in ROLES:
         for entry_point in every.select(group=GROUPS[role]):
-            given = found.setdefault(entry_point.name, {}).setdefault(_distribution(entry_point), {})
+            given = found.setdefault(entry_point.name, {}).setdefault(_find_distribution(entry_point), {})
             given[role] = entry_point
     return {
         name: Offer(name=name, by_role=next(iter(given.values())), distributions=tuple(sorted(given)))
@@ -109,13 +109,13 @@ def find_kind(name: str) -> tuple[Kind[Any], Offer]:
     if name not in known:
         raise ConfigurationError(
             f"no installed package offers the kind {name!r}; there are: "
-            f"{_names_text(known.values())}; install the package that offers it beside solimon "
+            f"{_format_kind_names(known.values())}; install the package that offers it beside solimon "
             "(python -m pip install PACKAGE), or correct the name"
         )
     return known[name].load(), known[name]
 
 
-def _names_text(known: Iterable[Offer]) -> str:
+def _format_kind_names(known: Iterable[Offer]) -> str:
     """Return the names of the kinds; those of others with their package."""
     names = []
     for offer in known:
@@ -124,7 +124,7 @@ def _names_text(known: Iterable[Offer]) -> str:
     return ", ".join(names) or f"none, not even those of {OURS} itself: install {OURS} again"
 
 
-def _distribution(entry_point: EntryPoint) -> str:
+def _find_distribution(entry_point: EntryPoint) -> str:
     """Return name and version of the distribution that offers an entry point."""
     found = entry_point.dist
     return "an unknown package" if found is None else f"{found.name} {found.version}"

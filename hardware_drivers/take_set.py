@@ -46,7 +46,7 @@ class SetPlan:
     shot_interval_s: float
     read_timeout_s: float
 
-    def of_method(self, method: str) -> Sequence[str]:
+    def list_positions(self, method: str) -> Sequence[str]:
         """Return the positions of one method."""
         return [name for name, its_method in self.positions.items() if its_method == method]
 
@@ -106,14 +106,14 @@ def take_set(
     interval_ns = plan.shot_interval_s * NS_PER_S
     start_ns = max(progress.started_ns, rig.clock.utc_ns() - round(progress.n_strikes * interval_ns))
     n_lost = 0
-    for position in plan.of_method(PULSE_ECHO):
+    for position in plan.list_positions(PULSE_ECHO):
         if (position, 0) in progress.tried:
             continue
         if not rig.clock.wait_until(start_ns, idle):
             return
         key = ShotKey.in_set(plan.due.set_key, position, 0)
-        yield _echo(rig, plan, key, sequence, boot_id)
-    strikes = itertools.product(plan.of_method(SOLITARY_WAVE), range(plan.shots_per_set))
+        yield _acquire_echo(rig, plan, key, sequence, boot_id)
+    strikes = itertools.product(plan.list_positions(SOLITARY_WAVE), range(plan.shots_per_set))
     slot = itertools.count(progress.n_strikes)
     for position, shot_index in strikes:
         if (position, shot_index) in progress.tried:
@@ -126,7 +126,7 @@ def take_set(
             if not may_strike(position):  # commands are executed while waiting
                 break
             key = ShotKey.in_set(plan.due.set_key, position, shot_index, attempt)
-            measurement, error, last_attempt = _strike(rig, plan, key, sequence, boot_id)
+            measurement, error, last_attempt = _acquire_shot(rig, plan, key, sequence, boot_id)
             yield measurement
             n_lost = 0 if error is None else n_lost + 1
             if error is not None and n_lost >= LOST_IN_A_ROW:
@@ -135,7 +135,7 @@ def take_set(
                 break
 
 
-def _strike(
+def _acquire_shot(
     rig: Rig, plan: SetPlan, key: ShotKey, sequence: Iterator[int], boot_id: str
 ) -> tuple[Shot | MissedShot, ConnectionLostError | None, bool]:
     """Arm, strike and read; after any error the coil is off and the digitizer disarmed.
@@ -145,7 +145,7 @@ def _strike(
     tuple
         Shot or missed shot, error of a lost connection, and whether the shot cannot be repeated.
     """
-    stamp = _stamp(rig, boot_id)
+    stamp = _read_time_stamp(rig, boot_id)
     try:
         rig.digitizer.arm(key)
         rig.striker.strike(key)
@@ -178,12 +178,12 @@ def _make_reachable_instruments_safe(rig: Rig, error: ConnectionLostError) -> No
         error.add_note(f"and it could not be made safe by command: {unreachable}")
 
 
-def _echo(
+def _acquire_echo(
     rig: Rig, plan: SetPlan, key: ShotKey, sequence: Iterator[int], boot_id: str
 ) -> PulseEchoRecord | MissedShot:
     """Acquire one averaged record; a unit that does not respond misses only its own record."""
     assert rig.pulse_echo is not None, "open_rig gives every pulse-echo position its unit"
-    stamp = _stamp(rig, boot_id)
+    stamp = _read_time_stamp(rig, boot_id)
     try:
         echo = rig.pulse_echo.acquire(key, plan.read_timeout_s)
     except AcquisitionTimeoutError as error:
@@ -203,6 +203,6 @@ def _echo(
     )
 
 
-def _stamp(rig: Rig, boot_id: str) -> Stamp:
+def _read_time_stamp(rig: Rig, boot_id: str) -> Stamp:
     """Return the time stamp of now."""
     return Stamp(utc_ns=rig.clock.utc_ns(), mono_ns=rig.clock.mono_ns(), boot_id=boot_id)

@@ -26,14 +26,14 @@ _UNITS = {
 }
 
 
-def unit_of(name: str) -> str:
+def find_unit(name: str) -> str:
     """Return the unit of a name such as ``drop_height_m`` or ``velocity_m_per_s``; empty where it has none.
 
     NeXus writes a number without unit, such as a fraction, with an empty unit.
     """
     numerator, _, denominator = name.rpartition("_per_")
     if numerator:
-        return f"{unit_of(numerator)}/{_UNITS[denominator]}" if denominator in _UNITS else ""
+        return f"{find_unit(numerator)}/{_UNITS[denominator]}" if denominator in _UNITS else ""
     words = name.split("_")
     for count in (2, 1):
         # The name itself is no suffix: a quantity called "n" has no unit.

@@ -112,7 +112,7 @@ class RecordsAhead:
             group = next(self._planned, None)
             if group is None:
                 break
-            self._pending |= self._submit(group, previous)
+            self._pending |= self._submit_strikes(group, previous)
         if previous:
             wanted = {record.group for record in (pending, *self._pending.values()) if record is not None}
             for dropped in {record.group for record in previous.values()} - wanted:
@@ -126,7 +126,7 @@ class RecordsAhead:
             log.warning("a group of records failed, so each is computed by its reader: %s", error)
         return self._specimen.solitary_wave(*strike)
 
-    def _submit(
+    def _submit_strikes(
         self, group: Sequence[TimedStrike], previous: dict[TimedStrike, _PendingRecord]
     ) -> dict[TimedStrike, _PendingRecord]:
         """Submit the strikes of a group that are not pending yet; move the others from ``previous``."""
@@ -148,10 +148,10 @@ class RecordsAhead:
             for planned, planned_ns in self._strikes_after(key, utc_ns)
             if planned.position not in self._passed_over
         )
-        self._planned = _groups(strikes)
+        self._planned = _group_strikes(strikes)
 
 
-def _groups(strikes: Iterable[TimedStrike]) -> Iterator[list[TimedStrike]]:
+def _group_strikes(strikes: Iterable[TimedStrike]) -> Iterator[list[TimedStrike]]:
     """Group consecutive strikes of one position and set, at most `LARGEST_GROUP` each."""
     for _, neighbours in groupby(strikes, key=lambda strike: (strike[0].position, strike[0].set_key)):
         while group := list(islice(neighbours, LARGEST_GROUP)):
@@ -262,16 +262,16 @@ class SimulatedStriker:
     def strike(self, key: ShotKey) -> None:
         """Strike once: energising the coil lifts the striker, releasing drops it on the chain."""
         _require_position(key, self._bench.specimen.transducers, "striker")
-        self._switch(key.position, energised=True)
+        self._switch_coil(key.position, energised=True)
         self.make_safe()
         self._bench.strike(key)
 
     def make_safe(self) -> None:
         """De-energise every coil."""
         if self._energised is not None:
-            self._switch(self._energised, energised=False)
+            self._switch_coil(self._energised, energised=False)
 
-    def _switch(self, position: str, *, energised: bool) -> None:
+    def _switch_coil(self, position: str, *, energised: bool) -> None:
         """Switch a coil on or off and record the event."""
         self._energised = position if energised else None
         now_ns = self._bench.clock.utc_ns()

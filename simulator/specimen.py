@@ -15,35 +15,41 @@ import numpy as np
 
 from hardware_drivers.instruments import Acquired, Echo
 from hardware_drivers.measurement import Calibration, ShotKey, Waveform
-from simulator.echo.far_wall import RoughSpot, rough_spot
+from simulator.echo.far_wall import RoughSpot, draw_rough_spot
 from simulator.echo.pulse import echo_calibration
-from simulator.echo.records import Disturbance, ProbedWall, averaged_record, disturbance, probed_wall
-from simulator.electronics.transduction import adc_calibration, counts_of, triggered_record
+from simulator.echo.records import (
+    Disturbance,
+    ProbedWall,
+    draw_disturbance,
+    make_probed_wall,
+    simulate_averaged_record,
+)
+from simulator.electronics.transduction import make_adc_calibration, quantise_volts, simulate_triggered_record
 from simulator.errors import SpecimenError
-from simulator.experiment.corrosion import Wall, WallHistory, held_hour_h, wall_history
+from simulator.experiment.corrosion import Wall, WallHistory, draw_wall_history, round_down_to_update_h
 from simulator.experiment.environmental_variability import (
     ShotNuisance,
     TransducerNuisance,
-    disturbed_noise,
-    disturbed_strike,
+    disturb_noise,
+    disturb_strike,
 )
 from simulator.experiment.faults import (
     NO_FAULTS,
     SOUND,
     ShotFaults,
-    faults_of_shot,
-    faulty_chain,
-    faulty_strike,
-    interference_of_shot,
+    apply_chain_faults,
+    apply_strike_faults,
+    draw_faults_of_shot,
+    draw_interference,
 )
-from simulator.experiment.scatter import Strike, Temperature, scattered_strike, temperature
-from simulator.experiment.seating import Climate, climate, liquid_factors
+from simulator.experiment.scatter import Strike, Temperature, draw_room_temperature, draw_scattered_strike
+from simulator.experiment.seating import Climate, draw_climate, list_liquid_factors
 from simulator.numerics.arrays import FloatArray
-from simulator.numerics.keyed_random import Purpose, generator
+from simulator.numerics.keyed_random import Purpose, create_keyed_generator
 from simulator.parameters.chain import ChainParameters
 from simulator.parameters.experiment import ThinningParameters, TwinParameters
 from simulator.shot.model import Impact, ShotForce, ShotModel
-from simulator.shot.pulse_summary import summarise
+from simulator.shot.pulse_summary import summarise_pulses
 
 Stray = Callable[[float, float, int], FloatArray]
 """Voltage that no strike made: of the first sample's time from the striker's contact in s, the rate, the
@@ -130,9 +136,9 @@ class Specimen:
     walls: Mapping[str, WallHistory]
     spots: Mapping[str, RoughSpot | None]
     room: Temperature
-    adc_calibration: Calibration
+    make_adc_calibration: Calibration
     echo_calibration: Calibration
-    climate: Climate | None
+    draw_climate: Climate | None
     nuisances: Mapping[str, TransducerNuisance]
     wet: Mapping[str, Mapping[float, Transducer]]
     stray: Stray | None = None
@@ -142,14 +148,14 @@ class Specimen:
 
         It advances in steps of `TwinParameters.update_interval_s`.
         """
-        return held_hour_h(elapsed_ns, self.twin.update_interval_s)
+        return round_down_to_update_h(elapsed_ns, self.twin.update_interval_s)
 
     def faults(self, key: ShotKey, hour_h: float) -> ShotFaults:
         """Draw the faults of one strike, its chain and its gain; hum and spikes come with the record."""
         faults = self.twin.faults.get(key.position)
         if faults is None:
             return NO_FAULTS
-        return faults_of_shot(faults, seed=self.twin.seed, key=key, hour_h=hour_h)
+        return draw_faults_of_shot(faults, seed=self.twin.seed, key=key, hour_h=hour_h)
 
     def nuisance(self, key: ShotKey, hour_h: float, faults: ShotFaults) -> ShotNuisance | None:
         """Draw the environmental variability of a strike; None if it is not enabled."""
@@ -163,12 +169,14 @@ class Specimen:
     def strike(self, key: ShotKey, hour_h: float) -> Strike:
         """Draw drop height, tilt and sensitivity of one shot, its faults included."""
         faults = self.faults(key, hour_h)
-        return self._strike(key, hour_h, faults, self.nuisance(key, hour_h, faults))
+        return self._draw_complete_strike(key, hour_h, faults, self.nuisance(key, hour_h, faults))
 
-    def _strike(self, key: ShotKey, hour_h: float, faults: ShotFaults, found: ShotNuisance | None) -> Strike:
+    def _draw_complete_strike(
+        self, key: ShotKey, hour_h: float, faults: ShotFaults, found: ShotNuisance | None
+    ) -> Strike:
         """Draw a shot's strike with scatter, variability and the given faults."""
         chain, sensor = self.transducers[key.position].chain, self.twin.sensor
-        strike = scattered_strike(
+        strike = draw_scattered_strike(
             key,
             seed=self.twin.seed,
             chain=chain,
@@ -178,8 +186,8 @@ class Specimen:
             temperature_c=self._temperature_c(hour_h, faults, found),
         )
         if found is not None:
-            strike = disturbed_strike(strike, found, chain, sensor)
-        return strike if faults is NO_FAULTS else faulty_strike(strike, faults, sensor)
+            strike = disturb_strike(strike, found, chain, sensor)
+        return strike if faults is NO_FAULTS else apply_strike_faults(strike, faults, sensor)
 
     def _temperature_c(self, hour_h: float, faults: ShotFaults, found: ShotNuisance | None) -> float:
         """Return the temperature of a transducer in degrees Celsius."""
@@ -189,7 +197,7 @@ class Specimen:
 
     def force(self, wall: Wall, strike: Strike, position: str, faults: ShotFaults = NO_FAULTS) -> ShotForce:
         """Simulate the force of one impact at its own depth, drop height and tilt."""
-        model = _model(self.transducers[position], faults)
+        model = _model_of_transducer(self.transducers[position], faults)
         if wall.is_hole:
             return model.shot_at_hole(drop_height_m=strike.drop_height_m, tilt_rad=strike.tilt_rad)
         return model.shot(
@@ -208,11 +216,11 @@ class Specimen:
 
         Strikes of one transducer on a wall of one depth cost half as much together as one after the other.
         """
-        blows = [self._blow(key, hour_h) for key, hour_h in strikes]
-        forces = self._forces([blow for blow in blows if blow is not None])
-        return [None if blow is None else self._acquired(blow, *next(forces)) for blow in blows]
+        blows = [self._draw_blow(key, hour_h) for key, hour_h in strikes]
+        forces = self._compute_forces([blow for blow in blows if blow is not None])
+        return [None if blow is None else self._digitize_force(blow, *next(forces)) for blow in blows]
 
-    def _blow(self, key: ShotKey, hour_h: float) -> _DrawnStrike | None:
+    def _draw_blow(self, key: ShotKey, hour_h: float) -> _DrawnStrike | None:
         """Draw a strike with its wall, faults and variability; None if it misses the chain."""
         faults = self.faults(key, hour_h)
         if faults.missed:
@@ -224,10 +232,10 @@ class Specimen:
             wall=self.walls[key.position].at(hour_h),
             faults=faults,
             nuisance=found,
-            strike=self._strike(key, hour_h, faults, found),
+            strike=self._draw_complete_strike(key, hour_h, faults, found),
         )
 
-    def _forces(self, blows: Sequence[_DrawnStrike]) -> Iterator[tuple[ShotForce, ShotForce]]:
+    def _compute_forces(self, blows: Sequence[_DrawnStrike]) -> Iterator[tuple[ShotForce, ShotForce]]:
         """Yield the force of each strike's first impact, and the force of all its impacts."""
         alike: dict[tuple[str, float, float, float], list[int]] = {}
         for number, blow in enumerate(blows):
@@ -238,15 +246,17 @@ class Specimen:
         for (position, liquid, *_), numbers in alike.items():
             of_chain = [blows[number] for number in numbers]
             transducer = self.wet.get(position, {}).get(liquid, self.transducers[position])
-            model = _model(transducer, of_chain[0].faults)
+            model = _model_of_transducer(transducer, of_chain[0].faults)
             if isinstance(model, ShotModel):
-                found = _forces_together(model, of_chain)
+                found = _integrate_blows(model, of_chain)
             else:
-                found = [self._force_alone(model, blow) for blow in of_chain]
+                found = [self._compute_force_alone(model, blow) for blow in of_chain]
             forces.update(zip(numbers, found, strict=True))
         return (forces[number] for number in range(len(blows)))
 
-    def _force_alone(self, model: SolitaryWaveModel, blow: _DrawnStrike) -> tuple[ShotForce, ShotForce]:
+    def _compute_force_alone(
+        self, model: SolitaryWaveModel, blow: _DrawnStrike
+    ) -> tuple[ShotForce, ShotForce]:
         """Simulate the force of one shot of a model without batches, also without variability.
 
         Raise SpecimenError for a second impact or variability, which such a model does not have.
@@ -264,27 +274,29 @@ class Specimen:
         force = self.force(blow.wall, blow.strike, blow.key.position, blow.faults)
         return force, force
 
-    def _acquired(self, blow: _DrawnStrike, force: ShotForce, every_impact: ShotForce) -> Acquired | None:
+    def _digitize_force(
+        self, blow: _DrawnStrike, force: ShotForce, every_impact: ShotForce
+    ) -> Acquired | None:
         """Digitize a force: return the record with its true values; None without a trigger."""
         seed, adc, key, hour_h = self.twin.seed, self.twin.adc, blow.key, blow.hour_h
-        interference, electrical_truth = interference_of_shot(
+        interference, electrical_truth = draw_interference(
             self.twin.faults.get(key.position, SOUND), seed=seed, key=key, hour_h=hour_h, adc=adc
         )
         noise, found = self.twin.noise, blow.nuisance
         if found is not None:
-            noise = disturbed_noise(noise, found.noise_factor)
-        record = triggered_record(
+            noise = disturb_noise(noise, found.noise_factor)
+        record = simulate_triggered_record(
             force_step_s=_grid_step_s(force),
             dynamic_force_n=every_impact.force_n - every_impact.preload_n,
             sensor_gain_v_per_n=blow.strike.sensor_gain_v_per_n,
             adc=adc,
             calibration=self.adc_calibration,
             # The sample clock runs free: where it stands when the wave comes is anybody's guess.
-            sampling_phase=float(generator(seed, Purpose.SAMPLING_PHASE, key=key).random()),
+            sampling_phase=float(create_keyed_generator(seed, Purpose.SAMPLING_PHASE, key=key).random()),
             noise=noise,
-            random=generator(seed, Purpose.NOISE, key=key),
+            random=create_keyed_generator(seed, Purpose.NOISE, key=key),
             interference=interference,
-            stray=self._stray(blow.nuisance),
+            stray=self._stray_volts(blow.nuisance),
         )
         if record is None:
             return None
@@ -294,13 +306,13 @@ class Specimen:
             pretrigger_samples=adc.pretrigger_samples,
             calibration=self.adc_calibration,
         )
-        truth = _shot_truth(blow.wall, blow.strike, force)
+        truth = _true_values_of_shot(blow.wall, blow.strike, force)
         temperature_c = self._temperature_c(hour_h, blow.faults, found)
         truth |= {"temperature_c": temperature_c, "trigger_time_s": record.trigger_time_s}
         truth |= blow.faults.truth | electrical_truth
         return Acquired(waveform=waveform, truth=truth if found is None else truth | found.truth())
 
-    def _stray(self, found: ShotNuisance | None) -> Stray | None:
+    def _stray_volts(self, found: ShotNuisance | None) -> Stray | None:
         """Return the function of all voltages that no strike causes, the variability's ringing included.
 
         Return None if there are none.
@@ -320,7 +332,7 @@ class Specimen:
 
     def probed_wall(self, position: str, hour_h: float) -> ProbedWall:
         """Return the wall under an ultrasonic probe at an hour of the test."""
-        return probed_wall(
+        return make_probed_wall(
             self.probed_thickness_m[position],
             self.walls[position].at(hour_h).depth_fraction,
             self.spots[position],
@@ -331,12 +343,12 @@ class Specimen:
         """Simulate the averaged pulse-echo record of one position."""
         echo, seed, noisy = self.twin.echo, self.twin.seed, self.twin.noise.enabled
         wall = self.probed_wall(key.position, hour_h)
-        found, disturbed = disturbance(echo, seed=seed, key=key) if noisy else (Disturbance(), {})
-        volts, clipped = averaged_record(
+        found, disturbed = draw_disturbance(echo, seed=seed, key=key) if noisy else (Disturbance(), {})
+        volts, clipped = simulate_averaged_record(
             wall, echo, self.echo_calibration, found, seed=seed, key=key, noisy=noisy
         )
         waveform = Waveform(
-            counts=counts_of(volts, self.echo_calibration),
+            counts=quantise_volts(volts, self.echo_calibration),
             sample_rate_hz=echo.sample_rate_hz,
             pretrigger_samples=0,
             calibration=self.echo_calibration,
@@ -350,7 +362,7 @@ class Specimen:
         )
 
 
-def _model(transducer: Transducer, faults: ShotFaults) -> SolitaryWaveModel:
+def _model_of_transducer(transducer: Transducer, faults: ShotFaults) -> SolitaryWaveModel:
     """Return the model of a transducer, with a changed chain if a fault changed its contacts.
 
     Raise SpecimenError if the model cannot change its chain.
@@ -362,10 +374,10 @@ def _model(transducer: Transducer, faults: ShotFaults) -> SolitaryWaveModel:
             f"bead_wear and loose_contact change the chain of a ShotModel; this one is a "
             f"{type(transducer.model).__name__}: take the two out of the faults"
         )
-    return transducer.model.with_chain(faulty_chain(transducer.chain, faults))
+    return transducer.model.with_chain(apply_chain_faults(transducer.chain, faults))
 
 
-def _forces_together(model: ShotModel, blows: Sequence[_DrawnStrike]) -> list[tuple[ShotForce, ShotForce]]:
+def _integrate_blows(model: ShotModel, blows: Sequence[_DrawnStrike]) -> list[tuple[ShotForce, ShotForce]]:
     """Simulate several strikes on one chain side by side; return the results of `Specimen._forces`."""
     bounced = [blow for blow in blows if blow.faults.double_delay_s is not None]
     found = iter(model.shots([*(blow.impact() for blow in blows), *(blow.impacts() for blow in bounced)]))
@@ -381,12 +393,12 @@ def _grid_step_s(force: ShotForce) -> float:
     return float(force.time_s[-1]) / (force.time_s.size - 1)
 
 
-def _shot_truth(wall: Wall, strike: Strike, force: ShotForce) -> dict[str, float]:
+def _true_values_of_shot(wall: Wall, strike: Strike, force: ShotForce) -> dict[str, float]:
     """Compute the true values of a shot, by column.
 
     The values of its force are those of ``solimon simulate``.
     """
-    pulses = summarise(force)
+    pulses = summarise_pulses(force)
     return {
         "depth_fraction": wall.depth_fraction,
         "pit_depth_fraction": wall.pit_depth_fraction,
@@ -394,16 +406,16 @@ def _shot_truth(wall: Wall, strike: Strike, force: ShotForce) -> dict[str, float
         "tilt_rad": strike.tilt_rad,
         "sensor_gain_v_per_n": strike.sensor_gain_v_per_n,
         "isw_peak_n": pulses.isw_peak_n,
-        "isw_time_s": _si(pulses.isw_time_us, 1e-6),
-        "psw_peak_n": _si(pulses.psw_peak_n),
-        "psw_time_s": _si(pulses.psw_time_us, 1e-6),
-        "tof_s": _si(pulses.tof_us, 1e-6),
-        "amplitude_ratio": _si(pulses.amplitude_ratio),
+        "isw_time_s": _si_or_nan(pulses.isw_time_us, 1e-6),
+        "psw_peak_n": _si_or_nan(pulses.psw_peak_n),
+        "psw_time_s": _si_or_nan(pulses.psw_time_us, 1e-6),
+        "tof_s": _si_or_nan(pulses.tof_us, 1e-6),
+        "amplitude_ratio": _si_or_nan(pulses.amplitude_ratio),
         "energy_residual": force.energy_residual,
     }
 
 
-def _si(value: float | None, unit: float = 1.0) -> float:
+def _si_or_nan(value: float | None, unit: float = 1.0) -> float:
     """Convert a value to SI; NaN if it is None because no wave was reflected."""
     return math.nan if value is None else unit * value
 
@@ -413,7 +425,7 @@ def build_specimen(
 ) -> Specimen:
     """Draw the constants of a test (corrosion, climate) and build the specimen."""
     walls = {
-        position: wall_history(
+        position: draw_wall_history(
             twin.thinning.get(position, ThinningParameters()), seed=twin.seed, position=position
         )
         for position in (*transducers, *probed_thickness_m)
@@ -422,20 +434,22 @@ def build_specimen(
     nuisances: dict[str, TransducerNuisance] = {}
     wet: dict[str, dict[float, Transducer]] = {}
     if twin.nuisance != "none":
-        weather = climate(twin.nuisance, seed=twin.seed, warmest_hour_h=twin.drift.warmest_hour_h)
+        weather = draw_climate(twin.nuisance, seed=twin.seed, warmest_hour_h=twin.drift.warmest_hour_h)
         for name, place in transducers.items():
             nuisances[name] = TransducerNuisance(
                 level=twin.nuisance, seed=twin.seed, chain=place.chain, climate=weather
             )
-            wet[name] = _by_liquid(place, liquid_factors(weather.parameters))
+            wet[name] = _transducers_by_liquid(place, list_liquid_factors(weather.parameters))
     return Specimen(
         twin=twin,
         transducers=dict(transducers),
         probed_thickness_m=dict(probed_thickness_m),
         walls=walls,
-        spots={name: rough_spot(twin.echo, seed=twin.seed, position=name) for name in probed_thickness_m},
-        room=temperature(twin.drift, seed=twin.seed),
-        adc_calibration=adc_calibration(twin.adc),
+        spots={
+            name: draw_rough_spot(twin.echo, seed=twin.seed, position=name) for name in probed_thickness_m
+        },
+        room=draw_room_temperature(twin.drift, seed=twin.seed),
+        adc_calibration=make_adc_calibration(twin.adc),
         echo_calibration=echo_calibration(twin.echo),
         climate=weather,
         nuisances=nuisances,
@@ -443,7 +457,7 @@ def build_specimen(
     )
 
 
-def _by_liquid(place: Transducer, factors: Sequence[float]) -> dict[float, Transducer]:
+def _transducers_by_liquid(place: Transducer, factors: Sequence[float]) -> dict[float, Transducer]:
     """Return the transducer for each depth of the liquid over the full one; empty for a dry plate."""
     if not isinstance(place.model, ShotModel):
         return {}

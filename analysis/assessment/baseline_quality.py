@@ -14,7 +14,7 @@ GOOD_SETS = 200
 ALIKE = "a feature is the same in most of its sets: what stands out of them cannot be told"
 
 
-def advice(n_sets: int) -> str | None:
+def advise_on_baseline(n_sets: int) -> str | None:
     """Return the advice to extend a baseline of ``n_sets`` sets; None from `GOOD_SETS` sets on."""
     if n_sets >= GOOD_SETS:
         return None
@@ -32,7 +32,7 @@ def assess_baseline(state: State, rules: Rules) -> dict[str, object] | None:
     if baseline is None or baseline.fitted is None or baseline.design is None:
         return None
     design, indices = baseline.design, baseline.fitted.set_indices
-    shortcoming, anomalies = advice(baseline.fitted.n), _find_anomalies(state)
+    shortcoming, anomalies = advise_on_baseline(baseline.fitted.n), _find_anomalies(state)
     if anomalies is None:
         shortcoming = f"{shortcoming + '; ' if shortcoming else ''}{ALIKE}"
     return {

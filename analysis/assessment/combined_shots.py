@@ -13,8 +13,8 @@ from analysis.waves.features import (
     FEATURE_NAMES,
     SetFeatures,
     ShotFeatures,
+    average_features,
     extract_from_average,
-    mean_features,
 )
 from analysis.waves.quality_gate import ACCEPTED
 from analysis.waves.template import compare_with_others, flag_residual_reflections, learn_template
@@ -86,7 +86,7 @@ def combine_shots(
     features = compare_with_others(features, learn_template(features))
     is_accepted = [outcomes.get(shot.sequence, ACCEPTED) == ACCEPTED for shot in shots]
     accepted = list(compress(features, is_accepted))
-    mean = mean_features(accepted, minimum_valid_shots)
+    mean = average_features(accepted, minimum_valid_shots)
     if of_set != "mean_of_shots" and mean.quality != "bad":
         accepted_shots = list(compress(shots, is_accepted))
         valid = [shot.waveform for shot, one in zip(accepted_shots, accepted, strict=True) if one.valid]

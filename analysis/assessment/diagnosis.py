@@ -7,9 +7,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from analysis.diagnosis.diagnose import Diagnosis, diagnosis_of, state_with_diagnosis
+from analysis.diagnosis.diagnose import Diagnosis, diagnose_latest_set, update_state
 from analysis.diagnosis.hypotheses import COUPLING, ENVIRONMENT, OK, SENSOR, WALL
-from analysis.diagnosis.parameters import DiagnosisParameters, diagnosis_parameters, logs_of
+from analysis.diagnosis.parameters import DiagnosisParameters, compute_diagnosis_parameters, log_features
 from analysis.diagnosis.slopes import COMPONENTS
 from analysis.diagnosis.state import DiagnosisState, with_confirmation, with_set
 from analysis.errors import SingularCovarianceError
@@ -39,7 +39,7 @@ class Origin:
     n_contrary: int = 0
 
 
-def next_origin(before: Origin, cause: str, *, was_active: bool, n: int) -> Origin:
+def update_origin(before: Origin, cause: str, *, was_active: bool, n: int) -> Origin:
     """Update the origin with the diagnosis of one more set; an uncertain diagnosis does not switch the alarm.
 
     Parameters
@@ -65,7 +65,9 @@ def fit_diagnosis_parameters(healthy: Sequence[tuple[int, Values]]) -> Diagnosis
     ``healthy`` holds index and features of each set. Return None for too few complete sets or a constant
     feature.
     """
-    logs = [(index, components) for index, values in healthy if (components := logs_of(values)) is not None]
+    logs = [
+        (index, components) for index, values in healthy if (components := log_features(values)) is not None
+    ]
     if len(logs) < MINIMUM_SETS:
         return None
     first = logs[0][0]
@@ -73,7 +75,7 @@ def fit_diagnosis_parameters(healthy: Sequence[tuple[int, Values]]) -> Diagnosis
     for index, components in logs:
         history[index - first] = components
     try:
-        return diagnosis_parameters(history, first)
+        return compute_diagnosis_parameters(history, first)
     except SingularCovarianceError:
         return None
 
@@ -85,10 +87,10 @@ def diagnose_scheduled(
 
     If the set lacks a feature, return the state unchanged and None.
     """
-    logs = logs_of(values)
+    logs = log_features(values)
     if logs is None:
         return memory, None
-    return _diagnose(with_set(memory, design.mean, logs, index), design, suspicious=suspicious)
+    return _diagnose_newest_set(with_set(memory, design.mean, logs, index), design, suspicious=suspicious)
 
 
 def diagnose_confirmation(
@@ -98,15 +100,15 @@ def diagnose_confirmation(
 
     If the set lacks a feature, return the state unchanged and None.
     """
-    logs = logs_of(values)
+    logs = log_features(values)
     if logs is None:
         return memory, None
-    return _diagnose(with_confirmation(memory, design.mean, logs), design, suspicious=True)
+    return _diagnose_newest_set(with_confirmation(memory, design.mean, logs), design, suspicious=True)
 
 
-def _diagnose(
+def _diagnose_newest_set(
     memory: DiagnosisState, design: DiagnosisParameters, *, suspicious: bool
 ) -> tuple[DiagnosisState, Diagnosis]:
     """Diagnose the latest set; return the next diagnosis state and the diagnosis."""
-    assessment = diagnosis_of(memory, design, suspicious=suspicious)
-    return state_with_diagnosis(memory, assessment), assessment
+    assessment = diagnose_latest_set(memory, design, suspicious=suspicious)
+    return update_state(memory, assessment), assessment

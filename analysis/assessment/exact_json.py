@@ -23,7 +23,7 @@ def to_json(values: Mapping[str, object]) -> str:
 
     Raise TypeError for a value that is no JSON type, array or dataclass.
     """
-    return json.dumps(values, default=_encoded, separators=(",", ":"))
+    return json.dumps(values, default=_encode_value, separators=(",", ":"))
 
 
 def from_json(kind: type[T], *texts: str) -> T:
@@ -31,11 +31,11 @@ def from_json(kind: type[T], *texts: str) -> T:
     values: dict[str, object] = {}
     for text in texts:
         values |= json.loads(text)
-    decoded: T = _decoded(kind, values)
+    decoded: T = _decode_value(kind, values)
     return decoded
 
 
-def _encoded(value: object) -> object:
+def _encode_value(value: object) -> object:
     """Convert an array (base64 of its bytes) or a dataclass (fields by name) to JSON types.
 
     Raise TypeError for any other value.
@@ -49,31 +49,31 @@ def _encoded(value: object) -> object:
     raise TypeError(f"a state has no {type(value)}")
 
 
-def _decoded(kind: Any, value: Any) -> Any:
+def _decode_value(kind: Any, value: Any) -> Any:
     """Restore a value of a declared type from its JSON form."""
     origin, arguments = get_origin(kind), get_args(kind)
     if origin in (Union, UnionType):
         (kind,) = (argument for argument in arguments if argument is not NoneType)
-        return None if value is None else _decoded(kind, value)
+        return None if value is None else _decode_value(kind, value)
     if origin is np.ndarray:
         content = np.frombuffer(base64.b64decode(value["base64"]), dtype=value["dtype"])
         array = content.reshape(value["shape"]).copy()
         array.flags.writeable = False
         return array
     if isinstance(kind, type) and is_dataclass(kind):
-        hints = _hints(kind)
-        return kind(**{name: _decoded(hints[name], item) for name, item in value.items()})
+        hints = _resolved_type_hints(kind)
+        return kind(**{name: _decode_value(hints[name], item) for name, item in value.items()})
     if origin is not None and issubclass(origin, Mapping):
-        return {name: _decoded(arguments[1], item) for name, item in value.items()}
+        return {name: _decode_value(arguments[1], item) for name, item in value.items()}
     if origin is tuple and arguments[-1] is not Ellipsis:
-        return tuple(_decoded(argument, item) for argument, item in zip(arguments, value, strict=True))
+        return tuple(_decode_value(argument, item) for argument, item in zip(arguments, value, strict=True))
     if origin is not None and issubclass(origin, Sequence):
-        items = [_decoded(arguments[0], item) for item in value]
+        items = [_decode_value(arguments[0], item) for item in value]
         return items if origin is list else tuple(items)
     return value
 
 
 @cache
-def _hints(kind: type) -> dict[str, object]:
+def _resolved_type_hints(kind: type) -> dict[str, object]:
     """Resolve the types of a dataclass's fields, once per class."""
     return get_type_hints(kind)

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from analysis.assessment.diagnosis import Origin, diagnose_scheduled, fit_diagnosis_parameters, next_origin
+from analysis.assessment.diagnosis import Origin, diagnose_scheduled, fit_diagnosis_parameters, update_origin
 from analysis.diagnosis.diagnose import Diagnosis
 from analysis.diagnosis.parameters import DiagnosisParameters
 from analysis.diagnosis.state import DiagnosisState
@@ -213,7 +213,9 @@ def wall_alarm_active(state: State, rules: Rules) -> bool:
     return state.alarm.active
 
 
-def step(state: State, set_of_shots: SetOfShots, rules: Rules) -> tuple[State, SetAssessment | None]:
+def assess_next_set(
+    state: State, set_of_shots: SetOfShots, rules: Rules
+) -> tuple[State, SetAssessment | None]:
     """Update the state with one set and assess the set.
 
     The assessment is None if the set has no record.
@@ -248,9 +250,9 @@ def step(state: State, set_of_shots: SetOfShots, rules: Rules) -> tuple[State, S
             else "the baseline is being recorded",
         )
     assert state.baseline is not None, "the first set after it freezes it"
-    assessment = _assess(set_of_shots, state, state.baseline, rules)
+    assessment = _assess_with_baseline(set_of_shots, state, state.baseline, rules)
     alarm = next_alarm_state(state.alarm, assessment.outlier, rules.alarm)
-    assessment = _with_diagnosis(assessment, set_of_shots, state, rules, suspicious=alarm.active)
+    assessment = _add_diagnosis(assessment, set_of_shots, state, rules, suspicious=alarm.active)
     vector = set_of_shots.vector()
     if assessment.outlier is not None and vector is not None:
         last = AssessedSet(vector=vector, outlier=assessment.outlier)
@@ -264,7 +266,7 @@ def step(state: State, set_of_shots: SetOfShots, rules: Rules) -> tuple[State, S
     ), assessment
 
 
-def _with_diagnosis(
+def _add_diagnosis(
     assessment: SetAssessment, set_of_shots: SetOfShots, state: State, rules: Rules, *, suspicious: bool
 ) -> SetAssessment:
     """Add the diagnosis of a scheduled set to its assessment, where the baseline supports one."""
@@ -277,13 +279,13 @@ def _with_diagnosis(
     )
     if cause is None:
         return replace(assessment, diagnosis_state=diagnosis_state)
-    origin = next_origin(
+    origin = update_origin(
         state.origin, cause.cause, was_active=wall_alarm_active(state, rules), n=rules.alarm.n
     )
     return replace(assessment, cause=cause, diagnosis_state=diagnosis_state, origin=origin)
 
 
-def enabled(state: State) -> State:
+def clear_faults(state: State) -> State:
     """Return the state with the transducer's faults cleared, because a person has enabled it.
 
     The state of the hole rule and the count of sets with too few valid shots start from zero.
@@ -310,7 +312,9 @@ def _freeze_baseline(state: State, rules: Rules) -> State:
         indices = [healthy_set.set_index for healthy_set in state.healthy]
         fitted = fit_baseline(vectors, indices, name=rules.baseline_name)
     except (NotEnoughSetsError, SingularCovarianceError) as error:
-        return replace(state, baseline=FrozenBaseline(fitted=None, reason=f"{error}; {_remedy(rules)}"))
+        return replace(
+            state, baseline=FrozenBaseline(fitted=None, reason=f"{error}; {_remedy_for_baseline(rules)}")
+        )
     if rules.run_length is None:
         limits = {
             F_PREDICTIVE: f_predictive_limit(fitted.n, fitted.p, rules.false_alarm_rate),
@@ -341,7 +345,7 @@ def _minimum_sets(rules: Rules) -> int:
     return max(rules.minimum_sets, MINIMUM_SETS)
 
 
-def _remedy(rules: Rules) -> str:
+def _remedy_for_baseline(rules: Rules) -> str:
     """Return the advice for a baseline with too few sets: a longer one, or a renewed one."""
     n_planned = 1 + rules.last_baseline_set - rules.first_baseline_set
     if n_planned < _minimum_sets(rules):
@@ -349,7 +353,9 @@ def _remedy(rules: Rules) -> str:
     return "`solimon renew-baseline` begins another one"
 
 
-def _assess(set_of_shots: SetOfShots, state: State, baseline: FrozenBaseline, rules: Rules) -> SetAssessment:
+def _assess_with_baseline(
+    set_of_shots: SetOfShots, state: State, baseline: FrozenBaseline, rules: Rules
+) -> SetAssessment:
     """Assess a set against a frozen baseline; give the reason if that is not possible."""
     if baseline.fitted is None:
         return SetAssessment(reason=baseline.reason)
@@ -370,9 +376,9 @@ def _assess(set_of_shots: SetOfShots, state: State, baseline: FrozenBaseline, ru
     )
 
 
-def assess_alone(set_of_shots: SetOfShots, baseline: FrozenBaseline, rules: Rules) -> SetAssessment:
+def assess_without_charts(set_of_shots: SetOfShots, baseline: FrozenBaseline, rules: Rules) -> SetAssessment:
     """Assess a set by its own distance from the baseline, without updating a chart."""
-    return _assess(set_of_shots, State(baseline=baseline), baseline, rules)
+    return _assess_with_baseline(set_of_shots, State(baseline=baseline), baseline, rules)
 
 
 def exceeds_limit(name: str, statistics: Mapping[str, float], limits: Mapping[str, float]) -> bool | None:

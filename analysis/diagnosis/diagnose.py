@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.diagnosis.hypotheses import COUPLING, OK, WALL
-from analysis.diagnosis.noise import covariances
+from analysis.diagnosis.noise import compute_covariances
 from analysis.diagnosis.parameters import FEWEST_GROWN, GROWTHS, POWERS, STEPS, DiagnosisParameters
 from analysis.diagnosis.slopes import COMPONENTS
 from analysis.diagnosis.state import (
@@ -24,7 +24,7 @@ from analysis.diagnosis.state import (
     SETTLING,
     DiagnosisState,
     after_reseat,
-    weights,
+    compute_average_weights,
 )
 from analysis.waves.record_reduction import FloatArray
 
@@ -72,7 +72,7 @@ class Diagnosis:
     returned: bool
 
 
-def diagnosis_of(
+def diagnose_latest_set(
     memory: DiagnosisState, design: DiagnosisParameters, *, suspicious: bool = False
 ) -> Diagnosis:
     """Diagnose the cause of a change since the baseline, after the latest set.
@@ -83,7 +83,7 @@ def diagnosis_of(
         A chart of this transducer alarms, or its k of n.
     """
     moved = bool(memory.moved)
-    probabilities, abrupt = _posterior(memory, design, from_moved=moved)
+    probabilities, abrupt = _compute_posterior(memory, design, from_moved=moved)
     likeliest = max(probabilities, key=probabilities.__getitem__)
     sure = probabilities[likeliest] >= STATED
     # What grows may be a wall after all, and a step alone be gone with the next strike.
@@ -125,7 +125,7 @@ def _is_nearer_to_its_baseline(memory: DiagnosisState, design: DiagnosisParamete
     )
 
 
-def state_with_diagnosis(memory: DiagnosisState, assessment: Diagnosis) -> DiagnosisState:
+def update_state(memory: DiagnosisState, assessment: Diagnosis) -> DiagnosisState:
     """Store what a diagnosis implies for the next sets: a confirmed wall change, or re-seated contacts."""
     if assessment.reseated:
         return after_reseat(memory, memory.confirmation)
@@ -138,17 +138,17 @@ def state_with_diagnosis(memory: DiagnosisState, assessment: Diagnosis) -> Diagn
     return after_reseat(memory, ()) if assessment.returned else memory
 
 
-def _posterior(
+def _compute_posterior(
     memory: DiagnosisState, design: DiagnosisParameters, *, from_moved: bool
 ) -> tuple[dict[str, float], float]:
     """Return the probability of each cause, and of a step, for a change since the baseline or a re-seat."""
-    seen, noise, course = _observations(memory, design, from_moved=from_moved)
+    seen, noise, course = _collect_observations(memory, design, from_moved=from_moved)
     noise_whitening = np.linalg.inv(np.linalg.cholesky(noise))
     seen, course = noise_whitening @ seen @ design.whitening, course @ noise_whitening.T
     length = np.sqrt((course**2).sum(axis=1))
     along = (course / length[:, None]) @ seen
-    steps = _log_densities(design, design.abrupt, along[: len(STEPS)], length[: len(STEPS)])
-    growths = _log_densities(design, slice(None), along[len(STEPS) :], length[len(STEPS) :])
+    steps = _compute_log_densities(design, design.abrupt, along[: len(STEPS)], length[: len(STEPS)])
+    growths = _compute_log_densities(design, slice(None), along[len(STEPS) :], length[len(STEPS) :])
     log = np.full(design.weights.shape, -np.inf)
     log[design.abrupt, : len(STEPS)], log[:, len(STEPS) :] = steps, growths
     beforehand = design.weights.copy()
@@ -161,7 +161,7 @@ def _posterior(
     return by_cause, float(share[:, : len(STEPS)].sum())
 
 
-def _log_densities(
+def _compute_log_densities(
     design: DiagnosisParameters,
     hypothesis_indices: NDArray[np.intp] | slice,
     along: FloatArray,
@@ -187,7 +187,7 @@ def _log_densities(
 
 
 @lru_cache(maxsize=512)
-def _courses(n: int, gap: int, gap_ago: int, confirmation_ago: int | None) -> FloatArray:
+def _courses_of_change(n: int, gap: int, gap_ago: int, confirmation_ago: int | None) -> FloatArray:
     """Return the averages that a change of final size 1 produces, for each course; shape (s, r).
 
     The averages begin with the first of n sets after the baseline. A step lies between two sets, however
@@ -199,10 +199,10 @@ def _courses(n: int, gap: int, gap_ago: int, confirmation_ago: int | None) -> Fl
     longest = n + gap  # none began in the baseline
     grown = np.maximum(1.0 - planned_ago / np.minimum(GROWTHS, longest)[:, None], 0.0)
     course = np.vstack([steps, *(grown**power for power in POWERS)])
-    return np.asarray(course @ weights(n, confirmation_ago).T)
+    return np.asarray(course @ compute_average_weights(n, confirmation_ago).T)
 
 
-def _observations(
+def _collect_observations(
     memory: DiagnosisState, design: DiagnosisParameters, *, from_moved: bool
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return the stored averages, their covariance without a change (a set's is 1), and the courses in them.
@@ -220,9 +220,11 @@ def _observations(
     )
     averaged, reference = max(n, FEWEST_AVERAGED), min(n, SETTLING) if from_moved else design.n
     since = memory.n if from_moved or memory.index is None else memory.index - design.last_index
-    parts = covariances(averaged, min(max(since, averaged), MOST_REMEMBERED), confirmation_ago, reference)
+    parts = compute_covariances(
+        averaged, min(max(since, averaged), MOST_REMEMBERED), confirmation_ago, reference
+    )
     seen, noise = memory.averages(from_moved=from_moved), np.tensordot(design.variances_in_time, parts, 1)
-    course = _courses(n, memory.gap, memory.gap_ago, confirmation_ago)
+    course = _courses_of_change(n, memory.gap, memory.gap_ago, confirmation_ago)
     ends = len(design.ends)
     if from_moved:
         return seen, noise[ends:, ends:], course

@@ -78,7 +78,7 @@ class Hypothesis:
     weight: float
 
 
-def hypotheses(baseline: FloatArray) -> tuple[Hypothesis, ...]:
+def make_hypotheses(baseline: FloatArray) -> tuple[Hypothesis, ...]:
     """Build the hypotheses of all causes, with prior weights and covariances.
 
     Parameters
@@ -97,17 +97,17 @@ def hypotheses(baseline: FloatArray) -> tuple[Hypothesis, ...]:
         )
         for covariance, part in ((nothing, 1.0 - WANDERING), (baseline, WANDERING))
     ]
-    found += _weighted(WALL, list(_wall_hypotheses()), abrupt=0.0)
-    found += _weighted(SENSOR, list(_spread(_sensor_sources())), abrupt=0.5)
-    found += _weighted(COUPLING, list(_spread(_coupling_sources())), abrupt=RE_SEATS)
-    found += _weighted(ENVIRONMENT, list(_spread([_environment_sources()])), abrupt=0.0)
+    found += _weight_hypotheses(WALL, list(_make_wall_hypotheses()), abrupt=0.0)
+    found += _weight_hypotheses(SENSOR, list(_spread_over_sizes(_sensor_sources())), abrupt=0.5)
+    found += _weight_hypotheses(COUPLING, list(_spread_over_sizes(_coupling_sources())), abrupt=RE_SEATS)
+    found += _weight_hypotheses(ENVIRONMENT, list(_spread_over_sizes([_environment_sources()])), abrupt=0.0)
     return tuple(found)
 
 
 Signature = tuple[FloatArray, FloatArray]
 
 
-def _weighted(cause: str, signatures: Sequence[Signature], *, abrupt: float) -> list[Hypothesis]:
+def _weight_hypotheses(cause: str, signatures: Sequence[Signature], *, abrupt: float) -> list[Hypothesis]:
     """Build the hypotheses of one cause, which share its prior probability in equal parts."""
     return [
         Hypothesis(
@@ -121,7 +121,7 @@ def _weighted(cause: str, signatures: Sequence[Signature], *, abrupt: float) -> 
     ]
 
 
-def _wall_hypotheses() -> Iterator[Signature]:
+def _make_wall_hypotheses() -> Iterator[Signature]:
     """Yield the mean change, with its covariance, of every wall depth under either patch.
 
     A wall change has a sign and follows a curve.
@@ -133,7 +133,7 @@ def _wall_hypotheses() -> Iterator[Signature]:
             yield change, MISMATCH**2 * np.outer(change, change) + np.diag((WALL_MISMATCH * change) ** 2)
 
 
-def _spread(covariances: Sequence[FloatArray]) -> Iterator[Signature]:
+def _spread_over_sizes(covariances: Sequence[FloatArray]) -> Iterator[Signature]:
     """Yield changes of mean zero whose covariance is scaled to every size; they act in either direction."""
     for covariance in covariances:
         for size in SIZES:

@@ -12,7 +12,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.diagnosis.state import covariance_of_averages, weights
+from analysis.diagnosis.state import compute_average_weights, compute_covariance_of_averages
 from analysis.waves.record_reduction import FloatArray
 
 MEMORIES_SETS = (0.0, 1.5, 5.0, 15.0, 50.0, 150.0, 500.0)
@@ -32,7 +32,7 @@ END_RATES = (0.1, 0.02)
 """Weights of the averages that tell where the wander stood when the baseline ended."""
 
 
-def variances_of(whitened: FloatArray, indices: NDArray[np.intp]) -> FloatArray:
+def estimate_variances(whitened: FloatArray, indices: NDArray[np.intp]) -> FloatArray:
     """Return the maximum-likelihood variance of each component, shape (7,), shared by all directions.
 
     Each step multiplies a variance by the root of the ratio of what the sets show to what it explains, the
@@ -61,7 +61,7 @@ def variances_of(whitened: FloatArray, indices: NDArray[np.intp]) -> FloatArray:
     return np.asarray(found)
 
 
-def end_averages(changes: FloatArray) -> FloatArray:
+def compute_end_averages(changes: FloatArray) -> FloatArray:
     """Average a baseline's deviations, shape (n, 7), exponentially up to its end; shape (2, 7).
 
     The deviations are those from the baseline's mean.
@@ -91,7 +91,7 @@ def _reference_observations(sets: int) -> tuple[FloatArray, FloatArray, FloatArr
 
 
 @lru_cache(maxsize=2048)
-def covariances(n: int, since: int, confirmation_ago: int | None, reference: int) -> FloatArray:
+def compute_covariances(n: int, since: int, confirmation_ago: int | None, reference: int) -> FloatArray:
     """Return the covariance of the observations by component, in units of its variance; shape (7, r, r).
 
     Rows are the averages at the end of the sets of reference, those of the last n sets, and a confirmation,
@@ -107,14 +107,14 @@ def covariances(n: int, since: int, confirmation_ago: int | None, reference: int
         Sets whose mean the differences are from.
     """
     sums, before, reach = _reference_observations(reference)
-    after = weights(n, confirmation_ago)
+    after = compute_average_weights(n, confirmation_ago)
     k, r = len(sums), len(after)
     # A difference is an average less the mean of reference, as often as its weights sum to.
     from_mean = np.eye(k + r)[1:]
     from_mean[:, 0] = -np.concatenate([sums[1:], after.sum(axis=1)])
     together = np.zeros((len(PHI), k + r, k + r))
     for part, phi in zip(together, PHI.tolist(), strict=True):
-        part[k:, k:] = covariance_of_averages(n, phi, confirmation_ago)
+        part[k:, k:] = compute_covariance_of_averages(n, phi, confirmation_ago)
     together[:, :k, :k] = before
     together[:, :k, k:] = reach[:, :, None] * (PHI[:, None] ** (since - np.arange(n)) @ after.T)[:, None]
     together[:, k:, :k] = together[:, :k, k:].transpose(0, 2, 1)

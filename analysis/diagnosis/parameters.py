@@ -9,11 +9,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from analysis.diagnosis.hypotheses import PRIOR, Hypothesis, hypotheses
-from analysis.diagnosis.noise import end_averages, variances_of
+from analysis.diagnosis.hypotheses import PRIOR, Hypothesis, make_hypotheses
+from analysis.diagnosis.noise import compute_end_averages, estimate_variances
 from analysis.diagnosis.slopes import COMPONENTS
 from analysis.errors import InvalidInputError, SingularCovarianceError
-from analysis.statistics.baseline import whitening_matrix
+from analysis.statistics.baseline import compute_whitening_matrix
 from analysis.waves.record_reduction import FloatArray
 
 STEPS = np.unique(np.round(np.geomspace(1.0, 250.0, 100)))
@@ -69,7 +69,7 @@ class DiagnosisParameters:
     means: FloatArray
 
 
-def logs_of(values: Mapping[str, float | None]) -> FloatArray | None:
+def log_features(values: Mapping[str, float | None]) -> FloatArray | None:
     """Return the logarithms of a set's features in the order of `COMPONENTS`.
 
     Return None if a feature is missing, not finite or not positive.
@@ -79,7 +79,7 @@ def logs_of(values: Mapping[str, float | None]) -> FloatArray | None:
     return np.log(known) if len(known) == len(found) else None
 
 
-def diagnosis_parameters(history: ArrayLike, first_index: int = 0) -> DiagnosisParameters:
+def compute_diagnosis_parameters(history: ArrayLike, first_index: int = 0) -> DiagnosisParameters:
     """Compute the diagnosis parameters from the logarithms of the baseline's features.
 
     Parameters
@@ -106,8 +106,8 @@ def diagnosis_parameters(history: ArrayLike, first_index: int = 0) -> DiagnosisP
     sd = np.sqrt(np.diag(covariance))
     if not sd.all():
         raise SingularCovarianceError(f"{COMPONENTS[int(sd.argmin())]} is constant in all {n} baseline sets")
-    whitening = whitening_matrix(covariance / np.outer(sd, sd)) / sd[:, None]
-    known = hypotheses(covariance)
+    whitening = compute_whitening_matrix(covariance / np.outer(sd, sd)) / sd[:, None]
+    known = make_hypotheses(covariance)
     in_white = [whitening.T @ one.covariance @ whitening for one in known]
     variances, directions = np.linalg.eigh(np.array(in_white))
     return DiagnosisParameters(
@@ -115,10 +115,10 @@ def diagnosis_parameters(history: ArrayLike, first_index: int = 0) -> DiagnosisP
         whitening=whitening,
         n=n,
         last_index=first_index + int(indices[-1]),
-        variances_in_time=variances_of((complete - mean) @ whitening, indices),
-        ends=end_averages(complete - mean),
+        variances_in_time=estimate_variances((complete - mean) @ whitening, indices),
+        ends=compute_end_averages(complete - mean),
         rows={cause: [k for k, one in enumerate(known) if one.cause == cause] for cause in PRIOR},
-        weights=np.array([_weights(one) for one in known]),
+        weights=np.array([_prior_weights(one) for one in known]),
         abrupt=np.flatnonzero([one.abrupt > 0.0 for one in known]),
         variances=np.maximum(variances, 0.0),
         directions=directions,
@@ -126,7 +126,7 @@ def diagnosis_parameters(history: ArrayLike, first_index: int = 0) -> DiagnosisP
     )
 
 
-def _weights(one: Hypothesis) -> FloatArray:
+def _prior_weights(one: Hypothesis) -> FloatArray:
     """Return the prior probability of a hypothesis with each course in time: steps, then growths."""
     since, courses = np.gradient(np.log(STEPS)), len(GROWTHS) * len(POWERS)
     growth = one.weight * (1.0 - one.abrupt) / courses

@@ -94,7 +94,7 @@ def with_set(before: DiagnosisState, mean: FloatArray, logs: FloatArray, index: 
     if before.moved and n <= SETTLING:
         moved = moved + (change - moved) / n
     known = bool(before.confirmation) and before.confirmation_ago + 1 < CONFIRMATION_SETS
-    gap, gap_ago = _gap(before, index)
+    gap, gap_ago = _widest_gap(before, index)
     return DiagnosisState(
         n=n,
         wall=before.wall,
@@ -109,7 +109,7 @@ def with_set(before: DiagnosisState, mean: FloatArray, logs: FloatArray, index: 
     )
 
 
-def _gap(before: DiagnosisState, index: int) -> tuple[int, int]:
+def _widest_gap(before: DiagnosisState, index: int) -> tuple[int, int]:
     """Return the widest gap that still affects the averages, and the number of sets since then."""
     missed = 0 if before.index is None else index - before.index - 1
     old = before.gap if before.gap_ago < MOST_AVERAGED else 0
@@ -131,7 +131,7 @@ def after_reseat(memory: DiagnosisState, moved: tuple[float, ...]) -> DiagnosisS
     return DiagnosisState(wall=memory.wall, index=memory.index, moved=moved)
 
 
-def weights(n: int, confirmation_ago: int | None = None) -> FloatArray:
+def compute_average_weights(n: int, confirmation_ago: int | None = None) -> FloatArray:
     """Return the weights of the last n sets in the averages, the newest first; shape (3 or 4, n).
 
     Parameters
@@ -146,7 +146,7 @@ def weights(n: int, confirmation_ago: int | None = None) -> FloatArray:
     return np.array(rows)
 
 
-def covariance_of_averages(n: int, phi: float, confirmation_ago: int | None) -> FloatArray:
+def compute_covariance_of_averages(n: int, phi: float, confirmation_ago: int | None) -> FloatArray:
     """Return the covariance of averages (and confirmation) over n sets of an autoregression of variance 1."""
     # Of two averages: of sets k ago with themselves, and with the m-th before, in either order.
     ago, rates = np.arange(n), np.array(RATES)
@@ -157,5 +157,5 @@ def covariance_of_averages(n: int, phi: float, confirmation_ago: int | None) -> 
     if confirmation_ago is None:
         return np.asarray(covariance)
     # Struck right after its planned set, it is no copy of it: it has an innovation of its own.
-    shared = weights(n) @ phi ** np.maximum(np.abs(np.arange(n) - confirmation_ago), 1)
+    shared = compute_average_weights(n) @ phi ** np.maximum(np.abs(np.arange(n) - confirmation_ago), 1)
     return np.block([[covariance, shared[:, None]], [shared[None], np.ones((1, 1))]])

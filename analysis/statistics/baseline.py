@@ -62,7 +62,7 @@ class Baseline:
 
     def __post_init__(self) -> None:
         for name in ("mean", "covariance", "distances_squared"):
-            object.__setattr__(self, name, _read_only(getattr(self, name)))
+            object.__setattr__(self, name, _read_only_copy(getattr(self, name)))
         p, n = len(self.feature_names), len(self.set_indices)
         shapes = (self.mean.shape, self.covariance.shape, self.distances_squared.shape)
         if shapes != ((p,), (p, p), (n,)):
@@ -71,9 +71,9 @@ class Baseline:
                 f"need ({p},), ({p}, {p}) and ({n},)"
             )
         sd = np.sqrt(np.diag(self.covariance))
-        object.__setattr__(self, "sd", _read_only(sd))
-        object.__setattr__(self, "correlation", _read_only(self.covariance / np.outer(sd, sd)))
-        object.__setattr__(self, "whitening", _read_only(whitening_matrix(self.correlation)))
+        object.__setattr__(self, "sd", _read_only_copy(sd))
+        object.__setattr__(self, "correlation", _read_only_copy(self.covariance / np.outer(sd, sd)))
+        object.__setattr__(self, "whitening", _read_only_copy(compute_whitening_matrix(self.correlation)))
 
     @property
     def n(self) -> int:
@@ -86,14 +86,14 @@ class Baseline:
         return len(self.feature_names)
 
 
-def _read_only(values: FloatArray) -> FloatArray:
+def _read_only_copy(values: FloatArray) -> FloatArray:
     """Copy values to a float64 array that cannot be written."""
     copy = np.array(values, dtype=np.float64, copy=True)
     copy.flags.writeable = False
     return copy
 
 
-def whitening_matrix(correlation: FloatArray, feature_names: Sequence[str] = ()) -> FloatArray:
+def compute_whitening_matrix(correlation: FloatArray, feature_names: Sequence[str] = ()) -> FloatArray:
     """Return the symmetric inverse root C^(-1/2) of a correlation matrix, shape (p, p).
 
     Parameters
@@ -169,7 +169,7 @@ def fit_baseline(
             f"{', '.join(constant)} constant in all {n} baseline sets, so no distance exists: "
             "switch the scatter on, or check that the sensor is connected"
         )
-    whitened = ((x - mean) / sd) @ whitening_matrix(covariance / np.outer(sd, sd), feature_names)
+    whitened = ((x - mean) / sd) @ compute_whitening_matrix(covariance / np.outer(sd, sd), feature_names)
     distances = (whitened**2).sum(axis=1)
     limit = phase_one_limit(n, p)
     suspects = tuple(int(i) for i, d in zip(set_indices, distances, strict=True) if d > limit)
@@ -182,11 +182,11 @@ def fit_baseline(
         distances_squared=distances,
         suspects=suspects,
         suspect_limit=limit,
-        warnings=_warnings(n, suspects),
+        warnings=_list_warnings(n, suspects),
     )
 
 
-def _warnings(n: int, suspects: tuple[int, ...]) -> tuple[str, ...]:
+def _list_warnings(n: int, suspects: tuple[int, ...]) -> tuple[str, ...]:
     """Return warnings about a baseline of few sets or with suspect sets; empty if there is none."""
     warnings = []
     if n < ADVISED_SETS:

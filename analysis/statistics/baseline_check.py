@@ -63,14 +63,14 @@ def find_anomalies(vectors: ArrayLike) -> tuple[Anomaly, ...]:
     near, core = grow_cores(x)
     outside = np.flatnonzero(~core)
     if not near.all():
-        whitened = _whitened(x, core)
+        whitened = _whiten_by_core(x, core)
         group = _find_group(whitened, np.flatnonzero(~near), MANY_ALIKE)
         if not group.size:
             group = _find_group(whitened, outside, FEW_ALIKE)
         if group.size:
             found.append(Anomaly(kind="group", rows=tuple(group.tolist())))
         found += [Anomaly(kind="outlier", rows=(row,)) for row in outside.tolist() if row not in group]
-    if trend_probability(x[core], np.flatnonzero(core)) < TREND_RATE:
+    if compute_trend_probability(x[core], np.flatnonzero(core)) < TREND_RATE:
         found.append(Anomaly(kind="trend", rows=tuple(range(len(x)))))
     return tuple(found)
 
@@ -84,15 +84,15 @@ def grow_cores(x: FloatArray) -> tuple[np.ndarray, np.ndarray]:
     n, p = x.shape
     core, kept = _minimum_covariance_determinant(x), CORE
     for _ in range(GROWTHS):
-        near = _distances(x, core, kept) <= f_predictive_limit(int(core.sum()), p, CUT_RATE)
+        near = _distances_from_core(x, core, kept) <= f_predictive_limit(int(core.sum()), p, CUT_RATE)
         if near.sum() <= max(n // 2, p + 1) or (near == core).all():
             break
         core, kept = near, 1.0 - CUT_RATE
-    fits = _distances(x, core, kept) <= f_predictive_limit(int(core.sum()), p, NAMED_RATE / n)
+    fits = _distances_from_core(x, core, kept) <= f_predictive_limit(int(core.sum()), p, NAMED_RATE / n)
     return core, np.asarray(fits)
 
 
-def _distances(x: FloatArray, core: np.ndarray, kept: float) -> FloatArray:
+def _distances_from_core(x: FloatArray, core: np.ndarray, kept: float) -> FloatArray:
     """Return squared distances from a core that holds the nearest fraction ``kept`` of healthy sets.
 
     Shape (n,).
@@ -101,7 +101,7 @@ def _distances(x: FloatArray, core: np.ndarray, kept: float) -> FloatArray:
     """
     p = x.shape[1]
     inside = float(scipy.special.chdtr(p + 2, scipy.special.chdtri(p, 1.0 - kept)))
-    return np.asarray((_whitened(x, core) ** 2).sum(axis=1) * inside / kept)
+    return np.asarray((_whiten_by_core(x, core) ** 2).sum(axis=1) * inside / kept)
 
 
 def _minimum_covariance_determinant(x: FloatArray) -> np.ndarray:
@@ -128,7 +128,7 @@ def _minimum_covariance_determinant(x: FloatArray) -> np.ndarray:
     return core
 
 
-def _whitened(x: FloatArray, core: np.ndarray) -> FloatArray:
+def _whiten_by_core(x: FloatArray, core: np.ndarray) -> FloatArray:
     """Transform all sets to units of the core's scatter, shape (n, p), by Cholesky whitening."""
     mean = x[core].mean(axis=0)
     root = np.linalg.cholesky(np.atleast_2d(np.cov(x[core], rowvar=False)))
@@ -147,7 +147,7 @@ def _find_group(whitened: FloatArray, outside: np.ndarray, fewest: int) -> np.nd
     return outside[near] if near.sum() >= fewest else outside[:0]
 
 
-def trend_probability(x: FloatArray, rows: ArrayLike) -> float:
+def compute_trend_probability(x: FloatArray, rows: ArrayLike) -> float:
     """Return the chance of such a trend over the rows without one, by Hotelling's test of the slopes.
 
     Memory lets healthy sets wander: the slopes' variance is (1 + phi)/(1 - phi) times that of independent

@@ -37,14 +37,14 @@ _JOINED_BY = MappingProxyType(
 _OF_EACH_VALUE = 4
 
 
-def bin_type(n_values: int) -> np.dtype[np.void]:
+def choose_bin_type(n_values: int) -> np.dtype[np.void]:
     """Return the structured NumPy type of a bin with ``n_values`` numbers in each of its value fields."""
     names = list(_JOINED_BY)
     of_value = [(name, "<f8", (n_values,)) for name in names[:_OF_EACH_VALUE]]
     return np.dtype([*of_value, *((name, "<f8") for name in names[_OF_EACH_VALUE:])])
 
 
-def bins_of_sets(
+def make_bins(
     *,
     set_index: ArrayLike,
     due_h: ArrayLike,
@@ -68,7 +68,7 @@ def bins_of_sets(
         None: not assessed.
     """
     index, numbers = np.asarray(set_index, dtype=np.float64), np.asarray(values, dtype=np.float64)
-    bins = np.zeros(index.size, bin_type(numbers.shape[1]))
+    bins = np.zeros(index.size, choose_bin_type(numbers.shape[1]))
     present = np.isfinite(numbers)
     bins["count"], bins["sum"] = present, np.where(present, numbers, 0.0)
     bins["minimum"], bins["maximum"] = (np.where(present, numbers, nothing) for nothing in (np.inf, -np.inf))
@@ -85,7 +85,7 @@ def bins_of_sets(
     return bins
 
 
-def joined_bins(bins: NDArray[np.void], starts: ArrayLike) -> NDArray[np.void]:
+def join_bins(bins: NDArray[np.void], starts: ArrayLike) -> NDArray[np.void]:
     """Join the bins from each start to the next, the last to the end; ``starts`` rise from 0."""
     numbers = np.asarray(starts, dtype=np.intp)
     joined = np.empty(numbers.size, bins.dtype)

@@ -17,7 +17,7 @@ from analysis.statistics.default_limit import DefaultLimit, default_limit
 from analysis.statistics.distance import distance_squared
 from analysis.statistics.memory import effective_sets, pooled_phi
 from analysis.statistics.mewma import WEIGHT
-from analysis.statistics.named_limits import AVERAGE, DISTANCE, MEWMA, PREWHITENED, Facts, limits_of
+from analysis.statistics.named_limits import AVERAGE, DISTANCE, MEWMA, PREWHITENED, Facts, compute_limits
 from analysis.statistics.rules import NOMINAL_RATE
 from analysis.waves.record_reduction import FloatArray
 
@@ -99,7 +99,7 @@ def design_of(
         baseline=baseline,
         by_default=by_default,
         chart=chart,
-        limits=limits_of(facts),
+        limits=compute_limits(facts),
         phi_pooled=phi,
         n_eff=effective_sets(baseline.n, phi),
         rate_not_verified_reason=unverified_rate_reason(history),

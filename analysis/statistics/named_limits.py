@@ -68,7 +68,7 @@ class NamedLimit:
     caveat: str = ""
 
 
-def _chi_square(facts: Facts) -> float:
+def _chi_square_limit(facts: Facts) -> float:
     """Return the chi-square limit of the squared distance at the false-alarm rate."""
     return float(scipy.special.chdtri(facts.baseline.p, facts.rate))
 
@@ -88,7 +88,7 @@ LIMITS: Mapping[str, NamedLimit] = MappingProxyType(
             value=lambda facts: paper_limit(facts.baseline.distances_squared),
         ),
         "chi_square": NamedLimit(
-            words="that of chi-square, for a baseline known exactly", of=DISTANCE, value=_chi_square
+            words="that of chi-square, for a baseline known exactly", of=DISTANCE, value=_chi_square_limit
         ),
         F_PREDICTIVE: NamedLimit(
             words="the predictive F limit for a new set of a healthy wall",
@@ -132,6 +132,6 @@ LIMITS: Mapping[str, NamedLimit] = MappingProxyType(
 """By name, in the order in which they are listed."""
 
 
-def limits_of(facts: Facts) -> dict[str, float]:
+def compute_limits(facts: Facts) -> dict[str, float]:
     """Compute every outlier limit of a baseline, by name."""
     return {name: limit.value(facts) for name, limit in LIMITS.items()}

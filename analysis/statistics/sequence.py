@@ -87,7 +87,7 @@ class Assessed:
     unbroken: FloatArray = field(default_factory=lambda: np.empty(0))
 
 
-def assess(
+def assess_sequence(
     vectors: ArrayLike,
     in_baseline: ArrayLike,
     feature_names: Sequence[str],
@@ -113,20 +113,22 @@ def assess(
     x, healthy = np.asarray(vectors, dtype=np.float64), np.asarray(in_baseline, dtype=bool)
     x = np.where(np.isfinite(x), x, np.nan)
     if healthy.sum() < MINIMUM_SETS:
-        return Assessed(refused=_too_few(int(healthy.sum()), "rows"))
-    varies = _varying_columns(_scaled(x, healthy)[healthy])
+        return Assessed(refused=_too_few_sets_message(int(healthy.sum()), "rows"))
+    varies = _find_varying_columns(_scale_columns(x, healthy)[healthy])
     dropped = tuple(name for name, kept in zip(feature_names, varies, strict=True) if not kept)
     names = [name for name, kept in zip(feature_names, varies, strict=True) if kept]
     if not names:
         return Assessed(refused="every feature is constant in the baseline", features_dropped=dropped)
     try:
         least = np.sort(np.broadcast_to(least_phi, varies.shape))[::-1][: len(names)]
-        return _assess(x[:, varies], healthy, names, dropped, budget, least, textbooks=textbooks)
+        return _assess_complete_rows(
+            x[:, varies], healthy, names, dropped, budget, least, textbooks=textbooks
+        )
     except AnalysisError as error:
         return Assessed(refused=str(error), features_dropped=dropped)
 
 
-def _scaled(x: FloatArray, healthy: np.ndarray) -> FloatArray:
+def _scale_columns(x: FloatArray, healthy: np.ndarray) -> FloatArray:
     """Divide columns by powers of two near their size, which keeps all digits.
 
     No digit of a result changes, and no square overflows.
@@ -137,12 +139,12 @@ def _scaled(x: FloatArray, healthy: np.ndarray) -> FloatArray:
         return np.asarray(np.clip(np.ldexp(x, -exponent), -FARTHEST, FARTHEST))
 
 
-def _too_few(n: int, subject: str) -> str:
+def _too_few_sets_message(n: int, subject: str) -> str:
     """Return the error message for a baseline with too few sets."""
     return f"{n} {subject} in the baseline; at least {MINIMUM_SETS} are needed: let it be longer"
 
 
-def _varying_columns(baseline: FloatArray) -> np.ndarray:
+def _find_varying_columns(baseline: FloatArray) -> np.ndarray:
     """Find the columns that vary in the baseline or have no value there; Boolean, shape (p,)."""
     present = np.isfinite(baseline)
     n = np.maximum(present.sum(axis=0), 1)
@@ -152,7 +154,7 @@ def _varying_columns(baseline: FloatArray) -> np.ndarray:
     return np.asarray((spread > SMALLEST_SD * size) | ~present.any(axis=0))
 
 
-def _assess(
+def _assess_complete_rows(
     measured: FloatArray,
     healthy: np.ndarray,
     names: Sequence[str],
@@ -163,14 +165,14 @@ def _assess(
     textbooks: bool,
 ) -> Assessed:
     """Assess complete rows of a table with the baseline of its healthy rows."""
-    x = _scaled(measured, healthy)
+    x = _scale_columns(measured, healthy)
     complete = np.asarray(np.isfinite(x).all(axis=1))
     rows = np.flatnonzero(healthy & complete)
     if rows.size < MINIMUM_SETS:
         known = np.isfinite(x[healthy]).sum(axis=0)
         least = int(known.argmin())
         raise NotEnoughSetsError(
-            f"{_too_few(rows.size, 'complete rows')}, or leave out {names[least]}, which {known[least]} of "
+            f"{_too_few_sets_message(rows.size, 'complete rows')}, or leave out {names[least]}, which {known[least]} of "
             f"{healthy.sum()} have"
         )
     baseline = fit_baseline(x[rows], rows.tolist(), name="baseline", feature_names=names)
@@ -184,8 +186,8 @@ def _assess(
     entering = design.chart.whitened(followed)[assessed]
     statistic, onsets = design.chart.run(entering)
     statistics = {
-        **_statistics(x, followed, complete, assessed, design),
-        MEWMA: _values_in_rows(len(x), assessed, statistic),
+        **_compute_statistics(x, followed, complete, assessed, design),
+        MEWMA: _spread_over_rows(len(x), assessed, statistic),
     }
     limits = {name: limit for name, limit in design.limits.items() if name != MEWMA}
     beyond = {
@@ -200,7 +202,7 @@ def _assess(
         tail=design.by_default.tail,
         suspects=baseline.suspects,
         named=named,
-        left_out=_skipped_rows(complete, healthy, after),
+        left_out=_list_skipped_rows(complete, healthy, after),
         limits=limits,
         count={name: int(found.size) for name, found in beyond.items()},
         first={name: int(found[0]) if found.size else None for name, found in beyond.items()},
@@ -210,11 +212,11 @@ def _assess(
         chart_limit=design.chart.limit,
         distances_squared=statistics[DISTANCE],
         mewma_textbook=statistics[AVERAGE],
-        mcusum_textbook=_values_in_rows(len(x), assessed, mcusum(_whitened(x[assessed], baseline)))
+        mcusum_textbook=_spread_over_rows(len(x), assessed, mcusum(_whiten_vectors(x[assessed], baseline)))
         if textbooks
         else np.empty(0),
         chart=statistics[MEWMA],
-        unbroken=_values_in_rows(len(x), assessed, replace(design.chart, limit=np.inf).run(entering)[0]),
+        unbroken=_spread_over_rows(len(x), assessed, replace(design.chart, limit=np.inf).run(entering)[0]),
     )
 
 
@@ -244,7 +246,7 @@ def _find_anomalies(
     return tuple(Anomaly(kind=one.kind, rows=tuple(int(rows[row]) for row in one.rows)) for one in found)
 
 
-def _statistics(
+def _compute_statistics(
     x: FloatArray, followed: FloatArray, complete: np.ndarray, assessed: np.ndarray, design: Design
 ) -> dict[str, FloatArray]:
     """Compute all rows' statistics by name, except the chart's.
@@ -256,23 +258,23 @@ def _statistics(
     return {
         DISTANCE: distances,
         PREWHITENED: by_default.distances_squared(followed) if by_default.phi else distances,
-        AVERAGE: _values_in_rows(len(x), assessed, mewma(_whitened(x[assessed], baseline))),
+        AVERAGE: _spread_over_rows(len(x), assessed, mewma(_whiten_vectors(x[assessed], baseline))),
     }
 
 
-def _whitened(vectors: FloatArray, baseline: Baseline) -> FloatArray:
+def _whiten_vectors(vectors: FloatArray, baseline: Baseline) -> FloatArray:
     """Standardize vectors by the baseline and decorrelate their features."""
     return np.asarray((vectors - baseline.mean) / baseline.sd @ baseline.whitening)
 
 
-def _values_in_rows(size: int, rows: np.ndarray, values: FloatArray) -> FloatArray:
+def _spread_over_rows(size: int, rows: np.ndarray, values: FloatArray) -> FloatArray:
     """Return an array of NaN, shape (size,), that holds the values in the given rows."""
     result = np.full(size, np.nan)
     result[rows] = values
     return result
 
 
-def _skipped_rows(
+def _list_skipped_rows(
     complete: np.ndarray, healthy: np.ndarray, after: np.ndarray
 ) -> tuple[tuple[int, str], ...]:
     """List the rows that are not assessed, in their order, each with its reason."""

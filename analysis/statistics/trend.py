@@ -44,7 +44,7 @@ class Trend:
         return (self.quadratic * t + self.linear) * t + self.constant
 
 
-def _too_few(n_points: int, n_times: int) -> NotEnoughPointsError:
+def _too_few_points_error(n_points: int, n_times: int) -> NotEnoughPointsError:
     """Create the error for too few points or times of a parabola."""
     return NotEnoughPointsError(
         f"a parabola through {n_points} points at {n_times} times; it needs at least "
@@ -75,19 +75,21 @@ def fit_trend(time_h: ArrayLike, values: ArrayLike) -> Trend:
     present = ~np.isnan(y_all)
     t, y = t_all[present], y_all[present]
     if t.size < MINIMUM_POINTS or np.unique(t).size < 3:
-        raise _too_few(t.size, np.unique(t).size)
+        raise _too_few_points_error(t.size, np.unique(t).size)
     origin_h, mean = float(t.mean()), float(y.mean())
     u = t - origin_h
-    return _trend(_triangle(np.stack([np.ones_like(u), u, u * u, y - mean], axis=-1)), origin_h, mean, t.size)
+    return _trend_from_factor(
+        _triangular_factors(np.stack([np.ones_like(u), u, u * u, y - mean], axis=-1)), origin_h, mean, t.size
+    )
 
 
-def _triangle(rows: FloatArray) -> FloatArray:
+def _triangular_factors(rows: FloatArray) -> FloatArray:
     """Return the triangular QR factor of matrices with four columns."""
     triangle: FloatArray = np.linalg.qr(rows, mode="r")  # type: ignore[assignment] # declared for one mode only
     return triangle
 
 
-def _trend(triangle: FloatArray, origin_h: float, mean: float, n_points: int) -> Trend:
+def _trend_from_factor(triangle: FloatArray, origin_h: float, mean: float, n_points: int) -> Trend:
     """Compute a parabola from the triangular factor of ``[1, u, u^2, y - mean]``.
 
     Shape (4, 4), u = t - origin_h.
@@ -112,7 +114,7 @@ PART = np.dtype(
 of ``[1, u, u^2, y - mean]``, u in hours since ``first_h``. Of no points the hours are infinite."""
 
 
-def parts_of_points(time_h: ArrayLike, values: ArrayLike) -> NDArray[np.void]:
+def make_parts(time_h: ArrayLike, values: ArrayLike) -> NDArray[np.void]:
     """Convert each point to a part of a least-squares fit, which can be joined with others.
 
     Parameters
@@ -133,7 +135,7 @@ def parts_of_points(time_h: ArrayLike, values: ArrayLike) -> NDArray[np.void]:
     return parts
 
 
-def joined_part(parts: NDArray[np.void]) -> NDArray[np.void]:
+def join_parts(parts: NDArray[np.void]) -> NDArray[np.void]:
     """Join parts of a fit along the first axis: equal to one part of all points up to rounding.
 
     Parameters
@@ -158,11 +160,11 @@ def joined_part(parts: NDArray[np.void]) -> NDArray[np.void]:
     moved[..., 0, 1], moved[..., 0, 2], moved[..., 1, 2] = later_h, later_h**2, 2.0 * later_h
     moved[..., 0, 3] = parts["mean"] - joined["mean"]
     rows = np.moveaxis(parts["triangle"] @ moved, 0, 1).reshape(parts.shape[1], -1, 4)
-    joined["triangle"] = _triangle(rows)
+    joined["triangle"] = _triangular_factors(rows)
     return joined
 
 
-def trend_of_part(part: np.void) -> Trend:
+def fit_trend_of_part(part: np.void) -> Trend:
     """Fit a least-squares parabola through the points of one part, as `fit_trend` does.
 
     The points are due times of sets, which all differ.
@@ -174,5 +176,5 @@ def trend_of_part(part: np.void) -> Trend:
     """
     n_points = int(part["n"])
     if n_points < MINIMUM_POINTS:
-        raise _too_few(n_points, n_points)
-    return _trend(part["triangle"], float(part["first_h"]), float(part["mean"]), n_points)
+        raise _too_few_points_error(n_points, n_points)
+    return _trend_from_factor(part["triangle"], float(part["first_h"]), float(part["mean"]), n_points)

@@ -8,24 +8,24 @@ import numpy as np
 from numpy.fft import fft, ifft
 from numpy.typing import NDArray
 
-from analysis.waves.fft_length import fast_length
-from analysis.waves.pulses import parabola_peak
+from analysis.waves.fft_length import next_fast_length
+from analysis.waves.pulses import interpolate_parabola_peak
 from analysis.waves.record_reduction import MAD_TO_SD, FloatArray
 
 FACTORS = (2, 3, 5, 7, 11)
 """Lengths of complex transforms are products of these."""
 
 
-def analytic(values: FloatArray) -> NDArray[np.complex128]:
+def compute_analytic_signal(values: FloatArray) -> NDArray[np.complex128]:
     """Return the analytic signal: negative frequencies removed, positive doubled.
 
     Its modulus is the envelope.
     """
-    n = fast_length(values.size, FACTORS)
-    return np.asarray(ifft(_one_sided(fft(values, n))))[: values.size]
+    n = next_fast_length(values.size, FACTORS)
+    return np.asarray(ifft(_one_sided_spectrum(fft(values, n))))[: values.size]
 
 
-def _one_sided(spectrum: NDArray[np.complex128]) -> NDArray[np.complex128]:
+def _one_sided_spectrum(spectrum: NDArray[np.complex128]) -> NDArray[np.complex128]:
     """Convert the spectrum of real values to that of their analytic signal.
 
     Negative frequencies become zero, positive ones are doubled.
@@ -44,26 +44,26 @@ def complex_correlation(values: FloatArray, template: FloatArray) -> NDArray[np.
 
     The real part is the plain correlation, the modulus its envelope.
     """
-    n = fast_length(values.size + template.size, FACTORS)
+    n = next_fast_length(values.size + template.size, FACTORS)
     product = fft(values, n) * np.conj(fft(template, n))
-    return np.asarray(ifft(_one_sided(product)))[: values.size]
+    return np.asarray(ifft(_one_sided_spectrum(product)))[: values.size]
 
 
-def envelope_peak(envelope: FloatArray, peak: int) -> float:
+def find_envelope_peak(envelope: FloatArray, peak: int) -> float:
     """Return the peak of the envelope: vertex of the parabola through its logarithm above half height.
 
     Exact for a Gaussian envelope. Three samples around the peak would be thirty times noisier.
     """
-    low, high = echo_extent(envelope, peak, 0.5)
+    low, high = find_echo_extent(envelope, peak, 0.5)
     if high - low < 3:
-        return peak + parabola_peak(*(float(v) for v in envelope[peak - 1 : peak + 2]))
+        return peak + interpolate_parabola_peak(*(float(v) for v in envelope[peak - 1 : peak + 2]))
     x = np.arange(low, high + 1) - peak
     square, linear, _ = np.linalg.lstsq(np.vander(x / (high - low), 3), np.log(envelope[low : high + 1]))[0]
     vertex = -0.5 * linear / square * (high - low)
     return float(np.clip(peak + vertex, low, high))
 
 
-def echo_extent(envelope: FloatArray, peak: int, fraction: float) -> tuple[int, int]:
+def find_echo_extent(envelope: FloatArray, peak: int, fraction: float) -> tuple[int, int]:
     """Return the first and last sample around ``peak`` where the envelope is above a fraction of it."""
     low_enough = np.flatnonzero(envelope < fraction * envelope[peak])
     before, after = low_enough[low_enough < peak], low_enough[low_enough > peak]
@@ -72,7 +72,7 @@ def echo_extent(envelope: FloatArray, peak: int, fraction: float) -> tuple[int, 
     return first, last
 
 
-def first_envelope_maximum(envelope: FloatArray, first: int, last: int, fraction: float) -> int | None:
+def find_first_envelope_maximum(envelope: FloatArray, first: int, last: int, fraction: float) -> int | None:
     """Return the index of the first high maximum of an envelope in a range; None without one.
 
     High is at least ``fraction`` of the highest value in the range.
@@ -84,7 +84,7 @@ def first_envelope_maximum(envelope: FloatArray, first: int, last: int, fraction
     return first + int(found[0]) if found.size else None
 
 
-def nearest_carrier_maximum(carrier: FloatArray, coarse: int) -> tuple[int, bool]:
+def find_nearest_carrier_maximum(carrier: FloatArray, coarse: int) -> tuple[int, bool]:
     """Return the lag of the carrier maximum nearest to ``coarse``, and whether it may be the wrong one.
 
     It may be if a neighbour is higher, or if it lies more than a quarter period from ``coarse``: the
@@ -104,7 +104,7 @@ def correlation_coefficient(segment: FloatArray, template: FloatArray) -> float:
     return float(segment @ template) / norm if norm > 0.0 else math.nan
 
 
-def pick_sd_s(volts: FloatArray, echo_v: FloatArray, rate_hz: float) -> float:
+def compute_cramer_rao_sd_s(volts: FloatArray, echo_v: FloatArray, rate_hz: float) -> float:
     """Return the lowest possible SD of an echo's time in white noise (Cramer-Rao), in s.
 
     Noise over the root of the slope's energy.

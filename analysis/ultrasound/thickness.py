@@ -21,17 +21,17 @@ import numpy as np
 
 from analysis.errors import EchoNotFoundError, InvalidInputError, RecordError
 from analysis.ultrasound.echo_signal import (
-    analytic,
     centre_of_gravity_hz,
     complex_correlation,
+    compute_analytic_signal,
+    compute_cramer_rao_sd_s,
     correlation_coefficient,
-    echo_extent,
-    envelope_peak,
-    first_envelope_maximum,
-    nearest_carrier_maximum,
-    pick_sd_s,
+    find_echo_extent,
+    find_envelope_peak,
+    find_first_envelope_maximum,
+    find_nearest_carrier_maximum,
 )
-from analysis.waves.pulses import parabola_peak
+from analysis.waves.pulses import interpolate_parabola_peak
 from analysis.waves.record_reduction import FloatArray
 from hardware_drivers.measurement import Waveform
 
@@ -143,7 +143,7 @@ class ThicknessInterval:
     roughness_rms_m: float
 
 
-def reference_echo(
+def find_reference_echo(
     waveform: Waveform,
     *,
     delay_s: float,
@@ -189,7 +189,7 @@ def reference_echo(
     round_trip_s = 2.0 * initial_thickness_m / velocity_m_per_s
     expected_s = delay_s + round_trip_s
     rate_hz, zero = waveform.sample_rate_hz, waveform.pretrigger_samples
-    volts = _centred(waveform)
+    volts = _remove_median(waveform)
     first = zero + math.floor((expected_s - tolerance_fraction * round_trip_s) * rate_hz)
     last = zero + math.ceil((expected_s + tolerance_fraction * round_trip_s) * rate_hz)
     if last + 1 >= volts.size or first < 1:
@@ -197,7 +197,7 @@ def reference_echo(
             f"the first echo is expected at {expected_s * 1e6:.2f} us, the record reaches to "
             f"{(volts.size - zero) / rate_hz * 1e6:.2f} us: record longer or correct delay_s and thickness"
         )
-    envelope = np.abs(analytic(volts))
+    envelope = np.abs(compute_analytic_signal(volts))
     peak = first + int(np.argmax(envelope[first : last + 1]))
     # Median of a Rayleigh-distributed envelope is 1.18 noise rms; echoes fill little of the record.
     noise_v = float(np.median(envelope)) / 1.18
@@ -207,8 +207,8 @@ def reference_echo(
             f"{expected_s * 1e6:.2f} us (largest {envelope[peak]:.3g} V, noise {noise_v:.3g} V): check the "
             "coupling, gain, delay_s, initial_thickness_m and velocity_m_per_s"
         )
-    place = envelope_peak(envelope, peak)
-    low, high = echo_extent(envelope, peak, TEMPLATE_FRACTION)
+    place = find_envelope_peak(envelope, peak)
+    low, high = find_echo_extent(envelope, peak, TEMPLATE_FRACTION)
     template = np.array(volts[low : high + 1], copy=True)
     template.flags.writeable = False
     return EchoReference(
@@ -244,7 +244,7 @@ def substitute_reference(
     )
 
 
-def travel_time(waveform: Waveform, reference: EchoReference) -> TravelTime:
+def measure_travel_time(waveform: Waveform, reference: EchoReference) -> TravelTime:
     """Return the travel time of the first back-wall echo, by correlation with the reference echo.
 
     The complex correlation with the reference's analytic signal gives envelope and carrier in one. The
@@ -264,7 +264,7 @@ def travel_time(waveform: Waveform, reference: EchoReference) -> TravelTime:
             f"sample_rate_hz is {rate_hz}, the reference was taken at {reference.sample_rate_hz}: "
             "take a new reference at this rate"
         )
-    volts = _centred(waveform)
+    volts = _remove_median(waveform)
     span_s = reference.travel_time_s - reference.delay_s
     # Correlation lag 0 puts the template's first sample on the record's first.
     offset = zero - reference.template_peak_samples
@@ -276,7 +276,7 @@ def travel_time(waveform: Waveform, reference: EchoReference) -> TravelTime:
             f"{(volts.size - zero) / rate_hz * 1e6:.2f} us: record longer"
         )
     correlation = complex_correlation(volts, reference.template_v)
-    coarse = first_envelope_maximum(np.abs(correlation), first, last, FIRST_ECHO_FRACTION)
+    coarse = find_first_envelope_maximum(np.abs(correlation), first, last, FIRST_ECHO_FRACTION)
     if coarse is None:
         return TravelTime(
             travel_time_s=math.nan,
@@ -287,17 +287,17 @@ def travel_time(waveform: Waveform, reference: EchoReference) -> TravelTime:
             reason="no echo in the gate",
         )
     carrier = np.ascontiguousarray(correlation.real)
-    lag, slipped = nearest_carrier_maximum(carrier, coarse)
-    fine = lag + parabola_peak(*(float(v) for v in carrier[lag - 1 : lag + 2]))
+    lag, slipped = find_nearest_carrier_maximum(carrier, coarse)
+    fine = lag + interpolate_parabola_peak(*(float(v) for v in carrier[lag - 1 : lag + 2]))
     template = reference.template_v
     segment = volts[lag : lag + template.size]
     coefficient = correlation_coefficient(segment, template)
-    quality, reason = _quality(coefficient, slipped)
+    quality, reason = _assess_reading_quality(coefficient, slipped)
     ratio = float(segment @ template) / float(template @ template)
     found = quality != "bad"
     return TravelTime(
         travel_time_s=(fine - offset) / rate_hz if found else math.nan,
-        travel_time_sd_s=pick_sd_s(volts, ratio * template, rate_hz) if found else math.nan,
+        travel_time_sd_s=compute_cramer_rao_sd_s(volts, ratio * template, rate_hz) if found else math.nan,
         amplitude_ratio=ratio,
         correlation_coefficient=coefficient,
         quality=quality,
@@ -305,7 +305,7 @@ def travel_time(waveform: Waveform, reference: EchoReference) -> TravelTime:
     )
 
 
-def thickness(
+def compute_thickness(
     travel_time_s: float,
     reference_travel_time_s: float,
     delay_s: float,
@@ -354,7 +354,7 @@ def thickness(
     return Thickness(thickness_m=initial_thickness_m - loss, thickness_loss_m=loss)
 
 
-def thickness_interval(
+def compute_thickness_interval(
     found: TravelTime,
     reference: EchoReference,
     initial_thickness_m: float,
@@ -366,7 +366,7 @@ def thickness_interval(
     by comes on top. The amplitude is compared with the reference's without regard to attenuation, which in a
     thinner wall is smaller and hides a roughness of a few hundredths of a millimetre.
     """
-    wall = thickness(
+    wall = compute_thickness(
         found.travel_time_s,
         reference.travel_time_s,
         reference.delay_s,
@@ -416,13 +416,13 @@ def _check_reference(
         )
 
 
-def _centred(waveform: Waveform) -> FloatArray:
+def _remove_median(waveform: Waveform) -> FloatArray:
     """Return the record in volts minus its median."""
     volts = waveform.volts()
     return np.asarray(volts - np.median(volts), dtype=np.float64)
 
 
-def _quality(coefficient: float, slipped: bool) -> tuple[Quality, str]:
+def _assess_reading_quality(coefficient: float, slipped: bool) -> tuple[Quality, str]:
     """Rate a reading good, suspect or bad by its correlation; return the reasons too."""
     if not coefficient >= SUSPECT_CORRELATION:
         return "bad", f"correlation {coefficient:.2f} below {SUSPECT_CORRELATION}"

@@ -148,11 +148,13 @@ def survey_spike(
             f"the record of a strike is {volts.size / rate_hz:.4g} s long and the wave comes "
             f"{pulse_s + fall_s:.4g} s after the coil goes on: record longer"
         )
-    front, wave_v = _wave(volts, earliest, rate_hz)
+    front, wave_v = _find_wave_front(volts, earliest, rate_hz)
     seen = wave_v > limit_v
     end = front if seen else nominal
     seen_v = max(SEEN_PART * abs(trigger_v), NOISE_PART * noise_rms_v)
-    on, after = (_edge(part, rate_hz, seen_v, limit_v, trigger_v) for part in (volts[:off], volts[off:end]))
+    on, after = (
+        _measure_edge(part, rate_hz, seen_v, limit_v, trigger_v) for part in (volts[:off], volts[off:end])
+    )
     latest_s = min(fall_s, (end - off) / rate_hz) - pretrigger_s
     holdoff_s: float | None = None
     obstacle: Obstacle = ""
@@ -168,18 +170,18 @@ def survey_spike(
     return SpikeSurvey(
         noise_rms_v=noise_rms_v,
         limit_v=limit_v,
-        on=_signed(on, sign),
-        off=_signed(after, sign),
+        on=_apply_sign(on, sign),
+        off=_apply_sign(after, sign),
         wave_v=sign * wave_v if seen else None,
         wave_after_s=(front - off) / rate_hz if seen else None,
         latest_holdoff_s=latest_s,
         holdoff_s=holdoff_s,
-        trigger_level_v=_better_level(trigger_v, wave_v, noise_rms_v, sign) if seen else None,
+        trigger_level_v=_propose_trigger_level(trigger_v, wave_v, noise_rms_v, sign) if seen else None,
         obstacle=obstacle,
     )
 
 
-def _wave(volts: FloatArray, earliest: int, rate_hz: float) -> tuple[int, float]:
+def _find_wave_front(volts: FloatArray, earliest: int, rate_hz: float) -> tuple[int, float]:
     """Find the start of the incident wave's front, and its height above the level before it."""
     block = max(1, round(WAVE_BLOCK_S * rate_hz))
     n_blocks = (volts.size - earliest) // block
@@ -192,7 +194,9 @@ def _wave(volts: FloatArray, earliest: int, rate_hz: float) -> tuple[int, float]
     return earliest + front * block, float(means[peak] - means[front])
 
 
-def _edge(volts: FloatArray, rate_hz: float, seen_v: float, limit_v: float, trigger_v: float) -> EdgeSpike:
+def _measure_edge(
+    volts: FloatArray, rate_hz: float, seen_v: float, limit_v: float, trigger_v: float
+) -> EdgeSpike:
     """Measure the coil's voltage after an edge, which is at the first sample."""
     departed = np.abs(volts)
     if departed.max() < seen_v:
@@ -210,12 +214,12 @@ def _edge(volts: FloatArray, rate_hz: float, seen_v: float, limit_v: float, trig
     )
 
 
-def _signed(edge: EdgeSpike, sign: float) -> EdgeSpike:
+def _apply_sign(edge: EdgeSpike, sign: float) -> EdgeSpike:
     """Apply the trigger's sign to the heights of an edge's spike."""
     return replace(edge, height_v=sign * edge.height_v, flyback_v=sign * edge.flyback_v)
 
 
-def _better_level(trigger_v: float, wave_v: float, noise_rms_v: float, sign: float) -> float | None:
+def _propose_trigger_level(trigger_v: float, wave_v: float, noise_rms_v: float, sign: float) -> float | None:
     """Propose a trigger level in V; None if the present one fits or no better one clears the noise."""
     lowest, highest = FITTING_LEVEL
     proposed_v = max(LEVEL_OF_WAVE * wave_v, NOISE_PART * noise_rms_v)

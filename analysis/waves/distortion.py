@@ -58,23 +58,25 @@ def find_flattened(outlines: Sequence[Outline], tofs_s: FloatArray) -> NDArray[n
     A hard limit lowers the middle of the ISW's top; a soft one, v - c v^3, more of the ISW than of the PSW,
     which is sought where all shots are of one wall. Height, arrival and width are each shot's own.
     """
-    table, sd = _table(outlines)
+    table, sd = _tabulate_outlines(outlines)
     found = np.zeros(len(table), dtype=bool)
     if len(table) < FEWEST:
         return found
     isw = table[:, :N_ISW]
     middle = _median_wave(isw)
     cap = np.clip(middle - CAP, 0.0, None)
-    found |= _lowered(isw, middle, cap, _variation_columns([(0, FROM_ISW, middle)]), sd, LOWEST_CAP)
+    found |= _find_lowered_points(
+        isw, middle, cap, _variation_columns([(0, FROM_ISW, middle)]), sd, LOWEST_CAP
+    )
     if is_one_wall(tofs_s):
         both = table[:, :N_PSW]
         middle = _median_wave(both)
         variation = _variation_columns([(0, FROM_ISW, middle[:N_ISW]), (N_ISW, FROM_PSW, middle[N_ISW:])])
-        found |= _lowered(both, middle, middle**3, variation, sd, LOWEST_BEND)
+        found |= _find_lowered_points(both, middle, middle**3, variation, sd, LOWEST_BEND)
     return found
 
 
-def _table(outlines: Sequence[Outline]) -> tuple[FloatArray, FloatArray]:
+def _tabulate_outlines(outlines: Sequence[Outline]) -> tuple[FloatArray, FloatArray]:
     """Stack points and standard deviations of all outlines, shape (n_outlines, n_points) each."""
     return np.array([one.points for one in outlines]), np.array([one.sd for one in outlines])
 
@@ -85,7 +87,7 @@ def _median_wave(points: FloatArray) -> FloatArray:
     return column_medians(complete) if len(complete) else np.full(points.shape[1], np.nan)
 
 
-def _slope(wave: FloatArray) -> FloatArray:
+def _compute_slope(wave: FloatArray) -> FloatArray:
     """Compute the central differences of a wave, shape (n,), n >= 2.
 
     Same values as `numpy.gradient`, without its checks.
@@ -101,20 +103,20 @@ def _variation_columns(waves: Sequence[tuple[int, int, FloatArray]]) -> FloatArr
     n = sum(wave.size for _, _, wave in waves)
     columns = np.zeros((n, len(waves) + 1))
     for k, (begin, first, wave) in enumerate(waves):
-        slope, part = _slope(wave), slice(begin, begin + wave.size)
+        slope, part = _compute_slope(wave), slice(begin, begin + wave.size)
         columns[part, k] = slope
         columns[part, -1] = np.arange(first, first + wave.size) * slope
     return columns
 
 
-def _fitted(columns: FloatArray, values: FloatArray) -> FloatArray:
+def _fit_columns(columns: FloatArray, values: FloatArray) -> FloatArray:
     """Fit least-squares weights of a few columns, shape (m, k), to values of shape (m,) or (m, n)."""
     gram = columns.T @ columns
     gram.flat[:: len(gram) + 1] += GRAIN * gram.trace()
     return np.asarray(np.linalg.solve(gram, columns.T @ values))
 
 
-def _lowered(
+def _find_lowered_points(
     points: FloatArray,
     middle: FloatArray,
     pattern: FloatArray,
@@ -126,7 +128,7 @@ def _lowered(
     if not (np.isfinite(middle).all() and pattern.any()):
         return np.zeros(len(points), dtype=bool)
     variation = np.column_stack([middle, variation])
-    pattern = pattern - variation @ _fitted(variation, pattern)
+    pattern = pattern - variation @ _fit_columns(variation, pattern)
     lowered = -(points @ pattern) / np.linalg.norm(pattern)
     known = np.isfinite(lowered)
     typical = median(lowered[known])
@@ -146,23 +148,25 @@ def find_lost_samples(outlines: Sequence[Outline], tofs_s: FloatArray) -> NDArra
     found = np.zeros(n, dtype=bool)
     if n < FEWEST or not is_one_wall(tofs_s):
         return found
-    table, sd = _table(outlines)
+    table, sd = _tabulate_outlines(outlines)
     points = table[:, N_ISW:]
     middle = _median_wave(points)
     if not np.isfinite(middle).all():
         return found
-    variation = np.column_stack([middle, _slope(middle)])
+    variation = np.column_stack([middle, _compute_slope(middle)])
     left = points - middle
-    left -= (variation @ _fitted(variation[:ALIGNED], left[:, :ALIGNED].T)).T
+    left -= (variation @ _fit_columns(variation[:ALIGNED], left[:, :ALIGNED].T)).T
     left[np.isnan(left)] = 0.0
     scatter2 = max(0.0, median((left**2).sum(axis=1) / middle.size - sd**2))
     for first in range(0, n, ROWS_AT_ONCE):
         rows = slice(first, first + ROWS_AT_ONCE)
-        found[rows] = _cut(left[rows], middle, sd[rows] ** 2, scatter2)
+        found[rows] = _search_cut(left[rows], middle, sd[rows] ** 2, scatter2)
     return found
 
 
-def _cut(left: FloatArray, middle: FloatArray, noise2: FloatArray, scatter2: float) -> NDArray[np.bool_]:
+def _search_cut(
+    left: FloatArray, middle: FloatArray, noise2: FloatArray, scatter2: float
+) -> NDArray[np.bool_]:
     """Search for lost samples: a cut of each length after each point of an outline.
 
     Arrays below have the shape (shots, lengths, points).

@@ -105,7 +105,7 @@ def is_cut(record: ReducedRecord, time_s: float, fwhm_s: float, rate_hz: float) 
     return bool(highest[-1] - highest[0] > max(LONGEST_TOP, by_code) * fwhm_s * rate_hz)
 
 
-def deepest_pull(
+def measure_deepest_pull(
     record: ReducedRecord, isw_v: float, psw_time_s: float | None, noise_v: float
 ) -> tuple[float, bool]:
     """Measure how far the record falls below its quiet level, and whether no push explains it.
@@ -162,7 +162,7 @@ def has_edge(record: ReducedRecord, isw_v: float, isw_fwhm_s: float, noise_v: fl
     return rise > per_block * LEVEL_BLOCKS + NOISE_STEPS * noise / math.sqrt(0.64 * LEVEL_BLOCKS)
 
 
-def drifts(
+def has_drift(
     record: ReducedRecord, isw: Pulse, psw: Pulse | None, least_fraction: float, noise_v: float
 ) -> bool:
     """Check for hum or drift: the quiet part before the ISW, or the record's end, is off its level.
@@ -177,10 +177,12 @@ def drifts(
     quiet = record.blocks_v[: foot - foot % width]
     steps = quiet.reshape(-1, width).sum(axis=1) / width
     limit = max(least_fraction * isw.amplitude_v, 6.0 * noise_v / math.sqrt(width))
-    return bool(_end_level(record, psw) > limit or (steps.size > 0 and steps.max() - steps.min() > limit))
+    return bool(
+        _measure_end_level(record, psw) > limit or (steps.size > 0 and steps.max() - steps.min() > limit)
+    )
 
 
-def _end_level(record: ReducedRecord, psw: Pulse | None) -> float:
+def _measure_end_level(record: ReducedRecord, psw: Pulse | None) -> float:
     """Return the offset of the record's end from the quiet level in V, by a line through short means.
 
     A third wave that passes there leaves some of them on the level.
@@ -205,7 +207,7 @@ def _end_level(record: ReducedRecord, psw: Pulse | None) -> float:
     return levels[aside] if levels[0] > END_NEAREST * levels[aside] else 0.0
 
 
-def noise_free_flags(records: Sequence[ReducedRecord], rate_hz: float) -> list[set[str]]:
+def find_noise_free_flags(records: Sequence[ReducedRecord], rate_hz: float) -> list[set[str]]:
     """Find stretches without noise; return the flags of lost samples, a plateau or a line per record.
 
     Lost samples were replaced by zeros, by the last one, or by a line between their neighbours.

@@ -31,16 +31,16 @@ import numpy as np
 
 from analysis.errors import InvalidInputError, RecordError
 from analysis.waves.disturbance import (
-    deepest_pull,
-    drifts,
+    find_noise_free_flags,
+    has_drift,
     has_edge,
     is_cut,
     is_flat_topped,
-    noise_free_flags,
+    measure_deepest_pull,
 )
 from analysis.waves.noise_colour import strongest_block_noise_v
-from analysis.waves.outline import Outline, outline
-from analysis.waves.pulses import Pulse, Pulses, find_pulses, parabola_peak
+from analysis.waves.outline import Outline, sample_outline
+from analysis.waves.pulses import Pulse, Pulses, find_pulses, interpolate_parabola_peak
 from analysis.waves.quality_gate import DISTURBED, FLAGS, INVALIDATING_FLAGS, MINIMUM_VALID_SHOTS
 from analysis.waves.record_reduction import (
     MAD_TO_SD,
@@ -52,7 +52,7 @@ from analysis.waves.record_reduction import (
     mean_weights,
     reduce_records,
 )
-from analysis.waves.uncertainty import standard_deviations
+from analysis.waves.uncertainty import compute_standard_deviations
 from hardware_drivers.measurement import Waveform
 
 Quality = Literal["good", "suspect", "bad"]
@@ -139,7 +139,7 @@ class ShotFeatures:
     quality: Quality = "good"
     pull_fraction: float = math.nan
     compared: bool = False
-    outline: Outline | None = field(default=None, compare=False, repr=False)
+    sample_outline: Outline | None = field(default=None, compare=False, repr=False)
     sd: Mapping[str, float] = field(default_factory=dict)
 
     def values(self) -> dict[str, float]:
@@ -151,12 +151,12 @@ class ShotFeatures:
         return np.array([getattr(self, name) for name in FEATURE_NAMES])
 
 
-def with_flags(shot: ShotFeatures, found: Collection[str]) -> ShotFeatures:
+def apply_flags(shot: ShotFeatures, found: Collection[str]) -> ShotFeatures:
     """Return the shot with other flags, and with the validity and quality that follow from them."""
-    return replace(shot, **_quality_of(found))
+    return replace(shot, **_grade_flags(found))
 
 
-def _quality_of(found: Collection[str]) -> dict[str, Any]:
+def _grade_flags(found: Collection[str]) -> dict[str, Any]:
     """Derive ordered flags, validity and quality of a shot from the flags found."""
     flags = tuple(flag for flag in FLAGS if flag in found)
     valid = INVALIDATING_FLAGS.isdisjoint(flags)
@@ -232,7 +232,7 @@ def extract_all(
     given = [
         VoltRecord(w.volts(), w.sample_rate_hz, w.pretrigger_samples, clipped=w.clipped) for w in waveforms
     ]
-    return _extract(given, settings)
+    return _extract_records(given, settings)
 
 
 def extract_from_average(
@@ -287,10 +287,10 @@ def extract_from_volts(
     if samples.ndim != 1 or not np.isfinite(samples.sum()):
         raise RecordError(f"volts_v must be finite numbers of shape (n_samples,), got shape {samples.shape}")
     given = VoltRecord(samples, sample_rate_hz, pretrigger_samples, clipped=clipped)
-    return _extract([given], settings, with_sd=with_sd)[0]
+    return _extract_records([given], settings, with_sd=with_sd)[0]
 
 
-def _extract(
+def _extract_records(
     given: Sequence[VoltRecord], settings: ExtractionSettings, *, with_sd: bool = False
 ) -> list[ShotFeatures]:
     """Extract the features of records in their order; records of one kind are processed together."""
@@ -314,9 +314,13 @@ def _extract_alike(
     pulses = [find_pulses(record, settings) for record in records]
     rate_hz = given[0].sample_rate_hz
     flagged = [
-        _flags(record, found, settings, rate_hz, still, at_trigger)
+        _find_flags(record, found, settings, rate_hz, still, at_trigger)
         for record, found, still, at_trigger in zip(
-            records, pulses, noise_free_flags(records, rate_hz), _at_trigger(records), strict=True
+            records,
+            pulses,
+            find_noise_free_flags(records, rate_hz),
+            _check_trigger_jumps(records),
+            strict=True,
         )
     ]
     # What something else started looks like a wave at times, and so does what is left of a record.
@@ -329,11 +333,11 @@ def _extract_alike(
     return [
         ShotFeatures(
             **values,
-            **_quality_of(flags | {"clipped"} if one.clipped else flags),
+            **_grade_flags(flags | {"clipped"} if one.clipped else flags),
             noise_rms_v=record.noise_rms_v,
             pull_fraction=pull,
-            outline=_outline(record, found),
-            sd=standard_deviations(record, found, values, settings) if with_sd else {},
+            outline=_sample_outline(record, found),
+            sd=compute_standard_deviations(record, found, values, settings) if with_sd else {},
         )
         for one, record, found, (flags, pull), values in zip(
             given, records, pulses, flagged, measured, strict=True
@@ -341,13 +345,13 @@ def _extract_alike(
     ]
 
 
-def _outline(record: ReducedRecord, pulses: Pulses) -> Outline | None:
+def _sample_outline(record: ReducedRecord, pulses: Pulses) -> Outline | None:
     """Sample the outline of a record; None if its incident or reflected wave is missing."""
     isw, psw = pulses.isw, pulses.psw
-    return None if isw is None or psw is None else outline(record, isw, psw)
+    return None if isw is None or psw is None else sample_outline(record, isw, psw)
 
 
-def _flags(
+def _find_flags(
     record: ReducedRecord,
     pulses: Pulses,
     settings: ExtractionSettings,
@@ -396,16 +400,16 @@ def _has_moved(
     ``noise_v`` is the standard deviation of a block mean.
     """
     psw_time_s = None if pulses.psw is None else pulses.psw.time_s
-    pull, pulled = deepest_pull(record, isw.amplitude_v, psw_time_s, noise_v)
+    pull, pulled = measure_deepest_pull(record, isw.amplitude_v, psw_time_s, noise_v)
     seen = {
         DISTURBED: pulled or has_edge(record, isw.amplitude_v, settings.isw_fwhm_s, noise_v),
         "clipped": is_flat_topped(record, isw.matched_time_s, isw.fwhm_s, noise_v),
-        "baseline": drifts(record, isw, pulses.psw, settings.baseline_drift_fraction, noise_v),
+        "baseline": has_drift(record, isw, pulses.psw, settings.baseline_drift_fraction, noise_v),
     }
     return {flag for flag, is_seen in seen.items() if is_seen}, pull
 
 
-def _at_trigger(records: Sequence[ReducedRecord]) -> list[tuple[bool, bool]]:
+def _check_trigger_jumps(records: Sequence[ReducedRecord]) -> list[tuple[bool, bool]]:
     """Check whether each record jumps at its trigger, and whether it moves there at all.
 
     A wave needs 20 us to half its height: within `JUMP_S` before and after the trigger it rises by less than
@@ -446,8 +450,8 @@ def _compute_features(
         values.update(ssw_time_s=ssw.time_s, ssw_amplitude_v=ssw.amplitude_v)
     if psw is None:
         return values
-    psw_area = _area(record, psw.time_s, settings.window_half_width_s)
-    isw_area = _area(record, isw.time_s, settings.window_half_width_s)
+    psw_area = _integrate_area(record, psw.time_s, settings.window_half_width_s)
+    isw_area = _integrate_area(record, isw.time_s, settings.window_half_width_s)
     values.update(
         tof_pp_s=psw.time_s - isw.time_s,
         tof_mf_s=psw.matched_time_s - isw.matched_time_s,
@@ -459,11 +463,11 @@ def _compute_features(
         psw_time_s=psw.time_s,
         psw_amplitude_v=psw.amplitude_v,
     )
-    values.update(_autocorrelated(record, isw, psw, settings))
+    values.update(_compute_autocorrelation_features(record, isw, psw, settings))
     return values
 
 
-def _area(record: ReducedRecord, centre_s: float, half_width_s: float) -> float:
+def _integrate_area(record: ReducedRecord, centre_s: float, half_width_s: float) -> float:
     """Integrate the record over ``centre_s`` +- ``half_width_s`` in V s, cut at the record's ends."""
     n = record.blocks_v.size
     first = min(max(record.index(centre_s - half_width_s) + 0.5, 0.0), float(n))
@@ -477,7 +481,7 @@ def _area(record: ReducedRecord, centre_s: float, half_width_s: float) -> float:
     return total * record.step_s
 
 
-def _autocorrelated(
+def _compute_autocorrelation_features(
     record: ReducedRecord, isw: Pulse, psw: Pulse, settings: ExtractionSettings
 ) -> dict[str, float]:
     """Compute time of flight and coefficient by autocorrelation; empty if no PSW is prominent.
@@ -506,7 +510,7 @@ def _autocorrelated(
     before, centre, after = correlation[peak - 1 : peak + 2].tolist()
     if not before <= centre >= after:
         return {}  # no maximum, so not the PSW's
-    shift = parabola_peak(before, centre, after)
+    shift = interpolate_parabola_peak(before, centre, after)
     height = centre - 0.25 * (before - after) * shift
     return {
         "tof_ac_s": (low - 1 + peak + shift) * record.step_s,
@@ -514,7 +518,7 @@ def _autocorrelated(
     }
 
 
-def mean_features(shots: Sequence[ShotFeatures], minimum_valid: int = MINIMUM_VALID_SHOTS) -> SetFeatures:
+def average_features(shots: Sequence[ShotFeatures], minimum_valid: int = MINIMUM_VALID_SHOTS) -> SetFeatures:
     """Average the valid shots' features, without far outliers of each; return mean and SD.
 
     A value is left out beyond `FAR_APART` of 1.4826 x the median distance from the median, as long as
@@ -546,7 +550,7 @@ def mean_features(shots: Sequence[ShotFeatures], minimum_valid: int = MINIMUM_VA
         )
     table = np.array([_EVERY_FEATURE(shot) for shot in valid])
     if n_valid >= FEWEST_FOR_FAR:
-        table = _without_outliers(table)
+        table = _remove_outliers(table)
     mean, sd = _column_statistics(table)
     reasons = []
     if n_valid < len(shots):
@@ -565,7 +569,7 @@ def mean_features(shots: Sequence[ShotFeatures], minimum_valid: int = MINIMUM_VA
     )
 
 
-def _without_outliers(table: FloatArray) -> FloatArray:
+def _remove_outliers(table: FloatArray) -> FloatArray:
     """Replace values far from their column's median, in units of its MAD, by NaN."""
     known = np.where(np.isnan(table).any(axis=0), 0.0, table)  # a feature that some shots lack is left alone
     distance = np.abs(known - column_medians(known))

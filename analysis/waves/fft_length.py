@@ -4,7 +4,7 @@ from functools import cache
 
 
 @cache
-def fast_length(n: int, factors: tuple[int, ...] = (2, 3, 5)) -> int:
+def next_fast_length(n: int, factors: tuple[int, ...] = (2, 3, 5)) -> int:
     """Return the smallest length of at least ``n`` >= 1 that is a product of ``factors``.
 
     As `scipy.fft.next_fast_len`, whose import a recorder's start need not wait for.

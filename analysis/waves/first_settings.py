@@ -106,7 +106,7 @@ def propose_settings(struck: Mapping[str, StruckTransducer], *, pulse_s: float, 
         A record ends before a wave could have come.
     """
     earliest_s = pulse_s + EARLIEST_FALL * fall_s
-    crests_v = {name: _crest(one, earliest_s) for name, one in struck.items()}
+    crests_v = {name: _find_crest(one, earliest_s) for name, one in struck.items()}
     offsets_v = {name: median(one.noise.volts()) for name, one in struck.items()}
     noises_v = {name: float(one.noise.volts().std()) for name, one in struck.items()}
 
@@ -139,7 +139,7 @@ def propose_settings(struck: Mapping[str, StruckTransducer], *, pulse_s: float, 
         for name, survey in found.items()
         if survey.wave_v is not None and (sign < 0.0 or name not in falling)
     }
-    level_v = _level(waves_v, noises_v, sum(offsets_v.values()) / len(struck), sign)
+    level_v = _choose_trigger_level(waves_v, noises_v, sum(offsets_v.values()) / len(struck), sign)
     pretrigger_s, holdoff_s, ringing_s = SHORTEST_PRETRIGGER_S, None, 0.0
     if level_v is None:
         troubles |= dict.fromkeys(waves_v, "noise")
@@ -150,14 +150,16 @@ def propose_settings(struck: Mapping[str, StruckTransducer], *, pulse_s: float, 
                 troubles.setdefault(name, "noise")
             elif not FITTING_LEVEL[0] <= above_v[name] / wave_v <= FITTING_LEVEL[1]:
                 troubles.setdefault(name, "level")
-        rises_s = [_rise_s(struck[name], earliest_s, above_v[name], noises_v[name], sign) for name in waves_v]
+        rises_s = [
+            _measure_rise_s(struck[name], earliest_s, above_v[name], noises_v[name], sign) for name in waves_v
+        ]
         pretrigger_s = max(SHORTEST_PRETRIGGER_S, math.ceil((max(rises_s) + QUIET_S) * 1e5) / 1e5)
         found = surveys(pretrigger_s, above_v)
-        holdoff_s, ringing_s, loudest = _holdoff(found, fall_s)
+        holdoff_s, ringing_s, loudest = _choose_holdoff(found, fall_s)
         if holdoff_s is None:
             troubles.setdefault(loudest, "ringing")
     listens_s = earliest_s if holdoff_s is None else pulse_s + holdoff_s
-    ranges = {name: _range(one, listens_s) for name, one in struck.items()}
+    ranges = {name: _choose_range(one, listens_s) for name, one in struck.items()}
     for name, (_, again, holds) in ranges.items():
         if again and not holds:
             troubles.setdefault(name, "range")
@@ -174,7 +176,7 @@ def propose_settings(struck: Mapping[str, StruckTransducer], *, pulse_s: float, 
     )
 
 
-def shot_within(
+def cut_triggered_record(
     strike: Waveform, *, after_s: float, level_v: float, rising: bool, pretrigger_samples: int, samples: int
 ) -> Waveform | None:
     """Cut the record that the trigger would start out of a strike; None if it is not reached in time.
@@ -205,7 +207,7 @@ def _block_means(volts: FloatArray, rate_hz: float) -> tuple[FloatArray, int]:
     return volts[: n_blocks * block].reshape(n_blocks, block).mean(axis=1), block
 
 
-def _crest(one: StruckTransducer, earliest_s: float) -> float:
+def _find_crest(one: StruckTransducer, earliest_s: float) -> float:
     """Return the largest deviation in V, with its sign, where a wave can be."""
     rate_hz = one.strike.sample_rate_hz
     means, _ = _block_means(one.strike.volts()[round(earliest_s * rate_hz) :], rate_hz)
@@ -213,7 +215,7 @@ def _crest(one: StruckTransducer, earliest_s: float) -> float:
     return float(departures[np.abs(departures).argmax()])
 
 
-def _level(
+def _choose_trigger_level(
     waves_v: Mapping[str, float], noises_v: Mapping[str, float], offset_v: float, sign: float
 ) -> float | None:
     """Choose one trigger level in V for all transducers; None if no level fits.
@@ -227,7 +229,9 @@ def _level(
     return float(f"{offset_v + sign * above_v:.2g}") if above_v <= FITTING_LEVEL[1] * smallest_v else None
 
 
-def _rise_s(one: StruckTransducer, earliest_s: float, above_v: float, noise_v: float, sign: float) -> float:
+def _measure_rise_s(
+    one: StruckTransducer, earliest_s: float, above_v: float, noise_v: float, sign: float
+) -> float:
     """Return the time in s from the wave's first deviation until it reaches the level."""
     rate_hz = one.strike.sample_rate_hz
     volts = sign * (one.strike.volts()[round(earliest_s * rate_hz) :] - median(one.noise.volts()))
@@ -237,7 +241,7 @@ def _rise_s(one: StruckTransducer, earliest_s: float, above_v: float, noise_v: f
     return (passed - int(quiet[-1]) if quiet.size else 0) * block / rate_hz
 
 
-def _holdoff(surveys: Mapping[str, SpikeSurvey], fall_s: float) -> tuple[float | None, float, str]:
+def _choose_holdoff(surveys: Mapping[str, SpikeSurvey], fall_s: float) -> tuple[float | None, float, str]:
     """Choose one holdoff for all transducers; None if the coil rings for too long.
 
     Return also the ringing time in s, and the transducer whose coil rings longest.
@@ -250,7 +254,7 @@ def _holdoff(surveys: Mapping[str, SpikeSurvey], fall_s: float) -> tuple[float |
     return round(ringing_s + HOLDOFF_PART * room_s, HOLDOFF_DIGITS), ringing_s, loudest
 
 
-def _range(one: StruckTransducer, listens_s: float) -> tuple[float, bool, bool]:
+def _choose_range(one: StruckTransducer, listens_s: float) -> tuple[float, bool, bool]:
     """Choose the smallest input range in V with headroom.
 
     Return also whether the record was clipped, and whether any range fits.

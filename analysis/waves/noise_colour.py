@@ -19,7 +19,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from analysis.waves.record_reduction import FloatArray, ReducedRecord, fine_noise, median
+from analysis.waves.record_reduction import FloatArray, ReducedRecord, estimate_fine_noise, median
 
 SLOW_HZ = (20e3, 100e3)
 """Band that means over some 10 us take in; a knock or hum, slower, is no noise."""
@@ -68,7 +68,7 @@ class NoiseColour:
     rms_sd: float
 
 
-def noise_colour(record: ReducedRecord, isw_time_s: float, isw_fwhm_s: float) -> NoiseColour:
+def estimate_noise_colour(record: ReducedRecord, isw_time_s: float, isw_fwhm_s: float) -> NoiseColour:
     """Estimate the colour of a record's noise from the quiet part before the incident wave.
 
     Parameters
@@ -76,11 +76,13 @@ def noise_colour(record: ReducedRecord, isw_time_s: float, isw_fwhm_s: float) ->
     isw_time_s, isw_fwhm_s
         Of the incident wave, before which the record is quiet.
     """
-    fine2 = fine_noise(record.blocks_v) ** 2
-    n = _quiet_before(record, isw_time_s, isw_fwhm_s)
+    fine2 = estimate_fine_noise(record.blocks_v) ** 2
+    n = _count_quiet_blocks(record, isw_time_s, isw_fwhm_s)
     white2 = record.noise_rms_v**2
     if n < N_LEVEL + FEWEST_COEFFICIENTS:
-        return _coloured(record, white2, [fine2] * 4, np.zeros(record.quiet_blocks), 1.0, 0.5)
+        return _noise_colour_of_variances(
+            record, white2, [fine2] * 4, np.zeros(record.quiet_blocks), 1.0, 0.5
+        )
     basis = _quiet_basis(n, round(isw_fwhm_s / record.step_s))
     found = basis.T @ record.blocks_v[:n]
     powers2, known2 = found[N_LEVEL:] ** 2, fine2
@@ -98,7 +100,9 @@ def noise_colour(record: ReducedRecord, isw_time_s: float, isw_fwhm_s: float) ->
     sample2, memory = float(x @ x) / (x.size - N_LEVEL), _summed_autocorrelation(x, lags)
     if sample2 < _chance_mean_square(x.size / memory) * white2:
         sample2 = white2
-    return _coloured(record, sample2, bands, level, memory, _summed_autocorrelation(np.diff(x), lags) - 1.0)
+    return _noise_colour_of_variances(
+        record, sample2, bands, level, memory, _summed_autocorrelation(np.diff(x), lags) - 1.0
+    )
 
 
 def strongest_block_noise_v(record: ReducedRecord, isw_time_s: float, isw_fwhm_s: float) -> float:
@@ -107,7 +111,7 @@ def strongest_block_noise_v(record: ReducedRecord, isw_time_s: float, isw_fwhm_s
     Of what stands in a few coefficients only, as a knock, a median sees nothing.
     """
     power2 = record.block_noise_v**2
-    n = _quiet_before(record, isw_time_s, isw_fwhm_s)
+    n = _count_quiet_blocks(record, isw_time_s, isw_fwhm_s)
     # The k-th cosine has the frequency k / (2 n step).
     first, last = (2.0 * n * record.step_s * hz for hz in SLOW_HZ)
     columns = slice(N_LEVEL + math.ceil(first) - 1, min(n, N_LEVEL + math.floor(last)))
@@ -119,13 +123,13 @@ def strongest_block_noise_v(record: ReducedRecord, isw_time_s: float, isw_fwhm_s
     return math.sqrt(power2)
 
 
-def _quiet_before(record: ReducedRecord, isw_time_s: float, isw_fwhm_s: float) -> int:
+def _count_quiet_blocks(record: ReducedRecord, isw_time_s: float, isw_fwhm_s: float) -> int:
     """Count the quiet blocks before the incident wave; 0 if its time is unknown."""
     before = record.index(isw_time_s - QUIET_BEFORE_PEAK_PER_FWHM * isw_fwhm_s)
     return max(0, min(record.quiet_blocks, math.floor(before))) if math.isfinite(before) else 0
 
 
-def _coloured(
+def _noise_colour_of_variances(
     record: ReducedRecord,
     sample2: float,
     bands: list[float],

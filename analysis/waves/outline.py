@@ -64,17 +64,17 @@ class Outline:
     sd: float
 
 
-def outline(record: ReducedRecord, isw: Pulse, psw: Pulse) -> Outline:
+def sample_outline(record: ReducedRecord, isw: Pulse, psw: Pulse) -> Outline:
     """Sample a record around ISW and PSW at fixed points, in units of the ISW's height."""
     stride, points = max(1, round(STEP_S / record.step_s)), np.full(N_POINTS, math.nan)
-    _sample_points(record, isw, FROM_ISW, stride, points[:N_ISW])
-    _sample_points(record, psw, FROM_PSW, stride, points[N_ISW:])
+    _fill_points(record, isw, FROM_ISW, stride, points[:N_ISW])
+    _fill_points(record, psw, FROM_PSW, stride, points[N_ISW:])
     points /= isw.amplitude_v
     noise_v = record.block_noise_v / math.sqrt(record.smooth_blocks)
     return Outline(points=points, sd=noise_v / isw.amplitude_v)
 
 
-def _sample_points(record: ReducedRecord, pulse: Pulse, first: int, stride: int, points: FloatArray) -> None:
+def _fill_points(record: ReducedRecord, pulse: Pulse, first: int, stride: int, points: FloatArray) -> None:
     """Fill in the samples around a pulse, from ``first`` on, as far as the record reaches."""
     at = record.index(pulse.matched_time_s)
     begin = math.floor(at) + first * stride
@@ -102,7 +102,9 @@ def find_unlike_others(outlines: Sequence[Outline], tofs_s: FloatArray) -> NDArr
     others = np.arange(n)
     if n > MOST_OTHERS:
         others = np.linspace(0, n - 1, MOST_OTHERS).round().astype(np.intp)
-    distance = np.concatenate([_distances(table, k, others) for k in range(0, n, ROWS_AT_ONCE)], axis=1)
+    distance = np.concatenate(
+        [_distances_between_rows(table, k, others) for k in range(0, n, ROWS_AT_ONCE)], axis=1
+    )
     nearest = np.partition(distance, NEIGHBOURS - 1)[:, :, NEIGHBOURS - 1]
     typical = np.maximum(TIMES_USUAL * np.partition(nearest, n // 2)[:, n // 2], LEAST_APART)
     limit = np.maximum(typical[:, None], TIMES_NOISE * math.sqrt(2.0) * noise)
@@ -115,7 +117,7 @@ def find_unlike_others(outlines: Sequence[Outline], tofs_s: FloatArray) -> NDArr
     return unlike
 
 
-def _distances(table: FloatArray, start: int, others: NDArray[np.intp]) -> FloatArray:
+def _distances_between_rows(table: FloatArray, start: int, others: NDArray[np.intp]) -> FloatArray:
     """Compute the RMS difference of rows from each of the others, shape (n_parts, n_rows, n_others).
 
     It is inf to itself, and where one of both does not hold the part.

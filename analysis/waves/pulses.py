@@ -17,7 +17,7 @@ from analysis.waves.record_reduction import (
     median,
     minimum_after_isw_s,
     moving_mean,
-    odd,
+    nearest_odd,
 )
 
 __all__ = ["ExtractionSettings", "Pulse", "Pulses", "find_pulses"]
@@ -121,13 +121,13 @@ def find_pulses(record: ReducedRecord, settings: ExtractionSettings) -> Pulses:
     bottom = float(matched.min())
     if -bottom > max(top, settings.missed_below_snr * record.noise_rms_v):
         return Pulses(inverted=True)
-    maxima = _maxima(matched)
+    maxima = _find_local_maxima(matched)
     isw = _find_isw(record, maxima, top, settings)
     if isw is None:
         return Pulses()
     floor = settings.no_psw_below_sigmas * record.matched_noise_v
     isw_index = record.index(isw.matched_time_s)
-    psw = _first_pulse(
+    psw = _find_first_pulse(
         record,
         maxima,
         isw_index + settings.psw_earliest_s / record.step_s,
@@ -138,12 +138,12 @@ def find_pulses(record: ReducedRecord, settings: ExtractionSettings) -> Pulses:
         settings.psw_leading_fraction,
         max(floor, settings.no_psw_below_fraction * isw.amplitude_v),
     )
-    if psw is None and not _leaves_room(record, isw, settings):
+    if psw is None and not _has_room_for_reflection(record, isw, settings):
         return Pulses()  # no one could tell a hole from a wave that came too late
     ssw = None
     if psw is not None:
         psw_index = record.index(psw.matched_time_s)
-        ssw = _first_pulse(
+        ssw = _find_first_pulse(
             record,
             maxima,
             psw_index + settings.ssw_after_psw_earliest_s / record.step_s,
@@ -151,16 +151,16 @@ def find_pulses(record: ReducedRecord, settings: ExtractionSettings) -> Pulses:
             1.0,
             max(floor, settings.ssw_below_fraction * isw.amplitude_v),
         )
-    double, merged, stray = _extra_pulses(record, isw, psw, settings, 0.0)
+    double, merged, stray = _has_extra_pulses(record, isw, psw, settings, 0.0)
     if double or merged or stray:
         noise_v = strongest_block_noise_v(record, isw.time_s, isw.fwhm_s)
-        double, merged, stray = _extra_pulses(record, isw, psw, settings, noise_v)
+        double, merged, stray = _has_extra_pulses(record, isw, psw, settings, noise_v)
     if psw is not None and not double:
-        double = _second_reflection(record, maxima, isw, psw, settings)
+        double = _has_second_reflection(record, maxima, isw, psw, settings)
     return Pulses(isw=isw, psw=psw, ssw=ssw, double=double, psw_merged=merged, stray=stray)
 
 
-def first_fwhm_s(samples_v: FloatArray, sample_rate_hz: float, pretrigger_samples: int) -> float:
+def measure_first_fwhm_s(samples_v: FloatArray, sample_rate_hz: float, pretrigger_samples: int) -> float:
     """Measure the width of a record's highest pulse in s, before its settings are known.
 
     NaN where it has no flanks, or is no more than noise makes.
@@ -172,15 +172,15 @@ def first_fwhm_s(samples_v: FloatArray, sample_rate_hz: float, pretrigger_sample
     blocks = samples_v[: n_blocks * block].reshape(n_blocks, block).mean(axis=1)
     flanks = moving_mean(
         blocks - median(blocks[: max(1, pretrigger_samples // block)]),
-        odd(FLANK_SMOOTHING_S * sample_rate_hz / block),
+        nearest_odd(FLANK_SMOOTHING_S * sample_rate_hz / block),
     )
     peak = int(flanks.argmax())
     if flanks[peak] < STANDS_OUT * MAD_TO_SD * median(np.abs(flanks - median(flanks))):
         return math.nan
-    return _width_at(flanks, peak, 0.5 * float(flanks[peak])) * block / sample_rate_hz
+    return _measure_width(flanks, peak, 0.5 * float(flanks[peak])) * block / sample_rate_hz
 
 
-def search_windows_s(
+def compute_search_windows_s(
     isw_time_s: float, psw_time_s: float | None, settings: ExtractionSettings
 ) -> dict[str, tuple[float, float]]:
     """Return the search windows: around the ISW, then those of PSW and SSW.
@@ -218,7 +218,7 @@ def _find_isw(
     return pulse
 
 
-def _leaves_room(record: ReducedRecord, isw: Pulse, settings: ExtractionSettings) -> bool:
+def _has_room_for_reflection(record: ReducedRecord, isw: Pulse, settings: ExtractionSettings) -> bool:
     """Check whether the record has room for a reflected wave, or for a sound wall's if it is short."""
     window_s = settings.psw_latest_s + settings.window_half_width_s
     if record.end_s < window_s + LATEST_ISW_PER_FWHM * settings.isw_fwhm_s:
@@ -226,13 +226,13 @@ def _leaves_room(record: ReducedRecord, isw: Pulse, settings: ExtractionSettings
     return record.end_s - isw.matched_time_s >= window_s
 
 
-def _maxima(values: FloatArray) -> list[int]:
+def _find_local_maxima(values: FloatArray) -> list[int]:
     """Return the indices of interior local maxima; of a plateau the first sample."""
     rising = values[1:-1] > values[:-2]
     return ((rising & (values[1:-1] >= values[2:])).nonzero()[0] + 1).tolist()
 
 
-def _first_pulse(
+def _find_first_pulse(
     record: ReducedRecord, maxima: list[int], first: float, last: float, fraction: float, floor: float
 ) -> Pulse | None:
     """Find the first pulse in a range that is high enough; None if there is none.
@@ -248,7 +248,7 @@ def _first_pulse(
     return None if pulse is None or pulse.amplitude_v < floor else pulse
 
 
-def parabola_peak(before: float, centre: float, after: float) -> float:
+def interpolate_parabola_peak(before: float, centre: float, after: float) -> float:
     """Return the offset of a parabola's maximum from the middle of three equidistant values, in samples."""
     curvature = before - 2.0 * centre + after
     return 0.0 if curvature >= 0.0 else 0.5 * (before - after) / curvature
@@ -258,7 +258,7 @@ def _measure_pulse(record: ReducedRecord, matched_index: int) -> Pulse | None:
     """Measure quartic peak, width and matched-filter time of the pulse at a matched-filter maximum."""
     blocks, matched = record.blocks_v, record.matched_v
     before, centre_v, after = matched[matched_index - 1 : matched_index + 2].tolist()
-    shift = parabola_peak(before, centre_v, after)
+    shift = interpolate_parabola_peak(before, centre_v, after)
     reach = round(150e-6 / record.step_s)
     start = max(0, matched_index - reach)
     near_pulse = blocks[start : matched_index + reach + 1]
@@ -267,20 +267,20 @@ def _measure_pulse(record: ReducedRecord, matched_index: int) -> Pulse | None:
     near = round(40e-6 / record.step_s)
     low = max(0, centre - near)
     peak = low + int(smooth[low : centre + near + 1].argmax())
-    first, last = _stretch_above(smooth, peak, 0.5 * float(smooth[peak]))
+    first, last = _find_stretch_above(smooth, peak, 0.5 * float(smooth[peak]))
     if last - first < 6:
         return None
-    fit = _quartic_maximum(near_pulse[first : last + 1])
+    fit = _find_quartic_maximum(near_pulse[first : last + 1])
     regular = fit is not None
     n = last - first + 1
     place, height, curvature = fit if fit is not None else (math.nan, float(smooth[peak]), math.nan)
     position = 0.5 * (n - 1) * (1.0 + place) if regular else float(peak - first)
-    flanks = moving_mean(near_pulse, odd(FLANK_SMOOTHING_S / record.step_s))
+    flanks = moving_mean(near_pulse, nearest_odd(FLANK_SMOOTHING_S / record.step_s))
     return Pulse(
         time_s=record.time_s(start + first + position),
         amplitude_v=height,
         matched_time_s=record.time_s(matched_index + shift),
-        fwhm_s=_width_at(flanks, peak, 0.5 * height) * record.step_s,
+        fwhm_s=_measure_width(flanks, peak, 0.5 * height) * record.step_s,
         regular=regular,
         top_points=n,
         top_place=place,
@@ -289,7 +289,7 @@ def _measure_pulse(record: ReducedRecord, matched_index: int) -> Pulse | None:
     )
 
 
-def _stretch_above(values: FloatArray, peak: int, level: float) -> tuple[int, int]:
+def _find_stretch_above(values: FloatArray, peak: int, level: float) -> tuple[int, int]:
     """Return the first and last index of the stretch around ``peak`` that stays above ``level``.
 
     The last lies before the first if ``peak`` itself does not.
@@ -302,12 +302,12 @@ def _stretch_above(values: FloatArray, peak: int, level: float) -> tuple[int, in
     return (peak - left + 1 if left else 0), (peak + right - 1 if right else values.size - 1)
 
 
-def _width_at(values: FloatArray, peak: int, level: float) -> float:
+def _measure_width(values: FloatArray, peak: int, level: float) -> float:
     """Measure the width in samples between the interpolated crossings of ``level`` around ``peak``.
 
     0 where ``peak`` itself lies below the level, NaN where a side never falls to it.
     """
-    first, last = _stretch_above(values, peak, level)
+    first, last = _find_stretch_above(values, peak, level)
     if last < first:
         return 0.0
     if first == 0 or last == values.size - 1:
@@ -319,7 +319,7 @@ def _width_at(values: FloatArray, peak: int, level: float) -> float:
 
 
 @lru_cache(maxsize=1024)
-def quartic_design(n: int) -> tuple[FloatArray, FloatArray]:
+def quartic_design_matrix(n: int) -> tuple[FloatArray, FloatArray]:
     """Return the design matrix of a quartic on n points over -1..1, shape (n, 5), and its pseudo-inverse."""
     design = np.vander(np.linspace(-1.0, 1.0, n), 5, increasing=True)
     solver: FloatArray = np.asarray(np.linalg.pinv(design), dtype=np.float64)
@@ -328,10 +328,10 @@ def quartic_design(n: int) -> tuple[FloatArray, FloatArray]:
     return design, solver
 
 
-def _quartic_maximum(values: FloatArray) -> tuple[float, float, float] | None:
+def _find_quartic_maximum(values: FloatArray) -> tuple[float, float, float] | None:
     """Return position on -1..1, height and second derivative of the fitted quartic's maximum, if any."""
     n = values.size
-    design, solver = quartic_design(n)
+    design, solver = quartic_design_matrix(n)
     coefficients = solver @ values
     c0, c1, c2, c3, c4 = coefficients.tolist()
     # Newton from the highest grid point: a quartic may have two maxima.
@@ -351,7 +351,7 @@ def _quartic_maximum(values: FloatArray) -> tuple[float, float, float] | None:
     return u, height, curvature
 
 
-def _extra_pulses(
+def _has_extra_pulses(
     record: ReducedRecord, isw: Pulse, psw: Pulse | None, settings: ExtractionSettings, noise_v: float
 ) -> tuple[bool, bool, bool]:
     """Check for a second strike, a merged PSW, and a pulse that no strike causes.
@@ -363,7 +363,7 @@ def _extra_pulses(
     merged = psw is not None and not psw.regular
     stray, crest_v = False, NOISE_CRESTS * excess_v
     strong_v = settings.double_above_fraction * isw.amplitude_v + crest_v
-    for index in prominent_maxima(
+    for index in find_prominent_maxima(
         record.smooth_v,
         settings.stray_above_fraction * isw.amplitude_v + crest_v,
         settings.double_valley_fraction * isw.amplitude_v + NOISE_VALLEY * excess_v,
@@ -386,7 +386,7 @@ def _extra_pulses(
     return double, merged, stray
 
 
-def _second_reflection(
+def _has_second_reflection(
     record: ReducedRecord, maxima: list[int], isw: Pulse, psw: Pulse, settings: ExtractionSettings
 ) -> bool:
     """Check for a hidden second strike by its reflection, when the first reflection covers its wave.
@@ -408,10 +408,10 @@ def _second_reflection(
     return highest > settings.second_reflection_fraction * reflected_v
 
 
-def prominent_maxima(values: FloatArray, floor: float, valley: float) -> list[int]:
+def find_prominent_maxima(values: FloatArray, floor: float, valley: float) -> list[int]:
     """Return indices of maxima of at least ``floor``, with a fall of at least ``valley`` between any two."""
     accepted: list[int] = []
-    for index in _maxima(np.maximum(values, floor)):
+    for index in _find_local_maxima(np.maximum(values, floor)):
         if accepted:
             lowest = float(values[accepted[-1] : index].min())
             if min(values[accepted[-1]], values[index]) - lowest < valley:

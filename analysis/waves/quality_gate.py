@@ -106,7 +106,7 @@ class Attempt:
     quality: str
 
 
-def outcomes(attempts: Sequence[Attempt]) -> list[str]:
+def decide_outcomes(attempts: Sequence[Attempt]) -> list[str]:
     """Mark each record ``accepted`` or ``superseded``: of a shot's attempts the best one counts.
 
     Of equally good ones the last counts: it was struck because something was wrong with the first.
@@ -116,12 +116,12 @@ def outcomes(attempts: Sequence[Attempt]) -> list[str]:
         if item.quality not in _RANK:
             raise InvalidInputError(f"quality is {item.quality!r}; it must be one of {', '.join(_RANK)}")
         rival = best.get(item.shot)
-        if rival is None or _merit(item) >= _merit(attempts[rival]):
+        if rival is None or _rank_attempt(item) >= _rank_attempt(attempts[rival]):
             best[item.shot] = number
     chosen = set(best.values())
     return [ACCEPTED if number in chosen else SUPERSEDED for number in range(len(attempts))]
 
 
-def _merit(item: Attempt) -> tuple[int, int]:
+def _rank_attempt(item: Attempt) -> tuple[int, int]:
     """Return the sort key of an attempt: its quality, then its number, so that the latest wins."""
     return _RANK[item.quality], item.attempt

@@ -16,7 +16,7 @@ from numpy.fft import irfft, rfft
 from numpy.typing import NDArray
 
 from analysis.errors import InvalidInputError, RecordError
-from analysis.waves.fft_length import fast_length
+from analysis.waves.fft_length import next_fast_length
 
 FloatArray = NDArray[np.float64]
 
@@ -177,7 +177,7 @@ class ReducedRecord:
         return (time_s - self.first_s) / self.step_s
 
 
-def odd(width: float) -> int:
+def nearest_odd(width: float) -> int:
     """Round to the nearest odd number, at least 1."""
     return 2 * max(0, round(0.5 * (width - 1.0))) + 1
 
@@ -229,7 +229,7 @@ def column_medians(table: FloatArray) -> FloatArray:
     return np.asarray(ordered[upper] if len(table) % 2 else (ordered[upper - 1] + ordered[upper]) / 2.0)
 
 
-def kernel(width_blocks: float) -> FloatArray:
+def matched_filter_kernel(width_blocks: float) -> FloatArray:
     """Return the matched filter's weights cos^4(pi t / W) / sum(cos^8), shape (2 k + 1,)."""
     half = math.ceil(width_blocks / 2) - 1
     weights: FloatArray = np.cos(np.pi * np.arange(-half, half + 1) / width_blocks) ** 4
@@ -237,16 +237,16 @@ def kernel(width_blocks: float) -> FloatArray:
 
 
 @lru_cache(maxsize=64)
-def noise_gain(width_blocks: float) -> float:
+def kernel_noise_gain(width_blocks: float) -> float:
     """Return the SD of the matched filter's output for white noise of SD 1."""
-    weights = kernel(width_blocks)
+    weights = matched_filter_kernel(width_blocks)
     return math.sqrt(float(weights @ weights))
 
 
 @lru_cache(maxsize=64)
-def _kernel_spectrum(width_blocks: float, n_fft: int) -> NDArray[np.complex128]:
+def _compute_kernel_spectrum(width_blocks: float, n_fft: int) -> NDArray[np.complex128]:
     """Return the spectrum of the matched filter's weights, centred on sample 0, read-only."""
-    weights = kernel(width_blocks)
+    weights = matched_filter_kernel(width_blocks)
     half = weights.size // 2
     wrapped = np.zeros(n_fft)
     wrapped[np.arange(-half, half + 1)] = weights
@@ -255,7 +255,7 @@ def _kernel_spectrum(width_blocks: float, n_fft: int) -> NDArray[np.complex128]:
     return spectrum
 
 
-def matched_filter(blocks_v: FloatArray, width_blocks: float) -> FloatArray:
+def apply_matched_filter(blocks_v: FloatArray, width_blocks: float) -> FloatArray:
     """Correlate with the pulse cos^4(pi t / W), zeros outside the record.
 
     Parameters
@@ -276,12 +276,12 @@ def matched_filter(blocks_v: FloatArray, width_blocks: float) -> FloatArray:
             "record at a higher rate or correct isw_fwhm_s"
         )
     n = blocks_v.shape[-1]
-    n_fft = fast_length(n + math.ceil(width_blocks / 2))
-    filtered = irfft(rfft(blocks_v, n_fft) * _kernel_spectrum(width_blocks, n_fft), n_fft)[..., :n]
+    n_fft = next_fast_length(n + math.ceil(width_blocks / 2))
+    filtered = irfft(rfft(blocks_v, n_fft) * _compute_kernel_spectrum(width_blocks, n_fft), n_fft)[..., :n]
     return np.asarray(filtered, dtype=np.float64)
 
 
-def noise_rms(samples_v: FloatArray) -> float:
+def estimate_noise_rms(samples_v: FloatArray) -> float:
     """Estimate the white noise of one sample; blind to pulses, hum and offset.
 
     It is 1.4826 MAD(differences) / sqrt(2).
@@ -308,20 +308,20 @@ def noise_rms(samples_v: FloatArray) -> float:
     return MAD_TO_SD * (k + inside) * bin_v / math.sqrt(2.0)
 
 
-def fine_noise(blocks_v: FloatArray) -> float:
+def estimate_fine_noise(blocks_v: FloatArray) -> float:
     """Estimate the white noise of a block mean: 1.4826 MAD(third differences) / sqrt(20).
 
     No wave is left in them: a cos^4 pulse of 65 us leaves 5e-5 of its height at blocks of 1 us.
     """
-    return MAD_TO_SD * median(_third_differences(blocks_v)) / THIRD_DIFFERENCE
+    return MAD_TO_SD * median(_absolute_third_differences(blocks_v)) / THIRD_DIFFERENCE
 
 
-def block_noise(blocks_v: FloatArray, white_v: float) -> float:
+def estimate_block_noise(blocks_v: FloatArray, white_v: float) -> float:
     """Estimate the noise of a block mean.
 
     From white noise, or `fine_noise` where that is significantly larger.
     """
-    differences = _third_differences(blocks_v)
+    differences = _absolute_third_differences(blocks_v)
     limit_v = LEAST_EXCESS * white_v * THIRD_DIFFERENCE / MAD_TO_SD
     # Counting costs less than finding the median.
     if 2 * np.count_nonzero(differences > limit_v) < differences.size:
@@ -330,7 +330,7 @@ def block_noise(blocks_v: FloatArray, white_v: float) -> float:
     return MAD_TO_SD * middle_v / THIRD_DIFFERENCE if middle_v > limit_v else white_v
 
 
-def _third_differences(blocks_v: FloatArray) -> FloatArray:
+def _absolute_third_differences(blocks_v: FloatArray) -> FloatArray:
     """Compute the absolute third differences a - 3 b + 3 c - d, shape (n - 3,)."""
     differences = blocks_v[2:-1] - blocks_v[1:-2]
     differences *= -3.0
@@ -389,12 +389,12 @@ def reduce_records(given: Sequence[VoltRecord], settings: ExtractionSettings) ->
     offset = [median(row[:n_quiet]) for row, n_quiet in zip(blocks, quiet.tolist(), strict=True)]
     blocks -= np.array(offset)[:, None]
 
-    smooth_blocks, width = odd(TOP_SMOOTHING_S / step_s), settings.kernel_width_s / step_s
-    smooth, matched = moving_means(blocks, smooth_blocks), matched_filter(blocks, width)
+    smooth_blocks, width = nearest_odd(TOP_SMOOTHING_S / step_s), settings.kernel_width_s / step_s
+    smooth, matched = moving_means(blocks, smooth_blocks), apply_matched_filter(blocks, width)
     records = []
     for k, one in enumerate(given):
-        noise_v = noise_rms(one.samples_v)
-        block_noise_v = block_noise(blocks[k], noise_v / math.sqrt(block_samples))
+        noise_v = estimate_noise_rms(one.samples_v)
+        block_noise_v = estimate_block_noise(blocks[k], noise_v / math.sqrt(block_samples))
         records.append(
             ReducedRecord(
                 blocks_v=blocks[k],
@@ -408,7 +408,7 @@ def reduce_records(given: Sequence[VoltRecord], settings: ExtractionSettings) ->
                 offset_v=offset[k],
                 noise_rms_v=noise_v,
                 block_noise_v=block_noise_v,
-                matched_noise_v=block_noise_v * noise_gain(width),
+                matched_noise_v=block_noise_v * kernel_noise_gain(width),
                 quiet_blocks=int(quiet[k]),
             )
         )

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from analysis.waves.distortion import find_flattened, find_lost_samples
-from analysis.waves.features import ALL_FEATURE_NAMES, ShotFeatures, with_flags
+from analysis.waves.features import ALL_FEATURE_NAMES, ShotFeatures, apply_flags
 from analysis.waves.outline import find_unlike_others
 from analysis.waves.quality_gate import DISTURBED
 from analysis.waves.record_reduction import MAD_TO_SD, FloatArray, median
@@ -98,23 +98,26 @@ def learn_template(shots: Sequence[ShotFeatures]) -> Template | None:
     if len(valid) < FEWEST_SHOTS:
         return None
     ordered = np.sort([[getattr(shot, name) for name in LEARNT_FROM] for shot in valid], axis=0)
-    middle = dict(zip(LEARNT_FROM, _quantile(ordered, 0.5).tolist(), strict=True))
+    middle = dict(zip(LEARNT_FROM, _column_quantiles(ordered, 0.5).tolist(), strict=True))
     arrivals_s = np.abs(ordered[:, LEARNT_FROM.index("isw_time_s")] - middle["isw_time_s"])
     return Template(
         isw_fwhm_s=middle["isw_fwhm_s"],
         # Weak strikes are lower, nothing is higher: the middle of the sound ones, were half of all weak.
-        isw_amplitude_v=float(_quantile(ordered, STRONG_QUARTER)[LEARNT_FROM.index("isw_amplitude_v")]),
+        isw_amplitude_v=float(
+            _column_quantiles(ordered, STRONG_QUARTER)[LEARNT_FROM.index("isw_amplitude_v")]
+        ),
         amplitude_ratio=middle["amplitude_ratio"],
         # Not the middle: where every second shot is disturbed, the sound ones are the others.
-        pull_fraction=float(_quantile(ordered, SHALLOW_QUARTER)[LEARNT_FROM.index("pull_fraction")]),
+        pull_fraction=float(_column_quantiles(ordered, SHALLOW_QUARTER)[LEARNT_FROM.index("pull_fraction")]),
         merged=2 * sum("psw_merged" in shot.flags for shot in valid) >= len(valid),
-        earliest_tof_s=EARLIEST * float(_quantile(ordered, EARLIEST_TENTH)[LEARNT_FROM.index("tof_mf_s")]),
+        earliest_tof_s=EARLIEST
+        * float(_column_quantiles(ordered, EARLIEST_TENTH)[LEARNT_FROM.index("tof_mf_s")]),
         isw_time_s=middle["isw_time_s"],
         isw_time_sd_s=MAD_TO_SD * median(arrivals_s),
     )
 
 
-def _quantile(ordered: FloatArray, part: float) -> FloatArray:
+def _column_quantiles(ordered: FloatArray, part: float) -> FloatArray:
     """Compute a quantile of each column of sorted numbers, linear between two.
 
     `numpy.quantile` is slow.
@@ -134,19 +137,19 @@ def flag_residual_reflections(shots: Sequence[ShotFeatures], usual_ratio: float 
     """
     limit = WEAKEST_REFLECTION * (usual_ratio or 0.0)
     return [
-        _has_no_reflection(shot) if shot.amplitude_ratio < limit and not shot.compared else shot
+        _flag_without_reflection(shot) if shot.amplitude_ratio < limit and not shot.compared else shot
         for shot in shots
     ]
 
 
-def _has_no_reflection(shot: ShotFeatures) -> ShotFeatures:
+def _flag_without_reflection(shot: ShotFeatures) -> ShotFeatures:
     """Return the shot without a reflected wave, with the flag ``no_psw`` (``missed`` if disturbed)."""
     # What is no strike alone can be no sign of a hole.
     flag = "missed" if DISTURBED in shot.flags else "no_psw"
-    return with_flags(replace(_of_incident_wave(shot), outline=None), {*shot.flags, flag} - {"psw_merged"})
+    return apply_flags(replace(_keep_incident_wave(shot), outline=None), {*shot.flags, flag} - {"psw_merged"})
 
 
-def _of_incident_wave(shot: ShotFeatures) -> ShotFeatures:
+def _keep_incident_wave(shot: ShotFeatures) -> ShotFeatures:
     """Return the shot with NaN for every feature that is not of the incident wave or the noise."""
     unknown = [name for name in ALL_FEATURE_NAMES if not name.startswith(("isw_", "noise_"))]
     nothing: dict[str, Any] = dict.fromkeys(unknown, math.nan)
@@ -168,7 +171,7 @@ def compare_with_others(shots: Sequence[ShotFeatures], template: Template | None
     foreign = find_unlike_others(outlines, tofs_s) | find_lost_samples(outlines, tofs_s)
     for flag, flagged in ((DISTURBED, foreign), ("clipped", find_flattened(outlines, tofs_s) & ~foreign)):
         for index in compress(seen, flagged):
-            found[index] = with_flags(found[index], {*found[index].flags, flag})
+            found[index] = apply_flags(found[index], {*found[index].flags, flag})
     return found
 
 
@@ -183,9 +186,9 @@ def compare_with_template(shot: ShotFeatures, template: Template | None) -> Shot
     # A plateau widens a wave, two strikes in one do too: those are reported already.
     other = not NARROWEST <= width <= WIDEST and {"clipped", "double"}.isdisjoint(shot.flags)
     if "no_psw" in shot.flags:
-        other = other or abs(width - 1.0) > LIKE_ITS_OWN or _arrival_differs(shot, template)
+        other = other or abs(width - 1.0) > LIKE_ITS_OWN or _has_other_arrival(shot, template)
     if other or shot.isw_amplitude_v < WEAKEST * template.isw_amplitude_v:
-        return with_flags(_of_incident_wave(shot), {*shot.flags, "missed"} - {"no_psw"})
+        return apply_flags(_keep_incident_wave(shot), {*shot.flags, "missed"} - {"no_psw"})
     found = set(shot.flags)
     height = shot.isw_amplitude_v / template.isw_amplitude_v
     if height < LOWERED and width * height**WIDTH_POWER > WIDENED:
@@ -205,10 +208,10 @@ def compare_with_template(shot: ShotFeatures, template: Template | None) -> Shot
     typical_ratio = template.amplitude_ratio
     if typical_ratio is not None and shot.amplitude_ratio > STRONGEST_REFLECTION * typical_ratio:
         found.add("double")
-    return shot if len(found) == len(shot.flags) else with_flags(shot, found)
+    return shot if len(found) == len(shot.flags) else apply_flags(shot, found)
 
 
-def _arrival_differs(shot: ShotFeatures, template: Template) -> bool:
+def _has_other_arrival(shot: ShotFeatures, template: Template) -> bool:
     """Check whether the incident wave arrives at another time than in the template."""
     if template.isw_time_s is None:
         return False

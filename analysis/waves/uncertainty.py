@@ -20,9 +20,15 @@ from functools import lru_cache
 
 import numpy as np
 
-from analysis.waves.noise_colour import NoiseColour, noise_colour
-from analysis.waves.pulses import FLANK_SMOOTHING_S, Pulse, Pulses, quartic_design
-from analysis.waves.record_reduction import ExtractionSettings, FloatArray, ReducedRecord, kernel, odd
+from analysis.waves.noise_colour import NoiseColour, estimate_noise_colour
+from analysis.waves.pulses import FLANK_SMOOTHING_S, Pulse, Pulses, quartic_design_matrix
+from analysis.waves.record_reduction import (
+    ExtractionSettings,
+    FloatArray,
+    ReducedRecord,
+    matched_filter_kernel,
+    nearest_odd,
+)
 
 STANDS_OUT = 20.0
 """Height over its standard deviation, below which a time's is not of first order and is not told."""
@@ -35,7 +41,7 @@ ENERGY, SLOPE_ENERGY, AREA = 0.751, 2.06, 1.030
 sech^2 1.88), itself."""
 
 
-def standard_deviations(
+def compute_standard_deviations(
     record: ReducedRecord, pulses: Pulses, values: dict[str, float], settings: ExtractionSettings
 ) -> dict[str, float]:
     """Propagate a record's noise to the standard deviation of each available feature.
@@ -46,7 +52,9 @@ def standard_deviations(
         Features by name, without those that are not available.
     """
     isw, psw, ssw = pulses.isw, pulses.psw, pulses.ssw
-    noise = noise_colour(record, *((math.nan, math.nan) if isw is None else (isw.time_s, isw.fwhm_s)))
+    noise = estimate_noise_colour(
+        record, *((math.nan, math.nan) if isw is None else (isw.time_s, isw.fwhm_s))
+    )
     found = {"noise_rms_v": noise.rms_sd * record.noise_rms_v}
     if isw is None or "isw_time_s" not in values:
         return found
@@ -54,12 +62,12 @@ def standard_deviations(
     times, heights = {}, {}
     for name, pulse in (("isw", isw), ("psw", psw), ("ssw", ssw)):
         if pulse is not None and pulse.regular:
-            times[name], heights[name] = _quartic_variances(pulse, s2, record.step_s)
+            times[name], heights[name] = _compute_quartic_variances(pulse, s2, record.step_s)
             if pulse.amplitude_v > STANDS_OUT * math.sqrt(heights[name]):
                 found[f"{name}_time_s"] = math.sqrt(times[name])
             found[f"{name}_amplitude_v"] = math.sqrt(heights[name] + level2)
     if "isw" in heights and isw.fwhm_s > 0.0:
-        flanks = 2.0 * noise.flank2 / odd(FLANK_SMOOTHING_S / record.step_s)
+        flanks = 2.0 * noise.flank2 / nearest_odd(FLANK_SMOOTHING_S / record.step_s)
         flanks -= 2.0 * EDGE_OF_FIT * s2 / isw.top_points
         slope = FLANK_SLOPE * isw.amplitude_v / isw.fwhm_s
         found["isw_fwhm_s"] = math.sqrt(flanks + heights["isw"] + level2) / slope
@@ -67,7 +75,8 @@ def standard_deviations(
         return found
     ratio, isw_v = psw.amplitude_v / isw.amplitude_v, isw.amplitude_v
     found["tof_mf_s"] = math.sqrt(
-        _matched_time_variance(isw, record, settings, s2) + _matched_time_variance(psw, record, settings, s2)
+        _compute_matched_time_variance(isw, record, settings, s2)
+        + _compute_matched_time_variance(psw, record, settings, s2)
     )
     if "isw" in heights and "psw" in heights:
         found["tof_pp_s"] = math.sqrt(times["isw"] + times["psw"])
@@ -89,9 +98,9 @@ def standard_deviations(
     return found
 
 
-def _quartic_variances(pulse: Pulse, s2: float, step_s: float) -> tuple[float, float]:
+def _compute_quartic_variances(pulse: Pulse, s2: float, step_s: float) -> tuple[float, float]:
     """Return the variances of time (s^2) and height (V^2) of a pulse's quartic fit."""
-    u, inverse = pulse.top_place, _inverse(pulse.top_points)
+    u, inverse = pulse.top_place, _inverse_normal_matrix(pulse.top_points)
     powers = np.array([1.0, u, u * u, u**3, u**4])
     slopes = np.array([0.0, 1.0, 2.0 * u, 3.0 * u * u, 4.0 * u**3])
     half_s = 0.5 * (pulse.top_points - 1) * step_s
@@ -100,13 +109,13 @@ def _quartic_variances(pulse: Pulse, s2: float, step_s: float) -> tuple[float, f
 
 
 @lru_cache(maxsize=1024)
-def _inverse(n: int) -> FloatArray:
+def _inverse_normal_matrix(n: int) -> FloatArray:
     """Return (X^T X)^-1 of the quartic fit on n points, shape (5, 5)."""
-    _, solver = quartic_design(n)
+    _, solver = quartic_design_matrix(n)
     return np.asarray(solver @ solver.T)
 
 
-def _matched_time_variance(
+def _compute_matched_time_variance(
     pulse: Pulse, record: ReducedRecord, settings: ExtractionSettings, s2: float
 ) -> float:
     """Return the variance of a matched-filter time in s^2; NaN where the filter has no maximum."""
@@ -119,7 +128,7 @@ def _matched_time_variance(
 @lru_cache(maxsize=64)
 def _kernel_slope_energy(width_blocks: float) -> float:
     """Return the sum of squares of the matched filter's central differences."""
-    weights = np.pad(kernel(width_blocks), 2)
+    weights = np.pad(matched_filter_kernel(width_blocks), 2)
     slopes = 0.5 * (weights[2:] - weights[:-2])
     return float(slopes @ slopes)
 

@@ -47,17 +47,17 @@ def unscheduled_set(number: int, after: DueSet, utc_ns: int, position: str) -> D
     )
 
 
-def due_hours(phases: Sequence[PhaseLike], *, end_h: float | None = None) -> list[float]:
+def list_due_hours(phases: Sequence[PhaseLike], *, end_h: float | None = None) -> list[float]:
     """Return the hours of all sets in order; ``end_h`` ends the schedule early (inclusive).
 
     Each hour is counted from its phase's start, so no rounding error piles up.
     """
-    hours = _hours_of(tuple((phase.until_h, phase.interval_h) for phase in phases))
+    hours = _compute_phase_hours(tuple((phase.until_h, phase.interval_h) for phase in phases))
     return list(hours if end_h is None else hours[: bisect_right(hours, end_h)])
 
 
 @lru_cache(maxsize=16)
-def _hours_of(phases: tuple[tuple[float, float], ...]) -> tuple[float, ...]:
+def _compute_phase_hours(phases: tuple[tuple[float, float], ...]) -> tuple[float, ...]:
     """Return the hours of all sets of the phases."""
     # A year has many sets, and each answer of the web service needs them.
     hours: list[float] = []
@@ -70,9 +70,9 @@ def _hours_of(phases: tuple[tuple[float, float], ...]) -> tuple[float, ...]:
     return tuple(hours)
 
 
-def plan(phases: Sequence[PhaseLike], epoch_utc_ns: int, *, end_h: float | None = None) -> list[DueSet]:
+def plan_sets(phases: Sequence[PhaseLike], epoch_utc_ns: int, *, end_h: float | None = None) -> list[DueSet]:
     """Return all scheduled sets of an experiment that starts at ``epoch_utc_ns``."""
     return [
         DueSet(set_index=index, due_h=hour, due_utc_ns=epoch_utc_ns + round(hour * NS_PER_H))
-        for index, hour in enumerate(due_hours(phases, end_h=end_h))
+        for index, hour in enumerate(list_due_hours(phases, end_h=end_h))
     ]

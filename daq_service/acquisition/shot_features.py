@@ -27,7 +27,7 @@ class AnalysedWaveform(Waveform):
     features: ShotFeatures
 
 
-def analysed(acquired: Sequence[Acquired | None]) -> list[Acquired | None]:
+def extract_record_features(acquired: Sequence[Acquired | None]) -> list[Acquired | None]:
     """Extract the features of records together; where one fails, all come without."""
     waveforms = [one.waveform for one in acquired if one is not None]
     try:
@@ -42,7 +42,7 @@ def analysed(acquired: Sequence[Acquired | None]) -> list[Acquired | None]:
     return [one and replace(one, waveform=with_features(one.waveform)) for one in acquired]
 
 
-def features_of(shot: Shot) -> ShotFeatures:
+def extract_shot_features(shot: Shot) -> ShotFeatures:
     """Extract the features of a shot; a shot that cannot be analysed is flagged."""
     if isinstance(shot.waveform, AnalysedWaveform):
         return shot.waveform.features
@@ -53,15 +53,15 @@ def features_of(shot: Shot) -> ShotFeatures:
         return ShotFeatures(flags=(NOT_ANALYSED,), valid=False, quality="bad")
 
 
-def features_of_all(shots: Sequence[Shot]) -> list[ShotFeatures]:
+def extract_features_of_shots(shots: Sequence[Shot]) -> list[ShotFeatures]:
     """Extract the features of many shots; the same as `features_of`, but faster."""
     try:
         return extract_all([shot.waveform for shot in shots])
     except Exception:  # noqa: BLE001 each is tried alone, which logs the one
-        return [features_of(shot) for shot in shots]
+        return [extract_shot_features(shot) for shot in shots]
 
 
-def features_of_a_rehearsal(shot: Shot) -> ShotFeatures:
+def compute_rehearsal_features(shot: Shot) -> ShotFeatures:
     """Return the only feature of a rehearsal's noise: its RMS about the mean, in V."""
     noise_rms_v = float(np.std(shot.waveform.volts()))
     return ShotFeatures(flags=(DRY_RUN,), valid=False, quality="bad", noise_rms_v=noise_rms_v)

@@ -9,7 +9,7 @@ from hardware_drivers.measurement import DueSet, ShotKey
 from hardware_drivers.nanoseconds import NS_PER_S
 
 
-def strikes_after(
+def build_strike_predictor(
     sets: Sequence[DueSet], positions: Sequence[str], *, shots_per_set: int, shot_interval_s: float
 ) -> Callable[[ShotKey, int], Iterator[tuple[ShotKey, int]]]:
     """Return a function that predicts the strikes of `take_set` after a given strike.

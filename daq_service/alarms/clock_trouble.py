@@ -7,7 +7,7 @@ from daq_service.alarms.states import Condition
 CLOCK_UNVERIFIED = "clock_unverified"
 
 
-def doubt_condition(reason: str) -> Condition:
+def build_clock_condition(reason: str) -> Condition:
     """Return the condition of the alarm that is active while the recorder waits for a verified clock.
 
     Parameters

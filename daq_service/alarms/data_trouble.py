@@ -11,7 +11,7 @@ SHOWN = 5
 """Maximum number of files in a message."""
 
 
-def damage_condition(
+def build_damage_condition(
     set_aside: Sequence[str], damaged: Mapping[str, str] = MappingProxyType({})
 ) -> Condition:
     """Return the condition of corrupt data: sets in quarantine, or stored files that are corrupt or missing.
@@ -23,7 +23,7 @@ def damage_condition(
     damaged
         Files of sets that have rows, and copies of journal segments, with the fault of each.
     """
-    messages = [f"{file} {_sentence(fault)}" for file, fault in list(damaged.items())[:SHOWN]]
+    messages = [f"{file} {_describe_file_problem(fault)}" for file, fault in list(damaged.items())[:SHOWN]]
     messages += [f"and {len(damaged) - SHOWN} more"] if len(damaged) > SHOWN else []
     messages += ["solimon verify names all of it, solimon repair what helps"] if damaged else []
     if set_aside:
@@ -37,12 +37,12 @@ def damage_condition(
     )
 
 
-def _sentence(fault: str) -> str:
+def _describe_file_problem(fault: str) -> str:
     """Return what is wrong with a file as a predicate."""
     return fault if fault.startswith("is ") else f"is damaged: {fault}"
 
 
-def space_condition(free_space: str, *, present: bool, stops: bool) -> Condition:
+def build_space_condition(free_space: str, *, present: bool, stops: bool) -> Condition:
     """Return the condition of low disk space; its priority rises when storing stops.
 
     Parameters
@@ -59,7 +59,7 @@ def space_condition(free_space: str, *, present: bool, stops: bool) -> Condition
     )
 
 
-def storage_condition(message: str, *, present: bool, waits_in: str = "memory") -> Condition:
+def build_storage_condition(message: str, *, present: bool, waits_in: str = "memory") -> Condition:
     """Return the condition of failed writes: sets wait in memory, or complete ones in the journal.
 
     Parameters

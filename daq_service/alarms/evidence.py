@@ -28,7 +28,7 @@ INCIDENT: Mapping[str, str] = _TEXTS["incident"]
 MOST_FEATURES = 3
 
 
-def evidence_sentences(
+def build_evidence_sentences(
     row: AlarmRow, baselines: Mapping[int, BaselineRow] = MappingProxyType({})
 ) -> list[str]:
     """Return the evidence of an alarm as sentences: values, limits, largest contributions, and time.
@@ -40,7 +40,7 @@ def evidence_sentences(
     """
     baseline = baselines.get(row.evidence.get("baseline_id", 0))
     name = None if baseline is None else baseline.name
-    doubts = [] if baseline is None else baseline_doubts(baseline.baseline_quality)
+    doubts = [] if baseline is None else describe_baseline_anomalies(baseline.baseline_quality)
     with_set = "" if row.raised_set_key is None else f" with set {row.raised_set_key}"
     extractor = row.evidence.get("extractor_version")
     version = "" if extractor is None else f"; computed by extractor {extractor}"
@@ -53,10 +53,10 @@ def evidence_sentences(
 
 def describe_evidence(kind: str, evidence: Evidence) -> list[str]:
     """Return the sentences without the time, the most important first; empty without evidence."""
-    return list(_OF_KIND.get(kind, _supply)(evidence))
+    return list(_OF_KIND.get(kind, _describe_supply)(evidence))
 
 
-def baseline_doubts(baseline_quality: Mapping[str, Any] | None) -> list[str]:
+def describe_baseline_anomalies(baseline_quality: Mapping[str, Any] | None) -> list[str]:
     """Describe the anomalies of a baseline (`assessment.baseline_quality`)."""
     return [
         {
@@ -86,7 +86,7 @@ class _Sentences(Formatter):
         return str(super().format_field(value, format_spec))
 
 
-def _filled(part: str, evidence: Evidence) -> Iterator[str]:
+def _fill_sentences(part: str, evidence: Evidence) -> Iterator[str]:
     """Yield the sentences of a part of the table whose values are all known."""
     for sentence in _TEXTS["sentences"][part]:
         try:
@@ -96,7 +96,7 @@ def _filled(part: str, evidence: Evidence) -> Iterator[str]:
         yield text
 
 
-def _signal_change(evidence: Evidence) -> Iterator[str]:
+def _describe_signal_change(evidence: Evidence) -> Iterator[str]:
     """Yield the sentences of a signal change: size, diagnosis and confirmation set.
 
     The size is that of the control chart if it decides, otherwise the squared distance.
@@ -120,35 +120,35 @@ def _signal_change(evidence: Evidence) -> Iterator[str]:
         **evidence,
         "baseline": evidence.get("baseline") or "the baseline",
         "times_limit": None if statistic is None or limit is None else statistic / limit,
-        "shares": _shares(evidence.get("contributions") or {}) or None,
+        "shares": _list_contributions(evidence.get("contributions") or {}) or None,
         "limit_words": limit_words,
         "changes": ", ".join(changes) if "changes" in details else None,
     }
-    yield from _filled(part, known)
-    yield from _filled("cause", known)
+    yield from _fill_sentences(part, known)
+    yield from _fill_sentences("cause", known)
     if confirmation := evidence.get("confirmation"):
-        yield confirmation_sentence(confirmation)
+        yield describe_confirmation(confirmation)
         if confirmation["confirms"] is False and evidence.get("diagnosis") == "wall":
             yield "The wall is named all the same: its probability counts that set and those planned since."
 
 
-def confirmation_sentence(confirmation: Evidence) -> str:
+def describe_confirmation(confirmation: Evidence) -> str:
     """Describe the result of a confirmation set (`assessment.confirmation.ConfirmationResult`)."""
     at = f"{format_utc(confirmation['utc_ns'], 0)} (hour {confirmation['due_h']:.2f})"
     if confirmation["confirms"] is None:
         return (
             f"The confirmation set at {at} cannot tell: {confirmation['reason'] or 'a feature is missing'}."
         )
-    if known := _values(confirmation, "distance_squared", "limit"):
+    if known := _collect_values(confirmation, "distance_squared", "limit"):
         distance, limit = known
         relation = "beyond" if distance > limit else "within"
-        at += f", squared distance {_number(distance)}, {relation} the limit of {_number(limit)},"
+        at += f", squared distance {_format(distance)}, {relation} the limit of {_format(limit)},"
     if confirmation["confirms"]:
         return f"Confirmed: the set at {at} lies where the planned sets before it do."
     return f"Not confirmed: the set at {at} lies nearer to the baseline than to the planned sets before it."
 
 
-def _shares(contributions: Mapping[str, float | None]) -> str:
+def _list_contributions(contributions: Mapping[str, float | None]) -> str:
     """Return the features that contribute most; empty if none is known."""
     known = {name: value for name, value in contributions.items() if value is not None}
     total = sum(known.values())
@@ -160,28 +160,28 @@ def _shares(contributions: Mapping[str, float | None]) -> str:
     )
 
 
-def _thickness(evidence: Evidence) -> Iterator[str]:
+def _describe_thickness(evidence: Evidence) -> Iterator[str]:
     """Yield the sentences of a wall thickness and its limit."""
     known = dict(evidence)
-    if values := _values(evidence, "thickness_m", "limit_m"):
+    if values := _collect_values(evidence, "thickness_m", "limit_m"):
         wall_m, limit_m = values
         known["difference_m"] = difference_m = abs(limit_m - wall_m)
         known |= {"percent": 100.0 * difference_m / limit_m, "side": "below" if wall_m < limit_m else "above"}
     rms_m = evidence.get("roughness_rms_m")
     known["roughness"] = "" if rms_m is None else f", its roughness is about {1e6 * rms_m:.0f} µm RMS"
-    yield from _filled("thickness_low", known)
+    yield from _fill_sentences("thickness_low", known)
 
 
-def _rig(evidence: Evidence) -> Iterator[str]:
+def _describe_rig_error(evidence: Evidence) -> Iterator[str]:
     """Yield the sentence of an instrument error."""
     if (set_index := evidence.get("set_index")) is None:
-        yield from _filled("opening", evidence)
+        yield from _fill_sentences("opening", evidence)
     else:
         set_key = SetKey(set_index, evidence.get("unscheduled_index", 0))
-        yield from _filled("instruments", {**evidence, "set_key": set_key})
+        yield from _fill_sentences("instruments", {**evidence, "set_key": set_key})
 
 
-def _data(evidence: Evidence) -> Iterator[str]:
+def _describe_corrupt_files(evidence: Evidence) -> Iterator[str]:
     """Yield the sentences of corrupt files."""
     for file, fault in (evidence.get("damaged") or {}).items():
         yield f"{file}: {fault}."
@@ -189,38 +189,38 @@ def _data(evidence: Evidence) -> Iterator[str]:
         yield f"Set aside, damaged and without rows: {', '.join(quarantined)}."
 
 
-def _supply(evidence: Evidence) -> Iterator[str]:
+def _describe_supply(evidence: Evidence) -> Iterator[str]:
     """Yield the sentences of the supply's newest reading."""
     age_s = evidence.get("supply_age_s")
-    yield from _filled("supply", {**evidence, "age": "" if age_s is None else f", {age_s:.0f} s old"})
+    yield from _fill_sentences("supply", {**evidence, "age": "" if age_s is None else f", {age_s:.0f} s old"})
 
 
 _OF_KIND: Mapping[str, Callable[[Evidence], Iterator[str]]] = {
-    "wall_change": _signal_change,
-    "transducer_change": _signal_change,
-    "thickness_low": _thickness,
-    "no_reflection": partial(_filled, "no_reflection"),
-    "few_valid_shots": partial(_filled, "poor_sets"),
-    "transducer_disabled": partial(_filled, "poor_sets"),
-    "instruments_unavailable": _rig,
-    "data_corrupt": _data,
+    "wall_change": _describe_signal_change,
+    "transducer_change": _describe_signal_change,
+    "thickness_low": _describe_thickness,
+    "no_reflection": partial(_fill_sentences, "no_reflection"),
+    "few_valid_shots": partial(_fill_sentences, "poor_sets"),
+    "transducer_disabled": partial(_fill_sentences, "poor_sets"),
+    "instruments_unavailable": _describe_rig_error,
+    "data_corrupt": _describe_corrupt_files,
 }
 """Functions by kind of alarm; all other kinds have the evidence of the supply, or none."""
 
 
-def _values(evidence: Evidence, *names: str) -> list[Any]:
+def _collect_values(evidence: Evidence, *names: str) -> list[Any]:
     """Return the values of these keys; an empty list if one is missing."""
     values = [evidence.get(name) for name in names]
     return [] if None in values else values
 
 
-def _number(value: float) -> str:
+def _format(value: float) -> str:
     """Format a value with three significant digits."""
     return f"{value:.3g}" if abs(value) < 1000.0 else f"{value:.0f}"
 
 
 _UNITS: Mapping[str, Callable[[float], str]] = {
-    "number": _number,
+    "number": _format,
     "mm": lambda value_m: f"{1e3 * value_m:.3f} mm",
     "us": lambda value_s: f"{1e6 * value_s:.3f} µs",
     "milli": lambda value: f"{1e3 * value:.2f}",

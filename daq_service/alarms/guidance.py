@@ -41,13 +41,13 @@ GUIDANCE: Mapping[str, Guidance] = {
 """By kind of alarm, the gravest for the wall first."""
 
 
-def in_order(steps: Sequence[str]) -> str:
+def join_numbered_steps(steps: Sequence[str]) -> str:
     """Return numbered steps as one sentence."""
     parts = [f"{number} {step}" for number, step in enumerate(steps, start=1)]
     return "".join(part + (" " if part.endswith("?") else "; ") for part in parts).rstrip("; ")
 
 
-def as_markdown() -> str:
+def format_markdown() -> str:
     """Return the guidance as the Markdown table of the how-to."""
     lines = ["| Kind | It says | It does not say | Look first | Whom to call |", "|---|---|---|---|---|"]
     for kind, guidance in GUIDANCE.items():
@@ -55,7 +55,7 @@ def as_markdown() -> str:
             f"`{kind}`",
             guidance.meaning,
             guidance.limitations,
-            in_order(guidance.checks),
+            join_numbered_steps(guidance.checks),
             guidance.contact,
         )
         lines.append(f"| {' | '.join(cells)} |")

@@ -18,7 +18,7 @@ LONGEST_SHELF_H = 72.0
 """Maximum time of a shelf: a weekend."""
 
 
-def acknowledge(row: AlarmRow, author: str, note: str, moment: Moment) -> Change:
+def acknowledge_alarm(row: AlarmRow, author: str, note: str, moment: Moment) -> Change:
     """Acknowledge an alarm.
 
     Raises
@@ -39,7 +39,7 @@ def acknowledge(row: AlarmRow, author: str, note: str, moment: Moment) -> Change
     )
 
 
-def reset(row: AlarmRow, author: str, note: str, moment: Moment) -> Change:
+def reset_alarm(row: AlarmRow, author: str, note: str, moment: Moment) -> Change:
     """Reset an alarm: a person has removed its cause, or ends its monitoring.
 
     Raises
@@ -62,7 +62,7 @@ def reset(row: AlarmRow, author: str, note: str, moment: Moment) -> Change:
     return replace(change, author=author)
 
 
-def without_expired_shelf(row: AlarmRow, *, utc_ns: int, wall_utc_ns: int) -> AlarmRow:
+def remove_expired_shelf(row: AlarmRow, *, utc_ns: int, wall_utc_ns: int) -> AlarmRow:
     """Return the row as it is at a moment: without its shelf if that has expired.
 
     Parameters
@@ -79,7 +79,7 @@ def without_expired_shelf(row: AlarmRow, *, utc_ns: int, wall_utc_ns: int) -> Al
 
 def end_expired_shelf(row: AlarmRow, moment: Moment, wall_utc_ns: int) -> Change | None:
     """End an expired shelf; None if there is none."""
-    current_row = without_expired_shelf(row, utc_ns=moment.utc_ns, wall_utc_ns=wall_utc_ns)
+    current_row = remove_expired_shelf(row, utc_ns=moment.utc_ns, wall_utc_ns=wall_utc_ns)
     return None if current_row is row else change_state(current_row, row.state, moment, "alarm_shelf_expired")
 
 

@@ -8,7 +8,7 @@ RECORDER_NOT_RUNNING = "recorder_not_running"
 WEB_NOT_RESPONDING = "web_not_responding"
 
 
-def recorder_condition(finding: str, hour: float) -> Condition:
+def build_recorder_condition(finding: str, hour: float) -> Condition:
     """Return the condition of a missing recorder; it ends when a scheduled set is stored.
 
     Parameters
@@ -28,7 +28,7 @@ def recorder_condition(finding: str, hour: float) -> Condition:
     )
 
 
-def web_condition(hour: float, *, present: bool) -> Condition:
+def build_web_condition(hour: float, *, present: bool) -> Condition:
     """Return the condition of a web service of this test that stalls, or has ended without notice.
 
     Parameters

@@ -13,7 +13,7 @@ PASSING = (BusyError.__name__, ConnectionLostError.__name__)
 """Errors that may be gone at the next set: a busy board may be free, a lost connection restored."""
 
 
-def lost_cause(missed: Sequence[MissedShot]) -> str:
+def find_connection_loss(missed: Sequence[MissedShot]) -> str:
     """Return the last cause if all these attempts lost the connection; else an empty text.
 
     Parameters
@@ -26,7 +26,7 @@ def lost_cause(missed: Sequence[MissedShot]) -> str:
     return missed[-1].cause
 
 
-def rig_condition(due: DueSet, trouble: str, unanswered: str, *, proven: bool) -> Condition:
+def build_rig_condition(due: DueSet, trouble: str, unanswered: str, *, proven: bool) -> Condition:
     """Return the condition of instruments that do not respond, are busy, or report an error.
 
     Parameters
@@ -58,7 +58,7 @@ def rig_condition(due: DueSet, trouble: str, unanswered: str, *, proven: bool) -
     )
 
 
-def opening_condition(trouble: InstrumentError | None) -> Condition:
+def build_opening_condition(trouble: InstrumentError | None) -> Condition:
     """Return the condition of a started test that waits for its rig to open; its evidence has no set."""
     return Condition(
         kind=RIG_UNAVAILABLE,

@@ -127,7 +127,7 @@ class Moment:
         )
 
 
-def disabled_positions(alarms: Iterable[AlarmRow]) -> dict[str, str]:
+def find_disabled(alarms: Iterable[AlarmRow]) -> dict[str, str]:
     """Return the disabled transducers, each with the message of its alarm.
 
     Parameters
@@ -142,7 +142,7 @@ def disabled_positions(alarms: Iterable[AlarmRow]) -> dict[str, str]:
     }
 
 
-def update(row: AlarmRow | None, condition: Condition, moment: Moment) -> Change | None:
+def update_alarm(row: AlarmRow | None, condition: Condition, moment: Moment) -> Change | None:
     """Update an alarm with the condition of one assessment; None if nothing changes.
 
     Parameters
@@ -154,12 +154,12 @@ def update(row: AlarmRow | None, condition: Condition, moment: Moment) -> Change
     if condition.present and (row is None or row.state == "normal"):
         # Suppression applies to position and kind, so it continues for the next alarm.
         suppressed = {name: getattr(row, name) for name in SUPPRESSION} if row is not None else {}
-        return Change(row=replace(_new_row(condition, moment), **suppressed), event_kind="alarm_raised")
+        return Change(row=replace(_build_new_row(condition, moment), **suppressed), event_kind="alarm_raised")
     if row is None:
         return None
     if condition.present:
         if row.state == "returned_unacknowledged":
-            updated = _updated_columns(row, condition)
+            updated = _compute_updated_columns(row, condition)
             return change_state(
                 row, "unacknowledged", moment, "alarm_reactivated", cleared_utc_ns=None, **updated
             )
@@ -170,7 +170,7 @@ def update(row: AlarmRow | None, condition: Condition, moment: Moment) -> Change
                 "unacknowledged",
                 moment,
                 "alarm_priority_raised",
-                **_updated_columns(row, condition),
+                **_compute_updated_columns(row, condition),
                 # The shelf does not cover the new priority or diagnosis.
                 **(NOT_SUPPRESSED if row.suppressed == "shelved" else {}),
             )
@@ -188,7 +188,7 @@ def add_evidence(row: AlarmRow, evidence: Mapping[str, object], moment: Moment) 
     )
 
 
-def _new_row(condition: Condition, moment: Moment) -> AlarmRow:
+def _build_new_row(condition: Condition, moment: Moment) -> AlarmRow:
     """Return the row of an alarm that a condition raises."""
     return AlarmRow(
         position=condition.position,
@@ -202,17 +202,17 @@ def _new_row(condition: Condition, moment: Moment) -> AlarmRow:
         raised_unscheduled_index=moment.unscheduled_index,
         changed_utc_ns=moment.utc_ns,
         message=condition.message,
-        evidence=_evidence_of(condition),
+        evidence=_build_evidence(condition),
     )
 
 
-def _updated_columns(row: AlarmRow, condition: Condition) -> dict[str, Any]:
+def _compute_updated_columns(row: AlarmRow, condition: Condition) -> dict[str, Any]:
     """Return priority, message and evidence of an existing alarm, updated with its condition."""
     priority = max(row.priority, condition.priority, key=PRIORITIES.index)
-    return {"priority": priority, "message": condition.message, "evidence": _evidence_of(condition)}
+    return {"priority": priority, "message": condition.message, "evidence": _build_evidence(condition)}
 
 
-def _evidence_of(condition: Condition) -> dict[str, Any]:
+def _build_evidence(condition: Condition) -> dict[str, Any]:
     """Return the evidence of a condition, with what is known of its cause."""
     return dict(condition.evidence) | ({"known": condition.known} if condition.known else {})
 

@@ -19,7 +19,7 @@ _AUTHOR_AND_REASON: Mapping[str, tuple[str, str]] = {
 _BY_THEMSELVES = ("alarm_raised", "alarm_reactivated", "alarm_priority_raised")
 
 
-def transition(event: EventRow) -> dict[str, Any]:
+def build_transition(event: EventRow) -> dict[str, Any]:
     """Convert an event of the topic ``alarms`` to a transition; times in ns of UTC."""
     payload = event.payload
     author, reason = _AUTHOR_AND_REASON.get(event.kind, ("", ""))

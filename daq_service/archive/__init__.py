@@ -23,10 +23,10 @@ from daq_service.archive.records import (
     SetTables,
     StoredSet,
     StoreTimings,
-    due_utc_ns,
+    parse_due_utc_ns,
 )
 from daq_service.archive.writer import FolderArchive
-from hardware_drivers.measurement import PositionRecord, Results, SetRecord, waveform_crc32
+from hardware_drivers.measurement import PositionRecord, Results, SetRecord, compute_crc32
 
 __all__ = [
     "Archive",

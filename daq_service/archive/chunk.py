@@ -27,7 +27,7 @@ _ZLIB_HEADER = b"\x78\x01"
 """Deflate with a window of 32 KiB, fastest level (RFC 1950)."""
 
 
-def filtered_chunk(values: NDArray[Any]) -> bytes:
+def filter_chunk(values: NDArray[Any]) -> bytes:
     """Shuffle and deflate a chunk and append its checksum.
 
     Parameters
@@ -38,17 +38,17 @@ def filtered_chunk(values: NDArray[Any]) -> bytes:
     size = values.dtype.itemsize
     planes = np.ascontiguousarray(values.reshape(-1).view(np.uint8).reshape(-1, size).T)
     by_plane = values.dtype.kind in "iu" and size > 1
-    deflated = _deflated_planes(planes) if by_plane else _deflated(planes.tobytes())
-    return deflated + struct.pack("<I", fletcher32(deflated))
+    deflated = _deflate_planes(planes) if by_plane else _deflate(planes.tobytes())
+    return deflated + struct.pack("<I", compute_fletcher32(deflated))
 
 
 @lru_cache(maxsize=8)
-def _deflated(content: bytes) -> bytes:
+def _deflate(content: bytes) -> bytes:
     """Return the zlib stream of data other than records: time axes and provenance, equal in every set."""
     return zlib.compress(content, GZIP_LEVEL)
 
 
-def _deflated_planes(planes: NDArray[np.uint8]) -> bytes:
+def _deflate_planes(planes: NDArray[np.uint8]) -> bytes:
     """Return one zlib stream of all byte planes, shape (n_planes, n_bytes)."""
     last = len(planes) - 1
     parts = [_ZLIB_HEADER]
@@ -57,7 +57,7 @@ def _deflated_planes(planes: NDArray[np.uint8]) -> bytes:
         content = plane.tobytes()
         checksum = zlib.adler32(content, checksum)
         if _is_noise(plane[:_PROBE_BYTES]):
-            parts.append(_stored_blocks(content, final=number == last))
+            parts.append(_build_stored_blocks(content, final=number == last))
         else:
             run = zlib.compressobj(GZIP_LEVEL, zlib.DEFLATED, -zlib.MAX_WBITS)
             parts += run.compress(content), run.flush(zlib.Z_FINISH if number == last else zlib.Z_FULL_FLUSH)
@@ -68,19 +68,19 @@ def _deflated_planes(planes: NDArray[np.uint8]) -> bytes:
 def _is_noise(probe: NDArray[np.uint8]) -> bool:
     """Return whether the entropy is too high for deflate to save more than 3 %."""
     counts = np.bincount(probe, minlength=256)
-    bits = math.log2(probe.size) - float(_n_log2_n()[counts].sum()) / probe.size
+    bits = math.log2(probe.size) - float(_compute_n_log2_n()[counts].sum()) / probe.size
     return bits > _NOISE_BITS_PER_BYTE
 
 
 @cache
-def _n_log2_n() -> NDArray[np.float64]:
+def _compute_n_log2_n() -> NDArray[np.float64]:
     """Return n log2(n) for every count of a probe, shape (_PROBE_BYTES + 1,)."""
     n = np.arange(_PROBE_BYTES + 1.0)
     table: NDArray[np.float64] = n * np.log2(np.maximum(n, 1.0))
     return table
 
 
-def _stored_blocks(content: bytes, *, final: bool) -> bytes:
+def _build_stored_blocks(content: bytes, *, final: bool) -> bytes:
     """Return deflate blocks that hold the bytes uncompressed."""
     parts: list[bytes] = []
     for first in range(0, len(content), _LONGEST_STORED_BYTES):
@@ -90,7 +90,7 @@ def _stored_blocks(content: bytes, *, final: bool) -> bytes:
     return b"".join(parts)
 
 
-def fletcher32(content: bytes) -> int:
+def compute_fletcher32(content: bytes) -> int:
     """Compute HDF5's checksum: Fletcher's two sums of big-endian 16-bit words, modulo 65535.
 
     An odd byte at the end is the high byte of a last word. A sum that is a multiple of 65535 is written as
@@ -98,17 +98,17 @@ def fletcher32(content: bytes) -> int:
     """
     even = content + b"\0" if len(content) % 2 else content
     words = np.frombuffer(even, dtype=">u2").astype(np.int64)
-    sums = int(words.sum()), int(words @ _countdown(words.size))
+    sums = int(words.sum()), int(words @ _build_countdown(words.size))
     first, second = ((total - 1) % 65_535 + 1 if total else 0 for total in sums)
     return second << 16 | first
 
 
-def _countdown(size: int) -> NDArray[np.int64]:
+def _build_countdown(size: int) -> NDArray[np.int64]:
     """Return the integers size, size - 1, ... 1."""
-    return _longest_countdown(size.bit_length())[-size:] if size else np.zeros(0, dtype=np.int64)
+    return _build_longest_countdown(size.bit_length())[-size:] if size else np.zeros(0, dtype=np.int64)
 
 
 @lru_cache(maxsize=2)
-def _longest_countdown(bits: int) -> NDArray[np.int64]:
+def _build_longest_countdown(bits: int) -> NDArray[np.int64]:
     """Return a cached countdown that covers every size of so many bits."""
     return np.arange((1 << bits) - 1, 0, -1)

@@ -29,15 +29,15 @@ from numpy.typing import NDArray
 from daq_service.archive.nexus import (
     add_field,
     add_group,
-    image_file,
-    image_of,
+    new_image,
     open_root,
+    read_image,
     set_attributes,
 )
-from daq_service.archive.reader import RecordGroup, group_names, opened_set, set_key_of
+from daq_service.archive.reader import RecordGroup, list_record_groups, open_set_file, read_set_key
 from daq_service.archive.records import SetReference
 from hardware_drivers.measurement import Calibration, SetKey
-from hardware_drivers.units import unit_of
+from hardware_drivers.units import find_unit
 
 CONSOLIDATED_VERSION = "1.0"
 
@@ -97,7 +97,7 @@ class Facts:
     provenance: Mapping[str, Any]
 
 
-def blocks_of(folder: Path, file: SetReference) -> list[tuple[Sampling, Block]]:
+def list_blocks(folder: Path, file: SetReference) -> list[tuple[Sampling, Block]]:
     """List the record arrays of a set's file without reading the records.
 
     Raises
@@ -106,8 +106,8 @@ def blocks_of(folder: Path, file: SetReference) -> list[tuple[Sampling, Block]]:
         The file cannot be read, or is not there.
     """
     blocks = []
-    with opened_set(folder / file) as entry:
-        for name in group_names(entry):
+    with open_set_file(folder / file) as entry:
+        for name in list_record_groups(entry):
             group = RecordGroup(entry, name)
             sampling = Sampling(
                 position=group.position,
@@ -118,7 +118,7 @@ def blocks_of(folder: Path, file: SetReference) -> list[tuple[Sampling, Block]]:
                 pretrigger_samples=group.pretrigger_samples,
             )
             block = Block(
-                set_key=set_key_of(entry),
+                set_key=read_set_key(entry),
                 file=file,
                 dataset=str(group.signal.name),
                 shot_ids=group.sequences,
@@ -128,7 +128,7 @@ def blocks_of(folder: Path, file: SetReference) -> list[tuple[Sampling, Block]]:
     return blocks
 
 
-def consolidated_image(
+def build_consolidated_image(
     target: Path,
     folder: Path,
     facts: Facts,
@@ -146,7 +146,7 @@ def consolidated_image(
     sets
         By position: columns with a value per set, the first one identifies the set.
     """
-    with image_file() as file:
+    with new_image() as file:
         root = {
             "NX_class": "NXroot",
             "default": "entry",
@@ -154,7 +154,7 @@ def consolidated_image(
             "creator_version": facts.maker_version,
         }
         set_attributes(open_root(file), {**root, "solimon_consolidated_version": CONSOLIDATED_VERSION})
-        names = group_names_of(shots)
+        names = name_groups(shots)
         shown = names[min(names, key=lambda sampling: sampling.is_echo)]  # the first of strikes, if any
         entry = add_group(file, "entry", "NXentry", {"default": shown})
         add_field(entry, "title", facts.title)
@@ -162,7 +162,7 @@ def consolidated_image(
         configuration = facts.configuration_hash
         add_field(entry, "program_name", "solimon", version=facts.version, configuration=configuration)
         for sampling, (blocks, columns) in shots.items():
-            _add_shots(entry, names[sampling], sampling, blocks, columns, _relative(target, folder))
+            _add_shots(entry, names[sampling], sampling, blocks, columns, _to_relative(target, folder))
         for position, columns in sets.items():
             _add_columns(
                 add_group(entry, f"{position}_sets", "NXcollection", {"position": position}), columns
@@ -170,10 +170,10 @@ def consolidated_image(
         note = add_group(entry, "provenance", "NXnote")
         add_field(note, "type", "application/json")
         add_field(note, "data", [json.dumps(dict(facts.provenance))], chunk=(1,), is_axis=True)
-        return image_of(file)
+        return read_image(file)
 
 
-def _relative(target: Path, folder: Path) -> str:
+def _to_relative(target: Path, folder: Path) -> str:
     """Return the path from the file to the data folder; absolute if on another Windows drive."""
     target_folder, data_folder = target.parent.resolve(), folder.resolve()
     return (
@@ -183,7 +183,7 @@ def _relative(target: Path, folder: Path) -> str:
     ).as_posix()
 
 
-def group_names_of(samplings: Iterable[Sampling]) -> dict[Sampling, str]:
+def name_groups(samplings: Iterable[Sampling]) -> dict[Sampling, str]:
     """Return the name of each array's group."""
     names, n_groups = dict[Sampling, str](), dict[str, int]()
     for sampling in samplings:
@@ -247,4 +247,4 @@ def _add_columns(group: GroupID, columns: Columns, *, axis: h5py.h5d.DatasetID |
             continue
         field = add_field(group, name, values, axes=[axis])
         if not isinstance(values, list):
-            set_attributes(field, {"units": unit_of(name)})
+            set_attributes(field, {"units": find_unit(name)})

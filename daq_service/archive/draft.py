@@ -64,7 +64,7 @@ class Node:
         return self.path, shape, self.chunk, self.axes, self.is_axis, self.link, self.attributes
 
 
-def new_draft(attributes: Mapping[str, Attribute], own_attributes: Mapping[str, Attribute]) -> Node:
+def start_draft(attributes: Mapping[str, Attribute], own_attributes: Mapping[str, Attribute]) -> Node:
     """Start a draft; return its root."""
     root = Node(path="", draft=[], attributes=dict(attributes), own_attributes=own_attributes)
     root.draft.append(root)
@@ -101,22 +101,22 @@ def add_field(
     )
 
 
-def image_of_draft(root: Node) -> bytes:
+def build_draft_image(root: Node) -> bytes:
     """Return the bytes of the file."""
     key = orjson.dumps([node.structure for node in root.draft], option=orjson.OPT_SERIALIZE_NUMPY)
-    file = nexus.opened_image(
-        _skeleton(_Structure(key, root.draft)).filled(root.draft), is_own=True, writable=True
+    file = nexus.open_image(
+        _create_skeleton(_Structure(key, root.draft)).fill_values(root.draft), is_own=True, writable=True
     )
     try:
         for node in root.draft:
-            chunk = node.stored and nexus.chunk_of(node.stored[0], node.chunk)
+            chunk = node.stored and nexus.choose_chunk(node.stored[0], node.chunk)
             if not (chunk or node.own_attributes):
                 continue
             target = h5o.open(file, node.path.encode() or b"/")
             if chunk and node.stored:
                 nexus.fill_field(target, node.stored, chunk)
             nexus.set_attributes(target, node.own_attributes)
-        return nexus.image_of(file)
+        return nexus.read_image(file)
     finally:
         file.close()
 
@@ -138,19 +138,19 @@ class _Skeleton:
     small: Mapping[str, h5d.DatasetID]
     lock: threading.Lock
 
-    def filled(self, draft: Sequence[Node]) -> bytes:
+    def fill_values(self, draft: Sequence[Node]) -> bytes:
         """Return the bytes of the file with the values of the small datasets."""
         with self.lock:
             for node in draft:
                 if node.path in self.small and node.stored is not None:
                     nexus.fill_field(self.small[node.path], node.stored, node.chunk)
-            return nexus.image_of(self.file)
+            return nexus.read_image(self.file)
 
 
 @lru_cache(maxsize=_SKELETONS)
-def _skeleton(structure: _Structure) -> _Skeleton:
+def _create_skeleton(structure: _Structure) -> _Skeleton:
     """Create the skeleton of a structure."""
-    with nexus.image_file() as file:
+    with nexus.new_image() as file:
         made: dict[str, h5g.GroupID | h5d.DatasetID] = {"": nexus.open_root(file)}
         nexus.set_attributes(made[""], structure.draft[0].attributes)
         for node in structure.draft[1:]:
@@ -164,11 +164,11 @@ def _skeleton(structure: _Structure) -> _Skeleton:
                 made[node.path] = nexus.create_field(
                     made[parent], name, node.stored, node.chunk, axes, node.is_axis, node.attributes
                 )
-        image = nexus.image_of(file)
-    file = nexus.opened_image(image, is_own=True, writable=True)
+        image = nexus.read_image(file)
+    file = nexus.open_image(image, is_own=True, writable=True)
     small = {
         node.path: h5d.open(file, node.path.encode())
         for node in structure.draft
-        if node.stored is not None and nexus.chunk_of(node.stored[0], node.chunk) is None
+        if node.stored is not None and nexus.choose_chunk(node.stored[0], node.chunk) is None
     }
     return _Skeleton(file, small, threading.Lock())

@@ -36,11 +36,11 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from daq_service.archive.draft import Node, add_field, add_group, image_of_draft, new_draft
+from daq_service.archive.draft import Node, add_field, add_group, build_draft_image, start_draft
 from daq_service.clock import format_utc
-from hardware_drivers.measurement import PulseEchoRecord, SetRecord, Shot, Waveform, waveform_crc32
+from hardware_drivers.measurement import PulseEchoRecord, SetRecord, Shot, Waveform, compute_crc32
 from hardware_drivers.nanoseconds import NS_PER_S
-from hardware_drivers.units import unit_of
+from hardware_drivers.units import find_unit
 
 FORMAT_VERSION = "1.7"
 """Raised in its first number when an older reader would misunderstand the file."""
@@ -84,7 +84,7 @@ class _RecordGroup:
 def build_image(record: SetRecord) -> bytes:
     """Return the bytes of the set's file; equal sets give equal bytes."""
     groups = _group_records(record.records)
-    root = new_draft(
+    root = start_draft(
         {
             "NX_class": "NXroot",
             "default": "entry",
@@ -107,7 +107,7 @@ def build_image(record: SetRecord) -> bytes:
     _add_results(entry, record)
     _add_preview(entry, groups)
     _add_provenance(entry, record)
-    return image_of_draft(root)
+    return build_draft_image(root)
 
 
 def _version(record: SetRecord) -> str:
@@ -177,7 +177,7 @@ def _add_detectors(entry: Node, record: SetRecord, groups: Sequence[_RecordGroup
     for group in groups:
         waveform = group.waveform
         calibration = waveform.calibration
-        scale, offset = _nexus_scale(waveform)
+        scale, offset = _compute_nexus_scale(waveform)
         detector = add_group(instrument, group.name, "NXdetector", {"position": group.position})
         add_field(detector, "serial_number", serial_numbers[group.position])
         add_field(detector, "sample_rate", np.float64(waveform.sample_rate_hz), units="Hz")
@@ -198,7 +198,7 @@ def _add_detectors(entry: Node, record: SetRecord, groups: Sequence[_RecordGroup
         add_field(detector, "offset", np.float64(offset))
 
 
-def _nexus_scale(waveform: Waveform) -> tuple[float, float]:
+def _compute_nexus_scale(waveform: Waveform) -> tuple[float, float]:
     """Return scale and offset of NXdata for viewers: volts = (counts + offset) * scale."""
     constant, slope = (float(c) for c in waveform.calibration.coefficients_v[:2])
     return slope, constant / slope if slope else 0.0
@@ -216,7 +216,7 @@ def _add_records(entry: Node, record: SetRecord, groups: Sequence[_RecordGroup])
             "NXdata",
             {"signal": signal, "axes": ["shot_time", "time"], "position": group.position},
         )
-        scale, offset = _nexus_scale(group.waveform)
+        scale, offset = _compute_nexus_scale(group.waveform)
         time = _add_time_axis(data, group, time_axes)
         shot_time = add_field(
             data,
@@ -239,16 +239,16 @@ def _add_records(entry: Node, record: SetRecord, groups: Sequence[_RecordGroup])
         # with the unit of the counts.
         add_field(data, f"{signal}_scaling_factor", np.float64(scale), units="V")
         add_field(data, f"{signal}_offset", np.float64(offset), units="counts")
-        add_field(data, "shot_id", _int64(shot.sequence for shot in group.records), axes=[shot_time])
+        add_field(data, "shot_id", _to_int64(shot.sequence for shot in group.records), axes=[shot_time])
         echoes = [echo for echo in group.records if isinstance(echo, PulseEchoRecord)]
         if echoes:
             add_setting = partial(add_field, data, axes=[shot_time])
             add_setting("gain", np.array([echo.gain_db for echo in echoes]), units="dB")
             add_setting("offset", np.array([echo.offset_v for echo in echoes]), units="V")
-            add_setting("averages", _int64(echo.averages for echo in echoes))
+            add_setting("averages", _to_int64(echo.averages for echo in echoes))
 
 
-def _int64(numbers: Iterable[int]) -> NDArray[np.int64]:
+def _to_int64(numbers: Iterable[int]) -> NDArray[np.int64]:
     """Return integers as an array."""
     return np.fromiter(numbers, dtype=np.int64)
 
@@ -283,7 +283,7 @@ def _add_facts_of_records(entry: Node, record: SetRecord, kind: Literal["truth",
     if not names:
         return
     group = add_group(entry, kind, "NXcollection")
-    axis = add_field(group, "shot_id", _int64(shot.sequence for shot in record.records), is_axis=True)
+    axis = add_field(group, "shot_id", _to_int64(shot.sequence for shot in record.records), is_axis=True)
     for name in names:
         values = [fact.get(name) for fact in facts]
         if str in map(type, values):
@@ -291,7 +291,7 @@ def _add_facts_of_records(entry: Node, record: SetRecord, kind: Literal["truth",
             field = add_field(group, name, texts, axes=[axis])
         else:
             numbers = np.array(values, dtype=np.float64)  # None becomes NaN
-            field = add_field(group, name, numbers, axes=[axis], units=unit_of(name))
+            field = add_field(group, name, numbers, axes=[axis], units=find_unit(name))
         if None in values:
             field.attributes["known"] = np.array([value is not None for value in values], dtype=np.uint8)
 
@@ -305,7 +305,7 @@ def _add_missed(entry: Node, record: SetRecord) -> None:
     add_column = partial(add_field, table, axes=[axis])
     add_column("position", [item.key.position for item in record.missed])
     for name in ("shot_index", "attempt"):
-        add_column(name, _int64(getattr(item.key, name) for item in record.missed))
+        add_column(name, _to_int64(getattr(item.key, name) for item in record.missed))
     add_column("reason", [item.reason for item in record.missed])
     add_column("cause", [item.cause for item in record.missed])
 
@@ -320,29 +320,29 @@ def _add_environment(entry: Node, record: SetRecord) -> None:
         if isinstance(value, str):
             add_field(group, name, value)
         else:
-            add_field(group, name, np.float64(value), units=unit_of(name))
+            add_field(group, name, np.float64(value), units=find_unit(name))
 
 
 def _add_shots(entry: Node, record: SetRecord) -> None:
     """Add a table with key, time stamps, checksum, flags and outcome of each record."""
     records = record.records
     table = add_group(entry, "shots", "NXcollection")
-    axis = add_field(table, "shot_id", _int64(shot.sequence for shot in records), is_axis=True)
+    axis = add_field(table, "shot_id", _to_int64(shot.sequence for shot in records), is_axis=True)
     add_column = partial(add_field, table, axes=[axis])
     add_column("position", [shot.key.position for shot in records])
     for name in ("shot_index", "attempt"):
-        add_column(name, _int64(getattr(shot.key, name) for shot in records))
-    add_column("utc_ns", _int64(shot.stamp.utc_ns for shot in records), units="ns", start=_EPOCH)
+        add_column(name, _to_int64(getattr(shot.key, name) for shot in records))
+    add_column("utc_ns", _to_int64(shot.stamp.utc_ns for shot in records), units="ns", start=_EPOCH)
     add_column(
         "mono_ns",
-        _int64(shot.stamp.mono_ns for shot in records),
+        _to_int64(shot.stamp.mono_ns for shot in records),
         units="ns",
         description="monotonic clock; comparable within one boot_id",
     )
     add_column("boot_id", [shot.stamp.boot_id for shot in records])
     add_column(
         "crc32",
-        np.array([waveform_crc32(shot.waveform) for shot in records], dtype=np.uint32),
+        np.array([compute_crc32(shot.waveform) for shot in records], dtype=np.uint32),
         description="CRC-32 (zlib) of the counts, little-endian",
     )
     add_column(
@@ -367,8 +367,8 @@ def _add_positions(entry: Node, record: SetRecord) -> None:
     add_column = partial(add_field, table, axes=[axis])
     for name in ("method", "label", "serial_number", "cause"):
         add_column(name, [getattr(row, name) for row in positions])
-    add_column("n_planned", _int64(row.n_planned for row in positions))
-    add_column("n_taken", _int64(positions_of_records.count(row.position) for row in positions))
+    add_column("n_planned", _to_int64(row.n_planned for row in positions))
+    add_column("n_taken", _to_int64(positions_of_records.count(row.position) for row in positions))
 
 
 def _add_results(entry: Node, record: SetRecord) -> None:
@@ -379,14 +379,14 @@ def _add_results(entry: Node, record: SetRecord) -> None:
             continue
         plot_attributes = {"signal": "tof_pp_s", "axes": [axis_name]} if table == "features" else {}
         group = add_group(entry, table, "NXdata" if plot_attributes else "NXcollection", plot_attributes)
-        axis = add_field(group, axis_name, _column(columns.pop(axis_name)), is_axis=True)
+        axis = add_field(group, axis_name, _to_column(columns.pop(axis_name)), is_axis=True)
         for name, values in sorted(columns.items()):
-            field = add_field(group, name, _column(values), axes=[axis])
+            field = add_field(group, name, _to_column(values), axes=[axis])
             if not isinstance(values[0], str):
-                field.attributes["units"] = unit_of(name)
+                field.attributes["units"] = find_unit(name)
 
 
-def _column(values: list[float | str]) -> Any:
+def _to_column(values: list[float | str]) -> Any:
     """Return a column as texts or as an array of numbers."""
     return values if isinstance(values[0], str) else np.array(values)
 
@@ -417,11 +417,11 @@ def _add_preview(entry: Node, groups: Sequence[_RecordGroup]) -> None:
     time_s = first.waveform.time_s()[starts]
     time = add_field(preview, "time", time_s, is_axis=True, units="s", description="time from trigger")
     for name, group in zip(names, shown, strict=True):
-        for kind, values in _envelope(group, starts).items():
+        for kind, values in _compute_envelope(group, starts).items():
             add_field(preview, f"{name}_{kind}", values, axes=[time], units="V")
 
 
-def _envelope(group: _RecordGroup, starts: NDArray[np.int64]) -> dict[str, NDArray[np.float32]]:
+def _compute_envelope(group: _RecordGroup, starts: NDArray[np.int64]) -> dict[str, NDArray[np.float32]]:
     """Return mean, min and max in V of all records between adjacent starts, shape (n_starts,) each.
 
     Counts are reduced and then calibrated: an ADC's calibration is monotonic, and the difference

@@ -26,8 +26,8 @@ import numpy as np
 from h5py import h5a, h5d, h5ds, h5f, h5g, h5p, h5s, h5t
 from numpy.typing import NDArray
 
-from daq_service.archive.chunk import GZIP_LEVEL, filtered_chunk
-from daq_service.archive.plain import require_plain
+from daq_service.archive.chunk import GZIP_LEVEL, filter_chunk
+from daq_service.archive.plain import require_plain_file
 
 _LARGEST_COMPACT_BYTES = 8192
 """Small arrays are in their object header: faster than a chunk, and shorter than its index."""
@@ -50,9 +50,9 @@ Stored = tuple[NDArray[Any], h5t.TypeID]
 
 
 @contextmanager
-def image_file() -> Iterator[h5f.FileID]:
+def new_image() -> Iterator[h5f.FileID]:
     """Create an empty HDF5 file in memory and close it at the end."""
-    access = _in_memory()
+    access = _create_memory_access()
     creation = h5p.create(h5p.FILE_CREATE)
     creation.set_obj_track_times(False)
     # HDF5 identifies open files by name, those in memory too; the name is not stored.
@@ -63,7 +63,7 @@ def image_file() -> Iterator[h5f.FileID]:
         file.close()
 
 
-def _in_memory() -> h5p.PropFAID:
+def _create_memory_access() -> h5p.PropFAID:
     """Return the access properties of files in memory."""
     access = h5p.create(h5p.FILE_ACCESS)
     access.set_fapl_core(_BLOCK_BYTES, False)
@@ -77,13 +77,13 @@ def open_root(file: h5f.FileID) -> h5g.GroupID:
     return h5g.open(file, b"/")
 
 
-def image_of(file: h5f.FileID) -> bytes:
+def read_image(file: h5f.FileID) -> bytes:
     """Return the bytes of the file."""
     h5f.flush(file)
     return bytes(file.get_file_image())
 
 
-def opened_image(image: bytes, *, is_own: bool = False, writable: bool = False) -> h5f.FileID:
+def open_image(image: bytes, *, is_own: bool = False, writable: bool = False) -> h5f.FileID:
     """Open the bytes of a file in memory, for reading unless ``writable``; the caller closes it.
 
     Parameters
@@ -98,12 +98,12 @@ def opened_image(image: bytes, *, is_own: bool = False, writable: bool = False) 
     """
     if not is_own:
         require_finite_heaps(image)
-    access = _in_memory()
+    access = _create_memory_access()
     access.set_file_image(image)
     file = h5f.open(uuid.uuid4().hex.encode(), h5f.ACC_RDWR if writable else h5f.ACC_RDONLY, fapl=access)
     try:
         if not is_own:
-            require_plain(file, len(image))
+            require_plain_file(file, len(image))
     except BaseException:
         file.close()
         raise
@@ -143,7 +143,7 @@ def add_group(
 
 def create_group(parent: h5g.GroupID, name: str, attributes: Mapping[str, Attribute]) -> h5g.GroupID:
     """Add a group with attributes."""
-    group = h5g.create(parent, name.encode(), gcpl=_group_properties())
+    group = h5g.create(parent, name.encode(), gcpl=_create_group_properties())
     set_attributes(group, attributes)
     return group
 
@@ -188,9 +188,9 @@ def create_field(
 ) -> h5d.DatasetID:
     """Add a dataset as `add_field` does, but without its values."""
     array, data_type = stored
-    chunk = chunk_of(array, chunk)
-    properties = _compact_properties() if chunk is None else _chunked_properties(chunk)
-    dataset = h5d.create(parent, name.encode(), data_type, _space(array.shape), dcpl=properties)
+    chunk = choose_chunk(array, chunk)
+    properties = _create_compact_properties() if chunk is None else _create_chunked_properties(chunk)
+    dataset = h5d.create(parent, name.encode(), data_type, _to_space(array.shape), dcpl=properties)
     if array.dtype.kind == "S":
         # Else xarray returns bytes (netCDF's convention for text of fixed length).
         attributes = {"_Encoding": "utf-8", **attributes}
@@ -205,14 +205,14 @@ def create_field(
 def fill_field(dataset: h5d.DatasetID, stored: Stored, chunk: tuple[int, ...] | None) -> None:
     """Write all values of a dataset."""
     array, data_type = stored
-    chunk = chunk_of(array, chunk)
+    chunk = choose_chunk(array, chunk)
     if chunk is None:
         dataset.write(h5s.ALL, h5s.ALL, array, mtype=data_type)
     else:
         write_chunks(dataset, array, chunk)
 
 
-def chunk_of(array: NDArray[Any], chunk: tuple[int, ...] | None) -> tuple[int, ...] | None:
+def choose_chunk(array: NDArray[Any], chunk: tuple[int, ...] | None) -> tuple[int, ...] | None:
     """Return the chunk of an array, by default all of a large one; None if it is stored compact."""
     return array.shape if chunk is None and array.nbytes > _LARGEST_COMPACT_BYTES and array.ndim else chunk
 
@@ -221,7 +221,7 @@ def write_chunks(dataset: h5d.DatasetID, array: NDArray[Any], chunk: tuple[int, 
     """Write an array of the stored type as filtered chunks."""
     for first in range(0, array.shape[0], chunk[0]):
         offset = (first, *(0 for _ in chunk[1:]))
-        dataset.write_direct_chunk(offset, filtered_chunk(array[first : first + chunk[0]]))
+        dataset.write_direct_chunk(offset, filter_chunk(array[first : first + chunk[0]]))
 
 
 def read_field(parent: h5g.GroupID, name: str) -> NDArray[Any]:
@@ -237,15 +237,15 @@ def set_attributes(target: h5g.GroupID | h5d.DatasetID, attributes: Mapping[str,
     for name, value in attributes.items():
         if isinstance(value, str) or (isinstance(value, Sequence) and all(isinstance(v, str) for v in value)):
             text = np.array(value, dtype=_TEXT)
-            attribute = h5a.create(target, name.encode(), _variable_text(), _space(text.shape))
-            attribute.write(text, mtype=_number_type(_TEXT))
+            attribute = h5a.create(target, name.encode(), _create_variable_text(), _to_space(text.shape))
+            attribute.write(text, mtype=_create_number_type(_TEXT))
         else:
             array, data_type = to_stored_form(value)
-            h5a.create(target, name.encode(), data_type, _space(array.shape)).write(array, mtype=data_type)
+            h5a.create(target, name.encode(), data_type, _to_space(array.shape)).write(array, mtype=data_type)
 
 
 @cache
-def _variable_text() -> h5t.TypeID:
+def _create_variable_text() -> h5t.TypeID:
     """Return the HDF5 type of strings of variable length."""
     return h5t.py_create(_TEXT, logical=True)
 
@@ -253,30 +253,30 @@ def _variable_text() -> h5t.TypeID:
 def to_stored_form(values: object) -> Stored:
     """Return array and HDF5 type: UTF-8 strings of fixed length, little-endian numbers."""
     if isinstance(values, str):
-        return _stored_text(values)
+        return _encode_text(values)
     if isinstance(values, Sequence) and all(isinstance(v, str) for v in values):
-        return _texts([text.encode() for text in values])
+        return _encode_texts([text.encode() for text in values])
     array = np.asarray(values)
     if not (array.dtype.str.startswith(_AS_STORED) and array.flags.c_contiguous):
         array = np.ascontiguousarray(array, dtype=array.dtype.newbyteorder("<")).reshape(array.shape)
-    return array, _number_type(array.dtype)
+    return array, _create_number_type(array.dtype)
 
 
 @lru_cache(maxsize=1024)
-def _stored_text(text: str) -> Stored:
+def _encode_text(text: str) -> Stored:
     """Return array and HDF5 type of a text; cached, since units and names repeat in every set."""
-    return _texts(text.encode())
+    return _encode_texts(text.encode())
 
 
-def _texts(values: bytes | list[bytes]) -> Stored:
+def _encode_texts(values: bytes | list[bytes]) -> Stored:
     """Return array and HDF5 type of encoded texts."""
     length = len(values) if isinstance(values, bytes) else max(map(len, values), default=0)
     n_bytes = (length // _TEXT_STEP_BYTES + 1) * _TEXT_STEP_BYTES
-    return np.array(values, dtype=f"S{n_bytes}"), _text_type(n_bytes)
+    return np.array(values, dtype=f"S{n_bytes}"), _create_text_type(n_bytes)
 
 
 @lru_cache(maxsize=256)
-def _text_type(n_bytes: int) -> h5t.TypeID:
+def _create_text_type(n_bytes: int) -> h5t.TypeID:
     """Return the HDF5 type of UTF-8 strings of fixed length."""
     data_type = h5t.C_S1.copy()
     data_type.set_size(n_bytes)
@@ -286,13 +286,13 @@ def _text_type(n_bytes: int) -> h5t.TypeID:
 
 
 @cache
-def _number_type(dtype: np.dtype[Any]) -> h5t.TypeID:
+def _create_number_type(dtype: np.dtype[Any]) -> h5t.TypeID:
     """Return the HDF5 type of a NumPy type."""
     return h5t.py_create(dtype)
 
 
 @cache
-def _group_properties() -> h5p.PropGCID:
+def _create_group_properties() -> h5p.PropGCID:
     """Return the creation properties of groups."""
     properties = h5p.create(h5p.GROUP_CREATE)
     properties.set_obj_track_times(False)
@@ -300,7 +300,7 @@ def _group_properties() -> h5p.PropGCID:
 
 
 @cache
-def _compact_properties() -> h5p.PropDCID:
+def _create_compact_properties() -> h5p.PropDCID:
     """Return the creation properties of datasets in object headers."""
     properties = h5p.create(h5p.DATASET_CREATE)
     # A file's bytes depend on its content alone, not on the moment of writing.
@@ -310,7 +310,7 @@ def _compact_properties() -> h5p.PropDCID:
 
 
 @lru_cache(maxsize=256)
-def _chunked_properties(chunk: tuple[int, ...]) -> h5p.PropDCID:
+def _create_chunked_properties(chunk: tuple[int, ...]) -> h5p.PropDCID:
     """Return the creation properties of chunked datasets."""
     properties = h5p.create(h5p.DATASET_CREATE)
     properties.set_obj_track_times(False)
@@ -323,6 +323,6 @@ def _chunked_properties(chunk: tuple[int, ...]) -> h5p.PropDCID:
 
 
 @lru_cache(maxsize=256)
-def _space(shape: tuple[int, ...]) -> h5s.SpaceID:
+def _to_space(shape: tuple[int, ...]) -> h5s.SpaceID:
     """Return the HDF5 space of a shape."""
     return h5s.create_simple(shape) if shape else h5s.create(h5s.SCALAR)

@@ -29,7 +29,7 @@ class RefusedError(OSError):
     """A file contains what no set's file has; an OSError, as HDF5 raises for corruption."""
 
 
-def require_plain(file: h5f.FileID, n_bytes: int) -> None:
+def require_plain_file(file: h5f.FileID, n_bytes: int) -> None:
     """Check that a file contains only what a set's file has, without following or reading any of it.
 
     Parameters

@@ -157,6 +157,6 @@ class Archive(SetReader, Protocol):
         """
         ...
 
-    def quarantined(self) -> list[str]:
+    def list_quarantined(self) -> list[str]:
         """List the names of all files in the quarantine."""
         ...

@@ -27,12 +27,12 @@ from daq_service.archive.errors import (
     CorruptArchiveError,
     SetNotFoundError,
 )
-from daq_service.archive.journal.frames import record_of
+from daq_service.archive.journal.frames import decode_record
 from daq_service.archive.journal.reader import JournaledSet, read_journal
 from daq_service.archive.layout import RESULTS
-from daq_service.archive.nexus import opened_image, read_field
+from daq_service.archive.nexus import open_image, read_field
 from daq_service.archive.plain import RefusedError
-from daq_service.archive.records import SETS_FOLDER, Damage, SetReference, SetTables, referenced_sets
+from daq_service.archive.records import SETS_FOLDER, Damage, SetReference, SetTables, to_references
 from daq_service.shared_file import read_shared
 from hardware_drivers.measurement import (
     Calibration,
@@ -45,7 +45,7 @@ from hardware_drivers.measurement import (
     ShotKey,
     Stamp,
     Waveform,
-    waveform_crc32,
+    compute_crc32,
 )
 
 # What h5py raises on damaged or foreign files, besides our own errors.
@@ -73,48 +73,48 @@ class FolderSetReader:
 
     def sets(self) -> dict[SetKey, SetReference]:
         """Return the complete sets: key to reference, in the order of the sets."""
-        journaled = {key: item.reference for key, item in self._journal().items() if item.reference}
-        return dict(sorted({**journaled, **self._files()}.items()))
+        journaled = {key: item.reference for key, item in self._read_journal().items() if item.reference}
+        return dict(sorted({**journaled, **self._list_files()}.items()))
 
     def n_bytes(self) -> int:
         """Return the size in bytes of the complete files and of the sets without a file."""
-        files = self._files()
+        files = self._list_files()
         journaled = sum(
-            item.n_bytes for item in self._journal().values() if item.end and item.set_key not in files
+            item.n_bytes for item in self._read_journal().values() if item.end and item.set_key not in files
         )
         return journaled + sum((self.folder / file).stat().st_size for file in files.values())
 
     def read_set(self, reference: SetReference, *, skip_damaged: bool = False) -> SetRecord:
         """Read a set as it was stored."""
-        journaled = self._journaled(reference)
+        journaled = self._find_journaled(reference)
         if journaled is None:
-            return read_file(self.folder / reference, skip_damaged=skip_damaged)
+            return read_set_file(self.folder / reference, skip_damaged=skip_damaged)
         damages = journaled.damages()
         if damages and not (skip_damaged and journaled.has_records):
-            raise _corruption_error(self.folder / reference, damages)
+            raise _create_corruption_error(self.folder / reference, damages)
         return journaled.record()
 
     def read_position(self, reference: SetReference, position: str) -> list[Shot | PulseEchoRecord]:
         """Read the records of one position without their settings; leave out corrupt ones."""
-        journaled = self._journaled(reference)
+        journaled = self._find_journaled(reference)
         if journaled is None:
-            with opened_set(self.folder / reference) as entry:
+            with open_set_file(self.folder / reference) as entry:
                 return _read_records(entry, facts=False, position=position)[0]
-        shots = [record_of(frame) for _, frame in sorted(journaled.shots.items())]
+        shots = [decode_record(frame) for _, frame in sorted(journaled.shots.items())]
         return [record for record in shots if record.key.position == position]
 
     def read_waveform(self, reference: SetReference, position: str, shot_index: int) -> Waveform:
         """Read the accepted record of a shot."""
-        journaled, path = self._journaled(reference), self.folder / reference
+        journaled, path = self._find_journaled(reference), self.folder / reference
         if journaled is None:
             return _read_waveform(path, position, shot_index)
-        sequence = journaled.sequence_of(position, shot_index)
+        sequence = journaled.find_sequence(position, shot_index)
         if sequence is None:
             raise SetNotFoundError(f"{path} has no shot {shot_index} of position {position!r}")
         if sequence not in journaled.shots:
             damages = [damage for damage in journaled.damages() if damage.sequence == sequence]
-            raise _corruption_error(path, damages)
-        return record_of(journaled.shots[sequence]).waveform
+            raise _create_corruption_error(path, damages)
+        return decode_record(journaled.shots[sequence]).waveform
 
     def read_tables(self, reference: SetReference, sha256: str) -> SetTables | None:
         """Read the tables of a set's file without its waveforms; None unless it has this SHA-256."""
@@ -125,12 +125,12 @@ class FolderSetReader:
         if hashlib.sha256(content).hexdigest() != sha256:
             return None
         # The recorder made the bytes that have this checksum: nothing in them leads elsewhere.
-        with opened_set(self.folder / reference, content, is_own=True) as entry:
+        with open_set_file(self.folder / reference, content, is_own=True) as entry:
             return SetTables(
-                set_key=set_key_of(entry),
-                shots=_rows_of(_read_table(entry)),
+                set_key=read_set_key(entry),
+                shots=_to_rows(_read_table(entry)),
                 results={
-                    name: _rows_of(_read_columns(entry[name], *entry[name]))
+                    name: _to_rows(_read_columns(entry[name], *entry[name]))
                     for name in RESULTS
                     if name in entry
                 },
@@ -147,39 +147,39 @@ class FolderSetReader:
 
     def verify_set(self, reference: SetReference) -> list[Damage]:
         """Read a complete set and list its corrupt parts."""
-        journaled = self._journaled(reference)
+        journaled = self._find_journaled(reference)
         if journaled is not None:
             return journaled.damages()
-        with opened_set(self.folder / reference) as entry:
-            return _read_records(entry)[1] + _unreadable(entry)
+        with open_set_file(self.folder / reference) as entry:
+            return _read_records(entry)[1] + _list_unreadable(entry)
 
-    def _files(self) -> dict[SetKey, SetReference]:
+    def _list_files(self) -> dict[SetKey, SetReference]:
         """Return the references of the sets' files by key."""
-        return referenced_sets(path.name for path in (self.folder / SETS_FOLDER).glob("set_*.h5"))
+        return to_references(path.name for path in (self.folder / SETS_FOLDER).glob("set_*.h5"))
 
-    def _journal(self) -> dict[SetKey, JournaledSet]:
+    def _read_journal(self) -> dict[SetKey, JournaledSet]:
         """Read the journal."""
         try:
             return read_journal(self.folder)
         except OSError as error:
             raise ArchiveError(f"the journal of {self.folder} cannot be read: {error}") from error
 
-    def _journaled(self, reference: SetReference) -> JournaledSet | None:
+    def _find_journaled(self, reference: SetReference) -> JournaledSet | None:
         """Find the set in the journal; None if it has a file."""
         if (self.folder / reference).exists():
             return None
         # It may get its file meanwhile: then the journal does not have it any more, and the file is read.
-        matches = (item for item in self._journal().values() if item.reference == reference)
+        matches = (item for item in self._read_journal().values() if item.reference == reference)
         return next(matches, None)
 
 
-def read_file(path: Path, *, skip_damaged: bool = False) -> SetRecord:
+def read_set_file(path: Path, *, skip_damaged: bool = False) -> SetRecord:
     """Read the file of a set."""
-    with opened_set(path) as entry:
+    with open_set_file(path) as entry:
         records, damages = _read_records(entry)
         if damages and not (skip_damaged and records):
-            raise _corruption_error(path, damages)
-        return _record_of(entry, records)
+            raise _create_corruption_error(path, damages)
+        return _build_record(entry, records)
 
 
 def read_records(path: Path, content: bytes, *, is_own: bool = False) -> list[Shot | PulseEchoRecord]:
@@ -195,14 +195,14 @@ def read_records(path: Path, content: bytes, *, is_own: bool = False) -> list[Sh
     CorruptArchiveError
         A record is damaged, or the set as a whole.
     """
-    with opened_set(path, content, is_own=is_own) as entry:
+    with open_set_file(path, content, is_own=is_own) as entry:
         records, damages = _read_records(entry, facts=False)
         if damages:
-            raise _corruption_error(path, damages)
+            raise _create_corruption_error(path, damages)
         return records
 
 
-def examine(path: Path, content: bytes) -> tuple[SetRecord | None, list[Damage]]:
+def examine_file(path: Path, content: bytes) -> tuple[SetRecord | None, list[Damage]]:
     """Read every record and all metadata of a set's file in memory.
 
     Returns
@@ -215,17 +215,17 @@ def examine(path: Path, content: bytes) -> tuple[SetRecord | None, list[Damage]]
     CorruptArchiveError
         It cannot be read as a whole.
     """
-    with opened_set(path, content) as entry:
+    with open_set_file(path, content) as entry:
         records, damages = _read_records(entry)
         try:
-            return (_record_of(entry, records) if records else None), damages
+            return (_build_record(entry, records) if records else None), damages
         except HDF5_ERRORS:
             if damages:
                 return None, damages
             raise
 
 
-def unreadable_parts(path: Path, content: bytes) -> list[Damage]:
+def list_unreadable_parts(path: Path, content: bytes) -> list[Damage]:
     """List the parts of a set's file in memory, other than records, that cannot be read.
 
     Raises
@@ -233,13 +233,13 @@ def unreadable_parts(path: Path, content: bytes) -> list[Damage]:
     CorruptArchiveError
         It cannot be read as a whole.
     """
-    with opened_set(path, content) as entry:
-        return _unreadable(entry)
+    with open_set_file(path, content) as entry:
+        return _list_unreadable(entry)
 
 
-def _record_of(entry: h5py.Group, records: Sequence[Shot | PulseEchoRecord]) -> SetRecord:
+def _build_record(entry: h5py.Group, records: Sequence[Shot | PulseEchoRecord]) -> SetRecord:
     """Read the metadata of a set and combine it with its records."""
-    set_index, unscheduled_index = set_key_of(entry)
+    set_index, unscheduled_index = read_set_key(entry)
     return SetRecord(
         set_index=set_index,
         unscheduled_index=unscheduled_index,
@@ -247,20 +247,20 @@ def _record_of(entry: h5py.Group, records: Sequence[Shot | PulseEchoRecord]) -> 
         due_h=float(read_field(entry.id, "due_h")),
         started_utc_ns=int(read_field(entry.id, "started_utc_ns")),
         ended_utc_ns=int(read_field(entry.id, "ended_utc_ns")),
-        rig_kind=_text(read_field(entry.id, "instrument/name")[()]),
+        rig_kind=_decode_text(read_field(entry.id, "instrument/name")[()]),
         positions=_read_positions(entry),
         shots=[record for record in records if isinstance(record, Shot)],
         echoes=[record for record in records if isinstance(record, PulseEchoRecord)],
         missed=_read_missed(entry),
         outcomes=_read_outcomes(_read_table(entry), records),
-        trouble=_text(entry["trouble"][()]) if "trouble" in entry else "",
+        trouble=_decode_text(entry["trouble"][()]) if "trouble" in entry else "",
         environment=_read_environment(entry),
-        provenance=json.loads(_text(entry["provenance/data"][0])),
+        provenance=json.loads(_decode_text(entry["provenance/data"][0])),
         results={name: _read_columns(entry[name], *entry[name]) for name in RESULTS if name in entry},
     )
 
 
-def _corruption_error(path: Path, damages: Sequence[Damage]) -> CorruptArchiveError:
+def _create_corruption_error(path: Path, damages: Sequence[Damage]) -> CorruptArchiveError:
     """Return the error that names all corrupt records of a file."""
     error = CorruptArchiveError(f"{path}: {'; '.join(map(str, damages))}; {BACK}")
     error.add_note("read_set(..., skip_damaged=True) reads its other records")
@@ -269,7 +269,7 @@ def _corruption_error(path: Path, damages: Sequence[Damage]) -> CorruptArchiveEr
 
 def _read_waveform(path: Path, position: str, shot_index: int) -> Waveform:
     """Read the accepted record of a shot from a file."""
-    with opened_set(path) as entry:
+    with open_set_file(path) as entry:
         table = _read_table(entry)
         rows = [
             row
@@ -279,22 +279,22 @@ def _read_waveform(path: Path, position: str, shot_index: int) -> Waveform:
         if not rows:
             raise SetNotFoundError(f"{path} has no shot {shot_index} of position {position!r}")
         row = max(rows, key=lambda row: (table["outcome"][row] == "accepted", table["attempt"][row]))
-        for name in group_names(entry):
-            if _text(entry[name].attrs["position"]) != position:
+        for name in list_record_groups(entry):
+            if _decode_text(entry[name].attrs["position"]) != position:
                 continue
             group = RecordGroup(entry, name)
             if table["shot_id"][row] in group.sequences:
                 waveform = group.waveform(group.sequences.index(table["shot_id"][row]), table["crc32"][row])
                 if isinstance(waveform, Waveform):
                     return waveform
-                raise CorruptArchiveError(f"{path}: {_damage_of_row(table, row, waveform)}")
-        raise CorruptArchiveError(f"{path}: {_damage_of_row(table, row, 'no array holds it')}")
+                raise CorruptArchiveError(f"{path}: {_build_damage(table, row, waveform)}")
+        raise CorruptArchiveError(f"{path}: {_build_damage(table, row, 'no array holds it')}")
 
 
-def _unreadable(entry: h5py.Group) -> list[Damage]:
+def _list_unreadable(entry: h5py.Group) -> list[Damage]:
     """List the parts that cannot be read, other than records."""
     unreadable: list[Damage] = []
-    arrays = {f"{name}/{signal}" for name in group_names(entry) for signal in ("waveform", "record")}
+    arrays = {f"{name}/{signal}" for name in list_record_groups(entry) for signal in ("waveform", "record")}
     _read_everything(entry, "", arrays, unreadable)
     try:
         # Visits the free-space lists of the groups' names, too, which no other access reads.
@@ -309,8 +309,8 @@ class RecordGroup:
 
     def __init__(self, entry: h5py.Group, name: str) -> None:
         self.data = entry[name]
-        self.position = _text(self.data.attrs["position"])
-        self.signal = self.data[_text(self.data.attrs["signal"])]
+        self.position = _decode_text(self.data.attrs["position"])
+        self.signal = self.data[_decode_text(self.data.attrs["signal"])]
         self.sequences: list[int] = read_field(self.data.id, "shot_id").tolist()
         detector = entry["instrument"][name].id
         self.sample_rate_hz = float(read_field(detector, "sample_rate"))
@@ -319,10 +319,10 @@ class RecordGroup:
             coefficients_v=read_field(detector, "calibration_coefficients"),
             resolution_bits=int(read_field(detector, "resolution_bits")),
             range_v=float(read_field(detector, "input_range")),
-            date=_text(read_field(detector, "calibration_date")[()]),
+            date=_decode_text(read_field(detector, "calibration_date")[()]),
         )
 
-    def all_counts(self) -> NDArray[Any] | None:
+    def read_all_counts(self) -> NDArray[Any] | None:
         """Return the counts of all records at once, which is faster; None if some are unreadable."""
         try:
             counts: NDArray[Any] = self.signal[()]
@@ -342,10 +342,10 @@ class RecordGroup:
             pretrigger_samples=self.pretrigger_samples,
             calibration=self.calibration,
         )
-        crc32_read = waveform_crc32(waveform)
+        crc32_read = compute_crc32(waveform)
         return waveform if crc32_read == crc32 else f"CRC-32 is {crc32_read:08x}, stored as {crc32:08x}"
 
-    def echo_settings(self, row: int) -> dict[str, Any]:
+    def read_echo_settings(self, row: int) -> dict[str, Any]:
         """Return the receiver settings of a pulse-echo record."""
         return {
             "gain_db": float(self.data["gain"][row]),
@@ -359,7 +359,7 @@ def _read_records(
 ) -> tuple[list[Shot | PulseEchoRecord], list[Damage]]:
     """Return all readable records in order, and the corrupt ones; of one position only if it is given."""
     table = _read_table(entry)
-    set_key = set_key_of(entry)
+    set_key = read_set_key(entry)
     truths = _read_facts(entry, "truth") if facts else {}
     settings = _read_facts(entry, "settings") if facts else {}
     row_of = {
@@ -369,15 +369,15 @@ def _read_records(
     }
     reasons = dict.fromkeys(row_of, "no readable array holds it")
     record_of_sequence: dict[int, Shot | PulseEchoRecord] = {}
-    for name in group_names(entry):
+    for name in list_record_groups(entry):
         try:
-            if position not in (None, _text(entry[name].attrs["position"])):
+            if position not in (None, _decode_text(entry[name].attrs["position"])):
                 continue
             group = RecordGroup(entry, name)
         except HDF5_ERRORS as error:
             reasons = {sequence: f"{text} ({name}: {error})" for sequence, text in reasons.items()}
             continue
-        is_echo, all_counts = "gain" in group.data, group.all_counts()
+        is_echo, all_counts = "gain" in group.data, group.read_all_counts()
         for row, sequence in enumerate(group.sequences):
             waveform = group.waveform(row, table["crc32"][row_of[sequence]], all_counts)
             if isinstance(waveform, str):
@@ -385,17 +385,17 @@ def _read_records(
                 continue
             common: dict[str, Any] = {
                 "sequence": sequence,
-                "key": _key(table, row_of[sequence], set_key),
-                "stamp": _stamp(table, row_of[sequence]),
+                "key": _build_shot_key(table, row_of[sequence], set_key),
+                "stamp": _build_stamp(table, row_of[sequence]),
                 "waveform": waveform,
                 "truth": truths.get(sequence, {}),
                 "settings": settings.get(sequence, {}),
             }
             record_of_sequence[sequence] = (
-                PulseEchoRecord(**common, **group.echo_settings(row)) if is_echo else Shot(**common)
+                PulseEchoRecord(**common, **group.read_echo_settings(row)) if is_echo else Shot(**common)
             )
     damages = [
-        _damage_of_row(table, row, reasons[sequence])
+        _build_damage(table, row, reasons[sequence])
         for sequence, row in row_of.items()
         if sequence not in record_of_sequence
     ]
@@ -406,12 +406,12 @@ def _read_columns(table: h5py.Group, *names: str) -> _Columns:
     """Read columns of a table as lists."""
     columns = {name: read_field(table.id, name).tolist() for name in names}
     return {
-        name: [_text(value) if isinstance(value, bytes) else value for value in values]
+        name: [_decode_text(value) if isinstance(value, bytes) else value for value in values]
         for name, values in columns.items()
     }
 
 
-def _rows_of(columns: _Columns) -> list[dict[str, Any]]:
+def _to_rows(columns: _Columns) -> list[dict[str, Any]]:
     """Return the rows of a table by the names of its columns."""
     return [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
 
@@ -436,25 +436,25 @@ def _read_outcomes(table: _Columns, records: Sequence[Shot | PulseEchoRecord]) -
     }
 
 
-def set_key_of(entry: h5py.Group) -> SetKey:
+def read_set_key(entry: h5py.Group) -> SetKey:
     """Read the key of a set; up to format 1.5 it is one number."""
-    key = SetKey.of_number(int(read_field(entry.id, "set_index")))
+    key = SetKey.from_number(int(read_field(entry.id, "set_index")))
     if "unscheduled_index" not in entry:
         return key
     return key._replace(unscheduled_index=int(read_field(entry.id, "unscheduled_index")))
 
 
-def _key(table: _Columns, row: int, set_key: SetKey) -> ShotKey:
+def _build_shot_key(table: _Columns, row: int, set_key: SetKey) -> ShotKey:
     """Return the shot key of a row."""
     return ShotKey.in_set(set_key, table["position"][row], table["shot_index"][row], table["attempt"][row])
 
 
-def _stamp(table: _Columns, row: int) -> Stamp:
+def _build_stamp(table: _Columns, row: int) -> Stamp:
     """Return the time stamp of a row."""
     return Stamp(utc_ns=table["utc_ns"][row], mono_ns=table["mono_ns"][row], boot_id=table["boot_id"][row])
 
 
-def _damage_of_row(table: _Columns, row: int, reason: str) -> Damage:
+def _build_damage(table: _Columns, row: int, reason: str) -> Damage:
     """Return the damage of a row's record."""
     return Damage(
         sequence=table["shot_id"][row],
@@ -481,7 +481,7 @@ def _read_facts(entry: h5py.Group, kind: str) -> dict[int, dict[str, Any]]:
             values = read_field(group.id, name).tolist()
             for sequence, value, is_known in zip(sequences, values, known, strict=True):
                 if is_known:
-                    fact = _text(value) if isinstance(value, bytes) else value
+                    fact = _decode_text(value) if isinstance(value, bytes) else value
                     facts.setdefault(sequence, {})[name] = fact
     return facts
 
@@ -491,9 +491,9 @@ def _read_missed(entry: h5py.Group) -> list[MissedShot]:
     if "missed" not in entry:
         return []
     columns = _read_columns(entry["missed"], "position", "shot_index", "attempt", "cause", "reason")
-    set_key = set_key_of(entry)
+    set_key = read_set_key(entry)
     return [
-        MissedShot(key=_key(columns, row, set_key), cause=cause, reason=columns["reason"][row])
+        MissedShot(key=_build_shot_key(columns, row, set_key), cause=cause, reason=columns["reason"][row])
         for row, cause in enumerate(columns["cause"])
     ]
 
@@ -505,7 +505,8 @@ def _read_environment(entry: h5py.Group) -> dict[str, float | str | None]:
     group = entry["environment"]
     values = {name: read_field(group.id, name)[()] for name in group}
     return {
-        name: _text(value) if isinstance(value, bytes) else float(value) for name, value in values.items()
+        name: _decode_text(value) if isinstance(value, bytes) else float(value)
+        for name, value in values.items()
     }
 
 
@@ -518,7 +519,7 @@ def _read_positions(entry: h5py.Group) -> list[PositionRecord]:
     ]
 
 
-def group_names(entry: h5py.Group) -> list[str]:
+def list_record_groups(entry: h5py.Group) -> list[str]:
     """Return the names of the NXdata groups that hold records: those with a detector."""
     return [name for name in entry["instrument"] if name != "name"]
 
@@ -556,12 +557,12 @@ def read_stored(path: Path) -> bytes:
 
 
 @contextmanager
-def opened_set(path: Path, content: bytes | None = None, *, is_own: bool = False) -> Iterator[h5py.Group]:
+def open_set_file(path: Path, content: bytes | None = None, *, is_own: bool = False) -> Iterator[h5py.Group]:
     """Open the entry of a set's file or of its content in memory, and translate errors."""
     try:
         image = read_stored(path) if content is None else content
-        with h5py.File(opened_image(image, is_own=is_own)) as file:
-            version = _text(file.attrs.get("solimon_format_version", ""))
+        with h5py.File(open_image(image, is_own=is_own)) as file:
+            version = _decode_text(file.attrs.get("solimon_format_version", ""))
             if not version.startswith(_READABLE_FORMAT):
                 raise CorruptArchiveError(
                     f"{path} has format {version or 'unknown'}, this version reads {_READABLE_FORMAT}x; "
@@ -582,6 +583,6 @@ def opened_set(path: Path, content: bytes | None = None, *, is_own: bool = False
         raise CorruptArchiveError(f"{path} is damaged: {error}; {BACK}") from error
 
 
-def _text(value: object) -> str:
+def _decode_text(value: object) -> str:
     """Decode a text of HDF5."""
     return value.decode() if isinstance(value, bytes) else str(value)

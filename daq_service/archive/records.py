@@ -49,7 +49,7 @@ class OpenSet:
     """
 
     set_key: SetKey
-    due_utc_ns: int
+    parse_due_utc_ns: int
     started_utc_ns: int
     last_utc_ns: int
     disabled: Mapping[str, str] = field(default_factory=dict)
@@ -121,7 +121,7 @@ class Damage:
         return f"shot {self.shot_index} of {self.position} (sequence {self.sequence}): {self.reason}"
 
 
-def set_reference(set_key: SetKey, due_utc_ns: int) -> SetReference:
+def to_reference(set_key: SetKey, due_utc_ns: int) -> SetReference:
     """Return the reference of a set; references sort by time.
 
     That of an unscheduled set has the index of the scheduled one before it, and ends with its own number.
@@ -132,24 +132,24 @@ def set_reference(set_key: SetKey, due_utc_ns: int) -> SetReference:
     return SetReference(f"{SETS_FOLDER}/set_{set_index:06d}_{due:%Y%m%dT%H%M%SZ}{number}.h5")
 
 
-def due_utc_ns(reference: SetReference) -> int:
+def parse_due_utc_ns(reference: SetReference) -> int:
     """Return the due time of a set to the second."""
     match = _NAME.fullmatch(reference.rpartition("/")[2])
     assert match is not None, f"{reference} is no reference of a set"
     return parse_utc(match[2])
 
 
-def set_keys(names: Iterable[str]) -> set[SetKey]:
+def parse_set_keys(names: Iterable[str]) -> set[SetKey]:
     """Return the keys of the sets with these file names."""
-    return {*map(_key_of, _LINES.finditer("\n".join(names)))}
+    return {*map(_to_key, _LINES.finditer("\n".join(names)))}
 
 
-def referenced_sets(names: Iterable[str]) -> dict[SetKey, SetReference]:
+def to_references(names: Iterable[str]) -> dict[SetKey, SetReference]:
     """Return the reference of each complete set by key, from file names, in the order of the sets."""
     matches = (match for match in map(_NAME.fullmatch, names) if match)
-    return dict(sorted((_key_of(match), SetReference(f"{SETS_FOLDER}/{match[0]}")) for match in matches))
+    return dict(sorted((_to_key(match), SetReference(f"{SETS_FOLDER}/{match[0]}")) for match in matches))
 
 
-def _key_of(match: re.Match[str]) -> SetKey:
+def _to_key(match: re.Match[str]) -> SetKey:
     """Return the key of a set; in file names of earlier versions the first number may be that of any set."""
-    return SetKey(int(match[1]), int(match[3])) if match[3] else SetKey.of_number(int(match[1]))
+    return SetKey(int(match[1]), int(match[3])) if match[3] else SetKey.from_number(int(match[1]))

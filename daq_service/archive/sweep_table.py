@@ -9,13 +9,13 @@ import numpy as np
 from h5py.h5g import GroupID
 from numpy.typing import NDArray
 
-from daq_service.archive.nexus import Attribute, add_field, add_group, image_file, image_of, set_attributes
-from hardware_drivers.units import unit_of
+from daq_service.archive.nexus import Attribute, add_field, add_group, new_image, read_image, set_attributes
+from hardware_drivers.units import find_unit
 
 _CHUNK_SAMPLES = 65_536
 
 
-def hdf5_image(
+def build_sweep_image(
     *,
     swept: Mapping[str, NDArray[Any] | list[str]],
     results: Mapping[str, NDArray[np.float64]],
@@ -36,7 +36,7 @@ def hdf5_image(
     swept, results, status, forces, facts, facts_text
         Parts of a `daq_service.cli.sweep.table.SweepTable`.
     """
-    with image_file() as file:
+    with new_image() as file:
         set_attributes(file, {"default": "entry"})
         plain: dict[str, Attribute] = {
             name: value for name, value in facts.items() if isinstance(value, (str, int, float))
@@ -46,11 +46,11 @@ def hdf5_image(
         for name, columns in (("swept", swept), ("results", results)):
             group = add_group(entry, name, "NXcollection", {"column_order": list(columns)})
             for key, values in columns.items():
-                add_field(group, key, values, units=unit_of(key.rpartition(".")[2]))
+                add_field(group, key, values, units=find_unit(key.rpartition(".")[2]))
         add_field(entry, "status", status)
         if forces is not None:
             _add_waveforms(entry, forces)
-        return image_of(file)
+        return read_image(file)
 
 
 def _add_waveforms(entry: GroupID, forces: Sequence[tuple[NDArray[np.float64], float]]) -> None:

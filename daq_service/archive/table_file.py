@@ -15,15 +15,15 @@ from daq_service.archive.nexus import (
     Attribute,
     add_field,
     add_group,
-    image_file,
-    image_of,
+    new_image,
     open_root,
+    read_image,
     set_attributes,
 )
-from hardware_drivers.units import unit_of
+from hardware_drivers.units import find_unit
 
 
-def table_image(
+def build_table_image(
     name: str,
     columns: Mapping[str, NDArray[Any] | list[str]],
     *,
@@ -38,15 +38,15 @@ def table_image(
     axis
         Column of the x axis.
     """
-    with image_file() as file:
+    with new_image() as file:
         entry = _add_entry(file, name, facts_text)
         plot: dict[str, Attribute] = {} if signal is None else {"signal": signal, "axes": [axis]}
         group = add_group(entry, name, "NXcollection" if signal is None else "NXdata", plot)
         _add_columns(group, columns, axis)
-        return image_of(file)
+        return read_image(file)
 
 
-def records_image(
+def build_records_image(
     name: str,
     columns: Mapping[str, NDArray[Any] | list[str]],
     time_s: NDArray[np.float64],
@@ -66,7 +66,7 @@ def records_image(
     axis
         Column that identifies the waveforms.
     """
-    with image_file() as file:
+    with new_image() as file:
         plot: dict[str, Attribute] = {"signal": "voltage_v", "axes": [axis, "time_s"]}
         group = add_group(_add_entry(file, name, facts_text), name, "NXdata", plot)
         axis_field = _add_columns(group, columns, axis)
@@ -74,7 +74,7 @@ def records_image(
         add_field(
             group, "voltage_v", voltage_v, chunk=(1, voltage_v.shape[1]), axes=[axis_field, time], units="V"
         )
-        return image_of(file)
+        return read_image(file)
 
 
 def _add_entry(file: FileID, name: str, facts_text: str) -> GroupID:
@@ -94,5 +94,5 @@ def _add_columns(group: GroupID, columns: Mapping[str, NDArray[Any] | list[str]]
         if key != axis
     }
     for key, field in {axis: axis_field, **fields}.items():
-        set_attributes(field, {"units": unit_of(key)} if unit_of(key) else {})
+        set_attributes(field, {"units": find_unit(key)} if find_unit(key) else {})
     return axis_field

@@ -15,8 +15,8 @@ import numpy as np
 
 from daq_service.archive.errors import CorruptArchiveError, SetNotFoundError
 from daq_service.archive.layout import build_image
-from daq_service.archive.nexus import opened_image
-from daq_service.archive.reader import HDF5_ERRORS, examine, read_stored, unreadable_parts
+from daq_service.archive.nexus import open_image
+from daq_service.archive.reader import HDF5_ERRORS, examine_file, list_unreadable_parts, read_stored
 from daq_service.archive.records import Damage
 from hardware_drivers.measurement import SetRecord
 
@@ -75,19 +75,19 @@ def check_file(path: Path, *, sha256: str | None = None) -> CheckedFile:
     digest = hashlib.sha256(content).hexdigest()
     touched = sha256 is not None and digest != sha256
     try:
-        record, damages = examine(path, content)
-        rebuilt = None if record is None or damages or sha256 is not None else _rebuilt(record)
+        record, damages = examine_file(path, content)
+        rebuilt = None if record is None or damages or sha256 is not None else _rebuild_file(record)
         # Otherwise every byte equals the one that was written or rebuilt.
         if damages or touched or (sha256 is None and rebuilt != content):
-            damages += unreadable_parts(path, content)
+            damages += list_unreadable_parts(path, content)
             if not damages and not touched:
-                damages = [Damage(reason=reason) for reason in _contradictions(content, rebuilt)]
+                damages = [Damage(reason=reason) for reason in _list_contradictions(content, rebuilt)]
     except CorruptArchiveError as error:
         record, damages = None, [Damage(reason=str(error.__cause__ or error))]
     return CheckedFile(n_bytes=len(content), record=record, damages=damages, touched=touched, sha256=digest)
 
 
-def _rebuilt(record: SetRecord) -> bytes | None:
+def _rebuild_file(record: SetRecord) -> bytes | None:
     """Rebuild the file from its record; None if that is impossible."""
     try:
         return build_image(record)
@@ -96,7 +96,7 @@ def _rebuilt(record: SetRecord) -> bytes | None:
         return None
 
 
-def damage_of(path: Path, sha256: str | None = None) -> tuple[str, str]:
+def find_damage(path: Path, sha256: str | None = None) -> tuple[str, str]:
     """Return the damages of a set's file (empty: none) and its SHA-256; see `check_file`."""
     checked = check_file(path, sha256=sha256)
     damages = [str(damage) for damage in checked.damages]
@@ -104,7 +104,7 @@ def damage_of(path: Path, sha256: str | None = None) -> tuple[str, str]:
     return "; ".join([*touched, *damages]), checked.sha256
 
 
-def _contradictions(content: bytes, rebuilt: bytes | None) -> list[str]:
+def _list_contradictions(content: bytes, rebuilt: bytes | None) -> list[str]:
     """Compare a file, value by value, with the file rebuilt from its records.
 
     Another version of a library may encode equal values in other bytes; then changes of unused bytes are
@@ -114,10 +114,10 @@ def _contradictions(content: bytes, rebuilt: bytes | None) -> list[str]:
         return ["what can be read of it makes no set"]
     try:
         with (
-            h5py.File(opened_image(content)) as stored,
-            h5py.File(opened_image(rebuilt, is_own=True)) as expected,
+            h5py.File(open_image(content)) as stored,
+            h5py.File(open_image(rebuilt, is_own=True)) as expected,
         ):
-            values, expected_values = _values(stored), _values(expected)
+            values, expected_values = _read_values(stored), _read_values(expected)
             same_format = stored.attrs["solimon_format_version"] == expected.attrs["solimon_format_version"]
     except HDF5_ERRORS as error:
         return [f"the structure of the file is damaged ({error})"]
@@ -128,30 +128,30 @@ def _contradictions(content: bytes, rebuilt: bytes | None) -> list[str]:
     ]
 
 
-def _values(file: h5py.File) -> dict[str, Any]:
+def _read_values(file: h5py.File) -> dict[str, Any]:
     """Return every array and attribute by its path, without the format version."""
     values: dict[str, Any] = {}
 
-    def add(name: str, item: Any) -> None:
+    def add_item(name: str, item: Any) -> None:
         # The REFERENCE_LIST of an axis repeats the DIMENSION_LIST of the arrays that it belongs to.
         attributes = {key: value for key, value in item.attrs.items() if key != "REFERENCE_LIST"}
-        values.update({f"{name}@{key}": _comparable(file, value) for key, value in attributes.items()})
-        values[name] = _comparable(file, item[()]) if isinstance(item, h5py.Dataset) else None
+        values.update({f"{name}@{key}": _to_comparable(file, value) for key, value in attributes.items()})
+        values[name] = _to_comparable(file, item[()]) if isinstance(item, h5py.Dataset) else None
 
-    add("", file)
-    file.visititems(add)
+    add_item("", file)
+    file.visititems(add_item)
     values.pop("@solimon_format_version", None)
     return values
 
 
-def _comparable(file: h5py.File, value: object) -> object:
+def _to_comparable(file: h5py.File, value: object) -> object:
     """Return a value for comparison: texts as str, references as target names, numbers as arrays."""
     if isinstance(value, h5py.Reference):
         return file[value].name
     if isinstance(value, bytes):
         return value.decode(errors="replace")
     if isinstance(value, np.ndarray) and value.dtype.kind in "SO":
-        return [_comparable(file, part) for part in value.flat]
+        return [_to_comparable(file, part) for part in value.flat]
     return value if isinstance(value, str) else np.asarray(value)
 
 

@@ -11,7 +11,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from daq_service.archive.errors import ArchiveWriteError, ConflictingSetError
-from daq_service.archive.journal.frames import Buffers, begin_frame, end_frame, missed_frame
+from daq_service.archive.journal.frames import Buffers, build_begin_frame, build_end_frame, build_missed_frame
 from daq_service.archive.journal.writer import Journal
 from daq_service.archive.layout import build_image
 from daq_service.archive.reader import FolderSetReader
@@ -25,10 +25,10 @@ from daq_service.archive.records import (
     SetReference,
     StoredSet,
     StoreTimings,
-    set_reference,
+    to_reference,
 )
-from daq_service.shared_file import patiently, remove_quietly, sync_folder
-from hardware_drivers.measurement import MissedShot, PulseEchoRecord, SetKey, SetRecord, Shot, waveform_crc32
+from daq_service.shared_file import remove_quietly, retry_call, sync_folder
+from hardware_drivers.measurement import MissedShot, PulseEchoRecord, SetKey, SetRecord, Shot, compute_crc32
 
 _REMEDY = {
     errno.ENOSPC: "free some space",
@@ -66,10 +66,10 @@ class FolderArchive(FolderSetReader):
             with contextlib.suppress(PermissionError):
                 # The name of a new data folder; the parent folder may belong to another user.
                 sync_folder(folder.absolute().parent, patience_s=0.0)
-            unfinished = patiently(lambda: list(self._sets_folder.glob(f"*{TEMPORARY_SUFFIX}")))
+            unfinished = retry_call(lambda: list(self._sets_folder.glob(f"*{TEMPORARY_SUFFIX}")))
             self._folder_stat = self._sets_folder.stat()
         except OSError as error:
-            raise _write_error(self._sets_folder, error) from error
+            raise _create_write_error(self._sets_folder, error) from error
         for path in unfinished:
             remove_quietly(path)
         self.journal_damage = self._journal_writer.damage
@@ -87,7 +87,9 @@ class FolderArchive(FolderSetReader):
     ) -> None:
         """Record the start of a set; durable with the next `sync`."""
         self._sequences_of[set_key] = set()
-        frame = begin_frame(set_key, due_utc_ns=due_utc_ns, started_utc_ns=started_utc_ns, disabled=disabled)
+        frame = build_begin_frame(
+            set_key, due_utc_ns=due_utc_ns, started_utc_ns=started_utc_ns, disabled=disabled
+        )
         self._journal_writer.add(set_key, frame)
 
     def append(self, item: Shot | PulseEchoRecord | MissedShot, utc_ns: int) -> None:
@@ -96,7 +98,7 @@ class FolderArchive(FolderSetReader):
         if sequences is None:
             return
         if isinstance(item, MissedShot):
-            self._journal_writer.add(item.key.set_key, missed_frame(item, utc_ns))
+            self._journal_writer.add(item.key.set_key, build_missed_frame(item, utc_ns))
         else:
             self._journal_writer.append(item)
             sequences.add(item.sequence)
@@ -107,7 +109,7 @@ class FolderArchive(FolderSetReader):
             self._check_own_folder()
             return self._journal_writer.sync()
         except OSError as error:
-            raise _write_error(self.folder / JOURNAL_FOLDER, error) from error
+            raise _create_write_error(self.folder / JOURNAL_FOLDER, error) from error
 
     def open_sets(self) -> dict[SetKey, OpenSet]:
         """Return the unfinished sets of an earlier process by key."""
@@ -116,7 +118,7 @@ class FolderArchive(FolderSetReader):
         }
         return {index: item for index, item in opened.items() if item is not None}
 
-    def to_finalize(self) -> list[SetKey]:
+    def list_sets_to_finalize(self) -> list[SetKey]:
         """Return the complete sets that an earlier process left in the journal."""
         return [index for index, item in self._journal_writer.left.items() if item.is_whole]
 
@@ -124,7 +126,7 @@ class FolderArchive(FolderSetReader):
         """Continue an open set: new records are added to the durable ones."""
         self._sequences_of[opened.set_key] = {record.sequence for record in opened.records}
         if not opened.is_dated:
-            frame = begin_frame(
+            frame = build_begin_frame(
                 opened.set_key,
                 due_utc_ns=opened.due_utc_ns,
                 started_utc_ns=opened.started_utc_ns,
@@ -135,15 +137,15 @@ class FolderArchive(FolderSetReader):
     def store_set(self, record: SetRecord) -> StoredSet:
         """Make a set durable; on return every record of it is acknowledged."""
         start = time.perf_counter()
-        reference = set_reference(record.set_key, record.due_utc_ns)
+        reference = to_reference(record.set_key, record.due_utc_ns)
         stored = self._stored.get(record.set_key)
         if stored is not None:
             # The same set again, after an error that occurred when it was already stored.
             stored_record = replace(self.read_set(stored), results=record.results)
             if stored != reference or build_image(stored_record) != build_image(record):
-                raise self._conflict(record.set_key, stored)
+                raise self._create_conflict_error(record.set_key, stored)
         else:
-            self._end(record)
+            self._append_end(record)
         added = time.perf_counter()
         self.sync()
         self._sequences_of.pop(record.set_key, None)
@@ -151,13 +153,13 @@ class FolderArchive(FolderSetReader):
         return StoredSet(
             file=reference,
             n_bytes=sum(item.waveform.counts.nbytes for item in record.records),
-            crc32={item.sequence: waveform_crc32(item.waveform) for item in record.records},
+            crc32={item.sequence: compute_crc32(item.waveform) for item in record.records},
             timings=StoreTimings(image_s=added - start, fsync_s=time.perf_counter() - added),
         )
 
-    def _end(self, record: SetRecord) -> None:
+    def _append_end(self, record: SetRecord) -> None:
         """Add the missing records of a set to the journal, and its end, once."""
-        frame = end_frame(record)
+        frame = build_end_frame(record)
         if self._end_frames.get(record.set_key) == frame:
             return
         sequences = self._sequences_of.setdefault(record.set_key, set())
@@ -186,18 +188,18 @@ class FolderArchive(FolderSetReader):
         source = self.folder / reference
         try:
             if source.exists():
-                move_aside(self.folder, reference)
+                move_to_quarantine(self.folder, reference)
             else:
-                self._journal_writer.set_aside(self._key_of(reference), source.name)
+                self._journal_writer.set_aside(self._parse_key(reference), source.name)
         except OSError as error:
-            raise _write_error(source, error) from error
+            raise _create_write_error(source, error) from error
         self._stored = self.sets()
 
-    def _key_of(self, reference: SetReference) -> SetKey:
+    def _parse_key(self, reference: SetReference) -> SetKey:
         """Return the key of a reference."""
         return next(key for key, file in self.sets().items() if file == reference)
 
-    def quarantined(self) -> list[str]:
+    def list_quarantined(self) -> list[str]:
         """List the names of all files in the quarantine."""
         names = sorted(path.name for path in (self.folder / QUARANTINE_FOLDER).glob("*"))
         return [f"{QUARANTINE_FOLDER}/{name}" for name in names]
@@ -209,7 +211,7 @@ class FolderArchive(FolderSetReader):
                 f"{self._sets_folder} is not the folder of this test any more; bring its own one back"
             )
 
-    def _conflict(self, set_key: SetKey, stored: SetReference) -> ConflictingSetError:
+    def _create_conflict_error(self, set_key: SetKey, stored: SetReference) -> ConflictingSetError:
         """Return the error for a set that is stored with other content."""
         return ConflictingSetError(
             f"set {set_key} is stored already in {self.folder / stored} and differs; nothing stored is "
@@ -217,7 +219,7 @@ class FolderArchive(FolderSetReader):
         )
 
 
-def move_aside(folder: Path, reference: SetReference) -> str:
+def move_to_quarantine(folder: Path, reference: SetReference) -> str:
     """Move a set's file to the quarantine and return its path there; nothing is overwritten.
 
     Raises
@@ -230,13 +232,13 @@ def move_aside(folder: Path, reference: SetReference) -> str:
     target = quarantine / source.name
     while target.exists():
         target = target.with_name(f"again_{target.name}")
-    patiently(lambda: source.replace(target))
+    retry_call(lambda: source.replace(target))
     for parent in (quarantine, source.parent, folder):
         sync_folder(parent)
     return f"{QUARANTINE_FOLDER}/{target.name}"
 
 
-def _write_error(path: Path, error: OSError) -> ArchiveWriteError:
+def _create_write_error(path: Path, error: OSError) -> ArchiveWriteError:
     """Return the error for a rejected write, with its remedy."""
     remedy = _REMEDY.get(error.errno or 0, "check the disk and its connection")
     return ArchiveWriteError(f"{path} cannot be written: {error.strerror or error}; {remedy}")

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-from daq_service.acquisition.schedule import due_hours
+from daq_service.acquisition.schedule import list_due_hours
 from daq_service.catalogue.rows import BaselineRow
 from daq_service.settings.tree import Settings
 
@@ -37,7 +37,7 @@ class BaselineRange:
     row_id: int
 
 
-def baseline_range(position: str, settings: Settings, present: BaselineRow | None) -> BaselineRange:
+def find_baseline_range(position: str, settings: Settings, present: BaselineRow | None) -> BaselineRange:
     """Return the range of sets of the current baseline.
 
     Parameters
@@ -46,7 +46,7 @@ def baseline_range(position: str, settings: Settings, present: BaselineRow | Non
         The newest row of the position; None: the first baseline is being recorded.
     """
     # The whole schedule, not one cut by end_h: a test that is carried on later has the same baseline.
-    n_sets = len(due_hours(settings.schedule.phases, end_h=settings.baseline.hours))
+    n_sets = len(list_due_hours(settings.schedule.phases, end_h=settings.baseline.hours))
     names = list(settings.positions)
     row_id = 1 + names.index(position)
     if present is not None and present.id is not None and present.id > len(names):
@@ -59,13 +59,15 @@ def baseline_range(position: str, settings: Settings, present: BaselineRow | Non
     return BaselineRange(number=1, first_set=0, last_set=n_sets - 1, row_id=row_id)
 
 
-def first_baseline(position: str, settings: Settings, epoch_utc_ns: int) -> BaselineRow:
+def build_first_baseline(position: str, settings: Settings, epoch_utc_ns: int) -> BaselineRow:
     """Return the first baseline of a position while it collects: it has no row until it is frozen."""
-    row = _collecting(position, settings.baseline.approval, baseline_range(position, settings, None))
+    row = _build_collecting_row(
+        position, settings.baseline.approval, find_baseline_range(position, settings, None)
+    )
     return replace(row, created_utc_ns=epoch_utc_ns)
 
 
-def baseline_name(position: str, number: int) -> str:
+def format_baseline_name(position: str, number: int) -> str:
     """Return the name of a position's baseline by its number."""
     return f"{position}-baseline-{number}"
 
@@ -99,20 +101,22 @@ def renew(
     ValueError
         The schedule ends before the successor is complete, or it would have too few sets.
     """
-    current = baseline_range(position, settings, present)
+    current = find_baseline_range(position, settings, present)
     n_sets, minimum = 1 + current.last_set - current.first_set, settings.baseline.minimum_sets
     if n_sets < minimum:
         raise ValueError(
             f"baseline.hours = {settings.baseline.hours:g} gives a baseline {n_sets} sets, it needs "
             f"{minimum} (baseline.minimum_sets): begin a new test with a longer baseline"
         )
-    n_remaining = max(0, len(due_hours(settings.schedule.phases, end_h=settings.schedule.end_h)) - first_set)
+    n_remaining = max(
+        0, len(list_due_hours(settings.schedule.phases, end_h=settings.schedule.end_h)) - first_set
+    )
     if n_remaining < n_sets:
         raise ValueError(
             f"the plan has {n_remaining} sets left, another baseline takes {n_sets} (baseline.hours), as the "
             "first one: begin a new test, or let this one end later (schedule.end_h)"
         )
-    current_row = present or _collecting(position, settings.baseline.approval, current)
+    current_row = present or _build_collecting_row(position, settings.baseline.approval, current)
     retired = replace(
         current_row, state="retired", retired_utc_ns=utc_ns, retired_by=author, retired_reason=reason
     )
@@ -122,7 +126,7 @@ def renew(
         last_set=first_set + n_sets - 1,
         row_id=current.row_id + len(settings.positions),
     )
-    successor = _collecting(position, settings.baseline.approval, following)
+    successor = _build_collecting_row(position, settings.baseline.approval, following)
     return retired, replace(successor, created_utc_ns=utc_ns)
 
 
@@ -131,11 +135,11 @@ def approve(row: BaselineRow, author: str, utc_ns: int) -> BaselineRow:
     return replace(row, state="approved", approval=author, approved_utc_ns=utc_ns)
 
 
-def _collecting(position: str, approval: str, sets: BaselineRange) -> BaselineRow:
+def _build_collecting_row(position: str, approval: str, sets: BaselineRange) -> BaselineRow:
     """Return the row of a baseline that is being collected."""
     return BaselineRow(
         id=sets.row_id,
-        name=baseline_name(position, sets.number),
+        name=format_baseline_name(position, sets.number),
         position=position,
         first_set_index=sets.first_set,
         last_set_index=sets.last_set,

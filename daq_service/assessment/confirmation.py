@@ -11,7 +11,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from daq_service.assessment.stored_limits import limits_by_name
+from daq_service.assessment.stored_limits import collect_limits_by_name
 from daq_service.catalogue import Catalogue
 from daq_service.catalogue.rows import AssessmentRow, EventRow, SetRow
 from daq_service.settings.tree import ScheduleSettings
@@ -51,7 +51,7 @@ class Confirmation:
         }
 
 
-def confirmation_from_payload(position: str, payload: Mapping[str, Any]) -> Confirmation:
+def parse_confirmation_payload(position: str, payload: Mapping[str, Any]) -> Confirmation:
     """Read a request from the payload of a position's event `CONFIRMATION_ASKED`."""
     due = DueSet(
         set_index=payload["confirmation_set_index"],
@@ -63,7 +63,7 @@ def confirmation_from_payload(position: str, payload: Mapping[str, Any]) -> Conf
     return Confirmation(due=due, reason=payload["reason"], author=payload["author"])
 
 
-def rejection_reason(
+def find_rejection_reason(
     position: str,
     requests: Iterable[Confirmation],
     *,
@@ -89,7 +89,7 @@ def rejection_reason(
             f"{n_recent} of {maximum_per_day} confirmation sets a day are used "
             "(alarms.confirmation_sets_a_day)"
         )
-    return overlap_reason(available_ns, set_ns)
+    return find_overlap(available_ns, set_ns)
 
 
 def count_recent(position: str, requests: Iterable[Confirmation], at_h: float) -> int:
@@ -98,7 +98,7 @@ def count_recent(position: str, requests: Iterable[Confirmation], at_h: float) -
     return sum(request.due.due_h > at_h - BUDGET_H for request in recent)
 
 
-def overlap_reason(available_ns: float, set_ns: int) -> str:
+def find_overlap(available_ns: float, set_ns: int) -> str:
     """Return why a set would overlap the next scheduled one; empty if it does not."""
     if set_ns <= available_ns:
         return ""
@@ -106,13 +106,13 @@ def overlap_reason(available_ns: float, set_ns: int) -> str:
     return f"it takes up to {set_s:.0f} s, and the next planned set is due in {max(available_s, 0.0):.0f} s"
 
 
-def longest_set_ns(schedule: ScheduleSettings, restrikes: int, read_timeout_s: float) -> int:
+def compute_longest_set_ns(schedule: ScheduleSettings, restrikes: int, read_timeout_s: float) -> int:
     """Return the maximum duration of a transducer's set, with its repeated strikes and one lost record."""
     strikes = schedule.shots_per_set + restrikes
     return round((strikes * schedule.shot_interval_s + read_timeout_s) * NS_PER_S)
 
 
-def next_unscheduled_number(requests: Iterable[Confirmation], planned_set: int) -> int | None:
+def find_next_unscheduled_number(requests: Iterable[Confirmation], planned_set: int) -> int | None:
     """Return the number of the next unscheduled set after a scheduled one; None if there are too many."""
     numbers = (
         due.unscheduled_index for due in (request.due for request in requests) if due.set_index == planned_set
@@ -153,7 +153,7 @@ def summarize_confirmation(its_set: SetRow, assessment: AssessmentRow | None) ->
     }
     if assessment is None:
         return ConfirmationResult(**facts, reason=its_set.reason)
-    limit = limits_by_name(assessment).get(assessment.limit_name)
+    limit = collect_limits_by_name(assessment).get(assessment.limit_name)
     return ConfirmationResult(
         **facts, distance_squared=assessment.distance_squared, limit=limit, reason=assessment.reason
     )
@@ -163,15 +163,15 @@ def read_confirmations(catalogue: Catalogue) -> list[Confirmation]:
     """Read all requests for confirmation sets, in their order."""
     events = catalogue.rows(EventRow, topic="service", kind=CONFIRMATION_ASKED)
     return [
-        confirmation_from_payload(event.position, event.payload)
+        parse_confirmation_payload(event.position, event.payload)
         for event in events
         if event.position is not None
     ]
 
 
-def newest_confirmation(catalogue: Catalogue, position: str) -> ConfirmationResult | None:
+def read_newest_confirmation(catalogue: Catalogue, position: str) -> ConfirmationResult | None:
     """Read the newest confirmation set of a position; None if none."""
-    rows = catalogue.last_rows(SetRow, position, 1, purpose="confirmation")
+    rows = catalogue.read_last_rows(SetRow, position, 1, purpose="confirmation")
     if not rows:
         return None
     newest = rows[0]

@@ -39,14 +39,14 @@ ABRUPT = (
 """In place of `UNDETERMINED` where a step is likelier than not."""
 
 
-def operator_texts(cause: str, abrupt: float) -> tuple[str, str]:
+def build_operator_texts(cause: str, abrupt: float) -> tuple[str, str]:
     """Return observation and action of a diagnosis, for operators."""
     return ABRUPT if cause == UNDETERMINED and abrupt > 0.5 else SENTENCES[cause]
 
 
-def diagnosis_details(assessment: Diagnosis) -> dict[str, Any]:
+def build_diagnosis_details(assessment: Diagnosis) -> dict[str, Any]:
     """Return the details of a diagnosis for an assessment row, besides cause and probability."""
-    sentence, action = operator_texts(assessment.cause, assessment.abrupt)
+    sentence, action = build_operator_texts(assessment.cause, assessment.abrupt)
     return {
         "sentence": sentence,
         "action": action,
@@ -57,7 +57,7 @@ def diagnosis_details(assessment: Diagnosis) -> dict[str, Any]:
     }
 
 
-def diagnosis_text(
+def format_diagnosis(
     row_cause: str | None, probability: float | None, details: Mapping[str, Any] | None
 ) -> str:
     """Return cause, probability, observation and action as one text; empty if there is no diagnosis."""

@@ -5,32 +5,32 @@ from __future__ import annotations
 import logging
 from collections.abc import Sequence
 
-from analysis.assessment.step import SetOfShots, step
+from analysis.assessment.step import SetOfShots, assess_next_set
 from analysis.errors import AnalysisError
 from analysis.ultrasound.thickness import substitute_reference
 from analysis.waves.features import ALL_FEATURE_NAMES
 from daq_service.archive import CorruptArchiveError, SetNotFoundError
 from daq_service.assessment.assessor import Assessor, StoredResult
 from daq_service.assessment.pulse_echo import PulseEchoAssessor
-from daq_service.assessment.solitary_wave import SolitaryWaveAssessor, freezes_baseline
+from daq_service.assessment.solitary_wave import SolitaryWaveAssessor, has_completed_baseline
 from daq_service.catalogue.rows import AssessmentRow, ThicknessRow
 
 log = logging.getLogger(__name__)
 
 
-def follow(assessor: Assessor, stored: StoredResult) -> Sequence[AssessmentRow]:
+def update_from_stored_rows(assessor: Assessor, stored: StoredResult) -> Sequence[AssessmentRow]:
     """Update the state with a set by its rows; return the assessments of a baseline that it completes."""
     if isinstance(assessor, SolitaryWaveAssessor):
-        return _follow_shots(assessor, stored)
+        return _update_from_shots(assessor, stored)
     assert isinstance(assessor, PulseEchoAssessor)
     if isinstance(stored.result, ThicknessRow):
         if assessor.state.reference is None:
-            _follow_reference(assessor, stored, stored.result)
+            _restore_reference(assessor, stored, stored.result)
         assessor.add(stored.result)
     return ()
 
 
-def _follow_shots(assessor: SolitaryWaveAssessor, stored: StoredResult) -> Sequence[AssessmentRow]:
+def _update_from_shots(assessor: SolitaryWaveAssessor, stored: StoredResult) -> Sequence[AssessmentRow]:
     """Update the state of a transducer's assessor with a stored set."""
     row, result, before = stored.its_set, stored.result, assessor.state
     set_of_shots = SetOfShots(
@@ -47,25 +47,25 @@ def _follow_shots(assessor: SolitaryWaveAssessor, stored: StoredResult) -> Seque
     if row.purpose is not None:
         assessor.diagnose_unscheduled(set_of_shots)
         return ()
-    assessor.state, _ = step(before, set_of_shots, assessor.rules)
-    return assessor.baseline_assessments() if freezes_baseline(before, assessor.state) else ()
+    assessor.state, _ = assess_next_set(before, set_of_shots, assessor.rules)
+    return assessor.build_baseline_assessments() if has_completed_baseline(before, assessor.state) else ()
 
 
-def _follow_reference(assessor: PulseEchoAssessor, stored: StoredResult, reading: ThicknessRow) -> None:
+def _restore_reference(assessor: PulseEchoAssessor, stored: StoredResult, reading: ThicknessRow) -> None:
     """Restore the reference from its stored record; if that is lost, from the next good reading."""
     if assessor.lost is not None and (reading.quality != "good" or reading.thickness_m is None):
         return
     try:
         waveform = stored.waveform()
         if assessor.lost is None:
-            assessor.set_reference(assessor.echo_of(waveform, assessor.initial_thickness_m))
+            assessor.set_reference(assessor.build_reference_echo(waveform, assessor.initial_thickness_m))
             return
         first, error = assessor.lost
         assert reading.travel_time_s is not None
         assert reading.thickness_m is not None
         assert first.travel_time_s is not None
         substitute = substitute_reference(
-            assessor.echo_of(waveform, reading.thickness_m),
+            assessor.build_reference_echo(waveform, reading.thickness_m),
             travel_time_s=reading.travel_time_s,
             reference_travel_time_s=first.travel_time_s,
         )

@@ -12,7 +12,7 @@ from types import MappingProxyType
 
 from daq_service.archive import SetReader
 from daq_service.assessment.assessor import Assessor
-from daq_service.assessment.restore_state import restored_pulse_echo, restored_solitary_wave
+from daq_service.assessment.restore_state import restore_pulse_echo, restore_solitary_wave
 from daq_service.catalogue import Catalogue
 from daq_service.catalogue.reader import Filters
 from daq_service.catalogue.rows import MEASURED, MEASURED_BY, FeatureRow, ThicknessRow
@@ -56,14 +56,14 @@ METHODS: Mapping[Method, MeasuringMethod] = MappingProxyType(
             of_sets={"scope": "set"},
             records_planned=lambda schedule: schedule.shots_per_set,
             has_baseline=True,
-            restored=restored_solitary_wave,
+            restored=restore_solitary_wave,
         ),
         PULSE_ECHO: MeasuringMethod(
             row=MEASURED_BY[PULSE_ECHO],
             of_sets={},
             records_planned=lambda schedule: 1,
             has_baseline=False,
-            restored=restored_pulse_echo,
+            restored=restore_pulse_echo,
         ),
     }
 )

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Literal
 
-from daq_service.alarms.states import NOT_ASSESSED, disabled_positions
+from daq_service.alarms.states import NOT_ASSESSED, find_disabled
 from daq_service.assessment.methods import METHODS
-from daq_service.assessment.stored_limits import limits_by_name
+from daq_service.assessment.stored_limits import collect_limits_by_name
 from daq_service.catalogue import Catalogue
 from daq_service.catalogue.reader import LatestRows
 from daq_service.processes.freshness import Freshness
@@ -30,7 +30,7 @@ PositionStatus = Literal[
 """Statuses of a position in rising urgency: an alarm needs a person, a retirement is known to one."""
 
 
-def status_of(last: LatestRows) -> PositionStatus:
+def find_status(last: LatestRows) -> PositionStatus:
     """Return the status of a position; it is never ``normal`` while an alarm is active.
 
     Parameters
@@ -39,7 +39,7 @@ def status_of(last: LatestRows) -> PositionStatus:
         Its latest rows, with the current alarms (`Freshness.standing_word`): an expired shelf hides none.
     """
     assessment = last.last_assessment
-    if disabled_positions(last.active_alarms):
+    if find_disabled(last.active_alarms):
         return "disabled"
     if last.last_set is None:
         return "no_data"
@@ -55,24 +55,24 @@ def status_of(last: LatestRows) -> PositionStatus:
     return "collecting_baseline" if assessment is None or assessment.in_baseline else "not_assessed"
 
 
-def age_of(last: LatestRows, fresh: Freshness) -> float | None:
+def find_data_age_h(last: LatestRows, fresh: Freshness) -> float | None:
     """Return the age of the newest measured set of a position on the test clock, h; None without one."""
-    data_h = data_hour(last)
+    data_h = find_data_hour(last)
     return None if data_h is None else fresh.age_h(data_h)
 
 
-def latest_rows(
+def read_latest_rows(
     catalogue: Catalogue, fresh: Freshness, positions: Mapping[str, PositionSettings]
 ) -> dict[str, LatestRows]:
     """Return the newest rows of each position with its alarms in their present state."""
-    stored = catalogue.positions_state()
+    stored = catalogue.read_latest_rows()
     return {
-        name: fresh.standing_word(stored.get(name) or LatestRows(position=name, method=place.method))
+        name: fresh.with_present_alarms(stored.get(name) or LatestRows(position=name, method=place.method))
         for name, place in positions.items()
     }
 
 
-def limit_of(last: LatestRows, thinnest_m: float) -> float | None:
+def find_limit(last: LatestRows, thinnest_m: float) -> float | None:
     """Return the limit of a position: minimum thickness in m of a probe, outlier limit of a transducer.
 
     None if there is no limit yet.
@@ -82,10 +82,10 @@ def limit_of(last: LatestRows, thinnest_m: float) -> float | None:
     assessment = last.last_assessment
     if assessment is None:
         return None
-    return limits_by_name(assessment).get(assessment.limit_name)
+    return collect_limits_by_name(assessment).get(assessment.limit_name)
 
 
-def data_hour(last: LatestRows) -> float | None:
+def find_data_hour(last: LatestRows) -> float | None:
     """Return the hour of the newest set with data; None before the first one.
 
     A set that was missed, or scheduled for a disabled transducer, has no data.
@@ -99,10 +99,10 @@ def is_stale(schedule: ScheduleSettings, fresh: Freshness, age_h: float | None) 
     """Return whether the newest set is older than the schedule explains, or no recorder runs."""
     if age_h is None or fresh.recorder.status in {"not_responding", "not_started", "stopped"}:
         return True
-    return age_h > STALE_INTERVALS * interval_at(schedule, fresh.now_h)
+    return age_h > STALE_INTERVALS * find_set_interval_h(schedule, fresh.now_h)
 
 
-def interval_at(schedule: ScheduleSettings, hour: float) -> float:
+def find_set_interval_h(schedule: ScheduleSettings, hour: float) -> float:
     """Return the hours between two sets at an hour of the test; after the end, those of the last phase."""
     for phase in schedule.phases:
         if hour <= phase.until_h:

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, replace
 from analysis.errors import AnalysisError
 from analysis.statistics.rules import AlarmRule, AlarmState, next_alarm_state
 from analysis.ultrasound.reading import EchoReading, read_echo
-from analysis.ultrasound.thickness import EXTRACTOR_VERSION, EchoReference, reference_echo
+from analysis.ultrasound.thickness import EXTRACTOR_VERSION, EchoReference, find_reference_echo
 from analysis.waves.features import ShotFeatures
 from daq_service.alarms.states import Condition
 from daq_service.archive import ArchiveError, SetRecord
@@ -54,7 +54,7 @@ class PulseEchoAssessor:
 
     def add(self, row: ThicknessRow) -> None:
         """Update the alarm state with a reading."""
-        alarm = next_alarm_state(self.state.alarm, self.too_thin(row), self._rule)
+        alarm = next_alarm_state(self.state.alarm, self.is_thin(row), self._rule)
         self.state = replace(self.state, alarm=alarm)
 
     def enable(self) -> None:
@@ -90,7 +90,7 @@ class PulseEchoAssessor:
         try:
             reference = self.state.reference
             if reference is None:
-                reference = self.echo_of(echo.waveform, settings.initial_thickness_m)
+                reference = self.build_reference_echo(echo.waveform, settings.initial_thickness_m)
                 self.set_reference(reference)
             reading = read_echo(
                 echo.waveform,
@@ -101,7 +101,7 @@ class PulseEchoAssessor:
             )
         except AnalysisError as error:
             reading = EchoReading(reason=str(error))
-        flags = _flags(reading, echo)
+        flags = _find_echo_flags(reading, echo)
         if "clipped" in flags and reading.quality == "good":
             # Both half-waves of the carrier are clipped alike: the time is right, the amplitude is not.
             reason = "the record is clipped: lower the gain or take a larger range"
@@ -120,24 +120,24 @@ class PulseEchoAssessor:
         usable = row.quality != "bad"
         return PositionResult(
             thickness=[row],
-            conditions=[self._condition(due, row, reading)],
+            conditions=[self._build_condition(due, row, reading)],
             n_valid=int(usable),
             shot_flags={echo.sequence: flags},
             invalid=frozenset(() if usable else (echo.sequence,)),
             note=reading.reason,
         )
 
-    def echo_of(self, waveform: Waveform, thickness_m: float) -> EchoReference:
+    def build_reference_echo(self, waveform: Waveform, thickness_m: float) -> EchoReference:
         """Build the reference echo of a wall of known thickness."""
         settings = self._settings.ultrasound
-        return reference_echo(
+        return find_reference_echo(
             waveform,
             delay_s=settings.delay_s,
             initial_thickness_m=thickness_m,
             velocity_m_per_s=settings.velocity_m_per_s,
         )
 
-    def too_thin(self, row: ThicknessRow) -> bool | None:
+    def is_thin(self, row: ThicknessRow) -> bool | None:
         """Return whether the wall loss of a reading exceeds the limit; None for a bad reading."""
         loss_m = row.thickness_loss_m
         if row.quality == "bad" or loss_m is None or not math.isfinite(loss_m):
@@ -149,7 +149,7 @@ class PulseEchoAssessor:
         """Return the thickness loss that raises the alarm, m."""
         return self._settings.alarms.thickness_loss_fraction * self._settings.ultrasound.initial_thickness_m
 
-    def _condition(self, due: DueSet, row: ThicknessRow, reading: EchoReading) -> Condition:
+    def _build_condition(self, due: DueSet, row: ThicknessRow, reading: EchoReading) -> Condition:
         """Return the condition of the thickness alarm after a reading."""
         fraction = self._settings.alarms.thickness_loss_fraction
         initial_m = self._settings.ultrasound.initial_thickness_m
@@ -162,7 +162,7 @@ class PulseEchoAssessor:
             alarm_class="damage",
             priority="high",
             present=alarm.active,
-            times_limit=None if loss_m is None or self.too_thin(row) is None else loss_m / self._limit_loss_m,
+            times_limit=None if loss_m is None or self.is_thin(row) is None else loss_m / self._limit_loss_m,
             message=(
                 f"{sum(alarm.recent)} of the last {len(alarm.recent)} readings at "
                 f"{self.position} show a loss beyond {fraction:.0%} of {initial_m * 1e3:.2f} mm"
@@ -184,7 +184,7 @@ class PulseEchoAssessor:
         )
 
 
-def _flags(reading: EchoReading, echo: PulseEchoRecord) -> tuple[str, ...]:
+def _find_echo_flags(reading: EchoReading, echo: PulseEchoRecord) -> tuple[str, ...]:
     """Return the flags of an echo; only the instrument knows whether averaged records were clipped."""
     clipped = echo.waveform.clipped or float(echo.settings.get("clipped_records", 0.0)) > 0.0
     return (("no_echo",) if reading.quality == "bad" else ()) + (("clipped",) if clipped else ())

@@ -13,7 +13,7 @@ from analysis.waves.quality_gate import ACCEPTED
 from daq_service.alarms.states import RETIRING
 from daq_service.archive import SetNotFoundError, SetReader, SetReference
 from daq_service.assessment.assessor import Assessor, StoredResult
-from daq_service.assessment.baseline_lifecycle import baseline_range
+from daq_service.assessment.baseline_lifecycle import find_baseline_range
 from daq_service.catalogue import Catalogue
 from daq_service.catalogue.rows import (
     AssessorStateRow,
@@ -38,7 +38,7 @@ STATE_FORMAT = 1
 """Version of the stored states; a state of another version is computed from the stored sets."""
 
 
-def restored_solitary_wave(
+def restore_solitary_wave(
     position: str, settings: Settings, catalogue: Catalogue, archive: SetReader, rehearsal: bool
 ) -> SolitaryWaveAssessor:
     """Restore the assessor of a transducer."""
@@ -48,14 +48,14 @@ def restored_solitary_wave(
     assessor = SolitaryWaveAssessor(
         position,
         settings,
-        baseline=baseline_range(position, settings, stored),
+        baseline=find_baseline_range(position, settings, stored),
         rehearsal=rehearsal,
         has_chart=stored is None or stored.state == "collecting" or stored.limits is not None,
     )
-    return _restored(assessor, settings.configuration_hash(), catalogue, archive)
+    return _restore_assessor(assessor, settings.configuration_hash(), catalogue, archive)
 
 
-def restored_pulse_echo(
+def restore_pulse_echo(
     position: str, settings: Settings, catalogue: Catalogue, archive: SetReader, rehearsal: bool
 ) -> PulseEchoAssessor:
     """Restore the assessor of a probe; a rehearsal's echoes are real ones.
@@ -68,7 +68,7 @@ def restored_pulse_echo(
     from daq_service.assessment.pulse_echo import PulseEchoAssessor
 
     del rehearsal
-    assessor = _restored(
+    assessor = _restore_assessor(
         PulseEchoAssessor(position, settings), settings.configuration_hash(), catalogue, archive
     )
     if assessor.lost is not None and assessor.state.reference is None:
@@ -76,7 +76,7 @@ def restored_pulse_echo(
     return assessor
 
 
-def _restored(assessor: A, configuration_hash: str, catalogue: Catalogue, archive: SetReader) -> A:
+def _restore_assessor(assessor: A, configuration_hash: str, catalogue: Catalogue, archive: SetReader) -> A:
     """Set the state of a new assessor: the stored one, none after a renewal, or that of all stored sets."""
     from analysis.assessment.exact_json import from_json
 
@@ -91,7 +91,7 @@ def _restored(assessor: A, configuration_hash: str, catalogue: Catalogue, archiv
 
 def follow_stored_sets(assessor: Assessor, catalogue: Catalogue, archive: SetReader) -> None:
     """Update the state of a new assessor with all stored sets in the order of their commits."""
-    from daq_service.assessment.follow_rows import follow
+    from daq_service.assessment.follow_rows import update_from_stored_rows
 
     position = assessor.position
     results: dict[SetKey, FeatureRow | ThicknessRow] = {
@@ -102,18 +102,18 @@ def follow_stored_sets(assessor: Assessor, catalogue: Catalogue, archive: SetRea
         )
         for row in rows
     }
-    enabled_at = _first_sets_after_enabling(position, catalogue)
+    enabled_at = _find_sets_after_enabling(position, catalogue)
     for row in sorted(catalogue.rows(SetRow, position=position, purpose="any"), key=lambda row: row.id or 0):
         if row.set_key in enabled_at:
             assessor.enable()
         if is_assessed(row):
-            follow(
+            update_from_stored_rows(
                 assessor,
                 StoredResult(
                     its_set=row,
                     result=results.get(row.set_key),
-                    flags=_accepted_flags(catalogue, row),
-                    waveform=partial(first_waveform, archive, row),
+                    flags=_read_accepted_flags(catalogue, row),
+                    waveform=partial(read_first_waveform, archive, row),
                 ),
             )
     if NEVER in enabled_at:
@@ -125,14 +125,14 @@ def is_assessed(row: SetRow) -> bool:
     return row.n_taken > 0 or (row.n_missed > 0 and row.purpose is None)
 
 
-def first_waveform(archive: SetReader, row: SetRow) -> Waveform:
+def read_first_waveform(archive: SetReader, row: SetRow) -> Waveform:
     """Read the record of the first shot of a set."""
     if row.file is None:
         raise SetNotFoundError(f"set {row.set_key} has a reading of {row.position!r} and no file")
     return archive.read_waveform(SetReference(row.file), row.position, 0)
 
 
-def _accepted_flags(catalogue: Catalogue, row: SetRow) -> list[list[str]]:
+def _read_accepted_flags(catalogue: Catalogue, row: SetRow) -> list[list[str]]:
     """Read the flags of the accepted shots of a set; a valid shot has none that a rule counts."""
     if row.n_valid == row.n_taken:
         return [[]] * row.n_taken
@@ -140,7 +140,7 @@ def _accepted_flags(catalogue: Catalogue, row: SetRow) -> list[list[str]]:
     return [shot.flags for shot in shots if shot.outcome == ACCEPTED]
 
 
-def _first_sets_after_enabling(position: str, catalogue: Catalogue) -> set[SetKey]:
+def _find_sets_after_enabling(position: str, catalogue: Catalogue) -> set[SetKey]:
     """Return the sets that were committed first after a transducer was enabled; `NEVER`: none was."""
     found = set[SetKey]()
     for event in catalogue.rows(EventRow, topic="alarms", kind="alarm_reset", position=position):

@@ -15,26 +15,26 @@ from hardware_drivers.measurement import SetKey
 MADE_BY = "extractor_version"
 
 
-def results_in(catalogue: Catalogue, set_key: SetKey) -> Results:
+def read_set_results(catalogue: Catalogue, set_key: SetKey) -> Results:
     """Read the results of a set from the catalogue, as columns of each table."""
     of_set = set_key._asdict()
     positions = [row.position for row in catalogue.rows(SetRow, **of_set)]
-    return results_of(
+    return build_result_tables(
         catalogue.rows(FeatureRow, **of_set),
         catalogue.rows(ThicknessRow, **of_set),
         [row for position in positions for row in catalogue.rows(ShotRow, position=position, **of_set)],
     )
 
 
-def newest_results(catalogue: RecorderCatalogue, set_key: SetKey) -> Results:
+def read_newest_results(catalogue: RecorderCatalogue, set_key: SetKey) -> Results:
     """Return the results of a set; those that this process stored last are not read again."""
     newest = catalogue.newest
     if all(row.set_key != set_key for row in newest.sets):
-        return results_in(catalogue, set_key)
-    return results_of(newest.features, newest.thickness, newest.shots)
+        return read_set_results(catalogue, set_key)
+    return build_result_tables(newest.features, newest.thickness, newest.shots)
 
 
-def results_of(
+def build_result_tables(
     features: Sequence[FeatureRow], thickness: Sequence[ThicknessRow], shots: Sequence[ShotRow]
 ) -> Results:
     """Convert the rows of one set to columns of each table."""
@@ -45,7 +45,7 @@ def results_of(
         shot = shot_of.get(row.sequence)
         if shot is None and (isinstance(row, ThicknessRow) or row.sequence is not None):
             continue  # its record is lost
-        columns: dict[str, Any] = {name: _nan_if_none(getattr(row, name)) for name in MEASURED[type(row)]}
+        columns: dict[str, Any] = {name: _none_to_nan(getattr(row, name)) for name in MEASURED[type(row)]}
         columns |= {"position": row.position, "quality": row.quality, MADE_BY: row.extractor_version}
         if shot is not None:
             columns |= {
@@ -58,10 +58,10 @@ def results_of(
         else:
             table = "set_features" if shot is None else "features"
             tables[table].append({**columns, "n_valid": row.n_valid})
-    return {table: _columns(rows_of_table) for table, rows_of_table in tables.items() if rows_of_table}
+    return {table: _to_columns(rows_of_table) for table, rows_of_table in tables.items() if rows_of_table}
 
 
-def _columns(rows: Sequence[Mapping[str, Any]]) -> dict[str, list[Any]]:
+def _to_columns(rows: Sequence[Mapping[str, Any]]) -> dict[str, list[Any]]:
     """Return a table as columns by name."""
     return {name: [row[name] for row in rows] for name in rows[0]}
 
@@ -69,7 +69,7 @@ def _columns(rows: Sequence[Mapping[str, Any]]) -> dict[str, list[Any]]:
 def find_differences(copy: Results, rows: Results) -> Iterator[str]:
     """Yield the differences between a copy and the rows; results of another extractor version are skipped."""
     for table, key in RESULTS.items():
-        copied, expected = _rows_by_key(key, copy.get(table, {})), _rows_by_key(key, rows.get(table, {}))
+        copied, expected = _index_by_key(key, copy.get(table, {})), _index_by_key(key, rows.get(table, {}))
         for name in sorted({*copied, *expected}, key=str):
             in_file, in_catalogue = copied.get(name), expected.get(name)
             if in_file is None or in_catalogue is None:
@@ -81,7 +81,7 @@ def find_differences(copy: Results, rows: Results) -> Iterator[str]:
                         yield f"{table}, {key} {name}: {difference}"
 
 
-def _rows_by_key(key: str, columns: Mapping[str, Sequence[Any]]) -> dict[Any, dict[str, Any]]:
+def _index_by_key(key: str, columns: Mapping[str, Sequence[Any]]) -> dict[Any, dict[str, Any]]:
     """Return the rows of a table by their key."""
     rows = (dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True))
     return {row[key]: row for row in rows}
@@ -92,6 +92,6 @@ def _is_equal(left: Any, right: Any) -> bool:
     return bool(left == right or (left != left and right != right))
 
 
-def _nan_if_none(value: float | None) -> float:
+def _none_to_nan(value: float | None) -> float:
     """Return the value, or NaN if it is missing or infinite."""
     return math.nan if value is None or math.isinf(value) else value

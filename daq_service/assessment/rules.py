@@ -5,19 +5,21 @@ from __future__ import annotations
 from analysis.assessment.step import Rules
 from analysis.statistics.design import Budget
 from analysis.statistics.rules import AlarmRule, HoleRule
-from daq_service.acquisition.schedule import due_hours
-from daq_service.assessment.baseline_lifecycle import BaselineRange, baseline_name
+from daq_service.acquisition.schedule import list_due_hours
+from daq_service.assessment.baseline_lifecycle import BaselineRange, format_baseline_name
 from daq_service.settings.tree import ScheduleSettings, Settings
 
 HOURS_PER_DAY = 24.0
 
 
-def rules_of(settings: Settings, *, baseline: BaselineRange, position: str, has_chart: bool = True) -> Rules:
+def build_rules(
+    settings: Settings, *, baseline: BaselineRange, position: str, has_chart: bool = True
+) -> Rules:
     """Return the rules of a transducer's assessment from the configuration; see `Rules` about the chart."""
     alarms_per_year = settings.false_alarms_per_sensor_year()
-    sets_per_alarm = run_length(settings.schedule, settings.baseline.hours, alarms_per_year)
+    sets_per_alarm = compute_run_length(settings.schedule, settings.baseline.hours, alarms_per_year)
     return Rules(
-        baseline_name=baseline_name(position, baseline.number),
+        baseline_name=format_baseline_name(position, baseline.number),
         first_baseline_set=baseline.first_set,
         last_baseline_set=baseline.last_set,
         minimum_sets=settings.baseline.minimum_sets,
@@ -33,14 +35,14 @@ def rules_of(settings: Settings, *, baseline: BaselineRange, position: str, has_
     )
 
 
-def run_length(schedule: ScheduleSettings, baseline_end_h: float, alarms_per_year: float) -> float:
+def compute_run_length(schedule: ScheduleSettings, baseline_end_h: float, alarms_per_year: float) -> float:
     """Compute the mean number of sets between two false alarms of a healthy sensor.
 
     It is the design false-alarm rate at the mean interval of the complete schedule after the baseline. A test
     that ends early keeps its rate.
     """
     phases = schedule.phases
-    hours_after = [hour for hour in due_hours(phases) if hour > baseline_end_h]
+    hours_after = [hour for hour in list_due_hours(phases) if hour > baseline_end_h]
     interval_h = (
         (hours_after[-1] - baseline_end_h) / len(hours_after) if hours_after else phases[-1].interval_h
     )

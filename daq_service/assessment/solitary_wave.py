@@ -23,9 +23,9 @@ from analysis.assessment.step import (
     SetAssessment,
     SetOfShots,
     State,
-    assess_alone,
-    enabled,
-    step,
+    assess_next_set,
+    assess_without_charts,
+    clear_faults,
     wall_alarm_active,
 )
 from analysis.diagnosis.diagnose import Diagnosis
@@ -44,8 +44,8 @@ from daq_service.alarms.states import Condition
 from daq_service.archive import SetRecord
 from daq_service.assessment.assessor import PositionResult
 from daq_service.assessment.baseline_lifecycle import AUTOMATIC, BaselineRange
-from daq_service.assessment.diagnosis_texts import diagnosis_details, diagnosis_text
-from daq_service.assessment.rules import rules_of
+from daq_service.assessment.diagnosis_texts import build_diagnosis_details, format_diagnosis
+from daq_service.assessment.rules import build_rules
 from daq_service.catalogue.rows import AssessmentRow, BaselineRow, FeatureRow
 from daq_service.settings.tree import QualitySettings, Settings
 from hardware_drivers.measurement import DueSet, Shot
@@ -88,7 +88,7 @@ class SolitaryWaveAssessor:
         has_chart: bool = True,
     ) -> None:
         self.position = position
-        self.rules = rules_of(settings, baseline=baseline, position=position, has_chart=has_chart)
+        self.rules = build_rules(settings, baseline=baseline, position=position, has_chart=has_chart)
         self._quality = settings.quality
         self._approval = settings.baseline.approval
         self._of_set = settings.features.of_set
@@ -103,7 +103,7 @@ class SolitaryWaveAssessor:
 
     def enable(self) -> None:
         """Clear the faults that disabled the transducer, because a person has enabled it."""
-        self.state = enabled(self.state)
+        self.state = clear_faults(self.state)
 
     def assess_set(
         self, due: DueSet, record: SetRecord, features: Mapping[int, ShotFeatures]
@@ -143,28 +143,30 @@ class SolitaryWaveAssessor:
         n_tried
             Shots that were struck, with or without a record; None: those that have one.
         """
-        combined, before = self._combine(shots, features, outcomes or {}), self.state
+        combined, before = self._average_shots(shots, features, outcomes or {}), self.state
         tried = len({shot.key.shot_index for shot in shots}) if n_tried is None else n_tried
         set_of_shots = combined.as_set(due.set_index, due.due_h, tried)
-        self.state, assessment = step(before, set_of_shots, self.rules)
+        self.state, assessment = assess_next_set(before, set_of_shots, self.rules)
         devices = device_conditions(
             self.position, due, self.state, self.rules, self._quality, combined.mean.reason
         )
         if assessment is None:
             return PositionResult(conditions=devices, note=combined.mean.reason)
-        freezes = freezes_baseline(before, self.state)
-        assessments = self.baseline_assessments() if freezes else []
+        freezes = has_completed_baseline(before, self.state)
+        assessments = self.build_baseline_assessments() if freezes else []
         if not any(row.set_index == due.set_index for row in assessments):
-            assessments.append(self._assessment_row(due.set_index, due.due_h, assessment))
+            assessments.append(self._build_assessment_row(due.set_index, due.due_h, assessment))
         return replace(
-            self._result_of_shots(due, combined),
-            baseline=self._baseline_row() if freezes else None,
+            self._build_shot_results(due, combined),
+            baseline=self._build_baseline_row() if freezes else None,
             assessments=assessments,
             conditions=[
                 # Shots without a reflected wave are a finding about the wall, not about the transducer.
                 *([] if self.state.hole.sets_running else devices),
                 *wall_conditions(self.position, self.state, self.rules, assessments[-1]),
-                hole_condition(self.position, due, self.state, self.rules.hole, set_of_shots.flags),
+                build_no_reflection_condition(
+                    self.position, due, self.state, self.rules.hole, set_of_shots.flags
+                ),
                 not_assessed_condition(
                     self.position, due, self.state, self._baseline_id, self.not_assessed_reason
                 ),
@@ -177,15 +179,15 @@ class SolitaryWaveAssessor:
     ) -> PositionResult:
         """Assess an unscheduled set; control chart and baseline never use it."""
         shots = [shot for shot in record.shots if shot.key.position == self.position]
-        combined = self._combine(shots, [features[shot.sequence] for shot in shots], record.outcomes)
-        result = self._result_of_shots(due, combined)
+        combined = self._average_shots(shots, [features[shot.sequence] for shot in shots], record.outcomes)
+        result = self._build_shot_results(due, combined)
         if self.state.baseline is None:
             return result
         set_of_shots = combined.as_set(due.set_index, due.due_h, record.n_tried(self.position))
-        assessment = assess_alone(set_of_shots, self.state.baseline, self.rules)
+        assessment = assess_without_charts(set_of_shots, self.state.baseline, self.rules)
         vector, fitted = set_of_shots.vector(), self.state.baseline.fitted
         assessment = replace(assessment, cause=self.diagnose_unscheduled(set_of_shots))
-        row = self._assessment_row(due.set_index, due.due_h, assessment, due.unscheduled_index)
+        row = self._build_assessment_row(due.set_index, due.due_h, assessment, due.unscheduled_index)
         if vector is not None and fitted is not None:
             row = replace(row, confirms=confirms_change(self.state.assessed, fitted, vector))
         return replace(result, assessments=[row])
@@ -208,7 +210,7 @@ class SolitaryWaveAssessor:
             return "it has no baseline yet; wait until it is recorded"
         return self.state.baseline.reason or ""
 
-    def _combine(
+    def _average_shots(
         self, shots: Sequence[Shot], features: Sequence[ShotFeatures], outcomes: Mapping[int, str]
     ) -> CombinedShots:
         """Combine the shots of a set to the mean of its features."""
@@ -221,12 +223,12 @@ class SolitaryWaveAssessor:
             of_set=self._of_set,
         )
 
-    def _result_of_shots(self, due: DueSet, combined: CombinedShots) -> PositionResult:
+    def _build_shot_results(self, due: DueSet, combined: CombinedShots) -> PositionResult:
         """Return the rows and flags of a set that depend on no other set."""
         of_shots = list(zip(combined.shots, combined.features, strict=True))
-        rows = [_feature_row(due, shot, features) for shot, features in of_shots]
+        rows = [_build_feature_row(due, shot, features) for shot, features in of_shots]
         return PositionResult(
-            features=[*rows, _set_feature_row(self.position, due, combined.mean)],
+            features=[*rows, _build_set_feature_row(self.position, due, combined.mean)],
             n_valid=combined.mean.n_valid,
             shot_flags={shot.sequence: features.flags for shot, features in of_shots},
             invalid=frozenset(shot.sequence for shot, features in of_shots if not features.valid),
@@ -235,7 +237,7 @@ class SolitaryWaveAssessor:
 
     # Rows ----------------------------------------------------------------------------------------
 
-    def _baseline_row(self) -> BaselineRow:
+    def _build_baseline_row(self) -> BaselineRow:
         """Return the row of the baseline that was just frozen."""
         state, rules = self.state, self.rules
         assert state.baseline is not None, "just closed"
@@ -270,14 +272,14 @@ class SolitaryWaveAssessor:
             },
         )
 
-    def baseline_assessments(self) -> list[AssessmentRow]:
+    def build_baseline_assessments(self) -> list[AssessmentRow]:
         """Return the assessment rows of the baseline's sets with their distances."""
         state = self.state
         assert state.baseline is not None, "just closed"
         fitted = state.baseline.fitted
         distances = [None] * len(state.healthy) if fitted is None else fitted.distances_squared.tolist()
         return [
-            self._assessment_row(
+            self._build_assessment_row(
                 healthy_set.set_index,
                 healthy_set.due_h,
                 SetAssessment(in_baseline=True, distance_squared=distance, reason="part of the baseline"),
@@ -285,7 +287,7 @@ class SolitaryWaveAssessor:
             for healthy_set, distance in zip(state.healthy, distances, strict=True)
         ]
 
-    def _assessment_row(
+    def _build_assessment_row(
         self, set_index: int, due_h: float, assessment: SetAssessment, unscheduled_index: int = 0
     ) -> AssessmentRow:
         """Return the row of an assessment."""
@@ -318,16 +320,16 @@ class SolitaryWaveAssessor:
             else {name: list(average) for name, average in assessment.memory.averages.items()},
             diagnosis=None if assessment.cause is None else assessment.cause.cause,
             diagnosis_probability=None if assessment.cause is None else assessment.cause.probability,
-            diagnosis_details=None if assessment.cause is None else diagnosis_details(assessment.cause),
+            diagnosis_details=None if assessment.cause is None else build_diagnosis_details(assessment.cause),
         )
 
 
-def freezes_baseline(before: State, after: State) -> bool:
+def has_completed_baseline(before: State, after: State) -> bool:
     """Return whether a set completed the baseline."""
     return before.baseline is None and after.baseline is not None
 
 
-def _feature_row(due: DueSet, shot: Shot, features: ShotFeatures) -> FeatureRow:
+def _build_feature_row(due: DueSet, shot: Shot, features: ShotFeatures) -> FeatureRow:
     """Return the row of the features of a shot."""
     return FeatureRow(
         id=None,
@@ -344,7 +346,7 @@ def _feature_row(due: DueSet, shot: Shot, features: ShotFeatures) -> FeatureRow:
     )
 
 
-def _set_feature_row(position: str, due: DueSet, mean: SetFeatures) -> FeatureRow:
+def _build_set_feature_row(position: str, due: DueSet, mean: SetFeatures) -> FeatureRow:
     """Return the row of the mean features of a set."""
     return FeatureRow(
         id=None,
@@ -372,13 +374,13 @@ def wall_conditions(position: str, state: State, rules: Rules, assessment: Asses
     """
     design = None if state.baseline is None else state.baseline.design
     if rules.decides_by == "chart" and design is not None and state.memory is not None:
-        present, times_limit, message, evidence = _by_chart(position, design, state, rules, assessment)
+        present, times_limit, message, evidence = _describe_chart(position, design, state, rules, assessment)
     else:
-        present, times_limit, message, evidence = _by_k_of_n(position, state, rules, assessment)
+        present, times_limit, message, evidence = _describe_k_of_n(position, state, rules, assessment)
     if assessment.diagnosis is None:
         message += REMEDY
     else:
-        message += diagnosis_text(
+        message += format_diagnosis(
             assessment.diagnosis, assessment.diagnosis_probability, assessment.diagnosis_details
         )
     not_wall = state.origin.not_wall
@@ -420,7 +422,7 @@ AlarmBasis = tuple[bool, float | None, str, dict[str, Any]]
 """Presence of the condition, multiple of the limit, first part of the message, and evidence."""
 
 
-def _by_chart(
+def _describe_chart(
     position: str, design: Design, state: State, rules: Rules, assessment: AssessmentRow
 ) -> AlarmBasis:
     """Return the basis of the wall alarm if the control chart decides."""
@@ -451,7 +453,7 @@ def _by_chart(
     return wall_alarm_active(state, rules), statistic / limit, message, evidence
 
 
-def _by_k_of_n(position: str, state: State, rules: Rules, assessment: AssessmentRow) -> AlarmBasis:
+def _describe_k_of_n(position: str, state: State, rules: Rules, assessment: AssessmentRow) -> AlarmBasis:
     """Return the basis of the wall alarm if k outliers of n sets decide."""
     alarm, rule = state.alarm, rules.alarm
     statistics = {
@@ -476,7 +478,7 @@ def _by_k_of_n(position: str, state: State, rules: Rules, assessment: Assessment
     return alarm.active, times_limit, message, evidence
 
 
-def hole_condition(
+def build_no_reflection_condition(
     position: str, due: DueSet, state: State, rule: HoleRule, flags: Sequence[Sequence[str]]
 ) -> Condition:
     """Return the condition of a wall without reflected wave; ``flags`` of each accepted shot."""

@@ -9,7 +9,7 @@ from daq_service.catalogue.rows import AssessmentRow, BaselineRow
 from daq_service.settings.tree import AlarmSettings
 
 
-def limits_by_name(row: BaselineRow | AssessmentRow) -> dict[str, float]:
+def collect_limits_by_name(row: BaselineRow | AssessmentRow) -> dict[str, float]:
     """Return the limits of a row by name; rows of earlier versions have two, in columns."""
     if row.limits is not None:
         return dict(row.limits)
@@ -19,7 +19,7 @@ def limits_by_name(row: BaselineRow | AssessmentRow) -> dict[str, float]:
     return {name: limit for name, limit in of_columns.items() if limit is not None}
 
 
-def statistic_of(row: AssessmentRow, limit_name: str) -> float | None:
+def find_limit_statistic(row: AssessmentRow, limit_name: str) -> float | None:
     """Return the statistic that a limit applies to; None if the set was not assessed by it."""
     from analysis.statistics.named_limits import DISTANCE, LIMITS, MEWMA
 
@@ -28,11 +28,11 @@ def statistic_of(row: AssessmentRow, limit_name: str) -> float | None:
     return columns[name] if name in columns else (row.statistics or {}).get(name)
 
 
-def deciding_chart(row: AssessmentRow | None, alarms: AlarmSettings) -> tuple[float, float] | None:
+def find_chart(row: AssessmentRow | None, alarms: AlarmSettings) -> tuple[float, float] | None:
     """Return statistic and limit of the chart if it raises the wall alarm; None if it does not."""
     if row is None or row.mewma_statistic is None or alarms.decides_by != "chart":
         return None
     from analysis.statistics.named_limits import MEWMA
 
-    limit = limits_by_name(row).get(MEWMA)
+    limit = collect_limits_by_name(row).get(MEWMA)
     return None if limit is None else (row.mewma_statistic, limit)

@@ -21,7 +21,7 @@ from daq_service.archive.finalize_set import finalize_set
 from daq_service.background.task import BackgroundTask
 from daq_service.clock import MACHINE, MachineClock
 from daq_service.errors import StorageError
-from daq_service.processes.worker import one_worker
+from daq_service.processes.worker import start_one_worker
 from hardware_drivers.measurement import SetKey
 
 log = logging.getLogger(__name__)
@@ -58,7 +58,7 @@ class SetFinalizer(BackgroundTask):
         folder: Path,
         archive: Archive,
         *,
-        start: Callable[[], Executor] = one_worker,
+        start: Callable[[], Executor] = start_one_worker,
         machine: MachineClock = MACHINE,
         results: Callable[[SetKey], Results] = lambda set_key: {},
         filed: Callable[[SetKey, str, str], None] = lambda set_key, file, sha256: None,
@@ -73,7 +73,7 @@ class SetFinalizer(BackgroundTask):
         self.trouble = self._last_message = ""
         self.damaged: dict[str, str] = {}
 
-    def after_set(self, set_key: SetKey) -> None:
+    def notify_set_stored(self, set_key: SetKey) -> None:
         """Submit a complete set of the journal to the worker, which writes its file."""
         if self._executor is None:
             self._executor = self._start()
@@ -91,7 +91,7 @@ class SetFinalizer(BackgroundTask):
             self._executor = None
             self._again_s[set_key] = self._machine.mono_s()
         except StorageError as error:
-            self._put_off(set_key, error)
+            self._keep_in_journal(set_key, error)
 
     def submit(self, work: Callable[..., T], *arguments: Any) -> Future[T] | None:
         """Submit other work to the worker; None if it has sets to write, or has just died."""
@@ -108,13 +108,13 @@ class SetFinalizer(BackgroundTask):
     def run_for(self, seconds: float = 0.0) -> None:
         """Process finished files and retry failed ones; called while no set is due."""
         for set_key in [key for key, future in self._running.items() if future.done()]:
-            self._take_back(set_key, self._running.pop(set_key))
+            self._process_worker_result(set_key, self._running.pop(set_key))
         now_s = self._machine.mono_s()
         for set_key in [key for key, due_s in self._again_s.items() if due_s <= now_s]:
             del self._again_s[set_key]
-            self.after_set(set_key)
+            self.notify_set_stored(set_key)
 
-    def _take_back(self, set_key: SetKey, future: Future[tuple[SetReference, str, str]]) -> None:
+    def _process_worker_result(self, set_key: SetKey, future: Future[tuple[SetReference, str, str]]) -> None:
         """Process the result of the worker that finalized a set; schedule a retry after a disk error."""
         try:
             file, sha256, message = future.result()
@@ -132,12 +132,12 @@ class SetFinalizer(BackgroundTask):
         except Exception as error:  # noqa: BLE001 - whatever a worker meets, the line goes on
             if isinstance(error, BrokenExecutor):
                 self._executor = None
-            self._put_off(set_key, error)
+            self._keep_in_journal(set_key, error)
             return
         self._archive.settle(set_key)
         self.trouble = self.trouble if self._again_s else ""
 
-    def _put_off(self, set_key: SetKey, error: Exception) -> None:
+    def _keep_in_journal(self, set_key: SetKey, error: Exception) -> None:
         """Keep a set in the journal, and try to give it a file again later."""
         log.error("set %s has no file yet and stays in the journal: %s", set_key, error)
         self.trouble = f"{error}"
@@ -153,7 +153,7 @@ class SetFinalizer(BackgroundTask):
         """Return whether a set has no file yet."""
         return bool(self._running or self._again_s)
 
-    def try_again(self) -> None:
+    def retry_failed_sets(self) -> None:
         """Retry failed sets now, unless the worker is busy."""
         if not self._running:
             self._again_s = dict.fromkeys(self._again_s, -math.inf)

@@ -33,7 +33,7 @@ second."""
 MARKS = ("isw_time_s", "isw_amplitude_v", "psw_time_s", "psw_amplitude_v", "ssw_time_s", "ssw_amplitude_v")
 
 
-def encode(header: Mapping[str, Any], waveform: Waveform) -> bytes:
+def encode_live_figure(header: Mapping[str, Any], waveform: Waveform) -> bytes:
     """Encode header and samples as the bytes of a live file and of a live message."""
     text = json.dumps(dict(header), separators=(",", ":"), allow_nan=False).encode()
     text += b" " * (-(4 + len(text)) % 8)
@@ -81,11 +81,11 @@ class LiveFigure(BackgroundTask):
             "coefficients_v": waveform.calibration.coefficients_v.tolist(),
             "dtype": waveform.counts.dtype.name,
             "flags": [] if features is None else list(features.flags),
-            "marks": {name: _finite(values.get(name)) for name in MARKS},
+            "marks": {name: _none_if_not_finite(values.get(name)) for name in MARKS},
             "written_wall_utc_ns": time.time_ns(),
             "rig": self._rig_kind,
         }
-        error = write_hint(self._folder / f"{key.position}.bin", encode(header, waveform))
+        error = write_hint(self._folder / f"{key.position}.bin", encode_live_figure(header, waveform))
         refused = None if error is None else error.errno
         if error is not None and refused != self._refused:
             # Once for a full disk, not ten times a second. Windows refuses while somebody reads the old one.
@@ -95,6 +95,6 @@ class LiveFigure(BackgroundTask):
         self._cost_ns = now_ns - started_ns
 
 
-def _finite(value: float | None) -> float | None:
+def _none_if_not_finite(value: float | None) -> float | None:
     """Return the value, or None if it is missing or not finite."""
     return None if value is None or not math.isfinite(value) else value

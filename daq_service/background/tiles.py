@@ -12,8 +12,8 @@ from concurrent.futures import Future
 from pathlib import Path
 
 from daq_service.archive import Results, SetRecord, SetReference
-from daq_service.archive.waterfall.cells import anchors_of
-from daq_service.archive.waterfall.tile_files import forget_tiles, write_tiles_of_file, write_tiles_of_set
+from daq_service.archive.waterfall.cells import extract_anchors
+from daq_service.archive.waterfall.tile_files import remove_tiles, write_tiles_of_file, write_tiles_of_set
 from daq_service.background.finalize_sets import SetFinalizer
 from daq_service.background.task import BackgroundTask
 from daq_service.background.verification import QUIET_S
@@ -45,7 +45,7 @@ def add_files_to_tiles(folder: Path, experiment: str, sets: Sequence[tuple[str, 
     message = ""
     for file, results in sets:
         try:
-            write_tiles_of_file(folder, experiment, SetReference(file), anchors_of(results))
+            write_tiles_of_file(folder, experiment, SetReference(file), extract_anchors(results))
         except Exception as error:  # noqa: BLE001 - a cache; whatever it meets, the test goes on
             message = repr(error)
     return message
@@ -60,18 +60,18 @@ def rebuild_tiles(
 ) -> list[str]:
     """Rebuild the tiles of a folder and return the error messages."""
     try:
-        forget_tiles(folder)
+        remove_tiles(folder)
     except OSError as error:
         return [f"the old tiles stay: {error}"]
     messages = []
-    for number, (set_key, file) in enumerate(_scheduled_only(files).items()):
+    for number, (set_key, file) in enumerate(_select_scheduled_files(files).items()):
         if message := add_files_to_tiles(folder, experiment, [(file, results(set_key))]):
             messages.append(f"{file}: {message}")
         progress(number + 1, len(files))
     return messages
 
 
-def _scheduled_only(files: Mapping[SetKey, str]) -> dict[SetKey, str]:
+def _select_scheduled_files(files: Mapping[SetKey, str]) -> dict[SetKey, str]:
     """Return the files of the scheduled sets, because the waterfall shows no others."""
     return {key: file for key, file in files.items() if not key.unscheduled_index}
 
@@ -112,21 +112,21 @@ class TileMaker(BackgroundTask):
         if self._running is not None:
             if not self._running.done():
                 return
-            self._take_back(self._running)
+            self._process_worker_result(self._running)
             self._running = None
         free = seconds > QUIET_S and not self._finalizer.waits
         if free and self._has_room() and self._machine.mono_s() >= self._next_s:
             self._next_s = self._machine.mono_s() + EVERY_S
-            self._submit(self._next_sets_of_round())
+            self._submit_sets(self._select_next_sets())
 
-    def _next_sets_of_round(self) -> list[tuple[SetKey, str]]:
+    def _select_next_sets(self) -> list[tuple[SetKey, str]]:
         """Return the next sets to check in this round, the newest first."""
         if not self._round:
-            self._round = sorted(_scheduled_only(self._files()).items())
+            self._round = sorted(_select_scheduled_files(self._files()).items())
         next_sets, self._round = self._round[-SETS_A_TURN:], self._round[:-SETS_A_TURN]
         return next_sets
 
-    def _submit(self, sets: Sequence[tuple[SetKey, str]]) -> None:
+    def _submit_sets(self, sets: Sequence[tuple[SetKey, str]]) -> None:
         """Start the worker with the files and results of some sets."""
         try:
             files_and_results = [(file, self._results(set_key)) for set_key, file in sets]
@@ -138,7 +138,7 @@ class TileMaker(BackgroundTask):
                 add_files_to_tiles, self._folder, self._experiment, files_and_results
             )
 
-    def _take_back(self, future: Future[str]) -> None:
+    def _process_worker_result(self, future: Future[str]) -> None:
         """Process the result of the worker; log a new message."""
         try:
             message = future.result()

@@ -9,8 +9,8 @@ from pathlib import Path
 from types import MappingProxyType
 
 from daq_service.archive import SetNotFoundError
-from daq_service.archive.records import SETS_FOLDER, referenced_sets, set_keys
-from daq_service.archive.verification import damage_of
+from daq_service.archive.records import SETS_FOLDER, parse_set_keys, to_references
+from daq_service.archive.verification import find_damage
 from daq_service.background.finalize_sets import SetFinalizer
 from daq_service.background.task import BackgroundTask
 from daq_service.clock import MACHINE, MachineClock
@@ -80,7 +80,7 @@ class IdleVerification(BackgroundTask):
         except _TROUBLE as error:
             log.warning("cannot look which sets are gone: %s", error)
             return
-        files = referenced_sets(path.name for path in (self._folder / SETS_FOLDER).glob("*.h5"))
+        files = to_references(path.name for path in (self._folder / SETS_FOLDER).glob("*.h5"))
         self._to_come = [file for file in files.values() if file not in lost]
         suspects = {**known, **self.damaged}
         self._to_come.sort(key=lambda file: file not in suspects)
@@ -92,7 +92,7 @@ class IdleVerification(BackgroundTask):
             file, is_noted, future = self._running
             if future.done():
                 self._running = None
-                self._take_back(file, is_noted, future)
+                self._process_worker_result(file, is_noted, future)
         elif seconds > QUIET_S and self._machine.mono_s() >= self._next_s:
             self._next_s = self._machine.mono_s() + EVERY_S
             if not self._to_come:
@@ -100,21 +100,21 @@ class IdleVerification(BackgroundTask):
             if self._to_come:
                 file = self._to_come[0]
                 try:
-                    sha256 = self._sha256_of(_key_of(file))
+                    sha256 = self._sha256_of(_read_set_key(file))
                 except _TROUBLE as error:
                     log.warning("%s is checked later: %s", file, error)
                     return
-                future_or_none = self._finalizer.submit(damage_of, self._folder / file, sha256)
+                future_or_none = self._finalizer.submit(find_damage, self._folder / file, sha256)
                 if future_or_none is not None:
                     self._running = file, sha256 is not None, future_or_none
                     del self._to_come[0]
 
-    def _take_back(self, file: str, is_noted: bool, future: Future[tuple[str, str]]) -> None:
+    def _process_worker_result(self, file: str, is_noted: bool, future: Future[tuple[str, str]]) -> None:
         """Process the result of a verified file."""
         try:
             fault, sha256 = future.result()
             if not (fault or is_noted):
-                self._note(_key_of(file), file, sha256)
+                self._note(_read_set_key(file), file, sha256)
         except SetNotFoundError:
             fault = "is missing"
         except _TROUBLE as error:
@@ -130,7 +130,7 @@ class IdleVerification(BackgroundTask):
             self.damaged.pop(file, None)
 
 
-def _key_of(file: str) -> SetKey:
+def _read_set_key(file: str) -> SetKey:
     """Return the key of the set in a file."""
-    (set_key,) = set_keys([Path(file).name])
+    (set_key,) = parse_set_keys([Path(file).name])
     return set_key

@@ -12,8 +12,8 @@ from sqlalchemy import Engine, create_engine
 from sqlalchemy.pool import QueuePool
 
 from daq_service.catalogue import errors
-from daq_service.catalogue.stored_rows import begin_transactions, json_text
-from daq_service.shared_file import patiently
+from daq_service.catalogue.stored_rows import begin_transactions, to_json_text
+from daq_service.shared_file import retry_call
 
 FILE_NAME = "catalogue.sqlite"
 CREATION_S = 0.25
@@ -30,7 +30,7 @@ def make_engine(path: Path, *, writable: bool, durable: bool = True) -> Engine:
 
     def connect() -> sqlite3.Connection:
         nonlocal mode
-        immutable = "&immutable=1" if not writable and _cannot_change(path) else ""
+        immutable = "&immutable=1" if not writable and _is_unchangeable(path) else ""
         uri = f"{path.absolute().as_uri()}?mode={mode}{immutable}"
         connection = sqlite3.connect(
             uri, uri=True, timeout=errors.BUSY_TIMEOUT_S, isolation_level=None, check_same_thread=False
@@ -58,20 +58,20 @@ def make_engine(path: Path, *, writable: bool, durable: bool = True) -> Engine:
     def connect_patiently() -> sqlite3.Connection:
         if writable:
             return connect()
-        return patiently(connect, is_refusal=_is_being_created, patience_s=CREATION_S)
+        return retry_call(connect, is_refusal=_is_being_created, patience_s=CREATION_S)
 
     # The pool is given because a URL without a file means a database in memory, whose pool
     # closes the connections of other threads while they use them.
     engine = create_engine(
         "sqlite+pysqlite://",
-        creator=lambda: patiently(
+        creator=lambda: retry_call(
             connect_patiently,
             is_refusal=lambda error: _is_locked(error) and path.parent.is_dir(),
             report_after_s=0.0,
         ),
         poolclass=QueuePool,
         max_overflow=-1,
-        json_serializer=json_text,
+        json_serializer=to_json_text,
         json_deserializer=orjson.loads,
     )
 
@@ -80,12 +80,12 @@ def make_engine(path: Path, *, writable: bool, durable: bool = True) -> Engine:
 
 
 @lru_cache(maxsize=8)
-def reading_engine(path: Path) -> Engine:
+def create_reading_engine(path: Path) -> Engine:
     """Return a read-only engine; cached, so that its compiled statements are reused."""
     return make_engine(path, writable=False)
 
 
-def _cannot_change(path: Path) -> bool:
+def _is_unchangeable(path: Path) -> bool:
     """Return whether the file is on a read-only volume and no process has it open elsewhere.
 
     Readers of a write-ahead log create files next to it, which is impossible there.

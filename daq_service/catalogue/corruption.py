@@ -11,9 +11,9 @@ from sqlalchemy.exc import SQLAlchemyError
 
 from daq_service.catalogue.connection import FILE_NAME, make_engine
 from daq_service.catalogue.errors import REMEDY, CatalogueDamagedError
-from daq_service.catalogue.reported_rows import lost_rows
+from daq_service.catalogue.reported_rows import find_lost_rows
 from daq_service.catalogue.rows import Row
-from daq_service.catalogue.stored_rows import DamagedRow, checked
+from daq_service.catalogue.stored_rows import DamagedRow, to_checked_row
 from daq_service.catalogue.tables import KINDS, TABLES, events
 
 UNREADABLE = (SQLAlchemyError, UnicodeDecodeError)
@@ -34,7 +34,7 @@ class CatalogueCorruption:
         return self.description
 
 
-def catalogue_corruption(folder: Path) -> Iterator[CatalogueCorruption]:
+def find_catalogue_corruption(folder: Path) -> Iterator[CatalogueCorruption]:
     """Read every page and row of a catalogue of the current schema and yield the corruption.
 
     Works while a recorder writes.
@@ -43,9 +43,9 @@ def catalogue_corruption(folder: Path) -> Iterator[CatalogueCorruption]:
     engine = make_engine(path, writable=False)
     try:
         with engine.begin() as connection:
-            yield from corruption_in(connection)
+            yield from find_corruption(connection)
     except UNREADABLE as error:
-        yield CatalogueCorruption(description=f"{path} cannot be read: {_first_line(error)}")
+        yield CatalogueCorruption(description=f"{path} cannot be read: {_shorten(error)}")
     finally:
         engine.dispose()
 
@@ -58,14 +58,14 @@ def refuse_corruption(folder: Path) -> None:
     CatalogueDamagedError
          Contains the corruption and the remedy.
     """
-    corruption = list(catalogue_corruption(folder))
+    corruption = list(find_catalogue_corruption(folder))
     if corruption:
         suffix = f", and {len(corruption) - 3} more" if len(corruption) > 3 else ""
         description = "; ".join(map(str, corruption[:3]))
         raise CatalogueDamagedError(f"{folder / FILE_NAME} is damaged: {description}{suffix}; {REMEDY}")
 
 
-def corruption_in(connection: Connection, *, rows: bool = True) -> Iterator[CatalogueCorruption]:
+def find_corruption(connection: Connection, *, rows: bool = True) -> Iterator[CatalogueCorruption]:
     """Yield the corruption of an open catalogue; ``rows`` False: an earlier schema without checksums."""
     try:
         for (description,) in connection.execute(text(f"PRAGMA integrity_check({MAX_LISTED})")):
@@ -78,26 +78,26 @@ def corruption_in(connection: Connection, *, rows: bool = True) -> Iterator[Cata
                 description=f"row {broken[1]} of table {broken[0]} lacks its row of {broken[2]}",
             )
     except UNREADABLE as error:
-        yield CatalogueCorruption(description=_first_line(error))
+        yield CatalogueCorruption(description=_shorten(error))
     if not rows:
         return
     for kind in KINDS:
-        yield from _damaged_rows(connection, kind, TABLES[kind])
+        yield from _check_rows(connection, kind, TABLES[kind])
     try:
-        for event_id, description in lost_rows(connection):
+        for event_id, description in find_lost_rows(connection):
             yield CatalogueCorruption(table=events.name, row_id=event_id, description=description)
     except UNREADABLE as error:
-        yield CatalogueCorruption(table=events.name, description=_first_line(error))
+        yield CatalogueCorruption(table=events.name, description=_shorten(error))
 
 
-def _damaged_rows(connection: Connection, kind: type[Row], table: Table) -> Iterator[CatalogueCorruption]:
+def _check_rows(connection: Connection, kind: type[Row], table: Table) -> Iterator[CatalogueCorruption]:
     """Yield the corrupt rows of a table."""
     key = table.primary_key.columns[0]
     try:
         # One by one: a value that is not JSON must not hide the later rows.
         ids = connection.execute(select(key).order_by(key)).scalars().all()
     except (SQLAlchemyError, TypeError, ValueError) as error:
-        yield CatalogueCorruption(table=table.name, description=f"table {table.name}: {_first_line(error)}")
+        yield CatalogueCorruption(table=table.name, description=f"table {table.name}: {_shorten(error)}")
         return
     cursor = connection.execute(select(table).order_by(key))
     for row_id in ids:
@@ -108,15 +108,15 @@ def _damaged_rows(connection: Connection, kind: type[Row], table: Table) -> Iter
                     table=table.name, description=f"table {table.name} ends before row {row_id}"
                 )
                 return
-            checked(kind, stored)
+            to_checked_row(kind, stored)
         except DamagedRow as error:
             yield CatalogueCorruption(table=table.name, row_id=row_id, description=str(error))
         except (SQLAlchemyError, TypeError, ValueError, OverflowError) as error:
-            description = f"row {row_id} of table {table.name}: {_first_line(error)}"
+            description = f"row {row_id} of table {table.name}: {_shorten(error)}"
             yield CatalogueCorruption(table=table.name, row_id=row_id, description=description)
             cursor = connection.execute(select(table).where(key > row_id).order_by(key))
 
 
-def _first_line(error: Exception) -> str:
+def _shorten(error: Exception) -> str:
     """Return the first line of an error message."""
     return str(error).partition("\n")[0]

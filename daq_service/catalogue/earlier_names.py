@@ -39,32 +39,32 @@ SET_COLUMNS: Mapping[str, str] = {
 """Columns and keys that identified any set by one number, and the second part of the key that replaces it."""
 
 
-def derived_uuid(configuration_hash: str, epoch_utc_ns: int) -> str:
+def derive_uuid(configuration_hash: str, epoch_utc_ns: int) -> str:
     """Return the UUID of a test that was created without one: every copy of its folder derives the same."""
     return str(uuid.uuid5(uuid.NAMESPACE_OID, f"solimon/{configuration_hash}/{epoch_utc_ns}"))
 
 
-def current_row(table: str, row: Mapping[str, Any]) -> dict[str, Any]:
+def to_current_row(table: str, row: Mapping[str, Any]) -> dict[str, Any]:
     """Return a row, or a nested value, with current names."""
     keys = _KEYS.get(table, {})
     current = {keys.get(name, name): value for name, value in row.items()}
     for name, value in [*current.items()]:
         if name in _NESTED and isinstance(value, Mapping):
-            current[name] = current_row(name, value)
+            current[name] = to_current_row(name, value)
         elif isinstance(value, str):
             current[name] = _VALUES.get((table, name), {}).get(value, value)
         elif name in SET_COLUMNS and isinstance(value, int):
-            key = SetKey.of_number(value)
+            key = SetKey.from_number(value)
             if key.unscheduled_index:
                 current |= {name: key.set_index, SET_COLUMNS[name]: key.unscheduled_index}
     if table == "experiment":
-        current.setdefault("uuid", derived_uuid(row["configuration_hash"], row["epoch_utc_ns"]))
+        current.setdefault("uuid", derive_uuid(row["configuration_hash"], row["epoch_utc_ns"]))
     elif table == "events" and "payload" in current:
-        current["payload"] = current_payload(current["topic"], current["kind"], current["payload"])
+        current["payload"] = to_current_payload(current["topic"], current["kind"], current["payload"])
     return current
 
 
-def current_payload(topic: str, kind: str, payload: Mapping[str, Any]) -> dict[str, Any]:
+def to_current_payload(topic: str, kind: str, payload: Mapping[str, Any]) -> dict[str, Any]:
     """Return the payload of an event with current names; the topic and the kind are current ones."""
     is_baseline = topic == "assessments" and kind != "set_assessed"
-    return current_row("baselines" if is_baseline else topic, payload)
+    return to_current_row("baselines" if is_baseline else topic, payload)

@@ -72,7 +72,7 @@ class CatalogueConflictError(CatalogueError):
     """A change contradicts what is stored; nothing of it was stored."""
 
 
-def error_of_driver(path: Path, action: str, error: BaseException | None) -> CatalogueError:
+def translate_driver_error(path: Path, action: str, error: BaseException | None) -> CatalogueError:
     """Return the error of the catalogue for an error of the driver."""
     code = getattr(error, "sqlite_errorcode", 0) & 0xFF
     message = f"{path}: {action} failed: {error}"

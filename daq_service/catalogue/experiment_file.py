@@ -8,14 +8,14 @@ from pathlib import Path
 
 import orjson
 
-from daq_service.catalogue.earlier_names import current_row
+from daq_service.catalogue.earlier_names import to_current_row
 from daq_service.catalogue.errors import (
     CatalogueDamagedError,
     CatalogueError,
     CatalogueWriteError,
     OtherExperimentError,
 )
-from daq_service.catalogue.rows import ExperimentRow, values
+from daq_service.catalogue.rows import ExperimentRow, to_columns
 from daq_service.clock import format_utc
 from daq_service.shared_file import HINT_SUFFIX, read_shared, write_durably
 
@@ -35,8 +35,10 @@ def write_experiment(folder: Path, row: ExperimentRow) -> None:
         The disk refuses.
     """
     path = folder / EXPERIMENT_FILE
-    columns = values(row)
-    content = orjson.dumps({"crc32": _crc32(columns), "experiment": columns}, option=orjson.OPT_INDENT_2)
+    columns = to_columns(row)
+    content = orjson.dumps(
+        {"crc32": _compute_crc32(columns), "experiment": columns}, option=orjson.OPT_INDENT_2
+    )
     try:
         write_durably(path, content, temporary=path.with_suffix(HINT_SUFFIX))
     except OSError as error:
@@ -66,16 +68,16 @@ def read_experiment(folder: Path) -> ExperimentRow | None:
         ) from error
     try:
         stored = orjson.loads(content)
-        if stored["crc32"] != _crc32(stored["experiment"]):
+        if stored["crc32"] != _compute_crc32(stored["experiment"]):
             raise ValueError("its checksum is another one")
-        return ExperimentRow(**current_row("experiment", stored["experiment"]))
+        return ExperimentRow(**to_current_row("experiment", stored["experiment"]))
     except (ValueError, TypeError, LookupError) as error:
         raise CatalogueDamagedError(
             f"{path} is damaged: {error}; `solimon rebuild` writes it again from catalogue, history or sets"
         ) from error
 
 
-def keep_experiment(folder: Path, row: ExperimentRow) -> None:
+def ensure_experiment_file(folder: Path, row: ExperimentRow) -> None:
     """Check that the file agrees with the catalogue, and write it in a folder without one.
 
     Raises
@@ -91,10 +93,10 @@ def keep_experiment(folder: Path, row: ExperimentRow) -> None:
     if stored is None:
         write_experiment(folder, row)
     else:
-        refuse_another(row, stored, "its catalogue", EXPERIMENT_FILE, folder)
+        refuse_other_record(row, stored, "its catalogue", EXPERIMENT_FILE, folder)
 
 
-def refuse_another(
+def refuse_other_record(
     row: ExperimentRow, other_row: ExperimentRow, name: str, other_name: str, folder: Path
 ) -> None:
     """Raise an error if two records of a folder name different experiments.
@@ -104,7 +106,7 @@ def refuse_another(
     OtherExperimentError
          They differ; contains both values.
     """
-    text, other_text = experiment_text(row), experiment_text(other_row)
+    text, other_text = describe_experiment(row), describe_experiment(other_row)
     if text != other_text:
         raise OtherExperimentError(
             f"{folder} holds two experiments: {name} tells of {text}, {other_name} of {other_text}; "
@@ -112,11 +114,11 @@ def refuse_another(
         )
 
 
-def experiment_text(row: ExperimentRow) -> str:
+def describe_experiment(row: ExperimentRow) -> str:
     """Return configuration hash and hour 0, which identify an experiment."""
     return f"configuration {row.configuration_hash}, hour 0 at {format_utc(row.epoch_utc_ns)}"
 
 
-def _crc32(columns: object) -> int:
+def _compute_crc32(columns: object) -> int:
     """Compute the checksum of the row's columns."""
     return zlib.crc32(orjson.dumps(columns))

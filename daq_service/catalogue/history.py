@@ -21,15 +21,15 @@ from typing import Any
 import orjson
 
 from daq_service.catalogue.connection import FILE_NAME
-from daq_service.catalogue.earlier_names import current_row
+from daq_service.catalogue.earlier_names import to_current_row
 from daq_service.catalogue.errors import CatalogueDamagedError
-from daq_service.catalogue.experiment_file import HISTORY_FILE, refuse_another
+from daq_service.catalogue.experiment_file import HISTORY_FILE, refuse_other_record
 from daq_service.catalogue.reader import Catalogue
-from daq_service.catalogue.rows import CommandRow, EventRow, ExperimentRow, SetRow, values
+from daq_service.catalogue.rows import CommandRow, EventRow, ExperimentRow, SetRow, to_columns
 from daq_service.catalogue.writer import ANSWERS
 from daq_service.clock import MACHINE, MachineClock
 from daq_service.errors import StorageError
-from daq_service.shared_file import O_BINARY, patiently, sync_folder, write_all
+from daq_service.shared_file import O_BINARY, retry_call, sync_folder, write_all
 from hardware_drivers.measurement import SetKey
 
 log = logging.getLogger(__name__)
@@ -71,7 +71,7 @@ class History:
     def take(self, number: int, table: str, row: Mapping[str, Any]) -> None:
         """Add the contents of a line."""
         self.last_number = number
-        row = current_row(table, row)
+        row = to_current_row(table, row)
         match table:
             case "experiment":
                 self.experiment = ExperimentRow(**row)
@@ -83,7 +83,7 @@ class History:
                 self.digests[row["file"]] = row["file_sha256"]
 
 
-def line_of(number: int, table: str, row: Mapping[str, object]) -> bytes:
+def encode_line(number: int, table: str, row: Mapping[str, object]) -> bytes:
     """Return the line of a row."""
     body = orjson.dumps({"n": number, "table": table, "row": row})[1:]
     return b'%s%08x",%s\n' % (_HEAD, zlib.crc32(body), body)
@@ -103,7 +103,7 @@ def read_history(folder: Path, *, tail_bytes: int | None = None) -> History:
         It cannot be read.
     """
     try:
-        with patiently(lambda: (folder / HISTORY_FILE).open("rb")) as file:
+        with retry_call(lambda: (folder / HISTORY_FILE).open("rb")) as file:
             size = file.seek(0, os.SEEK_END)
             start = 0 if tail_bytes is None else max(0, size - tail_bytes)
             file.seek(start)
@@ -173,7 +173,7 @@ class HistoryFollower:
         """Append new rows between sets (a `BackgroundTask`)."""
         self.follow()
 
-    def after_set(self, set_key: SetKey) -> None:
+    def notify_set_stored(self, set_key: SetKey) -> None:
         """Do nothing: its rows come with the next piece of work."""
 
     def close(self) -> None:
@@ -196,14 +196,14 @@ class HistoryFollower:
             log.warning("the history cannot be read: %s", error)
             return
         if history.experiment is not None:
-            refuse_another(
-                self._catalogue.experiment_row(),
+            refuse_other_record(
+                self._catalogue.read_experiment(),
                 history.experiment,
                 "its catalogue",
                 HISTORY_FILE,
                 self._folder,
             )
-        if missing := lacks_rows_of(history, self._catalogue):
+        if missing := describe_missing_event(history, self._catalogue):
             raise CatalogueDamagedError(f"{self._folder / FILE_NAME} {missing}")
         self.follow(now=True)
 
@@ -213,7 +213,7 @@ class HistoryFollower:
             return
         self._next_s = self._machine.mono_s() + FOLLOW_EVERY_S
         try:
-            self._append()
+            self._append_missing_lines()
         except (OSError, StorageError) as error:
             # Its contents are unknown now, so it is read again.
             self._known = None
@@ -223,37 +223,39 @@ class HistoryFollower:
         else:
             self._refusal = ""
 
-    def _append(self) -> None:
+    def _append_missing_lines(self) -> None:
         """Append missing lines until there are none."""
         if self._known is None:
             self._known = read_history(self._folder, tail_bytes=TAIL_BYTES)
             self._last_answered = 0
             # A crash may have occurred between a digest and its line, for one of the sets at its end.
-            set_indices = _sets_of(self._known.events.values())
-            self._new_digests |= self._digests(min(set_indices), None) if set_indices else {}
-        while lines := self._lines(self._known):
+            set_indices = _list_stored_sets(self._known.events.values())
+            self._new_digests |= self._read_digests(min(set_indices), None) if set_indices else {}
+        while lines := self._collect_missing_lines(self._known):
             append_durably(self._folder / HISTORY_FILE, lines)
             self._new_digests.clear()
 
-    def _lines(self, known: History) -> list[bytes]:
+    def _collect_missing_lines(self, known: History) -> list[bytes]:
         """Return the next lines that the history lacks."""
         last_id = max(known.events, default=0)
         events = self._catalogue.rows(EventRow, after_id=last_id, limit=EVENTS_AT_ONCE)
-        commands = self._open_commands()
+        commands = self._list_open_commands()
         # Where sets have no journal, their rows come with the digest.
-        set_indices = _sets_of(events)
-        files = self._new_digests | (self._digests(min(set_indices), max(set_indices)) if set_indices else {})
+        set_indices = _list_stored_sets(events)
+        files = self._new_digests | (
+            self._read_digests(min(set_indices), max(set_indices)) if set_indices else {}
+        )
         new_rows: list[tuple[str, Mapping[str, object]]] = []
         if not known.last_number:
-            new_rows.append(("experiment", values(self._catalogue.experiment_row())))
-        new_rows += [("events", values(row)) for row in events]
-        new_rows += [("commands", values(row)) for row in commands if known.commands.get(row.id) != row]
+            new_rows.append(("experiment", to_columns(self._catalogue.read_experiment())))
+        new_rows += [("events", to_columns(row)) for row in events]
+        new_rows += [("commands", to_columns(row)) for row in commands if known.commands.get(row.id) != row]
         new_rows += [
             ("files", {"file": file, "file_sha256": sha256})
             for file, sha256 in files.items()
             if known.digests.get(file) != sha256
         ]
-        lines = [line_of(known.last_number + n, *row) for n, row in enumerate(new_rows, start=1)]
+        lines = [encode_line(known.last_number + n, *row) for n, row in enumerate(new_rows, start=1)]
         # Keep only what is needed again, so that memory does not grow with the test.
         known.last_number += len(lines)
         known.events = {row.id: row for row in [*known.events.values(), *events][-1:] if row.id}
@@ -261,12 +263,12 @@ class HistoryFollower:
         known.digests = files if files else known.digests
         return lines
 
-    def _digests(self, first: int, last: int | None) -> dict[str, str]:
+    def _read_digests(self, first: int, last: int | None) -> dict[str, str]:
         """Return the SHA-256 of the files of a range of sets."""
         rows = self._catalogue.rows(SetRow, first_set=first, last_set=last, purpose="any")
         return {row.file: row.file_sha256 for row in rows if row.file and row.file_sha256}
 
-    def _open_commands(self) -> list[CommandRow]:
+    def _list_open_commands(self) -> list[CommandRow]:
         """Return the commands that may still change: those after the first answered ones."""
         commands = self._catalogue.rows(CommandRow, after_id=self._last_answered)
         for command in commands:
@@ -276,7 +278,7 @@ class HistoryFollower:
         return commands
 
 
-def lacks_rows_of(history: History, catalogue: Catalogue) -> str:
+def describe_missing_event(history: History, catalogue: Catalogue) -> str:
     """Describe that the catalogue lacks the newest event of the history; empty if it has it."""
     last_id = max(history.events, default=0)
     if not last_id:
@@ -285,10 +287,10 @@ def lacks_rows_of(history: History, catalogue: Catalogue) -> str:
     identity = ("id", "wall_utc_ns", "topic", "kind")
     stored = catalogue.columns(EventRow, identity, after_id=last_id - 1, limit=1)
     same = stored == {name: [getattr(history.events[last_id], name)] for name in identity}
-    return "" if same else lost_rows(last_id)
+    return "" if same else describe_lost_event(last_id)
 
 
-def lost_rows(last_id: int) -> str:
+def describe_lost_event(last_id: int) -> str:
     """Describe that the catalogue lacks an event of the history."""
     return (
         f"has lost rows: {HISTORY_FILE} knows event {last_id}; `solimon rebuild` makes the catalogue again "
@@ -296,7 +298,7 @@ def lost_rows(last_id: int) -> str:
     )
 
 
-def _sets_of(events: Iterable[EventRow]) -> list[int]:
+def _list_stored_sets(events: Iterable[EventRow]) -> list[int]:
     """Return the indices of the sets that were stored."""
     return [row.set_index for row in events if row.topic == "sets" and row.set_index is not None]
 
@@ -310,7 +312,7 @@ def append_durably(path: Path, lines: Iterable[bytes]) -> None:
         They may not be durable.
     """
     existed = path.exists()
-    descriptor = patiently(lambda: os.open(path, os.O_RDWR | os.O_CREAT | os.O_APPEND | O_BINARY, 0o644))
+    descriptor = retry_call(lambda: os.open(path, os.O_RDWR | os.O_CREAT | os.O_APPEND | O_BINARY, 0o644))
     try:
         size = os.lseek(descriptor, 0, os.SEEK_END)
         torn = b""

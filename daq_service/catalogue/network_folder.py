@@ -22,7 +22,7 @@ _WINDOWS_DRIVE_REMOTE = 4
 MOUNTS = Path("/proc/self/mountinfo")
 
 
-def network_filesystem(path: Path, mountinfo: str | None = None, *, mounts: Path = MOUNTS) -> str | None:
+def find_network_type(path: Path, mountinfo: str | None = None, *, mounts: Path = MOUNTS) -> str | None:
     """Return the type of the network file system of ``path``; None if local or unknown.
 
     Parameters
@@ -39,7 +39,7 @@ def network_filesystem(path: Path, mountinfo: str | None = None, *, mounts: Path
     Works on Linux and Windows; on other systems the result is always None.
     """
     if mountinfo is None and sys.platform == "win32":
-        return _windows_network_drive(path)
+        return _detect_windows_drive(path)
     if mountinfo is None:
         try:
             mountinfo = mounts.read_text(encoding="utf-8", errors="surrogateescape")
@@ -47,13 +47,13 @@ def network_filesystem(path: Path, mountinfo: str | None = None, *, mounts: Path
             # No such file on macOS and others: the type is unknown.
             return None
         path = path.resolve()
-    kind = _filesystem_type(path.as_posix(), mountinfo)
+    kind = _find_filesystem_type(path.as_posix(), mountinfo)
     if kind in _NETWORK_TYPES or _NETWORK_FUSE.fullmatch(kind):
         return kind
     return None
 
 
-def _filesystem_type(path: str, mountinfo: str) -> str:
+def _find_filesystem_type(path: str, mountinfo: str) -> str:
     """Return the type of the last mounted file system with the nearest mount point above ``path``."""
     place = PurePosixPath(path)
     nearest, kind = -1, ""
@@ -62,19 +62,19 @@ def _filesystem_type(path: str, mountinfo: str) -> str:
         fields = mount.split()
         if not separator or len(fields) < 5 or not filesystem.split():
             continue
-        mount_point = PurePosixPath(_unescape(fields[4]))
+        mount_point = PurePosixPath(_unescape_mount_point(fields[4]))
         # ">=": a later mount on the same point hides the earlier one.
         if place.is_relative_to(mount_point) and len(mount_point.parts) >= nearest:
             nearest, kind = len(mount_point.parts), filesystem.split()[0]
     return kind
 
 
-def _unescape(text: str) -> str:
+def _unescape_mount_point(text: str) -> str:
     r"""Decode blank, tab, newline and backslash, which are written as ``\040`` etc."""
     return re.sub(r"\\([0-7]{3})", lambda match: chr(int(match[1], 8)), text)
 
 
-def _windows_network_drive(path: Path) -> str | None:
+def _detect_windows_drive(path: Path) -> str | None:
     """Return the kind of network drive of a path on Windows; None if local."""
     if sys.platform != "win32":
         return None

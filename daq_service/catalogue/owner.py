@@ -8,11 +8,11 @@ from typing import Any
 
 from sqlalchemy import Connection, Engine, Table, inspect, select
 
-from daq_service.catalogue.earlier_names import current_row
+from daq_service.catalogue.earlier_names import to_current_row
 from daq_service.catalogue.errors import OtherExperimentError
 from daq_service.catalogue.rows import ExperimentRow
 from daq_service.catalogue.tables import events, experiment, features, thickness
-from daq_service.settings.stored import differences
+from daq_service.settings.stored import find_settings_differences
 from daq_service.settings.tree import Settings
 from simulator.parameters.experiment import TWIN_VERSION
 
@@ -32,13 +32,13 @@ def refuse_other_test(engine: Engine, path: Path, settings: Settings) -> None:
         found = connection.execute(select(*columns)).one_or_none()
         if found is None:
             return  # no test yet
-        lines = _other_versions(connection, on_twin=settings.rig.on_twin)
+        lines = _list_other_versions(connection, on_twin=settings.rig.on_twin)
     refuse_other_experiment(
-        ExperimentRow(**current_row("experiment", found._asdict())), path.parent, settings, lines
+        ExperimentRow(**to_current_row("experiment", found._asdict())), path.parent, settings, lines
     )
 
 
-def experiment_identity(row: ExperimentRow) -> str:
+def build_experiment_identity(row: ExperimentRow) -> str:
     """Return the identifier of a test for derived data."""
     return f"{row.configuration_hash}/{row.epoch_utc_ns}"
 
@@ -55,7 +55,7 @@ def refuse_other_experiment(
     """
     own_hash = settings.configuration_hash()
     if row.configuration_hash != own_hash:
-        lines = [*differences(row.configuration, settings), *lines]
+        lines = [*find_settings_differences(row.configuration, settings), *lines]
     if lines:
         raise OtherExperimentError(
             f"{folder} belongs to the experiment {row.name!r} with configuration "
@@ -66,18 +66,18 @@ def refuse_other_experiment(
         )
 
 
-def _other_versions(connection: Connection, *, on_twin: bool) -> list[str]:
+def _list_other_versions(connection: Connection, *, on_twin: bool) -> list[str]:
     """List extractors and twin whose version differs from that of the folder's last rows."""
     # Loading the extractors takes a while, and only a folder that has a test needs it.
     from analysis.ultrasound import thickness as pulse_echo
     from analysis.waves import features as solitary_wave
 
     used = {
-        "extractor of solitary waves": (_newest(connection, features), solitary_wave.EXTRACTOR_VERSION),
-        "extractor of pulse echoes": (_newest(connection, thickness), pulse_echo.EXTRACTOR_VERSION),
+        "extractor of solitary waves": (_read_newest(connection, features), solitary_wave.EXTRACTOR_VERSION),
+        "extractor of pulse echoes": (_read_newest(connection, thickness), pulse_echo.EXTRACTOR_VERSION),
     }
     if on_twin:
-        used["physics of the twin"] = (_twin_version(connection), TWIN_VERSION)
+        used["physics of the twin"] = (_read_twin_version(connection), TWIN_VERSION)
     return [
         f"{name}: began with {began}, is {now} now"
         for name, (began, now) in used.items()
@@ -85,12 +85,12 @@ def _other_versions(connection: Connection, *, on_twin: bool) -> list[str]:
     ]
 
 
-def _newest(connection: Connection, table: Table) -> Any:
+def _read_newest(connection: Connection, table: Table) -> Any:
     """Return the extractor version of the newest row."""
     return connection.execute(select(table.c.extractor_version).order_by(table.c.id.desc()).limit(1)).scalar()
 
 
-def _twin_version(connection: Connection) -> object:
+def _read_twin_version(connection: Connection) -> object:
     """Return the twin version of the last recorder; "1" if none was stored."""
     started = select(events.c.payload).where(events.c.kind == "recorder_started").order_by(events.c.id.desc())
     payload = connection.execute(started.limit(1)).scalar()

@@ -11,8 +11,8 @@ from types import NoneType
 from typing import Any, Literal, get_args, get_origin
 
 from analysis.diagnosis.hypotheses import CAUSES, OK
-from daq_service.catalogue.rows import AlarmRow, AssessmentRow, BaselineRow, Row, columns_of
-from hardware_drivers.units import unit_of
+from daq_service.catalogue.rows import AlarmRow, AssessmentRow, BaselineRow, Row, list_columns
+from hardware_drivers.units import find_unit
 
 Form = Literal["number", "integer", "truth", "time", "text", "nested"]
 Purposes = Literal["planned", "confirmation", "any"]
@@ -44,24 +44,24 @@ ADDED_COLUMNS: Mapping[type[Row], tuple[PublishedColumn, ...]] = {
 """Columns that the service adds: hours and temperatures of a baseline, assessed quality, evidence."""
 
 
-def _part(name: str, form: Form = "number") -> PublishedColumn:
+def _to_column(name: str, form: Form = "number") -> PublishedColumn:
     """Return the column of a nested value."""
     return PublishedColumn(name=name, form=form, unit="", nullable=True)
 
 
 PARTS: Mapping[type[Row], Mapping[tuple[str, ...], PublishedColumn]] = {
     BaselineRow: {
-        **{("baseline_quality", name): _part(name) for name in ("n_eff", "phi_pooled", "tail")},
-        ("baseline_quality", "false_alarms_per_sensor_year"): _part("false_alarms_per_sensor_year"),
-        ("baseline_quality", "rate_verified"): _part("rate_verified", "truth"),
-        ("baseline_quality", "rate_not_verified_reason"): _part("rate_not_verified_reason", "text"),
-        ("limits", "mewma"): _part("mewma_limit"),
-        ("limits", "default"): _part("limit_default"),
+        **{("baseline_quality", name): _to_column(name) for name in ("n_eff", "phi_pooled", "tail")},
+        ("baseline_quality", "false_alarms_per_sensor_year"): _to_column("false_alarms_per_sensor_year"),
+        ("baseline_quality", "rate_verified"): _to_column("rate_verified", "truth"),
+        ("baseline_quality", "rate_not_verified_reason"): _to_column("rate_not_verified_reason", "text"),
+        ("limits", "mewma"): _to_column("mewma_limit"),
+        ("limits", "default"): _to_column("limit_default"),
     },
     AssessmentRow: {
-        ("limits", "mewma"): _part("mewma_limit"),
+        ("limits", "mewma"): _to_column("mewma_limit"),
         **{
-            ("diagnosis_details", "probabilities", name): _part(f"probability_{name}")
+            ("diagnosis_details", "probabilities", name): _to_column(f"probability_{name}")
             for name in (OK, *CAUSES)
         },
     },
@@ -69,7 +69,7 @@ PARTS: Mapping[type[Row], Mapping[tuple[str, ...], PublishedColumn]] = {
 """Values of nested columns as columns of tables, where the nested ones are JSON text."""
 
 
-def with_parts(kind: type[Row], row: Mapping[str, object]) -> dict[str, object]:
+def add_parts(kind: type[Row], row: Mapping[str, object]) -> dict[str, object]:
     """Add the columns of `PARTS` to a row; None for missing values."""
     extended = dict(row)
     for path, column in PARTS.get(kind, {}).items():
@@ -80,13 +80,13 @@ def with_parts(kind: type[Row], row: Mapping[str, object]) -> dict[str, object]:
     return extended
 
 
-def described_columns(kind: type[Row]) -> tuple[PublishedColumn, ...]:
+def describe_columns(kind: type[Row]) -> tuple[PublishedColumn, ...]:
     """Return the published columns of a kind of row, with times of hours and added columns."""
     columns: dict[str, PublishedColumn] = {}
-    for column in columns_of(kind):
+    for column in list_columns(kind):
         name = column.published_name
-        form = form_of(column.type) if name == column.name else "time"
-        unit = unit_of(name) if form in ("number", "integer") else ""
+        form = choose_form(column.type) if name == column.name else "time"
+        unit = find_unit(name) if form in ("number", "integer") else ""
         columns[name] = PublishedColumn(name=name, form=form, unit=unit, nullable=column.nullable)
     for hours in [column for column in columns.values() if column.unit == "h"]:
         name = hours.name.removesuffix("_h") + "_utc"
@@ -95,7 +95,7 @@ def described_columns(kind: type[Row]) -> tuple[PublishedColumn, ...]:
     return (*columns.values(), *ADDED_COLUMNS.get(kind, ()), *PARTS.get(kind, {}).values())
 
 
-def form_of(of_type: Any) -> Form:
+def choose_form(of_type: Any) -> Form:
     """Return the form of a column's type."""
     plain = next((kind for kind in get_args(of_type) if kind is not NoneType), of_type)
     if get_origin(of_type) is Literal or get_origin(plain) is Literal:

@@ -16,7 +16,7 @@ import sqlalchemy as sa
 from daq_service.catalogue.connection import make_engine
 from daq_service.catalogue.errors import CatalogueError, NoDataYetError
 from daq_service.catalogue.published_columns import Purposes
-from daq_service.catalogue.reported_rows import with_rows
+from daq_service.catalogue.reported_rows import join_reported_rows
 from daq_service.catalogue.rows import (
     AlarmRow,
     AssessmentRow,
@@ -30,15 +30,15 @@ from daq_service.catalogue.rows import (
     Row,
     SetRow,
     ThicknessRow,
-    values,
+    to_columns,
 )
 from daq_service.catalogue.stored_rows import (
     DamagedRow,
-    checked_rows,
-    checked_values,
     insert_rows,
-    translated,
-    writing,
+    open_write_transaction,
+    read_rows,
+    read_values,
+    translate_errors,
 )
 from daq_service.catalogue.tables import (
     RARE_TOPICS,
@@ -112,12 +112,12 @@ _CONDITIONS: Mapping[str, Callable[[sa.Table, Any], sa.ColumnElement[bool]]] = {
     "first_h": lambda table, hour: (
         table.c[_HOURS[table][1]] >= hour
         if table in _HOURS
-        else (table.c.due_h >= hour) & (table.c.set_index >= set_at(table, hour, "first"))
+        else (table.c.due_h >= hour) & (table.c.set_index >= build_set_at_query(table, hour, "first"))
     ),
     "last_h": lambda table, hour: (
         table.c[_HOURS[table][0]] <= hour
         if table in _HOURS
-        else (table.c.due_h <= hour) & (table.c.set_index <= set_at(table, hour, "last"))
+        else (table.c.due_h <= hour) & (table.c.set_index <= build_set_at_query(table, hour, "last"))
     ),
     "withdrawn": lambda table, withdrawn: (
         table.c.withdrawn_utc_ns.is_not(None) if withdrawn else table.c.withdrawn_utc_ns.is_(None)
@@ -130,7 +130,7 @@ _CONDITIONS: Mapping[str, Callable[[sa.Table, Any], sa.ColumnElement[bool]]] = {
     "purpose": lambda table, purpose: (
         sa.true()
         if purpose == "any"
-        else in_plan(table)
+        else is_scheduled(table)
         if purpose == "planned"
         else table.c.unscheduled_index > sa.literal_column("0")  # literal, as in the index
     ),
@@ -143,18 +143,18 @@ _HOURS_OF_UNSCHEDULED: Mapping[str, Callable[[sa.Table, Any], sa.ColumnElement[b
 """Hours of unscheduled sets do not increase with the index; there are few such sets."""
 
 
-def in_plan(table: sa.FromClause) -> sa.ColumnElement[bool]:
+def is_scheduled(table: sa.FromClause) -> sa.ColumnElement[bool]:
     """Return the condition that selects rows of scheduled sets: of the environment every row."""
     return table.c.unscheduled_index == 0 if "unscheduled_index" in table.c else sa.true()
 
 
-def set_at(table: sa.Table, hour: float, which: Literal["first", "last"]) -> sa.ScalarSelect[int]:
+def build_set_at_query(table: sa.Table, hour: float, which: Literal["first", "last"]) -> sa.ScalarSelect[int]:
     """Return the query for the first set due at an hour or later, or the last one until then.
 
     Hours increase with the set index, so a range of hours is a range of sets and uses an index.
     """
     due = sets if "position" in table.c else table
-    found = sa.select(due.c.set_index).where(in_plan(due)).limit(1)
+    found = sa.select(due.c.set_index).where(is_scheduled(due)).limit(1)
     if which == "first":
         found = found.where(due.c.due_h >= hour).order_by(due.c.due_h)
     else:
@@ -200,59 +200,61 @@ class Catalogue:
             self._command_engine.dispose()
 
     @contextmanager
-    def reading(self) -> Iterator[sa.Connection]:
+    def open_snapshot(self) -> Iterator[sa.Connection]:
         """Open a transaction that sees one state of the catalogue, for several queries."""
-        with translated(self._path, "reading"), self._engine.begin() as connection:
+        with translate_errors(self._path, "reading"), self._engine.begin() as connection:
             yield connection
 
     # Rows of every kind
 
     def rows(self, kind: type[R], /, *, limit: int | None = None, **filters: Unpack[Filters]) -> list[R]:
         """Return rows of a table in storage order; with filters on sets, in the order of the sets."""
-        return self._rows(kind, _of_kind(kind, limit, filters), _required_of(kind, filters))
+        return self._read_rows(
+            kind, _build_kind_query(kind, limit, filters), _collect_required_values(kind, filters)
+        )
 
-    def last_rows(
+    def read_last_rows(
         self, kind: type[R], position: str, count: int | None, /, **filters: Unpack[Filters]
     ) -> list[R]:
         """Return the rows of the last sets of a position (None: of all), in the order of the sets."""
         table = TABLES[kind]
-        statement = filtered(sa.select(table), table, {**filters, "position": position})
-        newest_first = statement.order_by(None).order_by(*(column.desc() for column in _key_of(table)))
-        required = _required_of(kind, {**filters, "position": position})
-        return self._rows(kind, newest_first.limit(count), required)[::-1]
+        statement = add_filters(sa.select(table), table, {**filters, "position": position})
+        newest_first = statement.order_by(None).order_by(*(column.desc() for column in _list_key(table)))
+        required = _collect_required_values(kind, {**filters, "position": position})
+        return self._read_rows(kind, newest_first.limit(count), required)[::-1]
 
-    def newest_gaps(self, count: int) -> list[SetRow]:
+    def read_newest_gaps(self, count: int) -> list[SetRow]:
         """Return the newest missed and the newest partial sets of each position, ``count`` of each."""
-        return self._rows(SetRow, _newest_gaps(count))
+        return self._read_rows(SetRow, _build_newest_gaps_query(count))
 
-    def newest_recorded(self) -> SetRow | None:
+    def read_newest_recorded(self) -> SetRow | None:
         """Return a row of the newest scheduled set with records; None before it."""
-        return self._newest_row(SetRow, sets.c.file.is_not(None) & in_plan(sets))
+        return self._read_newest_row(SetRow, sets.c.file.is_not(None) & is_scheduled(sets))
 
-    def newest_files(self, n_rows: int) -> dict[SetKey, str]:
+    def list_newest_files(self, n_rows: int) -> dict[SetKey, str]:
         """Return the files of the newest rows of sets, by key in order."""
-        with self.reading() as connection:
-            return _files_in(connection, _newest_files(n_rows))
+        with self.open_snapshot() as connection:
+            return _read_files(connection, _build_newest_files_query(n_rows))
 
-    def n_stored(self, position: str, first_set: int, last_set: int) -> int:
+    def count_stored_sets(self, position: str, first_set: int, last_set: int) -> int:
         """Count the scheduled sets of a position with records, between two indices (inclusive)."""
-        in_range = in_plan(sets) & sets.c.set_index.between(first_set, last_set)
+        in_range = is_scheduled(sets) & sets.c.set_index.between(first_set, last_set)
         filtered_sets = (sets.c.position == position) & in_range
-        with self.reading() as connection:
+        with self.open_snapshot() as connection:
             return connection.execute(
                 sa.select(sa.func.count()).where(
                     filtered_sets & sets.c.file.is_not(None) & (sets.c.n_taken > 0)
                 )
             ).scalar_one()
 
-    def first_reading(self, position: str) -> ThicknessRow | None:
+    def read_first_thickness(self, position: str) -> ThicknessRow | None:
         """Return the first pulse-echo result with a travel time; None before it."""
         table = TABLES[ThicknessRow]
-        statement = filtered(sa.select(table), table, {"position": position})
-        rows = self._rows(ThicknessRow, statement.where(table.c.travel_time_s.is_not(None)).limit(1))
+        statement = add_filters(sa.select(table), table, {"position": position})
+        rows = self._read_rows(ThicknessRow, statement.where(table.c.travel_time_s.is_not(None)).limit(1))
         return rows[0] if rows else None
 
-    def baselines_by_id(self) -> dict[int, BaselineRow]:
+    def read_baselines_by_id(self) -> dict[int, BaselineRow]:
         """Return every baseline by its id."""
         return {row.id: row for row in self.rows(BaselineRow) if row.id is not None}
 
@@ -278,31 +280,33 @@ class Catalogue:
         if not names:
             return {}
         # Complete rows: only these can be compared with their checksums.
-        with self.reading() as connection:
-            rows = list(checked_values(connection, kind, _of_kind(kind, limit, filters)))
+        with self.open_snapshot() as connection:
+            rows = list(read_values(connection, kind, _build_kind_query(kind, limit, filters)))
             columns = dict(zip(kind.__slots__, zip(*rows, strict=True), strict=False))
-            _refuse_others(kind, _required_of(kind, filters), lambda name: columns.get(name, ()))
+            _refuse_other_values(
+                kind, _collect_required_values(kind, filters), lambda name: columns.get(name, ())
+            )
         return {name: list(columns.get(name, ())) for name in names}
 
-    def _rows(
+    def _read_rows(
         self, kind: type[R], statement: sa.Select[Any], required: Mapping[str, object] = MappingProxyType({})
     ) -> list[R]:
         """Read the rows of a query."""
-        with self.reading() as connection:
-            return with_rows(
-                connection, _rows_with(kind, required, checked_rows(connection, kind, statement))
+        with self.open_snapshot() as connection:
+            return join_reported_rows(
+                connection, _collect_rows(kind, required, read_rows(connection, kind, statement))
             )
 
-    def _newest_row(self, kind: type[R], condition: sa.ColumnElement[bool] | None = None) -> R | None:
+    def _read_newest_row(self, kind: type[R], condition: sa.ColumnElement[bool] | None = None) -> R | None:
         """Return the last stored row that meets a condition; None if there is none."""
         table = TABLES[kind]
         statement = sa.select(table).order_by(table.c.id.desc()).limit(1)
-        rows = self._rows(kind, statement if condition is None else statement.where(condition))
+        rows = self._read_rows(kind, statement if condition is None else statement.where(condition))
         return rows[0] if rows else None
 
     # The experiment as a whole
 
-    def experiment_row(self) -> ExperimentRow:
+    def read_experiment(self) -> ExperimentRow:
         """Return name, configuration and its hash, epoch, clock.
 
         Raises
@@ -310,7 +314,7 @@ class Catalogue:
         NoDataYetError
             The experiment has not started.
         """
-        row = self._newest_row(ExperimentRow)
+        row = self._read_newest_row(ExperimentRow)
         if row is None:
             raise NoDataYetError(
                 f"{self._path}: the experiment has not begun; start `solimon record` or wait for it",
@@ -318,9 +322,9 @@ class Catalogue:
             )
         return row
 
-    def position_names(self) -> list[str]:
+    def list_position_names(self) -> list[str]:
         """Return the names of all configured positions."""
-        return list(self.experiment_row().configuration.get("positions", ()))
+        return list(self.read_experiment().configuration.get("positions", ()))
 
     def counts(self) -> dict[str, int]:
         """Return the sizes of the experiment so far.
@@ -332,44 +336,44 @@ class Catalogue:
             missed altogether, ``partial_sets``: of the ``sets``, those that lack something;
             ``shots``: solitary-wave shots, ``pulse_echo_records``, ``events``, ``active_alarms``.
         """
-        with self.reading() as connection:
-            (row,) = checked_rows(connection, CountsRow, sa.select(counts))
+        with self.open_snapshot() as connection:
+            (row,) = read_rows(connection, CountsRow, sa.select(counts))
             n_alarms = connection.execute(
-                filtered(sa.select(sa.func.count()), alarms, {"active": True}).order_by(None)
+                add_filters(sa.select(sa.func.count()), alarms, {"active": True}).order_by(None)
             ).scalar_one()
-        return {name: number for name, number in values(row).items() if name != "id"} | {
+        return {name: number for name, number in to_columns(row).items() if name != "id"} | {
             "active_alarms": n_alarms
         }
 
-    def files_but_of(self, known: Collection[SetKey]) -> dict[SetKey, str]:
+    def list_files_except(self, known: Collection[SetKey]) -> dict[SetKey, str]:
         """Return the files of all sets but these by key; uses an index."""
-        positions = self.position_names()
+        positions = self.list_position_names()
         scheduled = {set_index for set_index, unscheduled_index in known if not unscheduled_index}
-        with self.reading() as connection:
-            unscheduled = _files_in(connection, _unscheduled_files())
+        with self.open_snapshot() as connection:
+            unscheduled = _read_files(connection, _build_unscheduled_query())
             files = {key: file for key, file in unscheduled.items() if key not in known}
-            last = connection.execute(_last_set_index()).scalar()
+            last = connection.execute(_build_last_index_query()).scalar()
             remaining = sorted(set(range(0 if last is None else last + 1)) - scheduled)
             for start in range(0, len(remaining), _MAX_VALUES):
                 indices_of_step = remaining[start : start + _MAX_VALUES]
                 statement = _FILES.where(
                     sets.c.position.in_(positions),
                     sets.c.set_index.in_(indices_of_step),
-                    in_plan(sets),
+                    is_scheduled(sets),
                     sets.c.file.is_not(None),
                 ).distinct()  # a row a position
-                files |= _files_in(connection, statement)
+                files |= _read_files(connection, statement)
         return files
 
-    def positions_state(self) -> dict[str, LatestRows]:
+    def read_latest_rows(self) -> dict[str, LatestRows]:
         """Return the newest rows of each position that has a row in ``sets``."""
-        with self.reading() as connection:
-            last_sets = _newest(connection, SetRow)
-            last_features = _newest(connection, FeatureRow)
-            last_assessments = _newest(connection, AssessmentRow)
-            last_thicknesses = _newest(connection, ThicknessRow)
+        with self.open_snapshot() as connection:
+            last_sets = _read_newest_rows(connection, SetRow)
+            last_features = _read_newest_rows(connection, FeatureRow)
+            last_assessments = _read_newest_rows(connection, AssessmentRow)
+            last_thicknesses = _read_newest_rows(connection, ThicknessRow)
             active = list(
-                checked_rows(connection, AlarmRow, filtered(sa.select(alarms), alarms, {"active": True}))
+                read_rows(connection, AlarmRow, add_filters(sa.select(alarms), alarms, {"active": True}))
             )
         return {
             position: LatestRows(
@@ -384,58 +388,60 @@ class Catalogue:
             for position, row in sorted(last_sets.items())
         }
 
-    def last_environment(self) -> EnvironmentRow | None:
+    def read_last_environment(self) -> EnvironmentRow | None:
         """Return the newest row of the environment, None where there is none."""
-        return self._newest_row(EnvironmentRow)
+        return self._read_newest_row(EnvironmentRow)
 
     def baseline(self, position: str) -> BaselineRow | None:
         """Return the newest baseline of a position."""
-        return self._newest_row(BaselineRow, TABLES[BaselineRow].c.position == position)
+        return self._read_newest_row(BaselineRow, TABLES[BaselineRow].c.position == position)
 
-    def newest_baselines(self) -> dict[str, BaselineRow]:
+    def read_newest_baselines(self) -> dict[str, BaselineRow]:
         """Return the newest baseline of each position that has one."""
         return {row.position: row for row in self.rows(BaselineRow)}  # the newest is last
 
-    def newest_id(self, kind: type[AlarmRow] | type[CommandRow]) -> int:
+    def find_newest_id(self, kind: type[AlarmRow] | type[CommandRow]) -> int:
         """Return the id of the newest row, 0 before the first; ids count from 1 and no row is deleted."""
-        with self.reading() as connection:
+        with self.open_snapshot() as connection:
             return int(connection.execute(sa.select(sa.func.max(TABLES[kind].c.id))).scalar_one() or 0)
 
     def alarm(self, alarm_id: int) -> AlarmRow | None:
         """Return one alarm, None where there is no such id."""
-        return self._newest_row(AlarmRow, alarms.c.id == alarm_id)
+        return self._read_newest_row(AlarmRow, alarms.c.id == alarm_id)
 
     # Events and commands
 
-    def events_after(
+    def read_events_after(
         self, event_id: int, topics: Collection[str] | None = None, limit: int | None = 500
     ) -> list[EventRow]:
         """Return the events after an id, in order."""
         return self.rows(EventRow, after_id=event_id, topics=topics, limit=limit)
 
-    def last_service_event(self, *kinds: str) -> EventRow | None:
+    def read_last_service_event(self, *kinds: str) -> EventRow | None:
         """Return the newest event of the service of one of these kinds; None if there is none."""
-        last_id = filtered(sa.select(sa.func.max(events.c.id)), events, {"topic": "service"}).order_by(None)
+        last_id = add_filters(sa.select(sa.func.max(events.c.id)), events, {"topic": "service"}).order_by(
+            None
+        )
         newest = last_id.where(events.c.kind.in_(kinds)).scalar_subquery()
-        return self._newest_row(EventRow, events.c.id == newest)
+        return self._read_newest_row(EventRow, events.c.id == newest)
 
-    def last_event(self, topic: str) -> EventRow | None:
+    def read_last_event(self, topic: str) -> EventRow | None:
         """Return the newest event of a topic that every set reports; None if there is none."""
-        return self._newest_row(EventRow, events.c.topic == topic)
+        return self._read_newest_row(EventRow, events.c.topic == topic)
 
     def paused(self) -> str | None:
         """Return who paused the test and why; None if it is not paused."""
-        event = self.last_service_event("pause", "resume")
+        event = self.read_last_service_event("pause", "resume")
         return None if event is None else event.payload["paused"] or None
 
     def last_event_id(self) -> int:
         """Return the id of the newest event, 0 before the first."""
-        with self.reading() as connection:
+        with self.open_snapshot() as connection:
             return int(connection.execute(sa.select(sa.func.max(events.c.id))).scalar_one() or 0)
 
     def command(self, command_id: int) -> CommandRow | None:
         """Return one command, None where there is no such id."""
-        return self._newest_row(CommandRow, commands.c.id == command_id)
+        return self._read_newest_row(CommandRow, commands.c.id == command_id)
 
     def add_command(
         self, author: str, kind: str, arguments: dict[str, Any], *, within_s: float = ORDER_WITHIN_S
@@ -452,7 +458,10 @@ class Catalogue:
         CatalogueBusyError, CatalogueWriteError
             Nothing was written.
         """
-        with translated(self._path, "writing a command"), writing(self._for_commands()) as connection:
+        with (
+            translate_errors(self._path, "writing a command"),
+            open_write_transaction(self._create_command_engine()) as connection,
+        ):
             now_ns, within_ns = time.time_ns(), round(within_s * NS_PER_S)
             row = CommandRow(
                 id=0,
@@ -465,20 +474,20 @@ class Catalogue:
                 deadline_boot_ns=elapsed_ns() + within_ns,
                 boot_id=boot_name(),
             )
-            return stored_command(connection, row)
+            return store_command(connection, row)
 
-    def _for_commands(self) -> sa.Engine:
+    def _create_command_engine(self) -> sa.Engine:
         """Return the engine that writes commands."""
         if self._command_engine is None:
             self._command_engine = make_engine(self._path, writable=True)
         return self._command_engine
 
 
-def filtered(statement: sa.Select[Any], table: sa.Table, filters: Filters) -> sa.Select[Any]:
+def add_filters(statement: sa.Select[Any], table: sa.Table, filters: Filters) -> sa.Select[Any]:
     """Add filters and order to a query of a table."""
     values = {name: value for name, value in filters.items() if value is not None and name != "after_id"}
     after_id = filters.get("after_id")
-    if _has_key(table) and "unscheduled_index" not in values:
+    if _has_set_key(table) and "unscheduled_index" not in values:
         values.setdefault("purpose", "planned")
     hour_conditions = _HOURS_OF_UNSCHEDULED if values.get("purpose", "planned") != "planned" else {}
     for name, value in values.items():
@@ -487,16 +496,16 @@ def filtered(statement: sa.Select[Any], table: sa.Table, filters: Filters) -> sa
     # Indices start with the filtered column, then the set: so a page needs no sorting.
     is_complete_test = values.keys() <= {"scope", "purpose"} and values.get("purpose") != "confirmation"
     by_set = "set_index" in table.c and table is not events and not is_complete_test
-    order = (*(_key_of(table) if by_set else []), *table.primary_key.columns)
+    order = (*(_list_key(table) if by_set else []), *table.primary_key.columns)
     if after_id is not None:
-        statement = statement.where(_behind(table, order, after_id))
+        statement = statement.where(_select_after(table, order, after_id))
     elif values.get("topic") in RARE_TOPICS:
         # In the order of ids SQLite would read all events; sorting the few events of a topic is fast.
         return statement.order_by(sa.text("+events.id"))
     return statement.order_by(*order)
 
 
-def _required_of(kind: type[Row], filters: Filters) -> dict[str, object]:
+def _collect_required_values(kind: type[Row], filters: Filters) -> dict[str, object]:
     """Return the values of columns that filters require of a row."""
     columns = [name for name in filters if name == "topic" or name not in _CONDITIONS]
     required = {name: filters.get(name) for name in columns if name in kind.__slots__}
@@ -505,7 +514,7 @@ def _required_of(kind: type[Row], filters: Filters) -> dict[str, object]:
     return {**required, "shot_index": None} if of_sets else required
 
 
-def _refuse_others(
+def _refuse_other_values(
     kind: type[Row], required: Mapping[str, object], values_of: Callable[[str], Iterable[object]]
 ) -> None:
     """Raise DamagedRow at a row without a required value of a column.
@@ -521,29 +530,31 @@ def _refuse_others(
                 )
 
 
-def _rows_with(kind: type[R], required: Mapping[str, object], found: Iterable[R]) -> list[R]:
+def _collect_rows(kind: type[R], required: Mapping[str, object], found: Iterable[R]) -> list[R]:
     """Return rows as a list; raise DamagedRow at one without the required values."""
     rows = list(found)
-    _refuse_others(kind, required, lambda name: (getattr(row, name) for row in rows))
+    _refuse_other_values(kind, required, lambda name: (getattr(row, name) for row in rows))
     return rows
 
 
-def _has_key(table: sa.Table) -> bool:
+def _has_set_key(table: sa.Table) -> bool:
     """Return whether the rows of a table belong to scheduled and unscheduled sets."""
     return table is not events and "unscheduled_index" in table.c
 
 
-def _key_of(table: sa.Table) -> list[sa.Column[int]]:
+def _list_key(table: sa.Table) -> list[sa.Column[int]]:
     """Return the columns of the key of a set in a table."""
     return [table.c[name] for name in SetKey._fields if name in table.c]
 
 
-def _files_in(connection: sa.Connection, statement: sa.Select[int, int, str]) -> dict[SetKey, str]:
+def _read_files(connection: sa.Connection, statement: sa.Select[int, int, str]) -> dict[SetKey, str]:
     """Return the files of a query of `_FILES` by key."""
     return {SetKey(*key): file for *key, file in connection.execute(statement)}
 
 
-def _behind(table: sa.Table, order: Sequence[sa.ColumnElement[Any]], row_id: int) -> sa.ColumnElement[bool]:
+def _select_after(
+    table: sa.Table, order: Sequence[sa.ColumnElement[Any]], row_id: int
+) -> sa.ColumnElement[bool]:
     """Return the condition for rows after one in an order."""
     if len(order) == 1:
         return order[0] > row_id
@@ -551,7 +562,7 @@ def _behind(table: sa.Table, order: Sequence[sa.ColumnElement[Any]], row_id: int
     return (order[0] >= values[0]) & (sa.tuple_(*order) > sa.tuple_(*values))
 
 
-def stored_command(connection: sa.Connection, row: CommandRow) -> int:
+def store_command(connection: sa.Connection, row: CommandRow) -> int:
     """Store a command under the next id and return it; the caller holds the write lock."""
     row = replace(
         row, id=int(connection.execute(sa.select(sa.func.max(commands.c.id))).scalar_one() or 0) + 1
@@ -559,22 +570,22 @@ def stored_command(connection: sa.Connection, row: CommandRow) -> int:
     return insert_rows(connection, [row])[0]
 
 
-def _of_kind(kind: type[Row], limit: int | None, filters: Filters) -> sa.Select[Any]:
+def _build_kind_query(kind: type[Row], limit: int | None, filters: Filters) -> sa.Select[Any]:
     """Return the query for the filtered rows of a kind."""
-    return filtered(sa.select(TABLES[kind]), TABLES[kind], filters).limit(limit)
+    return add_filters(sa.select(TABLES[kind]), TABLES[kind], filters).limit(limit)
 
 
-def _newest(connection: sa.Connection, kind: type[OfSet]) -> dict[str, OfSet]:
+def _read_newest_rows(connection: sa.Connection, kind: type[OfSet]) -> dict[str, OfSet]:
     """Return the row of the highest set index of each position in ``sets``."""
-    required = _required_of(kind, {"scope": "set"})
-    newest = checked_rows(connection, kind, _newest_of(TABLES[kind]))
-    return {row.position: row for row in _rows_with(kind, required, newest)}
+    required = _collect_required_values(kind, {"scope": "set"})
+    newest = read_rows(connection, kind, _build_newest_query(TABLES[kind]))
+    return {row.position: row for row in _collect_rows(kind, required, newest)}
 
 
 # Statements of several steps: building one takes longer than executing it ------------------------------
 
 
-def _position_names() -> sa.CTE:
+def _build_positions_query() -> sa.CTE:
     """Return the query for the positions that have a row in ``sets``."""
     # One index step finds the next name, independent of the number of sets.
     first = sa.select(sa.func.min(sets.c.position).label("position")).cte("places", recursive=True)
@@ -583,11 +594,11 @@ def _position_names() -> sa.CTE:
 
 
 @cache
-def _newest_of(table: sa.Table) -> sa.Select[Any]:
+def _build_newest_query(table: sa.Table) -> sa.Select[Any]:
     """Return the query for the newest row of each position."""
-    names, of_position = _position_names(), table.alias("of_place")
+    names, of_position = _build_positions_query(), table.alias("of_place")
     newest = sa.select(of_position.c.id).where(
-        of_position.c.position == names.c.position, in_plan(of_position)
+        of_position.c.position == names.c.position, is_scheduled(of_position)
     )
     if table is features:  # of a set
         newest = newest.where(of_position.c.shot_index.is_(None))
@@ -596,11 +607,11 @@ def _newest_of(table: sa.Table) -> sa.Select[Any]:
 
 
 @cache
-def _last_set_index() -> sa.Select[Any]:
+def _build_last_index_query() -> sa.Select[Any]:
     """Return the query for the highest set index."""
-    names = _position_names()
+    names = _build_positions_query()
     newest = sa.select(sa.func.max(sets.c.set_index)).where(
-        sets.c.position == names.c.position, in_plan(sets)
+        sets.c.position == names.c.position, is_scheduled(sets)
     )
     return sa.select(sa.func.max(newest.scalar_subquery())).select_from(names)
 
@@ -609,14 +620,14 @@ _FILES = sa.select(sets.c.set_index, sets.c.unscheduled_index, sets.c.file)
 
 
 @cache
-def _unscheduled_files() -> sa.Select[int, int, str]:
+def _build_unscheduled_query() -> sa.Select[int, int, str]:
     """Return the query for the files of unscheduled sets."""
     unscheduled = _CONDITIONS["purpose"](sets, "confirmation")
-    return _FILES.where(unscheduled, sets.c.file.is_not(None)).order_by(*_key_of(sets))
+    return _FILES.where(unscheduled, sets.c.file.is_not(None)).order_by(*_list_key(sets))
 
 
 @cache
-def _newest_files(n_rows: int) -> sa.Select[int, int, str]:
+def _build_newest_files_query(n_rows: int) -> sa.Select[int, int, str]:
     """Return the query for the files of the newest rows of sets."""
     newest = _FILES.order_by(sets.c.id.desc()).limit(n_rows).subquery().c
     statement = sa.select(newest.set_index, newest.unscheduled_index, newest.file)
@@ -625,9 +636,9 @@ def _newest_files(n_rows: int) -> sa.Select[int, int, str]:
 
 
 @cache
-def _newest_gaps(count: int) -> sa.Select[Any]:
+def _build_newest_gaps_query(count: int) -> sa.Select[Any]:
     """Return the query for the newest gaps of each position."""
-    names, of_position = _position_names(), sets.alias("of_place")
+    names, of_position = _build_positions_query(), sets.alias("of_place")
     states = sa.union_all(*(sa.select(sa.literal(state).label("state")) for state in GAP_STATES)).cte(
         "states"
     )
@@ -636,7 +647,7 @@ def _newest_gaps(count: int) -> sa.Select[Any]:
         .where(
             of_position.c.position == names.c.position,
             of_position.c.state == states.c.state,
-            in_plan(of_position),
+            is_scheduled(of_position),
         )
         .order_by(of_position.c.set_index.desc())
         .limit(count)

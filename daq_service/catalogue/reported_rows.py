@@ -22,9 +22,9 @@ from daq_service.catalogue.rows import (
     Row,
     SetRow,
     ThicknessRow,
-    values,
+    to_columns,
 )
-from daq_service.catalogue.stored_rows import DamagedRow, checked_values, json_text
+from daq_service.catalogue.stored_rows import DamagedRow, read_values, to_json_text
 from daq_service.catalogue.tables import TABLES, events
 from hardware_drivers.measurement import SetKey
 
@@ -48,12 +48,12 @@ ROW_OF_EVENT: Mapping[str, type[Row]] = MappingProxyType(
 _SETS_AT_ONCE = 500
 
 
-def reported(row: Row) -> Payload:
+def to_payload(row: Row) -> Payload:
     """Return a row of a set as the payload of its event."""
-    return _payload(values(row))
+    return _to_json_values(to_columns(row))
 
 
-def _payload(columns: Payload) -> Payload:
+def _to_json_values(columns: Payload) -> Payload:
     """Convert the columns of a row of a set to the payload of its event."""
     columns.pop("id")
     if "file_sha256" in columns:  # it comes when the file is made, which differs between two runs of one test
@@ -66,33 +66,33 @@ def is_joined(event: EventRow) -> bool:
     return not event.payload and event.kind in ROW_OF_EVENT
 
 
-def without_rows(reports: Iterable[EventRow], rows: Iterable[Row]) -> list[EventRow]:
+def strip_rows(reports: Iterable[EventRow], rows: Iterable[Row]) -> list[EventRow]:
     """Return events as they are stored with rows: without a payload that is one of them and never changes."""
-    payloads = payloads_of(row for row in rows if not (isinstance(row, AssessmentRow) and row.in_baseline))
+    payloads = to_payloads(row for row in rows if not (isinstance(row, AssessmentRow) and row.in_baseline))
     return [
         replace(event, payload={})
-        if event.payload and _is_part(event.payload, payloads.get(_key(event), {}))
+        if event.payload and _is_subset(event.payload, payloads.get(_build_event_key(event), {}))
         else event
         for event in reports
     ]
 
 
-def joined(reports: Iterable[R], payloads: Mapping[Key, Payload]) -> list[R]:
+def join_rows(reports: Iterable[R], payloads: Mapping[Key, Payload]) -> list[R]:
     """Return events with the rows that they report, by their keys; everything else unchanged."""
     return [
-        replace(event, payload=payloads[_key(event)])
-        if isinstance(event, EventRow) and is_joined(event) and _key(event) in payloads
+        replace(event, payload=payloads[_build_event_key(event)])
+        if isinstance(event, EventRow) and is_joined(event) and _build_event_key(event) in payloads
         else event
         for event in reports
     ]
 
 
-def payloads_of(rows: Iterable[Row]) -> dict[Key, Payload]:
+def to_payloads(rows: Iterable[Row]) -> dict[Key, Payload]:
     """Return the payloads of the events that report rows, by their keys."""
-    return {_key_of_row(row): reported(row) for row in rows if getattr(row, "shot_index", None) is None}
+    return {_row_to_key(row): to_payload(row) for row in rows if getattr(row, "shot_index", None) is None}
 
 
-def with_rows(connection: sa.Connection, reports: list[R]) -> list[R]:
+def join_reported_rows(connection: sa.Connection, reports: list[R]) -> list[R]:
     """Return events as they are read: with the rows that they report; other kinds of rows unchanged.
 
     Raises
@@ -109,73 +109,73 @@ def with_rows(connection: sa.Connection, reports: list[R]) -> list[R]:
         for start in range(0, len(indices), _SETS_AT_ONCE):
             some = indices[start : start + _SETS_AT_ONCE]
             statement = _OF_SOME_SETS[kind].params(positions=positions, indices=some)
-            for stored in checked_values(connection, kind, statement):
-                payload = _payload(dict(zip(kind.__slots__, stored, strict=False)))
+            for stored in read_values(connection, kind, statement):
+                payload = _to_json_values(dict(zip(kind.__slots__, stored, strict=False)))
                 set_key = SetKey(payload["set_index"], payload.get("unscheduled_index", 0))
                 # A corrupt entry of the partial index of sets can lead to the row of a single shot.
                 if payload.get("shot_index") is None:
                     payloads[kind, payload.get("position"), set_key] = payload
-    reports = joined(reports, payloads) if reporting else reports
+    reports = join_rows(reports, payloads) if reporting else reports
     for event in reports:
         if isinstance(event, EventRow) and is_joined(event):
-            raise DamagedRow(_lost_row(event.id, ROW_OF_EVENT[event.kind]))
+            raise DamagedRow(_describe_lost_row(event.id, ROW_OF_EVENT[event.kind]))
     return reports
 
 
-def of_sets(kind: type[Row]) -> sa.Select[Any]:
+def select_rows(kind: type[Row]) -> sa.Select[Any]:
     """Return the query for the rows of a kind that events report."""
     table = TABLES[kind]
     statement = sa.select(table)
     return statement.where(table.c.shot_index.is_(None)) if kind is FeatureRow else statement
 
 
-def _of_some_sets(kind: type[Row]) -> sa.Select[Any]:
+def _build_some_rows_query(kind: type[Row]) -> sa.Select[Any]:
     """Return the query for the rows of some positions and sets, which finds each in an index."""
     table = TABLES[kind]
-    statement = of_sets(kind).where(table.c.set_index.in_(sa.bindparam("indices", expanding=True)))
+    statement = select_rows(kind).where(table.c.set_index.in_(sa.bindparam("indices", expanding=True)))
     if "position" in table.c:
         return statement.where(table.c.position.in_(sa.bindparam("positions", expanding=True)))
     return statement
 
 
-_OF_SOME_SETS = {kind: _of_some_sets(kind) for kind in ROW_OF_EVENT.values()}
+_OF_SOME_SETS = {kind: _build_some_rows_query(kind) for kind in ROW_OF_EVENT.values()}
 
 
-def lost_rows(connection: sa.Connection) -> Iterator[tuple[int, str]]:
+def find_lost_rows(connection: sa.Connection) -> Iterator[tuple[int, str]]:
     """Yield id and description of the events whose row is lost."""
     for event_kind, kind in ROW_OF_EVENT.items():
         table = TABLES[kind]
         names = [name for name in ("position", *SetKey._fields) if name in table.c]
         of_event = [table.c[name] == events.c[name] for name in names]
-        row = of_sets(kind).where(*of_event).correlate(events)
+        row = select_rows(kind).where(*of_event).correlate(events)
         statement = sa.select(events.c.id).where(
             events.c.kind == event_kind, events.c.payload == {}, ~row.exists()
         )
         for (event_id,) in connection.execute(statement):
-            yield event_id, _lost_row(event_id, kind)
+            yield event_id, _describe_lost_row(event_id, kind)
 
 
-def _lost_row(event_id: int | None, kind: type[Row]) -> str:
+def _describe_lost_row(event_id: int | None, kind: type[Row]) -> str:
     """Return the message that an event's row is missing."""
     return f"row {event_id} of table {events.name} lacks its row of table {TABLES[kind].name}"
 
 
-def _is_part(payload: Payload, columns: Payload) -> bool:
+def _is_subset(payload: Payload, columns: Payload) -> bool:
     """Return whether a payload has no other values than a row: an earlier version had fewer columns."""
     part = {name: columns[name] for name in payload if name in columns}
-    return part == payload or _as_stored(part) == _as_stored(payload)
+    return part == payload or _to_stored_form(part) == _to_stored_form(payload)
 
 
-def _as_stored(payload: Payload) -> object:
+def _to_stored_form(payload: Payload) -> object:
     """Return a payload as it is read again: what is not finite is not available."""
-    return orjson.loads(json_text(payload))
+    return orjson.loads(to_json_text(payload))
 
 
-def _key(event: EventRow) -> Key:
+def _build_event_key(event: EventRow) -> Key:
     """Return the kind, the position and the set of the row that an event reports."""
     return ROW_OF_EVENT.get(event.kind, EventRow), event.position, event.set_key
 
 
-def _key_of_row(row: Any) -> Key:
+def _row_to_key(row: Any) -> Key:
     """Return the key of a row, as `_key` does for its event."""
     return type(row), getattr(row, "position", None), getattr(row, "set_key", SetKey(row.set_index))

@@ -18,10 +18,10 @@ import numpy as np
 from numpy.typing import NDArray
 from sqlalchemy import BindParameter, ColumnElement, Connection, bindparam, delete, select
 
-from analysis.statistics.bins import bin_type, bins_of_sets, joined_bins
+from analysis.statistics.bins import choose_bin_type, join_bins, make_bins
 from analysis.statistics.levels import FACTOR, level_widths
-from analysis.statistics.trend import PART, joined_part, parts_of_points
-from daq_service.catalogue.reader import in_plan
+from analysis.statistics.trend import PART, join_parts, make_parts
+from daq_service.catalogue.reader import is_scheduled
 from daq_service.catalogue.rows import (
     MEASURED,
     MEASURED_BY,
@@ -38,10 +38,10 @@ from daq_service.catalogue.rows import (
 from daq_service.catalogue.stored_rows import (
     DamagedRow,
     Prepared,
-    checked_rows,
-    checked_values,
     insert_rows,
-    prepared,
+    prepare,
+    read_rows,
+    read_values,
 )
 from daq_service.catalogue.tables import TABLES, alarms, sets, trend_blocks
 
@@ -83,7 +83,7 @@ class Rollup:
     name: str
     finest: int
     type_of: Callable[[Kind], np.dtype[np.void]]
-    of_sets: Callable[[Connection, PositionRange, int, int], Pieces]
+    select_sets: Callable[[Connection, PositionRange, int, int], Pieces]
     joined: Callable[[NDArray[np.void], NDArray[np.intp]], NDArray[np.void]]
 
 
@@ -103,12 +103,12 @@ class Blocks:
         return f"{self.place.position}/{self.rollup.name}/{self.width:010d}/{first:010d}"
 
 
-def values_of(kind: Kind) -> tuple[str, ...]:
+def list_bin_values(kind: Kind) -> tuple[str, ...]:
     """Return the names of the values of a bin, in order."""
     return (*MEASURED[kind], *ASSESSED_VALUES)
 
 
-def of_sets(kind: type[Row], position: object, first: object, last: object) -> ColumnElement[bool]:
+def select_sets(kind: type[Row], position: object, first: object, last: object) -> ColumnElement[bool]:
     """Return the condition for the rows of a range of scheduled sets, both ends included."""
     table = TABLES[kind]
     of_sets = (table.c.position == position) & table.c.set_index.between(first, last)
@@ -117,10 +117,10 @@ def of_sets(kind: type[Row], position: object, first: object, last: object) -> C
 
 _RANGE: tuple[BindParameter[object], ...] = bindparam("of_position"), bindparam("first"), bindparam("last")
 _OF_RANGE: dict[type[Row], Prepared] = {
-    kind: prepared(select(TABLES[kind]).where(of_sets(kind, *_RANGE)).order_by(TABLES[kind].c.set_index))
+    kind: prepare(select(TABLES[kind]).where(select_sets(kind, *_RANGE)).order_by(TABLES[kind].c.set_index))
     for kind in (SetRow, AssessmentRow, *MEASURED_BY.values())
 }
-_RAISED = prepared(
+_RAISED = prepare(
     select(alarms).where(
         alarms.c.position == _RANGE[0],
         alarms.c.raised_set_index.between(_RANGE[1], _RANGE[2]),
@@ -128,25 +128,25 @@ _RAISED = prepared(
     )
 )
 _BLOCKS = (trend_blocks.c.place >= bindparam("first")) & (trend_blocks.c.place < bindparam("end"))
-_STORED = prepared(select(trend_blocks).where(_BLOCKS).order_by(trend_blocks.c.place))
-_DELETE = prepared(delete(trend_blocks).where(_BLOCKS))
+_STORED = prepare(select(trend_blocks).where(_BLOCKS).order_by(trend_blocks.c.place))
+_DELETE = prepare(delete(trend_blocks).where(_BLOCKS))
 
 
-def _rows(connection: Connection, kind: type[R], **of_range: object) -> Iterator[R]:
+def _read_rows(connection: Connection, kind: type[R], **of_range: object) -> Iterator[R]:
     """Read the rows of a range of scheduled sets."""
-    for row in checked_rows(connection, kind, _OF_RANGE[kind], **of_range):
+    for row in read_rows(connection, kind, _OF_RANGE[kind], **of_range):
         if isinstance(row, FeatureRow) and row.shot_index is not None:
             raise DamagedRow(f"an index of table features is corrupt: it has shot {row.shot_index} as a set")
         yield row
 
 
-def _bins(connection: Connection, place: PositionRange, first: int, end: int) -> Pieces:
+def _compute_bins(connection: Connection, place: PositionRange, first: int, end: int) -> Pieces:
     """Compute the bin of each set of a range."""
     of_range = {"of_position": place.position, "first": first, "last": end - 1}
-    set_rows = list(_rows(connection, SetRow, **of_range))
-    results = {row.set_index: row for row in _rows(connection, place.kind, **of_range)}
-    assessments = {row.set_index: row for row in _rows(connection, AssessmentRow, **of_range)}
-    raised = checked_rows(connection, AlarmRow, _RAISED, **of_range)
+    set_rows = list(_read_rows(connection, SetRow, **of_range))
+    results = {row.set_index: row for row in _read_rows(connection, place.kind, **of_range)}
+    assessments = {row.set_index: row for row in _read_rows(connection, AssessmentRow, **of_range)}
+    raised = read_rows(connection, AlarmRow, _RAISED, **of_range)
     n_alarms = Counter(row.raised_set_index for row in raised)
     values = [
         [
@@ -157,10 +157,10 @@ def _bins(connection: Connection, place: PositionRange, first: int, end: int) ->
     ]
     index = np.array([row.set_index for row in set_rows], dtype=np.int64)
     set_assessments = [assessments.get(row.set_index) for row in set_rows]
-    return index, bins_of_sets(
+    return index, make_bins(
         set_index=index,
         due_h=[row.due_h for row in set_rows],
-        values=np.array(values, dtype=np.float64).reshape(index.size, len(values_of(place.kind))),
+        values=np.array(values, dtype=np.float64).reshape(index.size, len(list_bin_values(place.kind))),
         quality=[
             QUALITIES.index(results[row.set_index].quality) if row.set_index in results else None
             for row in set_rows
@@ -173,33 +173,33 @@ def _bins(connection: Connection, place: PositionRange, first: int, end: int) ->
     )
 
 
-def _parts(connection: Connection, place: PositionRange, first: int, end: int) -> Pieces:
+def _compute_fit_sums(connection: Connection, place: PositionRange, first: int, end: int) -> Pieces:
     """Compute the sums for fits of each set of a range."""
-    results = list(_rows(connection, place.kind, of_position=place.position, first=first, last=end - 1))
+    results = list(_read_rows(connection, place.kind, of_position=place.position, first=first, last=end - 1))
     names = MEASURED[place.kind]
     values = np.array([[getattr(row, name) for name in names] for row in results], dtype=np.float64)
-    parts = parts_of_points([row.due_h for row in results], values.reshape(len(results), len(names)))
+    parts = make_parts([row.due_h for row in results], values.reshape(len(results), len(names)))
     return np.array([row.set_index for row in results], dtype=np.int64), parts
 
 
-def _joined_parts(parts: NDArray[np.void], starts: NDArray[np.intp]) -> NDArray[np.void]:
+def _join_fit_sums(parts: NDArray[np.void], starts: NDArray[np.intp]) -> NDArray[np.void]:
     """Combine the sums from each start to the next one."""
-    return np.stack([joined_part(block_parts) for block_parts in np.split(parts, starts[1:])])
+    return np.stack([join_parts(block_parts) for block_parts in np.split(parts, starts[1:])])
 
 
 CHARTS = Rollup(
     name="bins",
     finest=4,
-    type_of=lambda kind: bin_type(len(values_of(kind))),
-    of_sets=_bins,
-    joined=joined_bins,
+    type_of=lambda kind: choose_bin_type(len(list_bin_values(kind))),
+    of_sets=_compute_bins,
+    joined=join_bins,
 )
 FITS = Rollup(
     name="fits",
     finest=64,  # a part of fewer points is larger than they are
     type_of=lambda kind: np.dtype((PART, (len(MEASURED[kind]),))),
-    of_sets=_parts,
-    joined=_joined_parts,
+    of_sets=_compute_fit_sums,
+    joined=_join_fit_sums,
 )
 ROLLUPS = (CHARTS, FITS)
 
@@ -207,7 +207,7 @@ ROLLUPS = (CHARTS, FITS)
 # Blocks ----------------------------------------------------------------------------------------------
 
 
-def joined_pieces(rollup: Rollup, pieces: Pieces, width: int) -> Pieces:
+def join_pieces(rollup: Rollup, pieces: Pieces, width: int) -> Pieces:
     """Combine the pieces of the same ``width`` sets, counted from set 0."""
     index, content = pieces
     if not index.size:
@@ -217,26 +217,26 @@ def joined_pieces(rollup: Rollup, pieces: Pieces, width: int) -> Pieces:
     return blocks[starts] * width, rollup.joined(content, starts)
 
 
-def stored_blocks(connection: Connection, blocks: Blocks) -> list[tuple[str, bytes]]:
+def read_stored_blocks(connection: Connection, blocks: Blocks) -> list[tuple[str, bytes]]:
     """Read keys and contents of stored blocks."""
     of_range = {"first": blocks.key(blocks.first), "end": blocks.key(blocks.end)}
-    return [(key, block) for key, block, _ in checked_values(connection, TrendBlockRow, _STORED, **of_range)]
+    return [(key, block) for key, block, _ in read_values(connection, TrendBlockRow, _STORED, **of_range)]
 
 
-def stored_pieces(connection: Connection, blocks: Blocks) -> Pieces:
+def read_stored_pieces(connection: Connection, blocks: Blocks) -> Pieces:
     """Read stored blocks as pieces; narrower than the finest block: each set."""
     rollup, place = blocks.rollup, blocks.place
     if blocks.width < rollup.finest:
         return rollup.of_sets(connection, place, blocks.first, blocks.end)
-    stored = stored_blocks(connection, blocks)
+    stored = read_stored_blocks(connection, blocks)
     index = np.array([int(key.rpartition("/")[2]) for key, _ in stored], dtype=np.int64)
     return index, np.frombuffer(b"".join(block for _, block in stored), rollup.type_of(place.kind))
 
 
-def computed_blocks(connection: Connection, blocks: Blocks) -> list[TrendBlockRow]:
+def compute_blocks(connection: Connection, blocks: Blocks) -> list[TrendBlockRow]:
     """Compute blocks from smaller ones; blocks without a set are omitted."""
-    pieces = stored_pieces(connection, replace(blocks, width=blocks.width // FACTOR))
-    index, content = joined_pieces(blocks.rollup, pieces, blocks.width)
+    pieces = read_stored_pieces(connection, replace(blocks, width=blocks.width // FACTOR))
+    index, content = join_pieces(blocks.rollup, pieces, blocks.width)
     return [
         TrendBlockRow(place=blocks.key(int(start)), block=block.tobytes())
         for start, block in zip(index, content, strict=True)
@@ -245,20 +245,20 @@ def computed_blocks(connection: Connection, blocks: Blocks) -> list[TrendBlockRo
 
 def store_blocks(connection: Connection, blocks: Blocks) -> None:
     """Compute and store the blocks of a range."""
-    rows = computed_blocks(connection, blocks)
+    rows = compute_blocks(connection, blocks)
     _DELETE.execute(connection, first=blocks.key(blocks.first), end=blocks.key(blocks.end))
     insert_rows(connection, rows)
 
 
-_NEWEST = prepared(
+_NEWEST = prepare(
     select(sets.c.set_index, sets.c.method)
-    .where(sets.c.position == bindparam("of_position"), in_plan(sets))
+    .where(sets.c.position == bindparam("of_position"), is_scheduled(sets))
     .order_by(sets.c.set_index.desc())
     .limit(1)
 )
 
 
-def position_range_of(connection: Connection, position: str) -> PositionRange | None:
+def find_position_range(connection: Connection, position: str) -> PositionRange | None:
     """Return the kind of rows and the end of a position; None without sets."""
     found = _NEWEST.execute(connection, of_position=position).fetchone()
     if found is None:
@@ -270,13 +270,13 @@ def position_range_of(connection: Connection, position: str) -> PositionRange | 
 # Kept up ---------------------------------------------------------------------------------------------
 
 
-def last_sets(connection: Connection, positions: Iterable[str]) -> dict[str, int]:
+def find_last_sets(connection: Connection, positions: Iterable[str]) -> dict[str, int]:
     """Return the newest set of each position that has one."""
-    places = (position_range_of(connection, position) for position in positions)
+    places = (find_position_range(connection, position) for position in positions)
     return {place.position: place.end - 1 for place in places if place is not None}
 
 
-def touched_sets(rows: Iterable[Row]) -> dict[str, set[int]]:
+def collect_touched_sets(rows: Iterable[Row]) -> dict[str, set[int]]:
     """Return the scheduled sets of each position that the rows belong to."""
     touched: dict[str, set[int]] = {}
     for row in rows:
@@ -304,7 +304,7 @@ def update_trends(
      A corrupt row does not prevent the storage of a set: its blocks stay, and `verify` reports both.
     """
     for position, indices in touched.items():
-        place = position_range_of(connection, position)
+        place = find_position_range(connection, position)
         if place is None:
             continue
         n_before = last_before.get(position, -1) + 1
@@ -312,7 +312,7 @@ def update_trends(
             for width in level_widths(rollup.finest, place.end):
                 unfinished = {n_before // width} if n_before % width else set()
                 blocks = sorted({index // width for index in indices} | unfinished)
-                for first, end in _runs([block for block in blocks if (block + 1) * width <= place.end]):
+                for first, end in _find_runs([block for block in blocks if (block + 1) * width <= place.end]):
                     span = {"first": first * width, "end": end * width}
                     try:
                         store_blocks(connection, Blocks(rollup=rollup, place=place, width=width, **span))
@@ -320,7 +320,7 @@ def update_trends(
                         log.warning("trends of %s are not brought up to date: %s", position, error)
 
 
-def _runs(numbers: Iterable[int]) -> Iterator[tuple[int, int]]:
+def _find_runs(numbers: Iterable[int]) -> Iterator[tuple[int, int]]:
     """Yield consecutive numbers as half-open ranges."""
     first = end = -1
     for number in numbers:

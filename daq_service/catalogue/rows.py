@@ -434,7 +434,7 @@ class Column:
         return self.name.removesuffix("_ns") if is_time else self.name
 
 
-def columns_of(kind: type[object]) -> tuple[Column, ...]:
+def list_columns(kind: type[object]) -> tuple[Column, ...]:
     """Return the fields of a dataclass in order; of a kind of row, the first one is the primary key."""
     columns = []
     for name, hint in get_type_hints(kind, include_extras=True).items():
@@ -445,6 +445,6 @@ def columns_of(kind: type[object]) -> tuple[Column, ...]:
     return tuple(columns)
 
 
-def values(row: Row) -> dict[str, Any]:
+def to_columns(row: Row) -> dict[str, Any]:
     """Return the value of each column by name, in order; nested values are not copied."""
     return {name: getattr(row, name) for name in row.__slots__}

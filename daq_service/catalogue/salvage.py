@@ -12,11 +12,11 @@ from sqlalchemy import Connection
 from daq_service.catalogue.connection import FILE_NAME, make_engine
 from daq_service.catalogue.corruption import UNREADABLE
 from daq_service.catalogue.errors import SchemaVersionError
-from daq_service.catalogue.migrations import SCHEMA_REVISION, known_revisions
-from daq_service.catalogue.reported_rows import ROW_OF_EVENT, is_joined, joined, of_sets, payloads_of
+from daq_service.catalogue.migrations import SCHEMA_REVISION, list_known_revisions
+from daq_service.catalogue.reported_rows import ROW_OF_EVENT, is_joined, join_rows, select_rows, to_payloads
 from daq_service.catalogue.rows import CommandRow, EventRow, ExperimentRow, Row, SetRow
-from daq_service.catalogue.store import revision_of
-from daq_service.catalogue.stored_rows import DamagedRow, checked, translated
+from daq_service.catalogue.store import read_revision
+from daq_service.catalogue.stored_rows import DamagedRow, to_checked_row, translate_errors
 from daq_service.catalogue.tables import TABLES
 
 R = TypeVar("R", bound=Row)
@@ -46,24 +46,24 @@ def read_sound_rows(folder: Path) -> Salvaged:
         return salvaged_rows
     engine = make_engine(path, writable=False)
     try:
-        with translated(path, "reading"):
-            revision = revision_of(engine)
-            if revision in known_revisions()[:-1]:
+        with translate_errors(path, "reading"):
+            revision = read_revision(engine)
+            if revision in list_known_revisions()[:-1]:
                 raise SchemaVersionError(
                     f"{path} has schema {revision}, this version of solimon reads {SCHEMA_REVISION}; "
                     "start the recorder of this version, which migrates it"
                 )
             with engine.begin() as connection:
                 report = salvaged_rows.damage.append
-                for experiment in _sound_rows(connection, ExperimentRow, report):
+                for experiment in _yield_rows(connection, ExperimentRow, report):
                     salvaged_rows.experiment = experiment
-                salvaged_rows.commands = {row.id: row for row in _sound_rows(connection, CommandRow, report)}
+                salvaged_rows.commands = {row.id: row for row in _yield_rows(connection, CommandRow, report)}
                 rows = [
                     row
                     for kind in dict.fromkeys(ROW_OF_EVENT.values())
-                    for row in _sound_rows(connection, kind, report)
+                    for row in _yield_rows(connection, kind, report)
                 ]
-                events = joined(_sound_rows(connection, EventRow, report), payloads_of(rows))
+                events = join_rows(_yield_rows(connection, EventRow, report), to_payloads(rows))
                 # Without its row an event is lost, unless the history has it.
                 salvaged_rows.events = {row.id or 0: row for row in events if not is_joined(row)}
                 for row in rows:
@@ -74,19 +74,19 @@ def read_sound_rows(folder: Path) -> Salvaged:
     return salvaged_rows
 
 
-def _sound_rows(connection: Connection, kind: type[R], report: Callable[[str], None]) -> Iterator[R]:
+def _yield_rows(connection: Connection, kind: type[R], report: Callable[[str], None]) -> Iterator[R]:
     """Yield the rows that match their checksum; around a corrupt page those before and after it."""
     table = TABLES[kind]
     key = table.primary_key.columns[0]
     for backwards in (False, True):
         try:
-            result = connection.execute(of_sets(kind).order_by(key.desc() if backwards else key))
+            result = connection.execute(select_rows(kind).order_by(key.desc() if backwards else key))
             while True:
                 try:
                     stored = result.fetchone()
                     if stored is None:
                         return
-                    yield checked(kind, stored)
+                    yield to_checked_row(kind, stored)
                 except UnicodeDecodeError:
                     raise  # the reading itself ended
                 except (DamagedRow, TypeError, ValueError, OverflowError) as error:

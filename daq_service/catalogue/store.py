@@ -7,7 +7,7 @@ from typing import Literal, overload
 
 from sqlalchemy import Engine, inspect, text
 
-from daq_service.catalogue.connection import FILE_NAME, make_engine, reading_engine
+from daq_service.catalogue.connection import FILE_NAME, create_reading_engine, make_engine
 from daq_service.catalogue.corruption import refuse_corruption
 from daq_service.catalogue.errors import (
     CatalogueError,
@@ -16,11 +16,11 @@ from daq_service.catalogue.errors import (
     SchemaVersionError,
 )
 from daq_service.catalogue.experiment_file import read_experiment
-from daq_service.catalogue.migrations import SCHEMA_REVISION, migrate
-from daq_service.catalogue.network_folder import network_filesystem
+from daq_service.catalogue.migrations import SCHEMA_REVISION, migrate_schema
+from daq_service.catalogue.network_folder import find_network_type
 from daq_service.catalogue.owner import refuse_other_experiment, refuse_other_test
 from daq_service.catalogue.reader import Catalogue
-from daq_service.catalogue.stored_rows import translated
+from daq_service.catalogue.stored_rows import translate_errors
 from daq_service.catalogue.writer import RecorderCatalogue
 from daq_service.settings.tree import Settings
 
@@ -71,7 +71,7 @@ def open_catalogue(folder: Path, *, writer: bool = False, settings: Settings | N
     CatalogueError
         The file is damaged, or cannot be read or written.
     """
-    _refuse_network(folder)
+    _refuse_network_folder(folder)
     path = folder / FILE_NAME
     return _open_writer(path, settings) if writer else _open_reader(path)
 
@@ -89,18 +89,18 @@ def open_for_one_command(folder: Path) -> RecorderCatalogue:
     return RecorderCatalogue(path, make_engine(path, writable=True))
 
 
-def open_for_a_while(folder: Path) -> RecorderCatalogue:
+def open_temporary(folder: Path) -> RecorderCatalogue:
     """Create a temporary catalogue that is deleted with its folder: nothing is durable."""
     path = folder / FILE_NAME
     engine = make_engine(path, writable=True, durable=False)
-    with translated(path, "making"):
-        migrate(engine, path, None)
+    with translate_errors(path, "making"):
+        migrate_schema(engine, path, None)
     return RecorderCatalogue(path, engine)
 
 
-def _refuse_network(folder: Path) -> None:
+def _refuse_network_folder(folder: Path) -> None:
     """Raise an error for a folder on a network."""
-    kind = network_filesystem(folder)
+    kind = find_network_type(folder)
     if kind is not None:
         raise NetworkFolderError(
             f"{folder} is on a network file system ({kind}), where SQLite's locks cannot be trusted; "
@@ -120,19 +120,19 @@ def check_owner(settings: Settings, folder: Path) -> None:
     SchemaVersionError
         A newer version of solimon made the catalogue.
     """
-    _refuse_network(folder)
+    _refuse_network_folder(folder)
     path = folder / FILE_NAME
     if not path.is_file():
         experiment = read_experiment(folder)
         if experiment is not None:
             refuse_other_experiment(experiment, folder, settings)
         return  # no test yet, or its catalogue is lost
-    engine = reading_engine(path)
+    engine = create_reading_engine(path)
     try:
-        with translated(path, "opening"):
-            revision = revision_of(engine)
+        with translate_errors(path, "opening"):
+            revision = read_revision(engine)
             if revision is not None and revision > SCHEMA_REVISION:
-                raise _other_schema(path, revision)
+                raise _create_schema_error(path, revision)
             if revision is not None:
                 refuse_other_test(engine, path, settings)
     finally:
@@ -143,14 +143,14 @@ def _open_writer(path: Path, settings: Settings | None) -> RecorderCatalogue:
     """Open, check and if necessary migrate the catalogue for the recorder."""
     engine = make_engine(path, writable=True)
     try:
-        with translated(path, "opening"):
-            revision = revision_of(engine)
+        with translate_errors(path, "opening"):
+            revision = read_revision(engine)
             if revision == SCHEMA_REVISION and path.stat().st_size <= CHECKED_WHOLE_BYTES:
                 refuse_corruption(path.parent)
             if settings is not None and revision is not None and revision <= SCHEMA_REVISION:
                 refuse_other_test(engine, path, settings)
             if revision != SCHEMA_REVISION:
-                migrate(engine, path, revision)
+                migrate_schema(engine, path, revision)
         catalogue = RecorderCatalogue(path, engine)
     except BaseException:
         engine.dispose()
@@ -163,23 +163,23 @@ def _open_reader(path: Path) -> Catalogue:
     not_ready = NoDataYetError(f"{path}: no data yet; start `solimon record` or wait for it", path.parent)
     if not path.is_file():
         raise not_ready
-    engine = reading_engine(path)
+    engine = create_reading_engine(path)
     try:
-        with translated(path, "opening"):
-            revision = revision_of(engine)
+        with translate_errors(path, "opening"):
+            revision = read_revision(engine)
         if revision is None:
             raise not_ready
         if revision != SCHEMA_REVISION:
-            raise _other_schema(path, revision)
+            raise _create_schema_error(path, revision)
         catalogue = Catalogue(path, engine)
-        catalogue.experiment_row()
+        catalogue.read_experiment()
     except BaseException:
         engine.dispose()
         raise
     return catalogue
 
 
-def _other_schema(path: Path, revision: str) -> SchemaVersionError:
+def _create_schema_error(path: Path, revision: str) -> SchemaVersionError:
     """Return the error for another revision."""
     return SchemaVersionError(
         f"{path} has schema {revision}, this version of solimon reads {SCHEMA_REVISION}; "
@@ -187,7 +187,7 @@ def _other_schema(path: Path, revision: str) -> SchemaVersionError:
     )
 
 
-def revision_of(engine: Engine) -> str | None:
+def read_revision(engine: Engine) -> str | None:
     """Read the revision of the file's schema; None if there is none yet."""
     with engine.begin() as connection:
         if not inspect(connection).has_table("alembic_version"):

@@ -42,7 +42,7 @@ from sqlalchemy.exc import DBAPIError, SQLAlchemyError
 from sqlalchemy.sql.elements import CompilerElement
 
 from daq_service.catalogue import errors
-from daq_service.catalogue.errors import REMEDY, CatalogueDamagedError, CatalogueError, error_of_driver
+from daq_service.catalogue.errors import REMEDY, CatalogueDamagedError, CatalogueError, translate_driver_error
 from daq_service.catalogue.rows import Row
 from daq_service.catalogue.tables import KINDS, TABLES
 
@@ -51,12 +51,12 @@ R = TypeVar("R", bound=Row)
 _PYTHON_TYPES = {JSON: dict, Boolean: bool, LargeBinary: bytes, Float: float, Integer: int, String: str}
 
 
-def _type_of(column: ColumnElement[Any]) -> type:
+def _find_type(column: ColumnElement[Any]) -> type:
     """Return the Python type of a column; ``dict`` is JSON."""
     return next(of_type for sql, of_type in _PYTHON_TYPES.items() if isinstance(column.type, sql))
 
 
-_TYPES = {kind: [(name, _type_of(TABLES[kind].c[name])) for name in kind.__slots__] for kind in KINDS}
+_TYPES = {kind: [(name, _find_type(TABLES[kind].c[name])) for name in kind.__slots__] for kind in KINDS}
 """Name and type of each column."""
 _VALUES = {kind: attrgetter(*kind.__slots__) for kind in KINDS}
 _BYTES = {kind: [name for name, of_type in columns if of_type is bytes] for kind, columns in _TYPES.items()}
@@ -92,43 +92,43 @@ class Prepared:
 
     def execute(self, connection: Connection, **given: object) -> sqlite3.Cursor:
         """Execute the statement in the connection's transaction."""
-        return driver_of(connection).execute(
+        return find_driver(connection).execute(
             self.text, [given.get(name, value) for name, value in self.parameters]
         )
 
 
-def prepared(statement: CompilerElement, column_keys: Sequence[str] | None = None) -> Prepared:
+def prepare(statement: CompilerElement, column_keys: Sequence[str] | None = None) -> Prepared:
     """Compile a statement that is executed often; its parameters have fixed numbers."""
     compiled = statement.compile(dialect=_DIALECT, column_keys=column_keys)
     names = compiled.positiontup or []  # type: ignore[attr-defined] # of the compiler of SQL
     return Prepared(str(compiled), tuple((name, compiled.params.get(name)) for name in names))
 
 
-def driver_of(connection: Connection) -> sqlite3.Connection:
+def find_driver(connection: Connection) -> sqlite3.Connection:
     """Return the driver's connection, in the same transaction."""
     return connection.connection.driver_connection  # type: ignore[return-value] # the engine is SQLite's
 
 
 _DIALECT = sqlite.dialect()
 _KEY = "key_of_the_row"
-_INSERT = {kind: prepared(insert(table), list(table.columns.keys())) for kind, table in TABLES.items()}
+_INSERT = {kind: prepare(insert(table), list(table.columns.keys())) for kind, table in TABLES.items()}
 _UPDATE = {
-    kind: prepared(
+    kind: prepare(
         update(table).where(table.primary_key.columns[0] == bindparam(_KEY)), list(table.columns.keys())[1:]
     )
     for kind, table in TABLES.items()
 }
 _NEWEST_ID = {
-    kind: prepared(select(func.max(table.c.id))) for kind, table in TABLES.items() if "id" in table.c
+    kind: prepare(select(func.max(table.c.id))) for kind, table in TABLES.items() if "id" in table.c
 }
 
 
-def row_crc32(row: Row) -> int:
+def compute_row_crc32(row: Row) -> int:
     """Compute the CRC-32 of a row, the same before it is stored and after it is read."""
-    return int(_stored(row)[-1])
+    return int(_to_driver_values(row)[-1])
 
 
-def _stored(row: Row, new_id: int | None = None) -> list[Any]:
+def _to_driver_values(row: Row, new_id: int | None = None) -> list[Any]:
     """Return the values of a row for the driver, the checksum last: NaN and infinities are NULL."""
     kind = type(row)
     stored: list[Any] = []
@@ -145,18 +145,18 @@ def _stored(row: Row, new_id: int | None = None) -> list[Any]:
             else:
                 value = None
         elif of_type is dict:
-            value = json_text(value)
+            value = to_json_text(value)
             columns[name] = orjson.Fragment(value)
         elif of_type is bytes:
             columns[name] = zlib.crc32(value)  # JSON has no bytes
         else:
             value = columns[name] = of_type(value)
         stored.append(value)
-    stored.append(_crc32(columns))
+    stored.append(_to_crc32(columns))
     return stored
 
 
-def _crc32(columns: dict[str, object]) -> int:
+def _to_crc32(columns: dict[str, object]) -> int:
     """Return the checksum of the columns that are not None."""
     for name in _SCHEDULED:
         if columns.get(name) == 0:
@@ -177,20 +177,20 @@ def insert_rows(connection: Connection, rows: Sequence[Row]) -> list[int]:
         next_id = (_NEWEST_ID[kind].execute(connection).fetchone()[0] or 0) + 1
     stored = []
     for row in rows:
-        stored.append(_stored(row, next_id))
+        stored.append(_to_driver_values(row, next_id))
         if next_id:
             next_id = max(next_id, stored[-1][0] + 1)
-    driver_of(connection).executemany(_INSERT[kind].text, stored)
+    find_driver(connection).executemany(_INSERT[kind].text, stored)
     return [row[0] for row in stored]
 
 
 def change_row(connection: Connection, row: Row) -> bool:
     """Replace the row with the same id; return False if there is none."""
-    row_id, *stored = _stored(row)
-    return driver_of(connection).execute(_UPDATE[type(row)].text, [*stored, row_id]).rowcount == 1
+    row_id, *stored = _to_driver_values(row)
+    return find_driver(connection).execute(_UPDATE[type(row)].text, [*stored, row_id]).rowcount == 1
 
 
-def _row_of(kind: type[R], stored: Sequence[Any]) -> R:
+def _build_row(kind: type[R], stored: Sequence[Any]) -> R:
     """Return the dataclass of stored values."""
     return kind(**dict(zip(kind.__slots__, stored, strict=False)))  # the checksum is no part of it
 
@@ -202,14 +202,14 @@ def _check_checksum(kind: type[Row], stored: Sequence[Any]) -> None:
         for name in _BYTES[kind]:
             if name in columns:
                 columns[name] = zlib.crc32(columns[name])
-        crc32: int | None = _crc32(columns)
+        crc32: int | None = _to_crc32(columns)
     except (TypeError, ValueError, OverflowError):  # text where bytes were, or no UTF-8
         crc32 = None
     if crc32 is None or crc32 != stored[-1]:
         raise DamagedRow(f"row {stored[0]} of table {TABLES[kind].name} is not what was stored")
 
 
-def checked(kind: type[R], stored: Sequence[Any]) -> R:
+def to_checked_row(kind: type[R], stored: Sequence[Any]) -> R:
     """Return a row of a table after a comparison with its checksum.
 
     Parameters
@@ -223,10 +223,10 @@ def checked(kind: type[R], stored: Sequence[Any]) -> R:
          It does not match its checksum; contains table and id.
     """
     _check_checksum(kind, stored)
-    return _row_of(kind, stored)
+    return _build_row(kind, stored)
 
 
-def checked_rows(
+def read_rows(
     connection: Connection, kind: type[R], statement: Select[Any] | Prepared, **given: object
 ) -> Iterator[R]:
     """Return the complete rows of a query, each compared with its checksum.
@@ -236,22 +236,22 @@ def checked_rows(
     DamagedRow
          A row does not match its checksum, or a value has the wrong type.
     """
-    return (_row_of(kind, stored) for stored in checked_values(connection, kind, statement, **given))
+    return (_build_row(kind, stored) for stored in read_values(connection, kind, statement, **given))
 
 
-def checked_values(
+def read_values(
     connection: Connection, kind: type[Row], statement: Select[Any] | Prepared, **given: object
 ) -> Iterator[Sequence[Any]]:
     """Yield the values of complete rows: every column of the table, the checksum last."""
     try:
-        for stored in _found(connection, kind, statement, given):
+        for stored in _execute_query(connection, kind, statement, given):
             _check_checksum(kind, stored)
             yield stored
     except (TypeError, ValueError, OverflowError) as error:  # no JSON, no truth value, no UTF-8
         raise DamagedRow(f"a row of table {TABLES[kind].name} is not what was stored: {error}") from error
 
 
-def _found(
+def _execute_query(
     connection: Connection, kind: type[Row], statement: Select[Any] | Prepared, given: dict[str, object]
 ) -> Iterator[Sequence[Any]]:
     """Yield the values of a query's rows."""
@@ -271,7 +271,7 @@ def _found(
 # Transactions ---------------------------------------------------------------------------------------
 
 
-def json_text(value: object) -> str:
+def to_json_text(value: object) -> str:
     """Return the JSON text of a column: NumPy numbers are accepted, NaN and infinities become null."""
     return orjson.dumps(value, option=orjson.OPT_SERIALIZE_NUMPY).decode()
 
@@ -284,13 +284,13 @@ def begin_transactions(engine: Engine) -> None:
     def _begin_transaction(connection: Connection) -> None:
         nonlocal timed_out_s
         if not connection.get_execution_options().get(_WRITES, False):
-            driver_of(connection).execute("BEGIN")
+            find_driver(connection).execute("BEGIN")
             return
         # Writers wait for each other at the start of a transaction; SQLite cannot wait later.
         wait_s = 0.0 if time.monotonic() < timed_out_s + LOCKED_FOR_S else errors.BUSY_TIMEOUT_S
-        driver_of(connection).execute(f"PRAGMA busy_timeout = {round(1e3 * wait_s)}")
+        find_driver(connection).execute(f"PRAGMA busy_timeout = {round(1e3 * wait_s)}")
         try:
-            driver_of(connection).execute("BEGIN IMMEDIATE")
+            find_driver(connection).execute("BEGIN IMMEDIATE")
         except sqlite3.OperationalError:
             timed_out_s = time.monotonic() if wait_s else timed_out_s
             raise
@@ -298,14 +298,14 @@ def begin_transactions(engine: Engine) -> None:
 
 
 @contextmanager
-def writing(engine: Engine) -> Iterator[Connection]:
+def open_write_transaction(engine: Engine) -> Iterator[Connection]:
     """Open a transaction that holds the write lock from its start: it stores all or nothing."""
     with engine.execution_options(**{_WRITES: True}).begin() as connection:
         yield connection
 
 
 @contextmanager
-def translated(path: Path, action: str) -> Iterator[None]:
+def translate_errors(path: Path, action: str) -> Iterator[None]:
     """Translate errors of SQL to errors of the catalogue.
 
     Raises
@@ -318,8 +318,8 @@ def translated(path: Path, action: str) -> Iterator[None]:
     except (DamagedRow, UnicodeDecodeError) as error:  # SQLite may return a corrupt name that is no text
         raise CatalogueDamagedError(f"{path}: {action} failed: {error}; {REMEDY}") from error
     except sqlite3.Error as error:
-        raise error_of_driver(path, action, error) from error
+        raise translate_driver_error(path, action, error) from error
     except DBAPIError as error:
-        raise error_of_driver(path, action, error.orig) from error
+        raise translate_driver_error(path, action, error.orig) from error
     except SQLAlchemyError as error:
         raise CatalogueError(f"{path}: {action} failed: {error}") from error

@@ -42,7 +42,7 @@ _TYPES: dict[Any, TypeEngine[Any]] = {
 _BIG_INTEGERS = ("_ns", "crc32")
 
 
-def _table(
+def _create_table(
     name: str,
     kind: type[rows.Row],
     *constraints: SchemaItem,
@@ -53,12 +53,12 @@ def _table(
     columns = [
         sa.Column(
             column.name,
-            _sql_type(column),
+            _choose_sql_type(column),
             *([additions[column.name]] if column.name in additions else []),
             primary_key=number == 0,
             nullable=column.nullable and number > 0,
         )
-        for number, column in enumerate(rows.columns_of(kind))
+        for number, column in enumerate(rows.list_columns(kind))
     ]
     columns.append(sa.Column(ROW_CRC32, sa.BigInteger()))
     # With AUTOINCREMENT ids are never used again, even after a deletion.
@@ -66,7 +66,7 @@ def _table(
     return TABLES[kind]
 
 
-def _sql_type(column: rows.Column) -> TypeEngine[Any]:
+def _choose_sql_type(column: rows.Column) -> TypeEngine[Any]:
     """Return the SQL type of a column."""
     if column.name.endswith(_BIG_INTEGERS):
         return sa.BigInteger()
@@ -77,45 +77,45 @@ def _sql_type(column: rows.Column) -> TypeEngine[Any]:
     return _TYPES[get_origin(of_type) or of_type]
 
 
-def _unique(table: str, *names: str) -> sa.UniqueConstraint:
+def _make_unique(table: str, *names: str) -> sa.UniqueConstraint:
     """Return a named unique constraint."""
     return sa.UniqueConstraint(*names, name=f"uq_{table}_{'_'.join(names[:3])}")
 
 
-def _index(table: sa.Table, *names: str) -> None:
+def _add_index(table: sa.Table, *names: str) -> None:
     """Add a named index."""
     sa.Index(f"ix_{table.name}_{'_'.join(names)}", *(table.c[name] for name in names))
 
 
-experiment = _table("experiment", rows.ExperimentRow, uuid=sa.DefaultClause(""))
+experiment = _create_table("experiment", rows.ExperimentRow, uuid=sa.DefaultClause(""))
 _KEY = ("position", "set_index", "unscheduled_index")
 _SCHEDULED = sa.DefaultClause("0")
-sets = _table(
+sets = _create_table(
     "sets",
     rows.SetRow,
-    _unique("sets", *_KEY),
+    _make_unique("sets", *_KEY),
     unscheduled_index=_SCHEDULED,
     n_missed=sa.DefaultClause("0"),
     n_restrikes=sa.DefaultClause("0"),
 )
 # What the routes, `solimon status` and a start ask for is found in an index, never by reading every row:
 # hours by the set that is due then (`reader.set_at`), states, the latest end.
-_index(sets, "set_index")
-_index(sets, "due_h")
-_index(sets, "ended_utc_ns")
-_index(sets, "state", "set_index")
-_index(sets, "position", "state", "set_index")
-shots = _table(
+_add_index(sets, "set_index")
+_add_index(sets, "due_h")
+_add_index(sets, "ended_utc_ns")
+_add_index(sets, "state", "set_index")
+_add_index(sets, "position", "state", "set_index")
+shots = _create_table(
     "shots",
     rows.ShotRow,
-    _unique("shots", *_KEY, "shot_index", "attempt"),
+    _make_unique("shots", *_KEY, "shot_index", "attempt"),
     unscheduled_index=_SCHEDULED,
     outcome=sa.DefaultClause("accepted"),
 )
-features = _table(
+features = _create_table(
     "features", rows.FeatureRow, unscheduled_index=_SCHEDULED, sequence=sa.ForeignKey("shots.sequence")
 )
-_index(features, *_KEY, "shot_index")
+_add_index(features, *_KEY, "shot_index")
 # One feature a set, and the trend of a position without reading past its shots.
 sa.Index(
     "uq_features_set",
@@ -123,49 +123,49 @@ sa.Index(
     unique=True,
     sqlite_where=features.c.shot_index.is_(None),
 )
-_index(features, "set_index")
-thickness = _table(
+_add_index(features, "set_index")
+thickness = _create_table(
     "thickness",
     rows.ThicknessRow,
-    _unique("thickness", *_KEY),
+    _make_unique("thickness", *_KEY),
     unscheduled_index=_SCHEDULED,
     sequence=sa.ForeignKey("shots.sequence"),
 )
-_index(thickness, "set_index")
-environment = _table("environment", rows.EnvironmentRow, _unique("environment", "set_index"))
-_index(environment, "due_h")
-baselines = _table(
-    "baselines", rows.BaselineRow, _unique("baselines", "name"), state=sa.DefaultClause("approved")
+_add_index(thickness, "set_index")
+environment = _create_table("environment", rows.EnvironmentRow, _make_unique("environment", "set_index"))
+_add_index(environment, "due_h")
+baselines = _create_table(
+    "baselines", rows.BaselineRow, _make_unique("baselines", "name"), state=sa.DefaultClause("approved")
 )
-assessments = _table(
+assessments = _create_table(
     "assessments",
     rows.AssessmentRow,
-    _unique("assessments", *_KEY),
+    _make_unique("assessments", *_KEY),
     unscheduled_index=_SCHEDULED,
     baseline_id=sa.ForeignKey("baselines.id"),
 )
-_index(assessments, "set_index")
+_add_index(assessments, "set_index")
 # The few unscheduled sets are found without reading past the others.
 for _of_sets in (sets, shots, features, thickness, assessments):
     _few = _of_sets.c.unscheduled_index > sa.literal_column("0")
     sa.Index(f"ix_{_of_sets.name}_unscheduled", *(_of_sets.c[name] for name in _KEY[1:]), sqlite_where=_few)
-alarms = _table("alarms", rows.AlarmRow, raised_unscheduled_index=_SCHEDULED)
-_index(alarms, "position", "kind")
-_index(alarms, "state")
-_index(alarms, "position", "raised_set_index")
-annotated = _table("annotations", rows.AnnotationRow)  # the other word is a feature of Python's
-_index(annotated, "from_h")
-events = _table("events", rows.EventRow, autoincrement=True, unscheduled_index=_SCHEDULED)
+alarms = _create_table("alarms", rows.AlarmRow, raised_unscheduled_index=_SCHEDULED)
+_add_index(alarms, "position", "kind")
+_add_index(alarms, "state")
+_add_index(alarms, "position", "raised_set_index")
+annotated = _create_table("annotations", rows.AnnotationRow)  # the other word is a feature of Python's
+_add_index(annotated, "from_h")
+events = _create_table("events", rows.EventRow, autoincrement=True, unscheduled_index=_SCHEDULED)
 RARE_TOPICS = ("service", "alarms")
 """Topics with few events, each with its own index."""
 for _topic in RARE_TOPICS:
     _few = events.c.topic == sa.literal(_topic, literal_execute=True)
     sa.Index(f"ix_events_{_topic}", events.c.kind, events.c.position, sqlite_where=_few)
-commands = _table("commands", rows.CommandRow, autoincrement=True)
-_index(commands, "state")
-counts = _table("counts", rows.CountsRow)
-trend_blocks = _table("trend_blocks", rows.TrendBlockRow)
-assessor_states = _table("assessor_states", rows.AssessorStateRow)
+commands = _create_table("commands", rows.CommandRow, autoincrement=True)
+_add_index(commands, "state")
+counts = _create_table("counts", rows.CountsRow)
+trend_blocks = _create_table("trend_blocks", rows.TrendBlockRow)
+assessor_states = _create_table("assessor_states", rows.AssessorStateRow)
 
 KINDS = tuple(TABLES)
 """Kinds of rows; a referenced kind comes before the referring one."""

@@ -14,8 +14,8 @@ from typing import Any, Self
 from sqlalchemy import NullPool, create_engine
 
 from daq_service.catalogue.connection import FILE_NAME
-from daq_service.catalogue.corruption import UNREADABLE, CatalogueCorruption, corruption_in
-from daq_service.catalogue.earlier_names import EVENT_KINDS, TOPICS, current_row
+from daq_service.catalogue.corruption import UNREADABLE, CatalogueCorruption, find_corruption
+from daq_service.catalogue.earlier_names import EVENT_KINDS, TOPICS, to_current_row
 from daq_service.catalogue.errors import (
     BUSY_TIMEOUT_S,
     CatalogueDamagedError,
@@ -26,7 +26,7 @@ from daq_service.catalogue.errors import (
 from daq_service.catalogue.migrations import SCHEMA_REVISION
 from daq_service.catalogue.rows import EventRow
 from daq_service.catalogue.tables import metadata, trend_blocks
-from daq_service.catalogue.trends import trend_differences
+from daq_service.catalogue.trends import find_trend_differences
 from daq_service.shared_file import remove_quietly
 from hardware_drivers.measurement import SetKey
 
@@ -63,8 +63,8 @@ class UnchangedCatalogue:
     def _connect(self) -> None:
         """Open the file, or a copy of file and log."""
         self._stack.close()
-        path, log = self._path, self._companion("-wal")
-        self._shared = self._companion("-shm").exists()
+        path, log = self._path, self._build_companion_path("-wal")
+        self._shared = self._build_companion_path("-shm").exists()
         if not self._shared and log.exists() and log.stat().st_size:
             copies = Path(self._stack.enter_context(tempfile.TemporaryDirectory(prefix="solimon-")))
             for source in (path, log):
@@ -76,24 +76,24 @@ class UnchangedCatalogue:
         self._stack.callback(self._connection.close)
         self._connection.row_factory = sqlite3.Row
 
-    def _companion(self, suffix: str) -> Path:
+    def _build_companion_path(self, suffix: str) -> Path:
         """Return the path of SQLite's log or index file."""
         return self._path.with_name(f"{FILE_NAME}{suffix}")
 
-    def _query(self, sql: str, *values: Any) -> list[dict[str, Any]]:
+    def _run_query(self, sql: str, *values: Any) -> list[dict[str, Any]]:
         """Run a query and return its rows; connect again if a recorder has started."""
-        if not self._shared and self._companion("-shm").exists():
+        if not self._shared and self._build_companion_path("-shm").exists():
             self._connect()  # a recorder has started: from now on the file changes
         try:
             return [dict(row) for row in self._connection.execute(sql, values)]
         except (sqlite3.DatabaseError, UnicodeDecodeError) as error:  # the latter of a name of the schema
-            if not self._shared and self._companion("-shm").exists():
-                return self._query(sql, *values)  # it was idle when opened and changed while it was read
+            if not self._shared and self._build_companion_path("-shm").exists():
+                return self._run_query(sql, *values)  # it was idle when opened and changed while it was read
             raise CatalogueDamagedError(f"{self._path} cannot be read: {error}") from error
 
-    def _values(self, sql: str) -> list[Any]:
+    def _read_values(self, sql: str) -> list[Any]:
         """Return all values of a query."""
-        return [value for row in self._query(sql) for value in row.values()]
+        return [value for row in self._run_query(sql) for value in row.values()]
 
     def troubles(self) -> list[CatalogueCorruption]:
         """List the corruption: pages, indices, rows without parents, rows with a wrong checksum."""
@@ -101,15 +101,15 @@ class UnchangedCatalogue:
         opened = partial(sqlite3.connect, self._uri, uri=True, timeout=BUSY_TIMEOUT_S)
         engine = create_engine("sqlite://", creator=opened, poolclass=NullPool)
         try:
-            revision = self._values("SELECT version_num FROM alembic_version")
+            revision = self._read_values("SELECT version_num FROM alembic_version")
             with engine.connect() as connection:
                 current = revision == [SCHEMA_REVISION]
-                corruption = list(corruption_in(connection, rows=current))
+                corruption = list(find_corruption(connection, rows=current))
                 if current and not corruption:
                     connection.exec_driver_sql(
                         "BEGIN"
                     )  # rows and blocks of one state while a recorder writes
-                    differing = trend_differences(connection)
+                    differing = find_trend_differences(connection)
                     corruption = [
                         CatalogueCorruption(table=trend_blocks.name, description=difference)
                         for difference in differing
@@ -118,7 +118,7 @@ class UnchangedCatalogue:
             corruption = [CatalogueCorruption(description=f"{self._path} cannot be read: {error}")]
         finally:
             engine.dispose()
-        if corruption and not shared and self._companion("-shm").exists():
+        if corruption and not shared and self._build_companion_path("-shm").exists():
             self._connect()
             return self.troubles()  # it started to change during this check
         return corruption
@@ -160,45 +160,45 @@ class UnchangedCatalogue:
 
     def n_rows(self) -> int:
         """Count the rows of all tables."""
-        return sum(self._values(f'SELECT count(*) FROM "{table}"')[0] for table in self._tables())
+        return sum(self._read_values(f'SELECT count(*) FROM "{table}"')[0] for table in self._list_tables())
 
-    def _tables(self) -> list[str]:
+    def _list_tables(self) -> list[str]:
         """Return the names of the tables."""
-        return self._values(
+        return self._read_values(
             "SELECT name FROM sqlite_master WHERE type = 'table' AND name NOT LIKE 'sqlite_%'"
         )
 
     def experiment(self) -> dict[str, Any] | None:
         """Return the row of the experiment; None if it has not started."""
-        return next(iter(self._rows("experiment", "")), None)
+        return next(iter(self._read_rows("experiment", "")), None)
 
-    def events_after(self, last_id: int) -> list[dict[str, Any]]:
+    def read_events_after(self, last_id: int) -> list[dict[str, Any]]:
         """Return ids, kinds and times of the events after an id, in order."""
-        return self._query("SELECT id, kind, wall_utc_ns FROM events WHERE id > ? ORDER BY id", last_id)
+        return self._run_query("SELECT id, kind, wall_utc_ns FROM events WHERE id > ? ORDER BY id", last_id)
 
     def has_event(self, event: EventRow) -> bool:
         """Return whether an event of the history exists; True if the table is unreadable."""
         statement = "SELECT kind FROM events WHERE id = ? AND wall_utc_ns = ?"
         try:
-            rows = self._query(statement, event.id, event.wall_utc_ns)
+            rows = self._run_query(statement, event.id, event.wall_utc_ns)
             return any(EVENT_KINDS.get(row["kind"], row["kind"]) == event.kind for row in rows)
         except CatalogueDamagedError:
             return True
 
-    def set_keys(self) -> set[SetKey]:
+    def list_set_keys(self) -> set[SetKey]:
         """Return the sets that have rows; a corrupt page may return other types, which are left out."""
-        rows = self._query(f"SELECT DISTINCT {self._key_columns} FROM sets")
-        return {_key_of(row) for row in rows if all(isinstance(value, int) for value in row.values())}
+        rows = self._run_query(f"SELECT DISTINCT {self._key_columns} FROM sets")
+        return {_build_set_key(row) for row in rows if all(isinstance(value, int) for value in row.values())}
 
     def files(self) -> dict[SetKey, str]:
         """Return the files of all rows by key, in order."""
-        rows = self._query(f"SELECT DISTINCT {self._key_columns}, file FROM sets WHERE file IS NOT NULL")
-        return dict(sorted((_key_of(row), row["file"]) for row in rows))
+        rows = self._run_query(f"SELECT DISTINCT {self._key_columns}, file FROM sets WHERE file IS NOT NULL")
+        return dict(sorted((_build_set_key(row), row["file"]) for row in rows))
 
     @cached_property
     def _has_unscheduled_index(self) -> bool:
         """Return whether unscheduled sets have their own column, as since revision 0016."""
-        return "unscheduled_index" in self._values("SELECT name FROM pragma_table_info('sets')")
+        return "unscheduled_index" in self._read_values("SELECT name FROM pragma_table_info('sets')")
 
     @property
     def _key_columns(self) -> str:
@@ -208,7 +208,7 @@ class UnchangedCatalogue:
     @cached_property
     def _positions(self) -> list[str]:
         """Return the positions that have sets."""
-        return self._values("SELECT DISTINCT position FROM sets")
+        return self._read_values("SELECT DISTINCT position FROM sets")
 
     def of_set(self, table: str, set_key: SetKey) -> list[dict[str, Any]]:
         """Return the rows of a set in a table that has a position and a set index."""
@@ -216,27 +216,31 @@ class UnchangedCatalogue:
         marks = ", ".join("?" * len(self._positions))
         where = f"WHERE position IN ({marks}) AND set_index = ?"
         if not self._has_unscheduled_index:
-            return self._rows(table, where, *self._positions, set_key.number)
-        return self._rows(table, f"{where} AND unscheduled_index = ?", *self._positions, *set_key)
+            return self._read_rows(table, where, *self._positions, set_key.number)
+        return self._read_rows(table, f"{where} AND unscheduled_index = ?", *self._positions, *set_key)
 
-    def _rows(self, table: str, where: str, *values: Any) -> list[dict[str, Any]]:
+    def _read_rows(self, table: str, where: str, *values: Any) -> list[dict[str, Any]]:
         """Return rows by current column names; an earlier revision lacks some."""
-        name = table if table in self._tables() else _EARLIER_TABLES.get(table, table)
-        rows = [current_row(table, row) for row in self._query(f"SELECT * FROM {name} {where}", *values)]
+        name = table if table in self._list_tables() else _EARLIER_TABLES.get(table, table)
+        rows = [
+            to_current_row(table, row) for row in self._run_query(f"SELECT * FROM {name} {where}", *values)
+        ]
         if rows and (unknown := rows[0].keys() - set(metadata.tables[table].columns.keys())):
             message = f"{self._path}: {table} has columns that no version has: {', '.join(sorted(unknown))}"
             raise CatalogueDamagedError(message)
         return rows
 
-    def strays(self) -> list[int]:
+    def list_stray_shots(self) -> list[int]:
         """Return the shots (`sequence`) whose set has no row of their position."""
         same = "sets.position = shots.position AND sets.set_index = shots.set_index"
         if self._has_unscheduled_index:
             same += " AND sets.unscheduled_index = shots.unscheduled_index"
-        return self._values(f"SELECT sequence FROM shots WHERE NOT EXISTS (SELECT 1 FROM sets WHERE {same})")
+        return self._read_values(
+            f"SELECT sequence FROM shots WHERE NOT EXISTS (SELECT 1 FROM sets WHERE {same})"
+        )
 
 
-def _key_of(row: Mapping[str, Any]) -> SetKey:
+def _build_set_key(row: Mapping[str, Any]) -> SetKey:
     """Return the key of a row; up to revision 0015 it is one number."""
     set_index, unscheduled_index = row["set_index"], row["unscheduled_index"]
-    return SetKey(set_index, unscheduled_index) if unscheduled_index else SetKey.of_number(set_index)
+    return SetKey(set_index, unscheduled_index) if unscheduled_index else SetKey.from_number(set_index)

@@ -20,8 +20,8 @@ from sqlalchemy import (
 )
 
 from daq_service.catalogue.errors import CatalogueConflictError, OtherExperimentError
-from daq_service.catalogue.reader import Catalogue, in_plan, stored_command
-from daq_service.catalogue.rollups import last_sets, touched_sets, update_trends
+from daq_service.catalogue.reader import Catalogue, is_scheduled, store_command
+from daq_service.catalogue.rollups import collect_touched_sets, find_last_sets, update_trends
 from daq_service.catalogue.rows import (
     AlarmRow,
     AnnotationRow,
@@ -42,11 +42,11 @@ from daq_service.catalogue.rows import (
 )
 from daq_service.catalogue.stored_rows import (
     change_row,
-    checked_rows,
     insert_rows,
-    prepared,
-    translated,
-    writing,
+    open_write_transaction,
+    prepare,
+    read_rows,
+    translate_errors,
 )
 from daq_service.catalogue.tables import (
     TABLES,
@@ -112,18 +112,18 @@ class SetCommit:
         """Add a new or changed alarm with its event, which contains the row."""
         self.alarm_of_event[len(self.events)] = len(self.alarms)
         self.alarms.append(row)
-        self.events.append(replace(event, payload=event.payload | payload_of(row, last="id")))
+        self.events.append(replace(event, payload=event.payload | build_event_payload(row, last="id")))
 
     def add_annotation(self, row: AnnotationRow, event: EventRow) -> None:
         """Add a new or changed annotation with its event, which contains the row."""
         self.annotation_of_event[len(self.events)] = len(self.annotations)
         self.annotations.append(row)
-        self.events.append(replace(event, payload=payload_of(row, last="id")))
+        self.events.append(replace(event, payload=build_event_payload(row, last="id")))
 
     def add_baseline(self, row: BaselineRow, event: EventRow, *, last: str = "") -> None:
         """Add a new or changed baseline with its event, which contains the row: ``last`` as last column."""
         self.baselines.append(row)
-        self.events.append(replace(event, payload=payload_of(row, last=last)))
+        self.events.append(replace(event, payload=build_event_payload(row, last=last)))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -144,9 +144,9 @@ class RecorderCatalogue(Catalogue):
     """Rows of the set that this process stored last."""
 
     @contextmanager
-    def _writing(self, action: str) -> Iterator[Connection]:
+    def _open_transaction(self, action: str) -> Iterator[Connection]:
         """Open a transaction for writing and translate errors."""
-        with translated(self._path, action), writing(self._engine) as connection:
+        with translate_errors(self._path, action), open_write_transaction(self._engine) as connection:
             yield connection
 
     # The experiment
@@ -180,10 +180,10 @@ class RecorderCatalogue(Catalogue):
             uuid=str(uuid.uuid4()),
             site=site,
         )
-        with self._writing("beginning the experiment") as connection:
+        with self._open_transaction("beginning the experiment") as connection:
             if connection.execute(select(experiment.c.id)).first() is None:
                 insert_rows(connection, [row])
-        stored = self.experiment_row()
+        stored = self.read_experiment()
         if stored.configuration_hash != configuration_hash:
             raise OtherExperimentError(
                 f"{self._path} belongs to configuration {stored.configuration_hash}, "
@@ -191,24 +191,24 @@ class RecorderCatalogue(Catalogue):
             )
         return stored
 
-    def committed_sets(self, among: Collection[SetKey] | None = None) -> set[SetKey]:
+    def list_committed_sets(self, among: Collection[SetKey] | None = None) -> set[SetKey]:
         """Return the keys of the sets, of all or ``among`` some, with stored rows."""
         statement = select(sets.c.set_index, sets.c.unscheduled_index).distinct()
         if among is not None:
             statement = statement.where(sets.c.set_index.in_(sorted({key.set_index for key in among})))
-        with self.reading() as connection:
+        with self.open_snapshot() as connection:
             found = {SetKey(*key) for key in connection.execute(statement)}
         return found if among is None else found & set(among)
 
-    def last_ended_utc_ns(self) -> int | None:
+    def find_last_end_utc_ns(self) -> int | None:
         """Return the latest end of a set; None before the first one with a record."""
-        with self.reading() as connection:
+        with self.open_snapshot() as connection:
             last: int | None = connection.execute(select(func.max(sets.c.ended_utc_ns))).scalar_one()
         return last
 
     def next_sequence(self) -> int:
         """Return the sequence of the next shot, 1 in a new catalogue."""
-        with self.reading() as connection:
+        with self.open_snapshot() as connection:
             return int(connection.execute(select(func.max(shots.c.sequence))).scalar_one() or 0) + 1
 
     # A set
@@ -223,10 +223,10 @@ class RecorderCatalogue(Catalogue):
         """
         indices = {row.set_index for row in commit.sets}
         rows = [*commit.sets, *commit.features, *commit.thickness, *commit.assessments, *commit.alarms]
-        touched = touched_sets(rows)
-        with self._writing("storing a set") as connection:
-            last_before = last_sets(connection, touched)
-            before = due_time_counts(connection, indices) if indices else {}
+        touched = collect_touched_sets(rows)
+        with self._open_transaction("storing a set") as connection:
+            last_before = find_last_sets(connection, touched)
+            before = count_due_times(connection, indices) if indices else {}
             insert_rows(connection, commit.sets)
             insert_rows(connection, commit.shots)
             insert_rows(connection, commit.features)
@@ -236,13 +236,13 @@ class RecorderCatalogue(Catalogue):
             insert_rows(connection, commit.environment)
             for state in commit.states.values():
                 _change_or_insert(connection, state)
-            alarm_ids = [_store(connection, row) for row in commit.alarms]
-            annotation_ids = [_store(connection, row) for row in commit.annotations]
-            event_ids = insert_rows(connection, _dated_events(commit, alarm_ids, annotation_ids))
-            after = due_time_counts(connection, indices) if indices else {}
-            _count(connection, commit, before, after)
+            alarm_ids = [_store_row(connection, row) for row in commit.alarms]
+            annotation_ids = [_store_row(connection, row) for row in commit.annotations]
+            event_ids = insert_rows(connection, _build_dated_events(commit, alarm_ids, annotation_ids))
+            after = count_due_times(connection, indices) if indices else {}
+            _update_counts(connection, commit, before, after)
             update_trends(connection, touched, last_before)
-            order_id = _answer(connection, commit.order) if commit.order else None
+            order_id = _store_answer(connection, commit.order) if commit.order else None
         if commit.sets:
             self.newest = commit
         return Committed(
@@ -258,54 +258,54 @@ class RecorderCatalogue(Catalogue):
         event = EventRow(utc_ns=utc_ns, topic="service", kind=kind, payload=dict(payload))
         return self.commit_set(SetCommit(events=[event])).event_ids[0]
 
-    def without_digest(self) -> dict[SetKey, str]:
+    def list_sets_without_digest(self) -> dict[SetKey, str]:
         """Return the files of sets without a stored SHA-256, by key."""
         statement = select(sets.c.set_index, sets.c.unscheduled_index, sets.c.file)
-        with self.reading() as connection:
+        with self.open_snapshot() as connection:
             rows = connection.execute(statement.where(sets.c.file.is_not(None), sets.c.file_sha256.is_(None)))
             return {SetKey(*key): str(file) for *key, file in rows}
 
-    def set_digest(self, set_key: SetKey, file: str, sha256: str) -> None:
+    def store_digest(self, set_key: SetKey, file: str, sha256: str) -> None:
         """Store the SHA-256 of a set's file in its rows."""
-        with self._writing("noting a file") as connection:
-            of_file = (*_is_set(set_key), sets.c.file == file)
+        with self._open_transaction("noting a file") as connection:
+            of_file = (*_build_set_condition(set_key), sets.c.file == file)
             its_sets = select(sets).where(*of_file, sets.c.file_sha256.is_(None))
-            for row in list(checked_rows(connection, SetRow, its_sets)):
+            for row in list(read_rows(connection, SetRow, its_sets)):
                 change_row(connection, replace(row, file_sha256=sha256))
 
-    def digest_of(self, set_key: SetKey) -> str | None:
+    def read_digest(self, set_key: SetKey) -> str | None:
         """Return the stored SHA-256 of a set's file; None if there is none."""
         has_digest = sets.c.file_sha256.is_not(None)
-        statement = select(sets.c.file_sha256).where(*_is_set(set_key), has_digest)
-        with self.reading() as connection:
+        statement = select(sets.c.file_sha256).where(*_build_set_condition(set_key), has_digest)
+        with self.open_snapshot() as connection:
             digest: str | None = connection.execute(statement.limit(1)).scalar_one_or_none()
         return digest
 
-    def recount(self) -> None:
+    def recompute_counts(self) -> None:
         """Recompute the counts from all rows."""
         echoes = select(sets.c.position).where(sets.c.method == PULSE_ECHO)
-        with self._writing("counting") as connection:
+        with self._open_transaction("counting") as connection:
             numbers = {
-                "shots": select(func.count()).where(shots.c.position.not_in(echoes), in_plan(shots)),
+                "shots": select(func.count()).where(shots.c.position.not_in(echoes), is_scheduled(shots)),
                 "pulse_echo_records": select(func.count()).where(shots.c.position.in_(echoes)),
                 "events": select(func.count()).select_from(events),
             }
             counted = {name: connection.execute(number).scalar_one() for name, number in numbers.items()}
-            change_row(connection, CountsRow(**due_time_counts(connection), **counted))
+            change_row(connection, CountsRow(**count_due_times(connection), **counted))
 
-    def restore(self, rows: Iterable[Row]) -> None:
+    def restore_rows(self, rows: Iterable[Row]) -> None:
         """Store rows with their ids, replacing existing ones; `recount` follows."""
         restored = list(rows)
-        touched = touched_sets(row for row in restored if not isinstance(row, EventRow))
-        with self._writing("restoring rows") as connection:
-            last_before = last_sets(connection, touched)
+        touched = collect_touched_sets(row for row in restored if not isinstance(row, EventRow))
+        with self._open_transaction("restoring rows") as connection:
+            last_before = find_last_sets(connection, touched)
             for row in restored:
                 _change_or_insert(connection, row)
             update_trends(connection, touched, last_before)
 
     # Commands
 
-    def open_commands(self) -> list[CommandRow]:
+    def list_open_commands(self) -> list[CommandRow]:
         """Return the commands without an answer, oldest first: pending or started."""
         return self.rows(CommandRow, states={"pending", "started"})
 
@@ -335,9 +335,9 @@ class RecorderCatalogue(Catalogue):
 
     def _advance_command(self, command_id: int, *before: CommandState, **values: object) -> None:
         """Change the state of a command that is in one of the given states."""
-        with self._writing("answering a command") as connection:
+        with self._open_transaction("answering a command") as connection:
             statement = select(commands).where(commands.c.id == command_id, commands.c.state.in_(before))
-            rows = list(checked_rows(connection, CommandRow, statement))
+            rows = list(read_rows(connection, CommandRow, statement))
             if not rows:
                 raise CatalogueConflictError(
                     f"{self._path}: there is no command {command_id} that is {' or '.join(before)}"
@@ -345,18 +345,18 @@ class RecorderCatalogue(Catalogue):
             change_row(connection, replace(rows[0], **values))  # type: ignore[arg-type] # names of its columns
 
 
-def _is_set(key: SetKey) -> tuple[ColumnElement[bool], ...]:
+def _build_set_condition(key: SetKey) -> tuple[ColumnElement[bool], ...]:
     """Return the conditions for the rows of a set."""
     return sets.c.set_index == key.set_index, sets.c.unscheduled_index == key.unscheduled_index
 
 
-def payload_of(row: Row, *, last: str = "") -> dict[str, object]:
+def build_event_payload(row: Row, *, last: str = "") -> dict[str, object]:
     """Return the row as payload of its event: without a missing id, column ``last`` at the end."""
     names = [name for name in row.__slots__ if name != "id" or getattr(row, name) is not None]
     return {name: getattr(row, name) for name in sorted(names, key=last.__eq__)}
 
 
-def _due_time_counts_statement(*of: ColumnElement[bool]) -> Select[int, int, int]:
+def _build_due_time_query(*of: ColumnElement[bool]) -> Select[int, int, int]:
     """Return the query that counts due times from their rows."""
     lacking = case(((sets.c.state == "partial") | (sets.c.state == "missed"), 1), else_=0)
     missed = case((sets.c.state == "missed", 1), else_=0)
@@ -365,8 +365,8 @@ def _due_time_counts_statement(*of: ColumnElement[bool]) -> Select[int, int, int
         func.sum(lacking).label("lacking"),
         func.sum(missed).label("missed"),
     )
-    found = due_times.where(in_plan(sets), *of).group_by(sets.c.set_index).subquery()
-    has_data = found.c.taken > 0
+    found = due_times.where(is_scheduled(sets), *of).group_by(sets.c.set_index).subquery()
+    has_data = found.c.drain_bytes > 0
     return select(
         func.count().filter(has_data).label("sets"),
         func.count().filter(~has_data, found.c.missed > 0).label("missed_sets"),
@@ -374,10 +374,10 @@ def _due_time_counts_statement(*of: ColumnElement[bool]) -> Select[int, int, int
     ).select_from(found)
 
 
-_OF_ALL_SETS = prepared(_due_time_counts_statement())
-_OF_ONE_SET = prepared(_due_time_counts_statement(sets.c.set_index == bindparam("of_set")))
-_COUNTS = prepared(select(counts))
-_OF_BASELINE = prepared(
+_OF_ALL_SETS = prepare(_build_due_time_query())
+_OF_ONE_SET = prepare(_build_due_time_query(sets.c.set_index == bindparam("of_set")))
+_COUNTS = prepare(select(counts))
+_OF_BASELINE = prepare(
     select(assessments.c.id).where(
         assessments.c.position == bindparam("of_position"),
         assessments.c.set_index == bindparam("of_set"),
@@ -387,7 +387,7 @@ _OF_BASELINE = prepared(
 )
 
 
-def due_time_counts(connection: Connection, indices: Collection[int] | None = None) -> dict[str, int]:
+def count_due_times(connection: Connection, indices: Collection[int] | None = None) -> dict[str, int]:
     """Count due times (`CountsRow`) from their rows: of some sets, or (None) of all."""
     found = (
         _OF_ALL_SETS.execute(connection)
@@ -397,7 +397,7 @@ def due_time_counts(connection: Connection, indices: Collection[int] | None = No
     return dict(zip(("sets", "missed_sets", "partial_sets"), map(sum, zip(*found, strict=True)), strict=True))
 
 
-def _count(
+def _update_counts(
     connection: Connection, commit: SetCommit, before: Mapping[str, int], after: Mapping[str, int]
 ) -> None:
     """Add a commit to the counts; a shot comes with the row of its set."""
@@ -409,7 +409,7 @@ def _count(
         "pulse_echo_records": n_echoes,
         "events": len(commit.events),
     }
-    (row,) = checked_rows(connection, CountsRow, _COUNTS)
+    (row,) = read_rows(connection, CountsRow, _COUNTS)
     changed = replace(row, **{name: getattr(row, name) + number for name, number in added.items()})
     change_row(connection, changed)
 
@@ -435,7 +435,7 @@ def _insert_assessments(connection: Connection, rows: Sequence[AssessmentRow]) -
     insert_rows(connection, new)
 
 
-def _store(connection: Connection, row: AlarmRow | AnnotationRow) -> int:
+def _store_row(connection: Connection, row: AlarmRow | AnnotationRow) -> int:
     """Store a new or changed row and return its id."""
     return _change_existing(connection, row, row.id) if row.id else insert_rows(connection, [row])[0]
 
@@ -448,9 +448,9 @@ def _change_or_insert(connection: Connection, row: Row) -> int:
     return insert_rows(connection, [row])[0]
 
 
-def _answer(connection: Connection, row: CommandRow) -> int:
+def _store_answer(connection: Connection, row: CommandRow) -> int:
     """Store a command with its answer and return its id."""
-    return _change_existing(connection, row, row.id) if row.id else stored_command(connection, row)
+    return _change_existing(connection, row, row.id) if row.id else store_command(connection, row)
 
 
 def _change_existing(connection: Connection, row: Row, row_id: int) -> int:
@@ -461,7 +461,7 @@ def _change_existing(connection: Connection, row: Row, row_id: int) -> int:
     return row_id
 
 
-def _dated_events(
+def _build_dated_events(
     commit: SetCommit, alarm_ids: Sequence[int], annotation_ids: Sequence[int]
 ) -> list[EventRow]:
     """Return the events with time, and with ids of alarms and annotations in their payload."""
@@ -477,4 +477,4 @@ def _dated_events(
     return complete
 
 
-__all__ = ["Committed", "RecorderCatalogue", "SetCommit", "payload_of"]
+__all__ = ["Committed", "RecorderCatalogue", "SetCommit", "build_event_payload"]

@@ -9,15 +9,15 @@ from collections.abc import Callable
 from pathlib import Path
 
 from daq_service.catalogue import check_owner
-from daq_service.cli.run import STOPPED, child_plans, report_full_disk
-from daq_service.cli.summary import seconds_of, summarise_run, summary_lines
+from daq_service.cli.run import STOPPED, plan_children, report_full_disk
+from daq_service.cli.summary import format_summary_lines, sum_stage_seconds, summarise_run
 from daq_service.cli.terminal import ProgressReport, open_page
 from daq_service.errors import EXIT_INTERRUPTED, EXIT_OK
 from daq_service.processes.child import log_to, stop_on_signals
-from daq_service.processes.data_folder import new_folder, prepare_data_folder, write_configuration
+from daq_service.processes.data_folder import new_folder_path, prepare_data_folder, write_configuration
 from daq_service.processes.printing import print_line, print_result
 from daq_service.processes.supervisor import Message, Supervisor
-from daq_service.rig.doubles import running_rig
+from daq_service.rig.doubles import run_rig_doubles
 
 NUISANCE = "laboratory"
 """Level of the twin's disturbances: a quieter rig than any real one would promise too much."""
@@ -42,12 +42,12 @@ def run_demo(
     as_json: bool,
 ) -> int:
     """Run the command and return its exit code."""
-    started_s = _process_start_s()
+    started_s = _read_process_start_s()
     web, stay = not no_web, not exit_when_done and not no_web
     browser = not (no_browser or exit_when_done)
     pace = pace if pace is not None or not stay else WATCHABLE_PACE_H_PER_S
-    with running_rig(rig, _overrides(hours, seed, pace)) as running:
-        folder = (data_dir or new_folder("demo")).absolute()
+    with run_rig_doubles(rig, _overridden_values(hours, seed, pace)) as running:
+        folder = (data_dir or new_folder_path("demo")).absolute()
         settings = running.settings
         prepare_data_folder(folder)
         check_owner(settings, folder)
@@ -62,20 +62,20 @@ def run_demo(
                 address_printer = _AddressPrinter(progress.line, open_page if browser else lambda url: False)
 
                 def on_message(child: str, message: Message) -> None:
-                    progress.hear(child, message)
+                    progress.report_message(child, message)
                     if message["event"] == "listening":
-                        address_printer.listening(message["url"])
+                        address_printer.note_address(message["url"])
                     elif message["event"] == "progress":
-                        address_printer.recording()
+                        address_printer.note_first_set()
                     elif message["event"] == "stopped":
                         progress.line(STOPPED)
                     elif message["event"] == "finished" and stay:
-                        for line in summary_lines(summarise_run(settings, folder), folder):
+                        for line in format_summary_lines(summarise_run(settings, folder), folder):
                             progress.line(line)
                         progress.line("The test is done; the dashboard stays until Ctrl-C.")
 
                 supervisor = Supervisor(
-                    child_plans(
+                    plan_children(
                         config, folder, port=port, web=web, linger=stay, environment=running.environment
                     ),
                     folder,
@@ -93,14 +93,16 @@ def run_demo(
         elapsed_s = time.time() - started_s
         cost = summary["cost"]
         if isinstance(cost, dict):  # starting Python, opening the test, and this summary
-            cost["other_processes_s"] = round(elapsed_s - seconds_of(cost), 3)
+            cost["other_processes_s"] = round(elapsed_s - sum_stage_seconds(cost), 3)
         result = {**summary, "elapsed_s": round(elapsed_s, 3), "data_dir": str(folder)}
-        lines = [*summary_lines(summary, folder), f"done in {elapsed_s:.1f} s"]
+        lines = [*format_summary_lines(summary, folder), f"done in {elapsed_s:.1f} s"]
         print_result(result, lines, as_json=as_json)
         return EXIT_OK
 
 
-def _overrides(hours: float | None, seed: int | None, pace: float | None) -> dict[str, dict[str, object]]:
+def _overridden_values(
+    hours: float | None, seed: int | None, pace: float | None
+) -> dict[str, dict[str, object]]:
     """Return the configuration that the options override."""
     options: dict[str, dict[str, object]] = {
         "schedule": {"end_h": hours},
@@ -113,7 +115,7 @@ def _overrides(hours: float | None, seed: int | None, pace: float | None) -> dic
     }
 
 
-def _process_start_s() -> float:
+def _read_process_start_s() -> float:
     """Return the Unix time at which this process started, so that imports count, too."""
     try:
         fields = Path("/proc/self/stat").read_text(encoding="ascii").rpartition(")")[2].split()
@@ -136,17 +138,17 @@ class _AddressPrinter:
         self._lock = threading.Lock()
         self._url: str | None = None
         self._recording = False
-        self._patience = threading.Timer(PATIENCE_S, self.recording)
+        self._patience = threading.Timer(PATIENCE_S, self.note_first_set)
         self._patience.daemon = True
         self._patience.start()
 
-    def listening(self, url: str) -> None:
+    def note_address(self, url: str) -> None:
         """Store the address of the web service."""
         with self._lock:
             self._url = url
             self._print_address()
 
-    def recording(self) -> None:
+    def note_first_set(self) -> None:
         """Record the first set, or the end of the wait for it."""
         with self._lock:
             self._recording = True

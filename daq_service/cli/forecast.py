@@ -53,7 +53,7 @@ class RecordSize:
         return self.samples * self.bytes_per_sample
 
 
-def record_sizes(settings: Settings) -> tuple[RecordSize, RecordSize]:
+def predict_record_sizes(settings: Settings) -> tuple[RecordSize, RecordSize]:
     """Return the sizes of the records of a strike and of an echo for the configured instruments."""
     adc, sampled_echo = settings.twin.adc, settings.twin.echo
     known = settings.rig.kind in ("simulated", "daqmx")
@@ -73,49 +73,49 @@ def record_sizes(settings: Settings) -> tuple[RecordSize, RecordSize]:
     return strike, echo
 
 
-def stored_bytes(settings: Settings, n_sets: int) -> int:
+def predict_stored_bytes(settings: Settings, n_sets: int) -> int:
     """Return the size of the data folder after so many sets: files, tiles, catalogue and journal."""
-    records = settings.schedule.shots_per_set * len(settings.names_of(SOLITARY_WAVE)) + len(
-        settings.names_of(PULSE_ECHO)
+    records = settings.schedule.shots_per_set * len(settings.list_positions(SOLITARY_WAVE)) + len(
+        settings.list_positions(PULSE_ECHO)
     )
-    set_bytes = built_set_bytes(settings) + CATALOGUE_BYTES_A_RECORD * records
+    set_bytes = predict_set_file_bytes(settings) + CATALOGUE_BYTES_A_RECORD * records
     fixed_bytes = FOLDER_BYTES + settings.storage.reserve_mb * 10**6
-    return round(n_sets * set_bytes) + tile_bytes(settings, n_sets) + fixed_bytes
+    return round(n_sets * set_bytes) + predict_tile_bytes(settings, n_sets) + fixed_bytes
 
 
-def most_confirmation_bytes(settings: Settings, last_h: float) -> int:
+def maximum_confirmation_bytes(settings: Settings, last_h: float) -> int:
     """Return the maximum size of confirmation sets up to an hour."""
-    transducers, shots = settings.names_of(SOLITARY_WAVE), settings.schedule.shots_per_set
+    transducers, shots = settings.list_positions(SOLITARY_WAVE), settings.schedule.shots_per_set
     days = math.ceil(max(0.0, last_h - settings.baseline.hours) / BUDGET_H)
     sets = days * settings.alarms.confirmation_sets_a_day * len(transducers)
     if sets == 0:
         return 0
     one_position = {name: settings.positions[name] for name in transducers[:1]}
-    set_bytes = built_set_bytes(settings.model_copy(update={"positions": one_position}))
+    set_bytes = predict_set_file_bytes(settings.model_copy(update={"positions": one_position}))
     return round(sets * (set_bytes + CATALOGUE_BYTES_A_RECORD * shots))
 
 
-def tile_bytes(settings: Settings, n_sets: int) -> int:
+def predict_tile_bytes(settings: Settings, n_sets: int) -> int:
     """Return the size of the waterfall's tiles after so many sets."""
-    from daq_service.archive.waterfall.cells import ALIGNMENTS, frame_of
-    from daq_service.archive.waterfall.tiles import planned_bytes
+    from daq_service.archive.waterfall.cells import ALIGNMENTS, build_frame
+    from daq_service.archive.waterfall.tiles import estimate_tile_bytes
 
-    a_set = _set_of(settings, *record_sizes(settings), shots=1)
-    frames = [frame_of(taken.waveform, alignment) for taken in a_set.records for alignment in ALIGNMENTS]
-    return sum(planned_bytes(frame.n_cells, n_sets) for frame in frames)
+    a_set = _build_noisy_set(settings, *predict_record_sizes(settings), shots=1)
+    frames = [build_frame(taken.waveform, alignment) for taken in a_set.records for alignment in ALIGNMENTS]
+    return sum(estimate_tile_bytes(frame.n_cells, n_sets) for frame in frames)
 
 
-def built_set_bytes(settings: Settings) -> float:
+def predict_set_file_bytes(settings: Settings) -> float:
     """Return the size of the file of one complete set."""
     from daq_service.archive.layout import build_image
 
-    strike, echo = record_sizes(settings)
-    transducers, shots = len(settings.names_of(SOLITARY_WAVE)), settings.schedule.shots_per_set
+    strike, echo = predict_record_sizes(settings)
+    transducers, shots = len(settings.list_positions(SOLITARY_WAVE)), settings.schedule.shots_per_set
     n_built = max(1, min(shots, BUILT_BYTES // max(1, strike.n_bytes * transducers)))
-    return len(build_image(_set_of(settings, strike, echo, n_built))) * shots / n_built
+    return len(build_image(_build_noisy_set(settings, strike, echo, n_built))) * shots / n_built
 
 
-def _set_of(settings: Settings, strike: RecordSize, echo: RecordSize, shots: int) -> Any:
+def _build_noisy_set(settings: Settings, strike: RecordSize, echo: RecordSize, shots: int) -> Any:
     """Build a set of noisy records; their pulses are few samples."""
     import numpy as np
 
@@ -124,7 +124,7 @@ def _set_of(settings: Settings, strike: RecordSize, echo: RecordSize, shots: int
 
     random, twin, records = np.random.default_rng(0), settings.twin, list[Any]()
 
-    def waveform(size: RecordSize, adc: Any, noise_v: float, at_s: float, width_s: float) -> Any:
+    def build_waveform(size: RecordSize, adc: Any, noise_v: float, at_s: float, width_s: float) -> Any:
         time_s = np.arange(size.samples) / size.sample_rate_hz
         phase = np.clip((time_s - at_s) / width_s, -0.5, 0.5)
         volts = 0.5 * adc.range_v * np.cos(np.pi * phase) ** 4
@@ -152,12 +152,12 @@ def _set_of(settings: Settings, strike: RecordSize, echo: RecordSize, shots: int
             }
             if place.method == PULSE_ECHO:
                 noise_v = twin.echo.noise_rms_v / twin.echo.averages**0.5
-                wave = waveform(echo, twin.echo, noise_v, 10e-6, 1e-6)
+                wave = build_waveform(echo, twin.echo, noise_v, 10e-6, 1e-6)
                 settings_of: dict[str, Any] = {"gain_db": 30.0, "offset_v": 0.0, "averages": 1}
                 settings_of["settings"] = {"clipped_records": 0.0}
                 records.append(PulseEchoRecord(**taken, **settings_of, waveform=wave, truth=ECHO_TRUTH))
             else:
-                wave = waveform(strike, twin.adc, twin.noise.rms_v, 150e-6, 400e-6)
+                wave = build_waveform(strike, twin.adc, twin.noise.rms_v, 150e-6, 400e-6)
                 more = 0 if twin.nuisance == "none" else NUISANCE_TRUTH + 2 * place.chain.bodies
                 truth = TRUTH | {f"nuisance_of_the_twin_{number}": 0.1234 + number for number in range(more)}
                 records.append(Shot(**taken, waveform=wave, truth=truth))
@@ -175,17 +175,19 @@ def _set_of(settings: Settings, strike: RecordSize, echo: RecordSize, shots: int
         shots=[record for record in records if isinstance(record, Shot)],
         echoes=[record for record in records if isinstance(record, PulseEchoRecord)],
         provenance={"configuration": settings.model_dump(mode="json")},
-        results=_results(settings.names_of(PULSE_ECHO), settings.names_of(SOLITARY_WAVE), records),
+        results=_build_results(
+            settings.list_positions(PULSE_ECHO), settings.list_positions(SOLITARY_WAVE), records
+        ),
     )
 
 
-def _results(
+def _build_results(
     probes: Sequence[str], transducers: Sequence[str], records: Sequence[Shot | PulseEchoRecord]
 ) -> Results:
     """Build results of records; their size does not depend on the values."""
-    from daq_service.assessment.results_in_file import results_of
+    from daq_service.assessment.results_in_file import build_result_tables
     from daq_service.catalogue.rows import FeatureRow, ThicknessRow
-    from daq_service.recording.set_assessor import shot_row
+    from daq_service.recording.set_assessor import build_shot_row
 
     common: dict[str, Any] = {"set_index": 0, "due_h": 0.5, "extractor_version": "1.1", "quality": "good"}
     features = [
@@ -198,4 +200,6 @@ def _results(
             thickness.append(ThicknessRow(**of_record))
         else:
             features.append(FeatureRow(shot_index=record.key.shot_index, n_valid=1, **of_record))
-    return results_of(features, thickness, [shot_row(record, valid=True, flags=()) for record in records])
+    return build_result_tables(
+        features, thickness, [build_shot_row(record, valid=True, flags=()) for record in records]
+    )

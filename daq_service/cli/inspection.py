@@ -11,15 +11,15 @@ import click
 
 from analysis.assessment.baseline_quality import GOOD_SETS
 from analysis.statistics.rules import MINIMUM_SETS
-from daq_service.acquisition.schedule import due_hours, plan
-from daq_service.cli.forecast import most_confirmation_bytes, record_sizes, stored_bytes
+from daq_service.acquisition.schedule import list_due_hours, plan_sets
+from daq_service.cli.forecast import maximum_confirmation_bytes, predict_record_sizes, predict_stored_bytes
 from daq_service.clock import format_utc, parse_utc
 from daq_service.errors import UsageError
 from daq_service.processes.data_folder import data_folder
 from daq_service.processes.disk_policy import disk_usage
 from daq_service.settings.file import load_settings
 from daq_service.settings.notifications import NotificationSettings
-from daq_service.settings.schema import schema_with_kinds
+from daq_service.settings.schema import build_schema_with_kinds
 from daq_service.settings.tree import Settings
 from hardware_drivers.methods import PULSE_ECHO, SOLITARY_WAVE
 
@@ -27,7 +27,7 @@ from hardware_drivers.methods import PULSE_ECHO, SOLITARY_WAVE
 def print_configuration(*, config: Path | None, data_dir: Path | None, schema: bool, as_json: bool) -> None:
     """Run ``check-config``."""
     if schema:
-        click.echo(json.dumps(schema_with_kinds(), indent=1))
+        click.echo(json.dumps(build_schema_with_kinds(), indent=1))
         return
     settings = load_settings(config)
     facts = describe_plan(settings, data_folder(settings.storage, config, data_dir))
@@ -59,7 +59,7 @@ def print_configuration(*, config: Path | None, data_dir: Path | None, schema: b
 
 def _print_baseline(settings: Settings, facts: dict[str, Any]) -> None:
     """Print the number of planned baseline sets, and a warning if there are too few."""
-    if not settings.names_of(SOLITARY_WAVE):
+    if not settings.list_positions(SOLITARY_WAVE):
         return
     n_sets, minimum = facts["baseline_sets"], max(settings.baseline.minimum_sets, MINIMUM_SETS)
     needs = f"it needs at least {minimum}, {GOOD_SETS} and more are advised"
@@ -74,12 +74,12 @@ def _print_baseline(settings: Settings, facts: dict[str, Any]) -> None:
 
 def _print_receivers(notifications: NotificationSettings) -> None:
     """Print the receivers of alarms, and missing addresses; the service may run as another user."""
-    from daq_service.processes.notifications.addresses import address_of, shown_address
+    from daq_service.processes.notifications.addresses import hide_address_secrets, read_receiver_address
 
     for name, receiver in notifications.receivers.items():
-        click.echo(f"receiver   {name}: {receiver.kind}, {shown_address(receiver)}")
+        click.echo(f"receiver   {name}: {receiver.kind}, {hide_address_secrets(receiver)}")
         try:
-            address_of(name, receiver)
+            read_receiver_address(name, receiver)
         except UsageError as error:
             click.echo(f"WARNING: {error}", err=True)
 
@@ -87,25 +87,27 @@ def _print_receivers(notifications: NotificationSettings) -> None:
 def describe_plan(settings: Settings, folder: Path) -> dict[str, Any]:
     """Return the numbers of a planned test."""
     start_ns = parse_utc(settings.clock.epoch) if settings.clock.kind == "simulated" else time.time_ns()
-    planned = plan(settings.schedule.phases, start_ns, end_h=settings.schedule.end_h)
-    strikes = len(planned) * settings.schedule.shots_per_set * len(settings.names_of(SOLITARY_WAVE))
-    echoes = len(planned) * len(settings.names_of(PULSE_ECHO))
-    strike, echo = record_sizes(settings)
+    planned = plan_sets(settings.schedule.phases, start_ns, end_h=settings.schedule.end_h)
+    strikes = len(planned) * settings.schedule.shots_per_set * len(settings.list_positions(SOLITARY_WAVE))
+    echoes = len(planned) * len(settings.list_positions(PULSE_ECHO))
+    strike, echo = predict_record_sizes(settings)
     raw_bytes = strikes * strike.n_bytes + echoes * echo.n_bytes
     return {
         "name": settings.name,
         "configuration_hash": settings.configuration_hash(),
         "sets": len(planned),
         # Of the complete schedule, not limited by end_h, as the baseline counts them.
-        "baseline_sets": len(due_hours(settings.schedule.phases, end_h=settings.baseline.hours)),
+        "baseline_sets": len(list_due_hours(settings.schedule.phases, end_h=settings.baseline.hours)),
         "strikes": strikes,
         "pulse_echo_records": echoes,
         "record_samples": strike.samples if strike.known else None,
         "sample_rate_hz": strike.sample_rate_hz if strike.known else None,
         "record_s": strike.samples / strike.sample_rate_hz if strike.known else None,
         "raw_bytes": raw_bytes,
-        "stored_bytes": stored_bytes(settings, len(planned)),
-        "most_confirmation_bytes": most_confirmation_bytes(settings, planned[-1].due_h if planned else 0.0),
+        "stored_bytes": predict_stored_bytes(settings, len(planned)),
+        "most_confirmation_bytes": maximum_confirmation_bytes(
+            settings, planned[-1].due_h if planned else 0.0
+        ),
         "free_bytes": disk_usage(folder)[0],
         "data_folder": str(folder),
         "last_due_h": planned[-1].due_h if planned else None,

@@ -22,7 +22,7 @@ from daq_service.errors import (
     StorageError,
     StorageUnavailableError,
 )
-from daq_service.settings.foreign_text import plain_output
+from daq_service.settings.foreign_text import escape_output
 
 
 class _CommandGroup(click.Group):
@@ -72,7 +72,7 @@ def print_completion(shell: str) -> None:
     click.echo(kind(cli, {}, "solimon", "_SOLIMON_COMPLETE").source())
 
 
-@plain_output()
+@escape_output()
 def main() -> None:
     """Run the command line; errors become one line and their exit code."""
     try:
@@ -81,28 +81,30 @@ def main() -> None:
         error.show()
         sys.exit(error.exit_code)
     except (click.exceptions.Abort, KeyboardInterrupt):
-        _end("interrupted", EXIT_INTERRUPTED)
+        _exit_with_message("interrupted", EXIT_INTERRUPTED)
     except StorageUnavailableError as error:
-        _end(f"{error}, then start again", error.exit_code)
+        _exit_with_message(f"{error}, then start again", error.exit_code)
     except SolimonError as error:
-        _end(_message_of(error), error.exit_code)
+        _exit_with_message(_format_error(error), error.exit_code)
     except Exception as error:  # noqa: BLE001 - last resort: every error becomes a code and one line
-        _end(f"unforeseen, please report it: {_where(error)}{type(error).__name__}: {error}", EXIT_FAULT)
+        _exit_with_message(
+            f"unforeseen, please report it: {_locate_error(error)}{type(error).__name__}: {error}", EXIT_FAULT
+        )
 
 
-def _message_of(error: SolimonError) -> str:
+def _format_error(error: SolimonError) -> str:
     """Return the message of an error; if the catalogue is lost, state that."""
     if isinstance(error, StorageError):
         from daq_service.catalogue.errors import NoDataYetError
-        from daq_service.processes.lost_catalogue import lost_reason
+        from daq_service.processes.lost_catalogue import lost_catalogue_reason
 
         if isinstance(error, NoDataYetError) and error.folder is not None:
             with suppress(StorageError):  # the other files are unreadable, too
-                return lost_reason(error.folder) or str(error)
+                return lost_catalogue_reason(error.folder) or str(error)
     return str(error)
 
 
-def _where(error: Exception) -> str:
+def _locate_error(error: Exception) -> str:
     """Return the location in this project where an error occurred; a running test's log has the traceback."""
     root = Path(__file__).parents[2]
     frames = traceback.extract_tb(error.__traceback__)
@@ -110,7 +112,7 @@ def _where(error: Exception) -> str:
     return f"{Path(ours[-1].filename).relative_to(root)}, line {ours[-1].lineno}: " if ours else ""
 
 
-def _end(message: str, code: int) -> None:
+def _exit_with_message(message: str, code: int) -> None:
     """Print a message and exit."""
     from daq_service.processes.printing import print_line
 

@@ -28,11 +28,11 @@ from daq_service.errors import (
 )
 from daq_service.processes.child import (
     PROGRAM,
-    announced,
     leave_when_pipe_closes,
     log_in_thread,
     log_to,
     notify_supervisor,
+    run_and_announce,
     start_detached,
     stop_on_signals,
 )
@@ -40,15 +40,15 @@ from daq_service.processes.data_folder import (
     own_data_folder,
     prepare_data_folder,
     refuse_other_folders,
+    remove_temporary_files,
     settings_and_folder,
     settings_of_folder,
-    sweep,
 )
 from daq_service.processes.disk_policy import disk_space, refusal
-from daq_service.processes.heartbeat import web_beat
-from daq_service.processes.notifications.service import standing_by
+from daq_service.processes.heartbeat import create_web_beat
+from daq_service.processes.notifications.service import notify_while_web_is_silent
 from daq_service.processes.printing import print_line
-from daq_service.processes.service_manager import notify, service_manager_notifications
+from daq_service.processes.service_manager import notify_service_manager, service_manager_notifications
 from daq_service.processes.supervisor import ChildPlan, Message, Supervisor
 from daq_service.settings.tree import Settings, StorageSettings
 from daq_service.settings.web import WebSettings
@@ -67,7 +67,7 @@ SWEPT_BY_PYTHON = "ignore:resource_tracker:UserWarning"
 STOPPED = "the recorder was told to stop and strikes no more; start again with the same folder to go on"
 
 
-def as_child(carry_out: Callable[..., int]) -> Callable[..., int]:
+def run_as_child(carry_out: Callable[..., int]) -> Callable[..., int]:
     """Make a command a child process, which sends its exit code to the supervisor.
 
     Raises
@@ -87,7 +87,7 @@ def as_child(carry_out: Callable[..., int]) -> Callable[..., int]:
                     raise
                 raise TriedAgainError(str(error)) from error
 
-        return announced(run, supervised=supervised)
+        return run_and_announce(run, supervised=supervised)
 
     return run_child
 
@@ -102,15 +102,15 @@ def run_supervised(*, config: Path | None, data_dir: Path | None, port: int | No
 
         refuse_unprotected_service(settings.web, folder)
     if not no_web and settings.notifications.receivers:
-        from daq_service.processes.notifications.addresses import refuse_unusable
+        from daq_service.processes.notifications.addresses import check_receivers
 
-        refuse_unusable(settings.notifications)
+        check_receivers(settings.notifications)
 
     log_to(folder / "logs" / "supervisor.log")
     with stop_on_signals() as stop, ProgressReport() as progress, ExitStack() as stack:
 
         def on_message(child: str, message: Message) -> None:
-            progress.hear(child, message)
+            progress.report_message(child, message)
             if message["event"] == "listening":
                 progress.line(f"dashboard: {message['url']}")
             elif message["event"] == "stopped":
@@ -126,12 +126,12 @@ def run_supervised(*, config: Path | None, data_dir: Path | None, port: int | No
         progress.line(f"data: {folder}")
         report_full_disk(folder, settings.storage, progress.line)
         supervisor = Supervisor(
-            child_plans(config, folder, port=port, web=not no_web, linger=not no_web),
+            plan_children(config, folder, port=port, web=not no_web, linger=not no_web),
             folder,
             on_message=on_message,
-            guard=stack.enter_context(guarded_drive(settings, folder)),
+            guard=stack.enter_context(provide_drive_guard(settings, folder)),
         )
-        with standing_by(settings, folder, monitors_recorder=True):
+        with notify_while_web_is_silent(settings, folder, monitors_recorder=True):
             code = supervisor.run(stop, stay=not no_web)
         return EXIT_INTERRUPTED if stop.is_set() and code == EXIT_OK else code
 
@@ -142,7 +142,7 @@ def report_full_disk(folder: Path, storage: StorageSettings, report: Callable[[s
         report(f"WAITING: {reason}")
 
 
-def child_plans(
+def plan_children(
     config: Path | None,
     folder: Path,
     *,
@@ -171,7 +171,7 @@ def child_plans(
     return plans
 
 
-@as_child
+@run_as_child
 def record_alone(
     *,
     config: Path | None,
@@ -183,23 +183,23 @@ def record_alone(
 ) -> int:
     """Run the recorder until the schedule ends or a person stops it."""
     from daq_service.recording.resources import SessionOptions
-    from daq_service.recording.session import record
+    from daq_service.recording.session import record_test
 
     settings, folder = settings_and_folder(config, data_dir)
     prepare_data_folder(folder, may_create=not restart_reason)
     with stop_on_signals() as stop, own_data_folder(folder), ExitStack() as stack:
         log_to(folder / "logs" / "recorder.log")
-        sweep(folder)
+        remove_temporary_files(folder)
         report = notify_supervisor
         if not supervised:
             report = stack.enter_context(service_manager_notifications(stack.enter_context(ProgressReport())))
-            stack.enter_context(standing_by(settings, folder, monitors_recorder=False))
+            stack.enter_context(notify_while_web_is_silent(settings, folder, monitors_recorder=False))
         abandoned = leave_when_pipe_closes(stop) if supervised else threading.Event()
         try:
             drive = None
             if settings.rig.driven is not None:
-                drive = stack.enter_context(remote_drive(settings, settings.rig.driven, folder))
-            finished = record(
+                drive = stack.enter_context(create_remote_drive(settings, settings.rig.driven, folder))
+            finished = record_test(
                 settings,
                 folder,
                 partial(_open_rig_to_stay, report),
@@ -235,7 +235,7 @@ def _open_rig_to_stay(
     def preparing(what: str, begins: bool) -> None:
         report("preparing" if begins else "prepared", what=what)
 
-    without_supply = settings.model_copy(update={"rig": settings.rig.without_supply()})
+    without_supply = settings.model_copy(update={"rig": settings.rig.copy_without_supply()})
     with open_rig(without_supply, clock, epoch_utc_ns, preparing=preparing) as rig:
         gc.freeze()
         yield rig
@@ -246,43 +246,43 @@ def _print_acknowledgement(shot_id: int) -> None:
     notify_supervisor("shot_acknowledged", shot_id=shot_id)
 
 
-def start_drive(settings: Settings, folder: Path) -> subprocess.Popen[bytes]:
+def start_supply_process(settings: Settings, folder: Path) -> subprocess.Popen[bytes]:
     """Start the supply process so that it outlives this one, with the present settings."""
     command = [*PROGRAM, "supply-process", "--data-dir", str(folder), "--for-recorder"]
     return start_detached(command, settings.model_dump_json().encode())
 
 
-def supply_port(settings: Settings) -> str:
+def read_supply_port(settings: Settings) -> str:
     """Return the supply's port, or all its parameters if its kind has no such key."""
-    from daq_service.settings.instruments import configured
+    from daq_service.settings.instruments import list_instruments
 
-    (supply,) = (item.parameters for item in configured(settings) if "supply" in item.serves)
+    (supply,) = (item.parameters for item in list_instruments(settings) if "supply" in item.serves)
     return str(getattr(getattr(supply, "line", supply), "port", supply))
 
 
-def remote_drive(
+def create_remote_drive(
     settings: Settings, parameters: DriveParameters, folder: Path, *, watches: bool = True
 ) -> RemoteDrive:
     """Return the client of the supply process of this configuration."""
     from daq_service.corrosion_drive.remote import RemoteDrive
 
-    start = partial(start_drive, settings, folder)
-    return RemoteDrive(parameters, folder, start, supply_port=supply_port(settings), watches=watches)
+    start = partial(start_supply_process, settings, folder)
+    return RemoteDrive(parameters, folder, start, supply_port=read_supply_port(settings), watches=watches)
 
 
 @contextmanager
-def guarded_drive(settings: Settings, folder: Path) -> Iterator[Callable[[], None]]:
+def provide_drive_guard(settings: Settings, folder: Path) -> Iterator[Callable[[], None]]:
     """Provide the function that restarts the supply process without a recorder; call it repeatedly."""
     from daq_service.corrosion_drive.guard import DriveGuard
 
     if settings.rig.driven is None:
         yield lambda: None
         return
-    with remote_drive(settings, settings.rig.driven, folder, watches=False) as remote:
+    with create_remote_drive(settings, settings.rig.driven, folder, watches=False) as remote:
         yield DriveGuard(folder, remote, check_every_s=settings.rig.driven.watchdog_timeout_s).check
 
 
-def drive_alone(*, config: Path | None, data_dir: Path | None, for_recorder: bool) -> int:
+def run_supply_process_alone(*, config: Path | None, data_dir: Path | None, for_recorder: bool) -> int:
     """Run the supply process: log, keep the interlock, switch off when no recorder watches."""
     from daq_service.clock import WallClock
     from daq_service.corrosion_drive.own_process import run_supply_process
@@ -290,12 +290,12 @@ def drive_alone(*, config: Path | None, data_dir: Path | None, for_recorder: boo
 
     def open_owned() -> AbstractContextManager[PowerSupply]:
         if not for_recorder:
-            notify("READY=1")  # the lock is held: no recorder starts another process
+            notify_service_manager("READY=1")  # the lock is held: no recorder starts another process
         return open_supply(settings, clock=WallClock())
 
     def beat() -> None:
         if not for_recorder:
-            notify("WATCHDOG=1")
+            notify_service_manager("WATCHDOG=1")
 
     if for_recorder:
         assert data_dir is not None, "a recorder says which folder"
@@ -313,7 +313,7 @@ def drive_alone(*, config: Path | None, data_dir: Path | None, for_recorder: boo
                 folder,
                 open_owned,
                 stop,
-                supply_port=supply_port(settings),
+                supply_port=read_supply_port(settings),
                 stays=not for_recorder,
                 beat=beat,
             )
@@ -327,7 +327,6 @@ def serve_alone(
     *, config: Path | None, data_dir: Path | None, port: int | None, restart_reason: str, supervised: bool
 ) -> int:
     """Serve the data folder until a person stops it."""
-    from daq_service.processes.notifications.addresses import refuse_unusable
     from daq_service.web.app import create_app
     from daq_service.web.auth.middleware import refuse_unprotected_service
 
@@ -335,7 +334,7 @@ def serve_alone(
     if not restart_reason:
         refuse_other_folders(folder)
         if config is not None:  # who opens a folder only to look needs no secrets
-            refuse_unusable(settings.notifications)
+            check_receivers(settings.notifications)
     refuse_unprotected_service(settings.web, folder)
     prepare_data_folder(folder, may_create=not restart_reason)
     log_to(folder / "logs" / "web.log")
@@ -347,9 +346,9 @@ def serve_alone(
 
 def serve_app(app: FastAPI, web: WebSettings, port: int | None, *, supervised: bool = False) -> int:
     """Serve an application at its configured address until a person stops it."""
-    from daq_service.web.server import collect_garbage_seldom, serve
+    from daq_service.web.server import reduce_garbage_collection, serve
 
-    collect_garbage_seldom()
+    reduce_garbage_collection()
 
     def on_bound(url: str) -> None:
         if supervised:
@@ -359,9 +358,9 @@ def serve_app(app: FastAPI, web: WebSettings, port: int | None, *, supervised: b
 
     def on_beat() -> None:
         if supervised:
-            notify_supervisor("beat", **asdict(web_beat()))
+            notify_supervisor("beat", **asdict(create_web_beat()))
         else:
-            notify("READY=1", "WATCHDOG=1")  # each time: a datagram may be lost
+            notify_service_manager("READY=1", "WATCHDOG=1")  # each time: a datagram may be lost
 
     at = web.port if port is None else port
     with stop_on_signals() as stop:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from daq_service.cli.run import as_child, serve_alone, serve_app
+from daq_service.cli.run import run_as_child, serve_alone, serve_app
 from daq_service.errors import UsageError
 from daq_service.processes.child import log_to
 from daq_service.processes.data_folder import data_folder, prepare_data_folder
@@ -16,7 +16,7 @@ OWN_FOLDER = "solimon-service"
 """Default folder of a service of multiple tests."""
 
 
-@as_child
+@run_as_child
 def serve_tests(
     *,
     paths: Sequence[Path],

@@ -11,12 +11,17 @@ from typing import Any, Literal
 import click
 from pydantic import TypeAdapter
 
-from daq_service.cli.sweep.shot import Specimen, coupled_numbers, coupled_shot, zener_numbers
-from daq_service.cli.sweep.specification import spaced
+from daq_service.cli.sweep.shot import (
+    Specimen,
+    compute_zener_impact,
+    integrate_coupled_shot,
+    summarise_coupled_shot,
+)
+from daq_service.cli.sweep.specification import space_evenly
 from daq_service.errors import UsageError
 from daq_service.settings.file import load_settings
 from daq_service.settings.tree import PositionSettings, Settings
-from daq_service.shared_file import packaged_table
+from daq_service.shared_file import load_table
 from simulator.errors import SimulatorError
 from simulator.parameters.chain import ChainParameters
 from simulator.parameters.plate import CorrosionParameters, PlateParameters
@@ -30,7 +35,7 @@ class _Table:
     note: str
 
 
-TABLES = TypeAdapter(dict[str, _Table]).validate_python(packaged_table(__file__))
+TABLES = TypeAdapter(dict[str, _Table]).validate_python(load_table(__file__))
 
 
 def print_simulation(
@@ -52,8 +57,8 @@ def print_simulation(
     if model == "zener" and tilt_rad is not None:
         raise UsageError("--tilt-rad tilts the sensor disk, which --model zener does not have: leave it out")
     try:
-        specimen = _specimen(settings, position, depth_fraction, drop_height_m, tilt_rad)
-        grid = [specimen[2].depth_fraction] if depths is None else _grid(depths)
+        specimen = _apply_options(settings, position, depth_fraction, drop_height_m, tilt_rad)
+        grid = [specimen[2].depth_fraction] if depths is None else _parse_grid(depths)
         for depth in grid:
             replace(specimen[2], depth_fraction=depth)
     except ValueError as error:
@@ -80,11 +85,11 @@ def print_simulation(
         sweep(request, TABLES[model].columns, as_json=as_json)
         return
     if named := [name for name, value in options.items() if value]:
-        raise UsageError(f"{_option(named[0])} belongs to a sweep: give --sweep KEY=VALUES, too")
+        raise UsageError(f"{_option_name(named[0])} belongs to a sweep: give --sweep KEY=VALUES, too")
     _print_shots(model, specimen, grid, is_table=depths is not None, as_json=as_json)
 
 
-def _option(name: str) -> str:
+def _option_name(name: str) -> str:
     """Return the name of a sweep's option on the command line."""
     return {"outputs": "--out", "element_wise": "--zip"}.get(name, f"--{name.replace('_', '-')}")
 
@@ -95,7 +100,7 @@ def _print_shots(model: str, specimen: Specimen, grid: list[float], *, is_table:
     rows = []
     try:
         for number, depth in enumerate(grid, 1):
-            rows.append(_shot(model, chain, plate, replace(patch, depth_fraction=depth)))
+            rows.append(_compute_shot(model, chain, plate, replace(patch, depth_fraction=depth)))
             if is_table and sys.stderr.isatty():
                 click.echo(f"\r{number} of {len(grid)} depths", nl=number == len(grid), err=True)
     except SimulatorError as error:
@@ -106,7 +111,7 @@ def _print_shots(model: str, specimen: Specimen, grid: list[float], *, is_table:
         _print_table(rows, TABLES[model])
 
 
-def _specimen(
+def _apply_options(
     settings: Settings,
     position: str | None,
     depth_fraction: float | None,
@@ -132,7 +137,7 @@ def _specimen(
     return chain, place.plate, patch
 
 
-def _grid(text: str) -> list[float]:
+def _parse_grid(text: str) -> list[float]:
     """Parse ``first:last:count``."""
     parts = text.split(":")
     try:
@@ -141,17 +146,21 @@ def _grid(text: str) -> list[float]:
         raise ValueError(f"--depths is {text!r}; write first:last:count, for example 0:0.8:9") from error
     if len(parts) != 3 or not 1 <= count <= 10_000:
         raise ValueError(f"--depths is {text!r}; write first:last:count with 1 to 10000 depths")
-    return spaced(first, last, count)
+    return space_evenly(first, last, count)
 
 
-def _shot(
+def _compute_shot(
     model: str, chain: ChainParameters, plate: PlateParameters, patch: CorrosionParameters
 ) -> dict[str, object]:
     """Compute one row: chain and plate integrated together, or Zener's impact of the last sphere."""
     given = {"depth_fraction": patch.depth_fraction, "drop_height_m": chain.drop_height_m}
     if model == "zener":
-        return {**zener_numbers(chain, plate, patch), **given}
-    return {**coupled_numbers(coupled_shot(chain, plate, patch)), **given, "tilt_rad": chain.tilt_rad}
+        return {**compute_zener_impact(chain, plate, patch), **given}
+    return {
+        **summarise_coupled_shot(integrate_coupled_shot(chain, plate, patch)),
+        **given,
+        "tilt_rad": chain.tilt_rad,
+    }
 
 
 def _print_table(rows: list[dict[str, object]], table: _Table) -> None:

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
-from daq_service.assessment.stored_limits import limits_by_name
+from daq_service.assessment.stored_limits import collect_limits_by_name
 from daq_service.catalogue import open_catalogue
 from daq_service.catalogue.rows import (
     AlarmRow,
@@ -34,9 +34,9 @@ def summarise_run(settings: Settings, folder: Path) -> dict[str, object]:
     with open_catalogue(folder, writer=False) as catalogue:
         counts = catalogue.counts()
         positions = {
-            name: _ultrasonic(catalogue, name)
+            name: _summarise_pulse_echo(catalogue, name)
             if place.method == PULSE_ECHO
-            else _solitary(catalogue, settings.baseline, settings.novelty.limit, name)
+            else _summarise_solitary_wave(catalogue, settings.baseline, settings.novelty.limit, name)
             for name, place in settings.positions.items()
         }
         return {
@@ -45,23 +45,23 @@ def summarise_run(settings: Settings, folder: Path) -> dict[str, object]:
             "pulse_echo_records": counts["pulse_echo_records"],
             "missed_sets": counts["missed_sets"],
             "seed": settings.twin.seed,
-            "cost": _cost(catalogue),
+            "cost": _read_cost(catalogue),
             "positions": positions,
         }
 
 
-def seconds_of(cost: dict[str, float]) -> float:
+def sum_stage_seconds(cost: dict[str, float]) -> float:
     """Return the sum of the stages of a run."""
     return sum(value for name, value in cost.items() if name != "sets")
 
 
-def _cost(catalogue: Catalogue) -> dict[str, float] | None:
+def _read_cost(catalogue: Catalogue) -> dict[str, float] | None:
     """Return the wall time by stage of the recorder's last run; None if it did not end normally."""
     rows = [row for row in catalogue.rows(EventRow, topic="service") if "cost" in row.payload]
     return rows[-1].payload["cost"] if rows else None
 
 
-def _solitary(
+def _summarise_solitary_wave(
     catalogue: Catalogue, rules: BaselineSettings, limit_name: str, position: str
 ) -> dict[str, object]:
     """Return the summary of a solitary-wave transducer."""
@@ -70,37 +70,39 @@ def _solitary(
     after = [row for row in assessed if row.due_h > SPLIT_H]
     baseline = catalogue.baseline(position)
     last = _last_good_feature(catalogue, rules.minimum_valid_shots, position)
-    limit = None if baseline is None else limits_by_name(baseline).get(limit_name)
+    limit = None if baseline is None else collect_limits_by_name(baseline).get(limit_name)
     return {
         "first_alarm_h": _first_alarm_h(catalogue, position),
-        "outlier_fraction_before_100_h": _fraction(row.outlier for row in assessed if row.due_h <= SPLIT_H),
-        "outlier_fraction_after_100_h": _fraction(row.outlier for row in after),
-        "outlier_fraction_after_100_h_paper_limit": _fraction(row.outlier_mean_3sd for row in after),
-        "tof_us": None if last is None else _scaled(last.tof_pp_s, 1e6),
+        "outlier_fraction_before_100_h": _outlier_fraction(
+            row.outlier for row in assessed if row.due_h <= SPLIT_H
+        ),
+        "outlier_fraction_after_100_h": _outlier_fraction(row.outlier for row in after),
+        "outlier_fraction_after_100_h_paper_limit": _outlier_fraction(row.outlier_mean_3sd for row in after),
+        "tof_us": None if last is None else _scale_value(last.tof_pp_s, 1e6),
         "amplitude_ratio": None if last is None else last.amplitude_ratio,
         "limit": limit,
         "limit_name": limit_name,
         "limit_paper": None if baseline is None else baseline.limit_mean_3sd,
         "limit_reason": "the baseline is still being recorded" if baseline is None else baseline.limit_reason,
-        "n_baseline": _baseline_size(catalogue, baseline, position),
+        "n_baseline": _count_baseline_sets(catalogue, baseline, position),
         "travel_time_us": None,
         "thickness_mm": None,
     }
 
 
-def _ultrasonic(catalogue: Catalogue, position: str) -> dict[str, object]:
+def _summarise_pulse_echo(catalogue: Catalogue, position: str) -> dict[str, object]:
     """Return the summary of an ultrasonic probe."""
     rows = [row for row in catalogue.rows(ThicknessRow, position=position) if row.thickness_m is not None]
     last = rows[-1] if rows else None
     return {
         **dict.fromkeys(OF_SOLITARY_WAVES),
         "first_alarm_h": _first_alarm_h(catalogue, position),
-        "travel_time_us": None if last is None else _scaled(last.travel_time_s, 1e6),
-        "thickness_mm": None if last is None else _scaled(last.thickness_m, 1e3),
+        "travel_time_us": None if last is None else _scale_value(last.travel_time_s, 1e6),
+        "thickness_mm": None if last is None else _scale_value(last.thickness_m, 1e3),
     }
 
 
-def _scaled(value: float | None, factor: float) -> float | None:
+def _scale_value(value: float | None, factor: float) -> float | None:
     """Multiply by a factor; None stays None."""
     return None if value is None else value * factor
 
@@ -112,7 +114,7 @@ def _last_good_feature(catalogue: Catalogue, minimum_valid: int, position: str) 
     return good[-1] if good else None
 
 
-def _baseline_size(catalogue: Catalogue, baseline: BaselineRow | None, position: str) -> int:
+def _count_baseline_sets(catalogue: Catalogue, baseline: BaselineRow | None, position: str) -> int:
     """Return the number of sets in the baseline so far."""
     if baseline is not None:
         return baseline.n_sets
@@ -127,13 +129,13 @@ def _first_alarm_h(catalogue: Catalogue, position: str) -> float | None:
     return min(hours) if hours else None
 
 
-def _fraction(outliers: Iterable[bool | None]) -> float | None:
+def _outlier_fraction(outliers: Iterable[bool | None]) -> float | None:
     """Return the fraction of outliers; None without assessed sets."""
     known = [outlier for outlier in outliers if outlier is not None]
     return sum(known) / len(known) if known else None
 
 
-def summary_lines(summary: dict[str, Any], folder: Path) -> Iterator[str]:
+def format_summary_lines(summary: dict[str, Any], folder: Path) -> Iterator[str]:
     """Yield the lines of the summary's table."""
     yield (
         f"{summary['sets']} sets, {summary['shots']} solitary-wave shots, {summary['pulse_echo_records']} "
@@ -145,10 +147,10 @@ def summary_lines(summary: dict[str, Any], folder: Path) -> Iterator[str]:
     for name, row in summary["positions"].items():
         before, after = row["outlier_fraction_before_100_h"], row["outlier_fraction_after_100_h"]
         yield (
-            f"{name:<8}  {_cell(row['first_alarm_h'], '9.1f', ' h'):>11}  "
-            f"{_percent(before):>9} /{_percent(after):>8}      "
-            f"{_cell(row['tof_us'], '.1f', ' us'):>9}  {_cell(row['amplitude_ratio'], '.3f', ''):>6}  "
-            f"{_cell(row['thickness_mm'], '.2f', ' mm'):>9}  {_limit(row)}"
+            f"{name:<8}  {_format_cell(row['first_alarm_h'], '9.1f', ' h'):>11}  "
+            f"{_format_percent(before):>9} /{_format_percent(after):>8}      "
+            f"{_format_cell(row['tof_us'], '.1f', ' us'):>9}  {_format_cell(row['amplitude_ratio'], '.3f', ''):>6}  "
+            f"{_format_cell(row['thickness_mm'], '.2f', ' mm'):>9}  {_format_limit(row)}"
         )
     if summary["cost"] is not None:
         stages = (
@@ -156,12 +158,12 @@ def summary_lines(summary: dict[str, Any], folder: Path) -> Iterator[str]:
             for name, value in summary["cost"].items()
             if name != "sets"
         )
-        total_s = seconds_of(summary["cost"])
+        total_s = sum_stage_seconds(summary["cost"])
         yield f"seconds of the recorder's last run: {', '.join(stages)}; together {total_s:.1f}"
     yield f"files: {folder / 'sets'}"
 
 
-def _limit(row: dict[str, object]) -> str:
+def _format_limit(row: dict[str, object]) -> str:
     """Return the limit of a position as text."""
     if row["n_baseline"] is None:
         return "-"
@@ -170,11 +172,11 @@ def _limit(row: dict[str, object]) -> str:
     return f"{row['limit']:.1f} {row['limit_name']} ({row['n_baseline']})"
 
 
-def _cell(value: float | None, form: str, unit: str) -> str:
+def _format_cell(value: float | None, form: str, unit: str) -> str:
     """Format a cell of a table with its unit; a dash if there is no value."""
     return "-" if value is None else f"{value:{form}}".strip() + unit
 
 
-def _percent(value: float | None) -> str:
+def _format_percent(value: float | None) -> str:
     """Format a fraction in per cent; a dash if there is no value."""
     return "-" if value is None else f"{100 * value:.1f} %"

@@ -16,7 +16,7 @@ import click
 
 from daq_service.clock import MACHINE, MachineClock
 from daq_service.processes.printing import HELD_AFTER_S, PRINTING, discard_unwritten
-from daq_service.settings.foreign_text import PlainStream, in_one_line
+from daq_service.settings.foreign_text import PlainStream, escape_to_one_line
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -39,7 +39,7 @@ def print_progress_of_sets(done: int, total: int) -> None:
     click.echo(f"\rset {done} of {total} ", nl=done == total, err=True)
 
 
-def console_on(stream: Literal["stdout", "stderr"]) -> Console:
+def create_console(stream: Literal["stdout", "stderr"]) -> Console:
     """Return rich's console: colour only on a terminal and without ``NO_COLOR``; it invents no highlights."""
     from rich.console import Console
 
@@ -49,7 +49,7 @@ def console_on(stream: Literal["stdout", "stderr"]) -> Console:
     return Console(file=file, highlight=False, markup=False, emoji=False)
 
 
-def duration(seconds: float) -> str:
+def format_duration(seconds: float) -> str:
     """Format a time in the unit with two or three digits."""
     for unit, length_s, digits in (("d", 86_400.0, 1), ("h", 3600.0, 1), ("min", 60.0, 0)):
         if seconds >= 2.0 * length_s:
@@ -80,15 +80,15 @@ class ProgressReport:
         self._progress, self._logged_s = "", -float("inf")
         self._gap: tuple[str, int, int] | None = None
         self._lines: queue.SimpleQueue[tuple[str, bool, str] | None] = queue.SimpleQueue()
-        self._writer = threading.Thread(target=self._write, name=PRINTING, daemon=True)
+        self._writer = threading.Thread(target=self._write_queued_lines, name=PRINTING, daemon=True)
 
     def __enter__(self) -> Self:
         if sys.stderr.isatty():
             from rich.live import Live
 
             self._live = Live(
-                console=console_on("stderr"),
-                get_renderable=self._text,
+                console=create_console("stderr"),
+                get_renderable=self._compose_progress_line,
                 refresh_per_second=DRAWN_PER_S,
                 transient=True,
                 redirect_stdout=False,
@@ -98,20 +98,20 @@ class ProgressReport:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._end_gap()
+        self._print_gap_end()
         self._lines.put(None)
         self._writer.join(HELD_AFTER_S)
 
     def line(self, text: str) -> None:
         """Print a line for a person, normally on standard output."""
-        self._put(text, err=self._news_to_stderr)
+        self._queue_line(text, err=self._news_to_stderr)
 
-    def _put(self, text: str, *, err: bool = True, style: str = "") -> None:
+    def _queue_line(self, text: str, *, err: bool = True, style: str = "") -> None:
         """Add a line to the queue of the writing thread."""
         if self._lines.qsize() < MOST_HELD_LINES:
-            self._lines.put((in_one_line(text), err, style))
+            self._lines.put((escape_to_one_line(text), err, style))
 
-    def _write(self) -> None:
+    def _write_queued_lines(self) -> None:
         """Write the queued lines until the end."""
         live = self._live
         if live is not None:
@@ -139,16 +139,16 @@ class ProgressReport:
         except (OSError, ValueError) as gone:  # ValueError: closed, or letters that its encoding lacks
             log.debug("nobody reads %r: %s", text, gone)
 
-    def _text(self) -> Text:
+    def _compose_progress_line(self) -> Text:
         """Compose the line that is rewritten."""
         from rich.text import Text
 
         with self._lock:
             doing, since_s = self._preparing[-1] if self._preparing else (self._doing, self._doing_since_s)
         took_s = self._machine.mono_s() - since_s
-        long = f"{doing}; {duration(took_s)} so far" if took_s >= SHOWN_AFTER_S else ""
+        long = f"{doing}; {format_duration(took_s)} so far" if took_s >= SHOWN_AFTER_S else ""
         text = "; ".join(filter(None, (self._progress, long))) or doing
-        return Text(in_one_line(text), no_wrap=True, overflow="ellipsis")
+        return Text(escape_to_one_line(text), no_wrap=True, overflow="ellipsis")
 
     # Events of a recorder, direct or through its supervisor -----------------------------------------------
 
@@ -159,84 +159,86 @@ class ProgressReport:
             with self._lock:
                 hear(**values)
 
-    def hear(self, child: str, message: Mapping[str, Any]) -> None:
+    def report_message(self, child: str, message: Mapping[str, Any]) -> None:
         """Print a message that a supervisor received from a child."""
         values = {name: value for name, value in message.items() if name != "event"}
         if message["event"] == "restarts":
-            self._put(f"{child} {values['cause']}; started again in {values['in_s']:g} s", style="yellow")
+            self._queue_line(
+                f"{child} {values['cause']}; started again in {values['in_s']:g} s", style="yellow"
+            )
         elif message["event"] == "printed":
-            self._put(values["text"])
+            self._queue_line(values["text"])
         elif child == "recorder":
             self(message["event"], **values)
 
-    def _hear_beat(self, *, doing: str, **_: object) -> None:
+    def _report_beat(self, *, doing: str, **_: object) -> None:
         """Note what the recorder does, and since when."""
         if doing != self._doing:
             self._doing, self._doing_since_s = doing, self._machine.mono_s()
 
-    def _hear_preparing(self, *, what: str) -> None:
+    def _report_preparing(self, *, what: str) -> None:
         """Note what is being prepared, and since when."""
         self._preparing.append((what, self._machine.mono_s()))
 
-    def _hear_prepared(self, *, what: str) -> None:
+    def _report_prepared(self, *, what: str) -> None:
         """Print how long a preparation took, if it was long."""
         started = [item for item in self._preparing if item[0] == what]
         if started:  # else a line was lost on the way
             self._preparing.remove(started[-1])
             took_s = self._machine.mono_s() - started[-1][1]
             if took_s >= SHOWN_AFTER_S:
-                self._put(f"{what}: took {duration(took_s)}")
+                self._queue_line(f"{what}: took {format_duration(took_s)}")
 
-    def _hear_progress(self, *, done: int, planned: int, due_h: float) -> None:
+    def _report_progress(self, *, done: int, planned: int, due_h: float) -> None:
         """Update the progress; without a terminal print it from time to time."""
         self._progress = f"hour {due_h:.1f}, set {done} of {planned}"
         if self._gap is not None and done - 1 > self._gap[2]:
-            self._end_gap()
+            self._print_gap_end()
         now_s = self._machine.mono_s()
         if self._live is None and (done == planned or now_s - self._logged_s >= LOGGED_EVERY_S):
             self._logged_s = now_s
-            self._put(self._progress)
+            self._queue_line(self._progress)
 
-    def _hear_alarm(self, *, change: str, hour: float, priority: str, message: str, **_: object) -> None:
+    def _report_alarm(self, *, change: str, hour: float, priority: str, message: str, **_: object) -> None:
         """Print a change of an alarm."""
         is_active = change in ("alarm_raised", "alarm_priority_raised", "alarm_reactivated")
         text = f"ALARM, {priority}" if is_active else change.replace("_", " ")
-        self._put(f"hour {hour:.1f}, {text}: {message}", style="bold red" if is_active else "")
+        self._queue_line(f"hour {hour:.1f}, {text}: {message}", style="bold red" if is_active else "")
 
-    def _hear_waits(self, *, reason: str) -> None:
+    def _report_waits(self, *, reason: str) -> None:
         """Print why the recorder waits."""
-        self._put(f"waiting: {reason}", style="yellow")
+        self._queue_line(f"waiting: {reason}", style="yellow")
 
-    def _hear_asked(
+    def _report_asked(
         self, *, text: str, within_s: float, position: str = "", shot_index: int | None = None, **_: object
     ) -> None:
         """Print a request to a person."""
         shot = "" if shot_index is None else f" (position {position}, shot {shot_index + 1})"
-        self._put(f"{text}{shot}: within {duration(within_s)}", style="bold")
+        self._queue_line(f"{text}{shot}: within {format_duration(within_s)}", style="bold")
 
-    def _hear_gap(self, *, set_index: int, state: str, positions: list[str], reason: str) -> None:
+    def _report_gap(self, *, set_index: int, state: str, positions: list[str], reason: str) -> None:
         """Print the first of consecutive incomplete sets with one reason; of the rest the last one."""
         description = f"{state} at {', '.join(positions)}: {reason}"
         if self._gap is not None and self._gap[0] == description:
             self._gap = (description, self._gap[1], set_index)
             return
-        self._end_gap()
+        self._print_gap_end()
         self._gap = (description, set_index, set_index)
-        self._put(f"set {set_index} {description}", style="yellow")
+        self._queue_line(f"set {set_index} {description}", style="yellow")
 
-    def _end_gap(self) -> None:
+    def _print_gap_end(self) -> None:
         """Print the end of consecutive incomplete sets."""
         if self._gap is not None and self._gap[2] > self._gap[1]:
             description, first, last = self._gap
             others = f"set {last}" if last == first + 1 else f"sets {first + 1} to {last}"
-            self._put(f"{others}, too, {description}", style="yellow")
+            self._queue_line(f"{others}, too, {description}", style="yellow")
         self._gap = None
 
 
 # A page on a screen ---------------------------------------------------------------------------------------
 
 
-def why_no_screen(environment: Mapping[str, str], platform: str = sys.platform) -> str:
+def no_screen_reason(environment: Mapping[str, str], platform: str = sys.platform) -> str:
     """Return why a page opened here would not be visible; empty if there is a screen."""
     if not sys.stderr.isatty():
         return "no terminal"
@@ -254,7 +256,7 @@ def open_page(url: str) -> bool:
     In a thread, since a browser that starts may take seconds; and not in a browser that would take the
     terminal itself, unless the person named one (``BROWSER``).
     """
-    if why_no_screen(os.environ):
+    if no_screen_reason(os.environ):
         return False
     try:
         browser = webbrowser.get()

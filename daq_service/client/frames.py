@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import pandas as pd
 
-from daq_service.catalogue.published_columns import Form, PublishedColumn, described_columns, with_parts
+from daq_service.catalogue.published_columns import Form, PublishedColumn, add_parts, describe_columns
 from daq_service.catalogue.rows import Row
 from daq_service.client.connection import Json
 
@@ -22,10 +22,10 @@ def frame(kind: type[Row], items: Sequence[Json], as_of: Json) -> pd.DataFrame:
         ``attrs["units"]`` has the unit of each number, ``attrs["as_of"]`` the time of reading and the status
         of the recorder.
     """
-    columns = list(described_columns(kind))
+    columns = list(describe_columns(kind))
     if any(column.name in ("due_h", "raised_h") for column in columns):
         columns.append(PublishedColumn(name="age_h", form="number", unit="h", nullable=False))
-    items = [with_parts(kind, item) for item in items]
+    items = [add_parts(kind, item) for item in items]
     table = pd.DataFrame({column.name: _series(column, items) for column in columns})
     table.attrs["units"] = {column.name: column.unit for column in columns if column.unit}
     table.attrs["as_of"] = as_of

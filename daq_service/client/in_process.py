@@ -12,9 +12,9 @@ from fastapi import FastAPI
 
 from daq_service.catalogue import open_catalogue
 from daq_service.client.connection import Connection
-from daq_service.settings.stored import stored_settings
+from daq_service.settings.stored import restore_settings
 from daq_service.web.app import create_app
-from daq_service.web.context import CatalogueEvents, context_of
+from daq_service.web.context import CatalogueEvents, find_app_context
 
 POLL_S = 0.2
 PAGE_EVENTS = 500
@@ -30,10 +30,10 @@ def folder_connection(folder: Path) -> Connection:
         The folder holds no test yet, or cannot be read.
     """
     with open_catalogue(folder) as catalogue:
-        settings = stored_settings(catalogue.experiment_row().configuration)
+        settings = restore_settings(catalogue.read_experiment().configuration)
     app = create_app(settings, folder, no_person=True)
     http = httpx.Client(base_url="http://127.0.0.1", transport=InProcess(app), headers=UNCOMPRESSED)
-    events = CatalogueEvents(context_of(app).catalogue_access)
+    events = CatalogueEvents(find_app_context(app).catalogue_access)
     closed = threading.Event()
 
     def follow_events(after: int, topics: str | None) -> Iterator[dict[str, object]]:
@@ -77,4 +77,4 @@ class InProcess(httpx.BaseTransport):
     def close(self) -> None:
         """End the event loop, and close the catalogue."""
         self._portal_context.__exit__(None, None, None)
-        context_of(self._app).catalogue_access.close()
+        find_app_context(self._app).catalogue_access.close()

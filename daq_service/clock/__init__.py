@@ -4,7 +4,7 @@ The clock of simulated time is `simulator.clock.SimulatedClock`. Heartbeats and 
 deadlines never use these clocks but the machine's monotonic time.
 """
 
-from daq_service.clock.boot import WINDOWS_BOOT_COUNTER, boot_id, boot_name
+from daq_service.clock.boot import WINDOWS_BOOT_COUNTER, boot_name, read_boot_id
 from daq_service.clock.machine import MACHINE, MachineClock, elapsed_ns
 from daq_service.clock.time_line import Before, Step, TimeLine
 from daq_service.clock.wall import WallClock

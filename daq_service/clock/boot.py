@@ -14,7 +14,7 @@ may stay the same."""
 _PROCESS_FRAME = f"process-{uuid.uuid4()}"
 
 
-def _sysctl_text(name: str) -> str:
+def _read_sysctl_text(name: str) -> str:
     """Return the text of a kernel variable of macOS."""
     import ctypes
 
@@ -25,7 +25,7 @@ def _sysctl_text(name: str) -> str:
     return text.value.decode("ascii")
 
 
-def _word_at(address: int) -> int:
+def _read_memory_word(address: int) -> int:
     """Read an unsigned 32-bit word of this process's memory."""
     import ctypes
 
@@ -36,8 +36,8 @@ def boot_name(
     platform: str = sys.platform,
     *,
     linux_file: Path = Path("/proc/sys/kernel/random/boot_id"),
-    sysctl: Callable[[str], str] = _sysctl_text,
-    word_at: Callable[[int], int] = _word_at,
+    sysctl: Callable[[str], str] = _read_sysctl_text,
+    word_at: Callable[[int], int] = _read_memory_word,
 ) -> str | None:
     """Return the name of this boot: the same in each process, different after the next start.
 
@@ -63,6 +63,6 @@ def boot_name(
     return text.strip() or None
 
 
-def boot_id() -> str:
+def read_boot_id() -> str:
     """Return the frame of comparable monotonic times: this boot, or this process if it has no name."""
     return boot_name() or _PROCESS_FRAME

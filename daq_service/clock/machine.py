@@ -15,7 +15,7 @@ KERNEL_GIVES_UP_US = 16_000_000
 """Linux: the kernel's estimate of the error of a clock that nobody synchronises, or no longer does."""
 
 
-def elapsed_source(platform: str = sys.platform) -> Callable[[], int]:
+def select_elapsed_clock(platform: str = sys.platform) -> Callable[[], int]:
     """Return the clock of the time since the boot in ns, sleep included, which cannot be set.
 
     Linux and macOS have one beside the usual monotonic clock, which stops in their sleep. That of Windows
@@ -26,7 +26,7 @@ def elapsed_source(platform: str = sys.platform) -> Callable[[], int]:
     return time.monotonic_ns if clock_id is None else partial(time.clock_gettime_ns, clock_id)
 
 
-elapsed_ns = elapsed_source()
+elapsed_ns = select_elapsed_clock()
 
 
 def is_synchronised(platform: str = sys.platform) -> bool:

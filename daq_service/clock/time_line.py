@@ -93,7 +93,7 @@ class Before:
     line: TimeLine | None = None
     doubt_after_h: float = 72.0
 
-    def doubt(self, system_ns: int, *, synchronised: bool) -> str:
+    def find_clock_doubt(self, system_ns: int, *, synchronised: bool) -> str:
         """Return why the system's UTC is unverified after a reboot; empty if it is verified."""
         says = f"the system's clock says {format_utc(system_ns, 0)}"
         last = f"what was stored last ({format_utc(self.last_utc_ns, 0)})"

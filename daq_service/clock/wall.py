@@ -36,7 +36,7 @@ class WallClock:
         self._doubted: Before | None = None
         if before is not None and before.line is not None:
             self._line = before.line
-        elif before is not None and before.doubt(system, synchronised=machine.is_synchronised()):
+        elif before is not None and before.find_clock_doubt(system, synchronised=machine.is_synchronised()):
             self._doubted = before
 
     def utc_ns(self) -> int:
@@ -47,7 +47,7 @@ class WallClock:
         before, self._line = self._line, self._line.at(system, elapsed)
         if self._line.ahead_ns != before.ahead_ns:
             self._steps.append(
-                self._step(self._line.ahead_ns - before.ahead_ns, "the system's clock was set")
+                self._build_step(self._line.ahead_ns - before.ahead_ns, "the system's clock was set")
             )
         return self._line.utc_ns
 
@@ -91,16 +91,16 @@ class WallClock:
         waited = self._doubted is not None
         while self._doubted is not None:
             system, elapsed = self._read_both()
-            reason = self._doubted.doubt(system, synchronised=self._machine.is_synchronised())
+            reason = self._doubted.find_clock_doubt(system, synchronised=self._machine.is_synchronised())
             if not reason:
-                self._go_on(system, elapsed)
+                self._resume_test_time(system, elapsed)
             elif not idle(reason):
                 return None
             elif self._doubted is not None:
                 self._machine.sleep(IDLE_INTERVAL_S)
-        return self._step(0, "the system's clock is believed") if waited else None
+        return self._build_step(0, "the system's clock is believed") if waited else None
 
-    def trust(self) -> str:
+    def accept_system_clock(self) -> str:
         """Accept the system's UTC at a person's request, not before the last stored time; return a message.
 
         Raises
@@ -110,10 +110,10 @@ class WallClock:
         """
         if self._doubted is None:
             raise ValueError("the system's clock is believed already")
-        self._go_on(*self._read_both())
-        return self._step(0, "the system's clock is trusted").message
+        self._resume_test_time(*self._read_both())
+        return self._build_step(0, "the system's clock is trusted").message
 
-    def _go_on(self, system_ns: int, elapsed_ns: int) -> None:
+    def _resume_test_time(self, system_ns: int, elapsed_ns: int) -> None:
         """Continue the test time after the clock was verified."""
         assert self._doubted is not None, "only a doubted clock is believed anew"
         utc_ns = max(system_ns, self._doubted.last_utc_ns)
@@ -130,7 +130,7 @@ class WallClock:
                 break
         return system, elapsed
 
-    def _step(self, step_ns: int, what: str) -> Step:
+    def _build_step(self, step_ns: int, what: str) -> Step:
         """Return a step of the system's clock, with its message."""
         step_s, ahead_s = step_ns / NS_PER_S, self._line.ahead_ns / NS_PER_S
         utc_ns, system_ns = self._line.utc_ns, self._line.utc_ns + self._line.ahead_ns

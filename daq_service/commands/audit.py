@@ -16,9 +16,9 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
-from daq_service.catalogue.earlier_names import current_row
+from daq_service.catalogue.earlier_names import to_current_row
 from daq_service.clock import MACHINE, MachineClock
-from daq_service.processes.line_file import append_line, newest_lines
+from daq_service.processes.line_file import append_line, read_newest_lines
 
 log = logging.getLogger(__name__)
 
@@ -93,7 +93,7 @@ class Audit:
         self._left_out = 0
         self._lock = threading.Lock()
 
-    def leave_out(self) -> None:
+    def count_omitted_rejection(self) -> None:
         """Count a rejection that is not written."""
         with self._lock:
             self._left_out += 1
@@ -102,7 +102,7 @@ class Audit:
         """Append an entry, unless it is a rejection above the rate limit."""
         entry = AuditEntry(**fields)
         with self._lock:
-            if entry.result == "rejected" and not self._allowance(entry).take():
+            if entry.result == "rejected" and not self._find_rate_limit(entry).take():
                 self._left_out += 1
                 return
             left_out, self._left_out = self._left_out, 0
@@ -111,7 +111,7 @@ class Audit:
         except OSError as error:
             log.warning("not in %s: %s %s %s: %s", AUDIT_FILE, entry.what, entry.result, entry.author, error)
 
-    def _allowance(self, entry: AuditEntry) -> Allowance:
+    def _find_rate_limit(self, entry: AuditEntry) -> Allowance:
         """Return the rate limit of a name, or of a role without one."""
         name = entry.author if entry.role not in ("", "claimed") else entry.role
         if name not in self._allowances:
@@ -133,12 +133,12 @@ def read_audit(
     OSError
         The file cannot be read.
     """
-    lines, before = newest_lines(
-        folder / AUDIT_FILE, limit=limit, end=end, wanted=lambda row: wanted(_entry(row))
+    lines, before = read_newest_lines(
+        folder / AUDIT_FILE, limit=limit, end=end, wanted=lambda row: wanted(_parse_entry(row))
     )
-    return [(number, _entry(row)) for number, row in lines], before
+    return [(number, _parse_entry(row)) for number, row in lines], before
 
 
-def _entry(row: Mapping[str, object]) -> AuditEntry:
+def _parse_entry(row: Mapping[str, object]) -> AuditEntry:
     """Return the entry of a line of any version."""
-    return AuditEntry(**current_row(TABLE, row))
+    return AuditEntry(**to_current_row(TABLE, row))

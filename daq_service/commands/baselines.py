@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from pydantic import AfterValidator, Field
 
-from daq_service.alarms.operator_actions import reset
+from daq_service.alarms.operator_actions import reset_alarm
 from daq_service.alarms.states import ALARMS_OF_CHANGE, NOT_ASSESSED
 from daq_service.assessment.baseline_lifecycle import APPROVED, COLLECTING, RETIRED, approve, renew
 from daq_service.commands.kinds import SEEN, Facts, Refusal, TransducerArguments, TransducerCommand
-from daq_service.settings.foreign_text import require_written
+from daq_service.settings.foreign_text import require_visible_text
 
 if TYPE_CHECKING:
     from daq_service.commands.running_test import RunningTest
@@ -23,7 +23,7 @@ class RenewalArguments(TransducerArguments):
     note: Annotated[
         str,
         Field(min_length=1, max_length=2000, json_schema_extra=SEEN),
-        AfterValidator(partial(require_written, message="say why the baseline is retired")),
+        AfterValidator(partial(require_visible_text, message="say why the baseline is retired")),
     ]
 
 
@@ -32,10 +32,10 @@ class ApproveBaseline(TransducerCommand):
 
     kind: Literal["approve_baseline"]
 
-    def _forbidden(self, facts: Facts) -> Refusal | None:
+    def _find_refusal(self, facts: Facts) -> Refusal | None:
         """Return why the baseline cannot be approved; None if it can."""
         position = self.arguments.position
-        unknown = super()._forbidden(facts)
+        unknown = super()._find_refusal(facts)
         row = facts.baselines.get(position)
         state = "collecting" if row is None else row.state
         if unknown is None and row is not None and state == "proposed" and row.limit_reason:
@@ -46,7 +46,7 @@ class ApproveBaseline(TransducerCommand):
         reason = f"the baseline of {position} is {state}: there is nothing to sign"
         return Refusal(reason, "A baseline waits for a signature where baseline.approval is by_a_person.")
 
-    def _forbidden_at(self, position: str, disabled: str | None) -> Refusal | None:
+    def _find_refusal_at(self, position: str, disabled: str | None) -> Refusal | None:
         """Allow the command at each position that has a baseline."""
         return None
 
@@ -79,7 +79,7 @@ class RenewBaseline(TransducerCommand):
         )
         # Nothing has returned to normal: what they were judged by is gone.
         ended = [
-            reset(row, self.author, f"its baseline was retired: {reason}", moment)
+            reset_alarm(row, self.author, f"its baseline was retired: {reason}", moment)
             for kind in (*ALARMS_OF_CHANGE, NOT_ASSESSED)
             if (row := test.alarms.get((position, kind))) is not None and row.state != "normal"
         ]

@@ -11,7 +11,7 @@ from daq_service.clock import boot_name, elapsed_ns
 from hardware_drivers.nanoseconds import NS_PER_S
 
 
-def remaining_s(row: CommandRow, *, boot: str | None, boot_ns: int, wall_utc_ns: int) -> float:
+def compute_remaining_s(row: CommandRow, *, boot: str | None, boot_ns: int, wall_utc_ns: int) -> float:
     """Return the remaining time in s in which a command must be started; 0 after its deadline.
 
     Within a boot a step of UTC has no effect; a command of another boot has expired.
@@ -30,17 +30,17 @@ def remaining_s(row: CommandRow, *, boot: str | None, boot_ns: int, wall_utc_ns:
 
 def remaining_now_s(row: CommandRow) -> float:
     """Return the remaining time of a command in s, now and on this computer."""
-    return remaining_s(row, boot=boot_name(), boot_ns=elapsed_ns(), wall_utc_ns=time.time_ns())
+    return compute_remaining_s(row, boot=boot_name(), boot_ns=elapsed_ns(), wall_utc_ns=time.time_ns())
 
 
-def with_expiry(row: CommandRow, seconds_left: float) -> CommandRow:
+def apply_expiry(row: CommandRow, seconds_left: float) -> CommandRow:
     """Return the row as its recorder will answer it: expired if it was not started in time."""
     if row.state != "pending" or seconds_left > 0.0:
         return row
-    return replace(row, state="expired", result=expired_reason("its deadline passed before that"))
+    return replace(row, state="expired", result=describe_expiry("its deadline passed before that"))
 
 
-def command_state(catalogue: Catalogue, order_id: int) -> tuple[CommandRow, float] | None:
+def read_command_state(catalogue: Catalogue, order_id: int) -> tuple[CommandRow, float] | None:
     """Read a command with its current state and its remaining time in s; None if there is no such command."""
     row = catalogue.command(order_id)
     if row is None:
@@ -48,9 +48,9 @@ def command_state(catalogue: Catalogue, order_id: int) -> tuple[CommandRow, floa
     seconds_left = remaining_now_s(row)
     # Read again: it may have been started between the first query and its deadline.
     row = catalogue.command(order_id) or row
-    return with_expiry(row, seconds_left), seconds_left
+    return apply_expiry(row, seconds_left), seconds_left
 
 
-def expired_reason(reason: str) -> str:
+def describe_expiry(reason: str) -> str:
     """Return the answer to a command that was not started."""
     return f"not executed: {reason}; send it again if it is still needed"

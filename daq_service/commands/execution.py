@@ -16,7 +16,7 @@ from dataclasses import replace
 
 from daq_service.catalogue import RecorderCatalogue, SetCommit
 from daq_service.catalogue.rows import CommandRow, CommandState
-from daq_service.commands.deadline import expired_reason, remaining_now_s, with_expiry
+from daq_service.commands.deadline import apply_expiry, describe_expiry, remaining_now_s
 from daq_service.commands.kinds import Command, Facts
 from daq_service.commands.registry import KINDS, parse_command
 from daq_service.commands.running_test import PendingAnswer, RunningTest
@@ -76,10 +76,10 @@ class CommandExecutor:
 
     def close(self, reason: str) -> None:
         """Answer every open command without executing it."""
-        for row in self._catalogue.open_commands():
+        for row in self._catalogue.list_open_commands():
             is_unknown = row.state == "started" and not KINDS.get(row.kind, Command).rows_only
-            answer = FAILED if is_unknown else ("expired", expired_reason(reason))
-            self._finish(row, self._answers.get(row.id, answer))
+            answer = FAILED if is_unknown else ("expired", describe_expiry(reason))
+            self._store_answer(row, self._answers.get(row.id, answer))
 
     def leave(self) -> None:
         """Answer the commands that were not started, because this recorder does not execute them."""
@@ -91,16 +91,16 @@ class CommandExecutor:
     def listen(self) -> None:
         """Execute the waiting commands; a rejected one is answered with the reason."""
         self.begin()
-        for row in self._catalogue.open_commands():
+        for row in self._catalogue.list_open_commands():
             # Once: if the disk cannot store an answer, the supply must not be switched on a second time.
             answer = self._answers.get(row.id) or self._execute(row)
             # Read from the catalogue, as after a restart.
             self.paused = self._catalogue.paused() or ""
             if answer is not None:
                 self._answers[row.id] = answer
-                self._finish(row, answer)
+                self._store_answer(row, answer)
 
-    def _finish(self, row: CommandRow, answer: Answer) -> None:
+    def _store_answer(self, row: CommandRow, answer: Answer) -> None:
         """Store the answer to a command."""
         self._catalogue.finish_command(row.id, *answer)
         self._answers.pop(row.id, None)
@@ -121,16 +121,18 @@ class CommandExecutor:
                 if row.kind not in HARMLESS_TWICE:
                     raise
         # Checked again: a reader that found it pending at its deadline has reported it as expired.
-        current_row = with_expiry(replace(row, state="pending"), self._left_s(row))
+        current_row = apply_expiry(replace(row, state="pending"), self._left_s(row))
         if current_row.state == "expired":
             return "expired", current_row.result or ""
         transactions: list[SetCommit] = []
         self._adopt()
         try:
             order = parse_command(row.kind, row.author, row.arguments)
-            result = order.carry_out(replace(self._test, store=transactions.append), row.id, self._facts())
+            result = order.carry_out(
+                replace(self._test, store=transactions.append), row.id, self._collect_facts()
+            )
         except (UsageError, ValueError) as error:
-            return _rejected(row, error)
+            return _log_rejection(row, error)
         if callable(result):
             self._awaited[row.id] = result
             return self._poll_answer(row, result)
@@ -149,12 +151,12 @@ class CommandExecutor:
                 return None
         except ValueError as error:
             del self._awaited[row.id]
-            return _rejected(row, error)
+            return _log_rejection(row, error)
         del self._awaited[row.id]
         log.info("command %d (%s) of %s: %s", row.id, row.kind, row.author, result)
         return "done", result
 
-    def _facts(self) -> Facts:
+    def _collect_facts(self) -> Facts:
         """Return the facts that decide whether a command can be executed."""
         return Facts(
             can_skip_time=isinstance(self._test.clock, SimulatedClock),
@@ -162,13 +164,13 @@ class CommandExecutor:
             positions=self._test.positions,
             has_supply=self._test.supply is not None,
             alarms=list(self._test.alarms.values()),
-            places=self._catalogue.position_names(),
+            places=self._catalogue.list_position_names(),
             annotations=self._test.annotations(),
-            baselines=self._catalogue.newest_baselines(),
+            baselines=self._catalogue.read_newest_baselines(),
         )
 
 
-def _rejected(row: CommandRow, error: Exception) -> Answer:
+def _log_rejection(row: CommandRow, error: Exception) -> Answer:
     """Log that a command is rejected, and return the answer."""
     log.warning("command %d (%s) rejected: %s", row.id, row.kind, error)
     return "rejected", str(error)

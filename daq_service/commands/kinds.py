@@ -15,10 +15,10 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validat
 
 from daq_service.alarms import states
 from daq_service.alarms.clock_trouble import CLOCK_UNVERIFIED
-from daq_service.alarms.operator_actions import AFTER_ACKNOWLEDGEMENT, acknowledge, reset
+from daq_service.alarms.operator_actions import AFTER_ACKNOWLEDGEMENT, acknowledge_alarm, reset_alarm
 from daq_service.catalogue.rows import AlarmRow, AnnotationRow, BaselineRow
 from daq_service.clock import WallClock
-from daq_service.settings.foreign_text import WRITTEN, require_written
+from daq_service.settings.foreign_text import WRITTEN, require_visible_text
 from simulator.clock import SimulatedClock
 
 if TYPE_CHECKING:
@@ -32,7 +32,7 @@ SEEN = {"pattern": WRITTEN.pattern}
 Author = Annotated[
     str,
     Field(min_length=1, max_length=80, description="Person who gives the command", json_schema_extra=SEEN),
-    AfterValidator(partial(require_written, message="name the person who gives the command")),
+    AfterValidator(partial(require_visible_text, message="name the person who gives the command")),
 ]
 
 
@@ -134,11 +134,11 @@ class AnnotationArguments(Strict):
     text: Annotated[
         str,
         Field(min_length=1, max_length=2000, json_schema_extra=SEEN),
-        AfterValidator(partial(require_written, message="write the note")),
+        AfterValidator(partial(require_visible_text, message="write the note")),
     ]
 
     @model_validator(mode="after")
-    def _forwards(self) -> Self:
+    def _check_range_order(self) -> Self:
         """Check that the range does not end before it begins."""
         if self.to_h is not None and self.to_h < self.from_h:
             raise ValueError(f"the range ends at {self.to_h:g} h, before {self.from_h:g} h; let it end later")
@@ -158,7 +158,7 @@ class ReasonArguments(Strict):
         str,
         Field(min_length=1, max_length=2000, json_schema_extra=SEEN),
         AfterValidator(
-            partial(require_written, message="say why the test is paused, such as 'hands in the rig'")
+            partial(require_visible_text, message="say why the test is paused, such as 'hands in the rig'")
         ),
     ]
 
@@ -194,7 +194,7 @@ class Command(Strict):
     author: Author = "operator"
     arguments: Any = NoArguments()
 
-    def forbidden(self, facts: Facts) -> Refusal | None:
+    def find_refusal(self, facts: Facts) -> Refusal | None:
         """Return why the command cannot be executed now; None if it can."""
         ended = f"the recorder has {facts.recorder}" if facts.recorder in {"finished", "stopped"} else ""
         if self.needs_recorder and (ended or not facts.recorded):
@@ -202,7 +202,7 @@ class Command(Strict):
                 f"{ended or 'nobody records this test'}: nobody would carry this out",
                 "Start it with `solimon run` or `solimon record`, then send the command again.",
             )
-        return self._forbidden(facts)
+        return self._find_refusal(facts)
 
     def carry_out(self, test: RunningTest, order_id: int, facts: Facts) -> str | PendingAnswer:
         """Execute the command and return its result, or a function that polls an instrument for it.
@@ -223,11 +223,11 @@ class Command(Strict):
         CommandRejectedError
             The command cannot be executed, with the reason.
         """
-        refusal = self.forbidden(facts)
+        refusal = self.find_refusal(facts)
         if refusal is not None:
             raise CommandRejectedError(refusal)
 
-    def _forbidden(self, facts: Facts) -> Refusal | None:
+    def _find_refusal(self, facts: Facts) -> Refusal | None:
         """Return the refusal in the present state; None allows the command. Kinds override it."""
         return None
 
@@ -242,7 +242,7 @@ class FinishNow(Command):
     kind: Literal["finish_now"]
     arguments: NoArguments = NoArguments()
 
-    def _forbidden(self, facts: Facts) -> Refusal | None:
+    def _find_refusal(self, facts: Facts) -> Refusal | None:
         """Return why the test cannot skip to its end; None if it can."""
         if facts.can_skip_time:
             return None
@@ -292,7 +292,7 @@ class AcknowledgeAlarm(StoredCommand):
     kind: Literal["acknowledge_alarm"]
     arguments: AlarmArguments
 
-    def _forbidden(self, facts: Facts) -> Refusal | None:
+    def _find_refusal(self, facts: Facts) -> Refusal | None:
         """Return why the alarm cannot be acknowledged; None if it can."""
         wanted = self.arguments.alarm_id
         state = next((row.state for row in facts.alarms if row.id == wanted), None)
@@ -310,7 +310,7 @@ class AcknowledgeAlarm(StoredCommand):
         """Acknowledge the alarm and return the result."""
         (row,) = (row for row in test.alarms.values() if row.id == self.arguments.alarm_id)
         moment = test.moment()
-        test.change_alarms(moment, acknowledge(row, self.author, self.arguments.note, moment))
+        test.change_alarms(moment, acknowledge_alarm(row, self.author, self.arguments.note, moment))
         return "acknowledged"
 
 
@@ -321,7 +321,7 @@ class Pause(Command):
     kind: Literal["pause"]
     arguments: ReasonArguments
 
-    def _forbidden(self, facts: Facts) -> Refusal | None:
+    def _find_refusal(self, facts: Facts) -> Refusal | None:
         """Return why the test cannot be paused; None if it can."""
         reason = f"the test is already {facts.paused}"
         return Refusal(reason, "Resume it first; a pause has one reason.") if facts.paused else None
@@ -340,7 +340,7 @@ class Resume(Command):
     kind: Literal["resume"]
     arguments: NoteArguments = NoteArguments()
 
-    def _forbidden(self, facts: Facts) -> Refusal | None:
+    def _find_refusal(self, facts: Facts) -> Refusal | None:
         """Return why the test cannot be resumed; None if it can."""
         hint = "Only a paused test can be resumed."
         return None if facts.paused else Refusal("the test is not paused", hint)
@@ -357,7 +357,7 @@ class TrustClock(Command):
     kind: Literal["trust_clock"]
     arguments: NoteArguments = NoteArguments()
 
-    def _forbidden(self, facts: Facts) -> Refusal | None:
+    def _find_refusal(self, facts: Facts) -> Refusal | None:
         """Return why the clock cannot be trusted; None if it can."""
         standing = ("unacknowledged", "acknowledged")
         if any(row.kind == CLOCK_UNVERIFIED and row.state in standing for row in facts.alarms):
@@ -369,7 +369,7 @@ class TrustClock(Command):
     def _carry_out(self, test: RunningTest, order_id: int) -> str:
         """Trust the clock; return the result."""
         assert isinstance(test.clock, WallClock), "no other clock is doubted"
-        return test.clock.trust()
+        return test.clock.accept_system_clock()
 
 
 class TransducerCommand(Command):
@@ -378,16 +378,16 @@ class TransducerCommand(Command):
     rows_only = True
     arguments: TransducerArguments
 
-    def _forbidden(self, facts: Facts) -> Refusal | None:
+    def _find_refusal(self, facts: Facts) -> Refusal | None:
         """Return why a command about this transducer is rejected; None if the transducer exists."""
         position = self.arguments.position
         if position not in facts.positions:
             missing = f"there is no solitary-wave transducer {position!r}"
             names = f"there are: {', '.join(facts.positions) or 'none'}"
             return Refusal(f"{missing}; {names}", f"T{names[1:]}.", f"T{missing[1:]}.")
-        return self._forbidden_at(position, states.disabled_positions(facts.alarms).get(position))
+        return self._find_refusal_at(position, states.find_disabled(facts.alarms).get(position))
 
-    def _forbidden_at(self, position: str, disabled: str | None) -> Refusal | None:
+    def _find_refusal_at(self, position: str, disabled: str | None) -> Refusal | None:
         """Return the rejection at a transducer that is disabled for this reason."""
         reason, hint = f"{position} is disabled", "Enable it when it is repaired."
         return None if disabled is None else Refusal(reason, hint, f"{reason}: {disabled}.")
@@ -410,7 +410,7 @@ class Disable(TransducerCommand):
             message=f"disabled by {self.author}: {self.arguments.note or 'no reason given'}",
             evidence={"command_id": order_id},
         )
-        change = states.update(test.alarms.get((position, "transducer_disabled")), condition, moment)
+        change = states.update_alarm(test.alarms.get((position, "transducer_disabled")), condition, moment)
         assert change is not None, "a position that is not disabled has no such active alarm"
         test.change_alarms(moment, change)
         return f"{position} is disabled"
@@ -421,7 +421,7 @@ class Enable(TransducerCommand):
 
     kind: Literal["enable"]
 
-    def _forbidden_at(self, position: str, disabled: str | None) -> Refusal | None:
+    def _find_refusal_at(self, position: str, disabled: str | None) -> Refusal | None:
         """Refuse to enable a position that is not disabled."""
         reason, hint = f"{position} is not disabled", "/api/v1/transducers lists which are, and why."
         return Refusal(reason, hint) if disabled is None else None
@@ -434,7 +434,7 @@ class Enable(TransducerCommand):
             for (place, kind), row in test.alarms.items()
             if place == position and kind in states.RETIRING and row.state != "normal"
         ]
-        changes = [reset(row, self.author, self.arguments.note, moment) for row in standing]
+        changes = [reset_alarm(row, self.author, self.arguments.note, moment) for row in standing]
         test.change_alarms(moment, *changes)
         test.enabled(position)
         return f"{position} strikes again from the next set"
@@ -445,12 +445,12 @@ class Strike(TransducerCommand):
 
     kind: Literal["strike"]
 
-    def _forbidden(self, facts: Facts) -> Refusal | None:
+    def _find_refusal(self, facts: Facts) -> Refusal | None:
         """Return why no unscheduled set can be taken; None if one can."""
         if facts.paused:
             reason = f"the test is {facts.paused}"
             return Refusal(reason, "Resume it when all hands are out of the rig.")
-        return super()._forbidden(facts)
+        return super()._find_refusal(facts)
 
     def _carry_out(self, test: RunningTest, order_id: int) -> str:
         """Request an unscheduled set; return the result."""
@@ -461,7 +461,7 @@ class Strike(TransducerCommand):
 
 
 class _SupplyCommand(Command):
-    def _forbidden(self, facts: Facts) -> Refusal | None:
+    def _find_refusal(self, facts: Facts) -> Refusal | None:
         """Return why the supply cannot be switched; None if it can."""
         if facts.has_supply:
             return None
@@ -504,7 +504,7 @@ class Annotate(StoredCommand):
     kind: Literal["annotate"]
     arguments: AnnotationArguments
 
-    def _forbidden(self, facts: Facts) -> Refusal | None:
+    def _find_refusal(self, facts: Facts) -> Refusal | None:
         """Return why the annotation cannot be stored; None if it can."""
         position = self.arguments.position
         if position is None or position in facts.places:
@@ -536,7 +536,7 @@ class WithdrawAnnotation(StoredCommand):
     kind: Literal["withdraw_annotation"]
     arguments: WithdrawalArguments
 
-    def _forbidden(self, facts: Facts) -> Refusal | None:
+    def _find_refusal(self, facts: Facts) -> Refusal | None:
         """Return why the annotation cannot be withdrawn; None if it can."""
         wanted = self.arguments.annotation_id
         row = next((row for row in facts.annotations if row.id == wanted), None)

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
-from daq_service.alarms.operator_actions import without_expired_shelf
+from daq_service.alarms.operator_actions import remove_expired_shelf
 from daq_service.alarms.states import Change, Moment
 from daq_service.catalogue import SetCommit
 from daq_service.catalogue.rows import AlarmRow, AnnotationRow, BaselineRow
@@ -71,7 +71,7 @@ class StoredTest:
     def alarm(self, alarm_id: int) -> AlarmRow:
         """Return a current alarm, without an expired shelf."""
         (row,) = (row for row in self.alarms.values() if row.id == alarm_id)
-        return without_expired_shelf(row, utc_ns=self.moment().utc_ns, wall_utc_ns=time.time_ns())
+        return remove_expired_shelf(row, utc_ns=self.moment().utc_ns, wall_utc_ns=time.time_ns())
 
     def change_alarms(self, moment: Moment, *changes: Change) -> None:
         """Store changes of alarms in one transaction."""

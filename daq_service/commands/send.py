@@ -17,7 +17,7 @@ from daq_service.catalogue import Catalogue, open_catalogue
 from daq_service.catalogue.rows import CommandRow
 from daq_service.clock import MACHINE, MachineClock
 from daq_service.commands.audit import TERMINAL, Audit
-from daq_service.commands.deadline import command_state
+from daq_service.commands.deadline import read_command_state
 from daq_service.commands.registry import parse_command
 from daq_service.errors import EXIT_OK, BusyError, UsageError
 from daq_service.processes.data_folder import refuse_other_folders, settings_and_folder
@@ -103,7 +103,7 @@ def send_command(
 
 def _require_recorder(folder: Path, catalogue: Catalogue) -> None:
     """Raise an error unless a recorder of the folder executes commands."""
-    event = catalogue.last_service_event(*PROCESS_EVENTS)
+    event = catalogue.read_last_service_event(*PROCESS_EVENTS)
     recorder = read_recorder_state(folder, [event.kind] if event else [])
     if recorder.status == "running" and not recorder.listens:
         raise BusyError(
@@ -123,7 +123,7 @@ def _wait_for_answer(
     """Wait for the answer to a command and return its row; after the time limit, its current row."""
     started_s: float | None = None
     while True:
-        command = command_state(catalogue, order_id)
+        command = read_command_state(catalogue, order_id)
         assert command is not None, "it was just written"
         row, _ = command
         if row.state == "started" and started_s is None:

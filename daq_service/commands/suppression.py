@@ -12,7 +12,7 @@ from daq_service.alarms import states
 from daq_service.alarms.operator_actions import LONGEST_SHELF_H, end_suppression, shelve, take_out_of_service
 from daq_service.catalogue.rows import AlarmRow
 from daq_service.commands.kinds import LARGEST_ID, SEEN, AlarmArguments, Facts, Refusal, StoredCommand, Strict
-from daq_service.settings.foreign_text import require_written
+from daq_service.settings.foreign_text import require_visible_text
 
 if TYPE_CHECKING:
     from daq_service.commands.running_test import StoredTest
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 Reason = Annotated[
     str,
     Field(min_length=1, max_length=500, json_schema_extra=SEEN, description="Why; shown to everybody"),
-    AfterValidator(partial(require_written, message="give the reason")),
+    AfterValidator(partial(require_visible_text, message="give the reason")),
 ]
 
 
@@ -38,11 +38,11 @@ class ShelfArguments(OutOfServiceArguments):
 
 
 class _AlarmOrder(StoredCommand):
-    def _change(self, row: AlarmRow, moment: states.Moment) -> states.Change:
+    def _apply_change(self, row: AlarmRow, moment: states.Moment) -> states.Change:
         """Return the changed alarm; raise ValueError if its state does not allow the change."""
         raise NotImplementedError
 
-    def _forbidden(self, facts: Facts) -> Refusal | None:
+    def _find_refusal(self, facts: Facts) -> Refusal | None:
         """Return why the alarm cannot be changed so; None if it can."""
         wanted = self.arguments.alarm_id
         row = next((row for row in facts.alarms if row.id == wanted), None)
@@ -53,7 +53,7 @@ class _AlarmOrder(StoredCommand):
         if newest != wanted:
             return Refusal(f"alarm {wanted} is over, alarm {newest} came after it", f"Choose alarm {newest}.")
         try:
-            self._change(row, states.Moment(utc_ns=0, due_h=0.0, set_index=None))
+            self._apply_change(row, states.Moment(utc_ns=0, due_h=0.0, set_index=None))
         except ValueError as error:
             return Refusal(str(error), "/api/v1/alarms tells how it is now.")
         return None
@@ -61,7 +61,7 @@ class _AlarmOrder(StoredCommand):
     def carry_out_stored(self, test: StoredTest) -> str:
         """Change the suppression of the alarm and return the result."""
         moment = test.moment()
-        test.change_alarms(moment, self._change(test.alarm(self.arguments.alarm_id), moment))
+        test.change_alarms(moment, self._apply_change(test.alarm(self.arguments.alarm_id), moment))
         return self.kind.replace("_", " ")
 
 
@@ -71,7 +71,7 @@ class ShelveAlarm(_AlarmOrder):
     kind: Literal["shelve_alarm"]
     arguments: ShelfArguments
 
-    def _change(self, row: AlarmRow, moment: states.Moment) -> states.Change:
+    def _apply_change(self, row: AlarmRow, moment: states.Moment) -> states.Change:
         """Shelve the alarm for some hours."""
         arguments = self.arguments
         return shelve(row, self.author, arguments.reason.strip(), arguments.for_h, moment, time.time_ns())
@@ -83,7 +83,7 @@ class UnshelveAlarm(_AlarmOrder):
     kind: Literal["unshelve_alarm"]
     arguments: AlarmArguments
 
-    def _change(self, row: AlarmRow, moment: states.Moment) -> states.Change:
+    def _apply_change(self, row: AlarmRow, moment: states.Moment) -> states.Change:
         """End the shelving of the alarm."""
         return end_suppression(row, "shelved", self.author, self.arguments.note, moment)
 
@@ -94,7 +94,7 @@ class TakeOutOfService(_AlarmOrder):
     kind: Literal["take_out_of_service"]
     arguments: OutOfServiceArguments
 
-    def _change(self, row: AlarmRow, moment: states.Moment) -> states.Change:
+    def _apply_change(self, row: AlarmRow, moment: states.Moment) -> states.Change:
         """Take the alarm out of service."""
         return take_out_of_service(row, self.author, self.arguments.reason.strip(), moment)
 
@@ -105,6 +105,6 @@ class ReturnToService(_AlarmOrder):
     kind: Literal["return_to_service"]
     arguments: AlarmArguments
 
-    def _change(self, row: AlarmRow, moment: states.Moment) -> states.Change:
+    def _apply_change(self, row: AlarmRow, moment: states.Moment) -> states.Change:
         """Return the alarm to service."""
         return end_suppression(row, "out_of_service", self.author, self.arguments.note, moment)

@@ -26,13 +26,13 @@ MOST_CONNECTIONS = 16
 Message = Mapping[str, Any]
 
 
-def signed_line(key: bytes, message: Message) -> bytes:
+def sign_message(key: bytes, message: Message) -> bytes:
     """Return the signed line of a message."""
     body = json.dumps(message).encode()
     return hmac.new(key, body, "sha256").hexdigest().encode() + b" " + body + b"\n"
 
 
-def verified_message(key: bytes, line: bytes) -> Message | None:
+def verify_line(key: bytes, line: bytes) -> Message | None:
     """Return the message of a line; None where it was not signed with this key."""
     signature, _, body = line.rstrip(b"\n").partition(b" ")
     if not hmac.compare_digest(signature, hmac.new(key, body, "sha256").hexdigest().encode()):
@@ -56,11 +56,11 @@ class Connection:
         OSError
             The other side is gone, or does not read.
         """
-        line = signed_line(self._key, message)
+        line = sign_message(self._key, message)
         if self.socket.send(line) != len(line):
             raise BlockingIOError("the other side does not read")
 
-    def received(self) -> list[Message]:
+    def read_messages(self) -> list[Message]:
         """Return the received messages.
 
         Raises
@@ -75,7 +75,7 @@ class Connection:
         if not data:
             raise ConnectionResetError("the other side has closed")
         *lines, self._pending = (self._pending + data).split(b"\n")
-        messages = [verified_message(self._key, line) for line in lines]
+        messages = [verify_line(self._key, line) for line in lines]
         if None in messages or len(self._pending) > LONGEST_LINE:
             raise ConnectionRefusedError("the other side has another key")
         return [message for message in messages if message is not None]
@@ -85,7 +85,7 @@ class Connection:
         self.socket.close()
 
 
-def connect(port: int, key: bytes) -> Connection:
+def connect_to_server(port: int, key: bytes) -> Connection:
     """Connect to a server of this machine.
 
     Raises
@@ -122,17 +122,17 @@ class Server:
         for event, _ in self._selector.select(wait_s):
             connection: Connection | None = event.data
             if connection is None:
-                self._accept()
+                self._accept_connection()
                 continue
             try:
-                for message in connection.received():
+                for message in connection.read_messages():
                     connection.send(answer(message))
             except (OSError, ValueError) as error:
                 log.debug("a connection ends: %s", error)
                 self._selector.unregister(connection.socket)
                 connection.close()
 
-    def _accept(self) -> None:
+    def _accept_connection(self) -> None:
         """Accept a connection, unless there are too many."""
         with contextlib.suppress(OSError):  # the client has already gone
             connection = Connection(self._listener.accept()[0], self._key)

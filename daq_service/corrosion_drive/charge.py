@@ -43,7 +43,7 @@ def add_interval(
     return replace(charge, coulomb=charge.coulomb + 0.5 * (first_a + last_a) * elapsed_s)
 
 
-def elapsed_s(before: Stamp, after: Stamp) -> float:
+def compute_elapsed_s(before: Stamp, after: Stamp) -> float:
     """Return the time between two stamps, s: monotonic within a boot, UTC across boots."""
     if before.boot_id == after.boot_id:
         return (after.mono_ns - before.mono_ns) / NS_PER_S
@@ -84,7 +84,7 @@ class DriveState:
     booked_utc_ns: int | None = None
 
 
-def restored_state(
+def restore_charge_state(
     row: EnvironmentRow | None, *, written_utc_ns: int, parameters: DriveParameters
 ) -> DriveState:
     """Return the state from the newest row of ``environment``, which was written at ``written_utc_ns``."""

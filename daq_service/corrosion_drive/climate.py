@@ -39,7 +39,7 @@ class ClimateLog:
             self._log.error = str(error)
         else:
             now_ns = self._clock.mono_ns()
-            if self._reading is None or _values(reading) != _values(self._reading):
+            if self._reading is None or _read_climate_values(reading) != _read_climate_values(self._reading):
                 self._changed_ns = now_ns
             self._reading = reading
             self._log.record_success(now_ns)
@@ -71,6 +71,6 @@ class ClimateLog:
         )
 
 
-def _values(reading: ClimateReading) -> tuple[float, float]:
+def _read_climate_values(reading: ClimateReading) -> tuple[float, float]:
     """Return temperature in degrees Celsius and relative humidity."""
     return reading.temperature_c, reading.relative_humidity

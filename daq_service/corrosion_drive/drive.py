@@ -17,8 +17,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Protocol, runtime_checkable
 
-from daq_service.catalogue.rows import EnvironmentRow, SupplyState, values
-from daq_service.corrosion_drive.charge import Command, DriveState, add_interval, elapsed_s
+from daq_service.catalogue.rows import EnvironmentRow, SupplyState, to_columns
+from daq_service.corrosion_drive.charge import Command, DriveState, add_interval, compute_elapsed_s
 from daq_service.corrosion_drive.reading_log import LONGEST_GAP_INTERVALS, ReadingLog
 from hardware_drivers.drive_parameters import DriveParameters
 from hardware_drivers.errors import InstrumentError
@@ -217,7 +217,7 @@ class SupplyLogger:
         if self._newest is not None:
             self._charge = add_interval(
                 self._charge,
-                elapsed_s=elapsed_s(self._newest.stamp, reading.stamp),
+                elapsed_s=compute_elapsed_s(self._newest.stamp, reading.stamp),
                 first_a=self._newest.current_a,
                 last_a=reading.current_a,
                 longest_s=LONGEST_GAP_INTERVALS * self._parameters.log_interval_s,
@@ -236,7 +236,7 @@ class SupplyLogger:
         silent_s = self._supply_log.silent_s(now_ns)
         if self._command is not None and silent_s >= self._parameters.interlock_lost_after_s:
             # Not reachable now: it is switched off as soon as it responds.
-            self._latch(f"no answer from the supply for {silent_s:.0f} s: {error}")
+            self._latch_interlock(f"no answer from the supply for {silent_s:.0f} s: {error}")
 
     # Commands ------------------------------------------------------------------------------------
 
@@ -326,10 +326,10 @@ class SupplyLogger:
             True if the output was read back as off; False if that is pending.
         """
         self._latched |= {kind} if kind is not None else set()
-        self._latch(reason)
+        self._latch_interlock(reason)
         return self._switch_off_now()
 
-    def _latch(self, reason: str) -> None:
+    def _latch_interlock(self, reason: str) -> None:
         """Trip the interlock for a reason; the output must be switched off."""
         if self.tripped is None:
             self.tripped = reason
@@ -419,10 +419,10 @@ class SupplyLogger:
             supply_quality=reading_log.quality(now_ns),
             supply_age_s=reading_log.age_s(now_ns),
             supply_tripped=self.tripped,
-            voltage_v=_mean(voltages_v),
+            voltage_v=_mean_or_none(voltages_v),
             voltage_min_v=min(voltages_v, default=None),
             voltage_max_v=max(voltages_v, default=None),
-            current_a=_mean(currents_a),
+            current_a=_mean_or_none(currents_a),
             current_min_a=min(currents_a, default=None),
             current_max_a=max(currents_a, default=None),
             charge_coulomb=self._charge.coulomb,
@@ -431,7 +431,7 @@ class SupplyLogger:
         )
 
 
-def no_supply(set_index: int, due_h: float) -> EnvironmentRow:
+def row_without_supply(set_index: int, due_h: float) -> EnvironmentRow:
     """Return the row of a set without a supply."""
     return EnvironmentRow(
         set_index=set_index,
@@ -442,11 +442,13 @@ def no_supply(set_index: int, due_h: float) -> EnvironmentRow:
     )
 
 
-def summary(row: EnvironmentRow) -> dict[str, float | str | None]:
+def summarise_row(row: EnvironmentRow) -> dict[str, float | str | None]:
     """Return the columns of ``environment`` without those that identify the set."""
-    return {name: value for name, value in values(row).items() if name not in ("id", "set_index", "due_h")}
+    return {
+        name: value for name, value in to_columns(row).items() if name not in ("id", "set_index", "due_h")
+    }
 
 
-def _mean(numbers: Sequence[float]) -> float | None:
+def _mean_or_none(numbers: Sequence[float]) -> float | None:
     """Return the mean; None if there are no numbers."""
     return sum(numbers) / len(numbers) if numbers else None

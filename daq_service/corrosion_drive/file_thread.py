@@ -16,7 +16,7 @@ class FileThread:
         self._changed = threading.Condition()
         self._job: Callable[[], None] | None = None
         self._busy = self._closed = False
-        self._thread = threading.Thread(target=self._work, name="files", daemon=True)
+        self._thread = threading.Thread(target=self._run_newest_jobs, name="files", daemon=True)
 
     def __enter__(self) -> Self:
         self._thread.start()
@@ -39,7 +39,7 @@ class FileThread:
         with self._changed:
             return self._changed.wait_for(lambda: self._job is None and not self._busy, within_s)
 
-    def _work(self) -> None:
+    def _run_newest_jobs(self) -> None:
         """Run the newest job of each moment until the thread is closed."""
         while True:
             with self._changed:

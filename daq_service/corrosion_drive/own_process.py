@@ -25,7 +25,7 @@ from typing import Literal
 from daq_service.clock import WallClock, boot_name
 from daq_service.corrosion_drive.channel import Message, Server
 from daq_service.corrosion_drive.charge import DriveState
-from daq_service.corrosion_drive.drive import SupplyLogger, summary
+from daq_service.corrosion_drive.drive import SupplyLogger, summarise_row
 from daq_service.corrosion_drive.file_thread import FileThread
 from daq_service.corrosion_drive.reading_log import LONGEST_GAP_INTERVALS
 from daq_service.corrosion_drive.supply_state import (
@@ -33,7 +33,7 @@ from daq_service.corrosion_drive.supply_state import (
     StoredState,
     hold_supply_lock,
     read_stored_state,
-    stored_state_now,
+    stamp_state,
     write_stored_state,
 )
 from daq_service.errors import RigError, SolimonError
@@ -62,12 +62,12 @@ Jobs = Callable[[Callable[[], None]], None]
 
 
 @cache
-def fingerprint(parameters: DriveParameters) -> str:
+def hash_supply_settings(parameters: DriveParameters) -> str:
     """Return a hash that must be the same in a recorder and in its supply process."""
     return hashlib.sha256(f"{version('solimon')} {parameters!r}".encode()).hexdigest()
 
 
-def next_action(
+def decide_next_action(
     *, silent_s: float, alone_s: float, watchdog_timeout_s: float, commanded: bool, pending: bool, stays: bool
 ) -> Action:
     """Return the next action from the time without a recorder.
@@ -127,7 +127,7 @@ class DriveProcess:
         stored = read_stored_state(folder)
         now_ns = self._clock.mono_ns()
         self._drive = SupplyLogger(
-            supply, self._clock, parameters, _restored(stored, parameters.watchdog_timeout_s, now_ns)
+            supply, self._clock, parameters, _state_to_restore(stored, parameters.watchdog_timeout_s, now_ns)
         )
         self._heard_ns = self._met_ns = now_ns
         if stored is not None and stored.boot_id == boot_name() is not None:
@@ -154,7 +154,7 @@ class DriveProcess:
         self._drive.tick()
         now_ns = self._clock.mono_ns()
         silent_s = (now_ns - self._heard_ns) / NS_PER_S
-        action = next_action(
+        action = decide_next_action(
             silent_s=silent_s,
             alone_s=(now_ns - self._met_ns) / NS_PER_S,
             watchdog_timeout_s=self._parameters.watchdog_timeout_s,
@@ -181,13 +181,15 @@ class DriveProcess:
         if row.supply_age_s is not None:
             self._last_read_port = self._supply_port
         changed = (
-            stored is None or _latched(state) != _latched(stored.state) or row.supply_state != stored.output
+            stored is None
+            or _parts_to_sync(state) != _parts_to_sync(stored.state)
+            or row.supply_state != stored.output
         )
         every_s = KEEP_AGAIN_S if self._disk_error else KEEP_EVERY_S
         if not (at_once or changed or now_ns - self._stored_ns >= every_s * NS_PER_S):
             return
         self._stored_ns = now_ns
-        self._stored = stored_state_now(
+        self._stored = stamp_state(
             state,
             output=row.supply_state,
             age_s=row.supply_age_s,
@@ -197,9 +199,9 @@ class DriveProcess:
             supply_port=self._last_read_port,
             good_for_s=LONGEST_GAP_INTERVALS * self._parameters.log_interval_s + KEEP_EVERY_S,
         )
-        self._jobs(partial(self._write, self._stored))
+        self._jobs(partial(self._write_state, self._stored))
 
-    def _write(self, stored: StoredState) -> None:
+    def _write_state(self, stored: StoredState) -> None:
         """Write the state; log the first of consecutive disk errors."""
         try:
             write_stored_state(self._folder, stored)
@@ -219,7 +221,7 @@ class DriveProcess:
             The output may still be on.
         """
         if self._released_ns is not None:
-            if not (self._succeeded or self._reclaim()):
+            if not (self._succeeded or self._reclaim_port()):
                 raise RigError("the supply was handed over and may still be on; switch it off by hand")
             return
         commanded = self._drive.state.command is not None
@@ -268,14 +270,14 @@ class DriveProcess:
             self._stored_ns = now_ns
             self._jobs(self._check_successor)
             if now_ns - released_ns >= SUCCEEDED_WITHIN_S * NS_PER_S:
-                self.leaves = self._reclaim()
+                self.leaves = self._reclaim_port()
 
     def _check_successor(self) -> None:
         """Note whether another process has taken the supply over."""
         stored = read_stored_state(self._folder)
         self._succeeded = stored is not None and stored.writer != self._writer and stored.output != "unknown"
 
-    def _reclaim(self) -> bool:
+    def _reclaim_port(self) -> bool:
         """Open the port again and switch off; return True if the output was read back as off."""
         try:
             with self._open_supply() as supply:
@@ -291,7 +293,9 @@ class DriveProcess:
         """Store the output as off without a command, unless another process has written since."""
         stored = read_stored_state(self._folder)
         if self._stored is not None and (stored is None or stored.writer == self._writer):
-            self._write(replace(self._stored, state=replace(self._stored.state, command=None), output="off"))
+            self._write_state(
+                replace(self._stored, state=replace(self._stored.state, command=None), output="off")
+            )
 
     # Requests of a recorder --------------------------------------------------------------------------
 
@@ -316,7 +320,7 @@ class DriveProcess:
         now_ns, written = self._clock.mono_ns(), self._written_state
         return {
             "id": request["id"],
-            "row": summary(self._drive.row(0, 0.0)),
+            "row": summarise_row(self._drive.row(0, 0.0)),
             "conditions": [asdict(condition) for condition in self._drive.conditions()],
             "window_length": self._drive.window_length,
             "commanded": self._drive.state.command is not None,
@@ -351,7 +355,7 @@ class DriveProcess:
                 self._successor_port = request["supply_port"]
 
 
-def _restored(before: StoredState | None, watchdog_timeout_s: float, now_ns: int) -> DriveState:
+def _state_to_restore(before: StoredState | None, watchdog_timeout_s: float, now_ns: int) -> DriveState:
     """Return the state to restore; a command outlives no boot, nor ``watchdog_timeout_s`` without process."""
     if before is None:
         return DriveState()
@@ -360,7 +364,7 @@ def _restored(before: StoredState | None, watchdog_timeout_s: float, now_ns: int
     return replace(before.state, command=None)
 
 
-def _latched(state: DriveState) -> tuple[object, ...]:
+def _parts_to_sync(state: DriveState) -> tuple[object, ...]:
     """Return the parts of a state that must reach the disk at once."""
     return state.tripped, state.latched, state.command, state.must_switch_off
 
@@ -396,7 +400,7 @@ def run_supply_process(
     """
     key = secrets.token_bytes(32)
     with Server(key) as server, FileThread() as files:
-        address = Address(port=server.port, key=key.hex(), fingerprint=fingerprint(parameters))
+        address = Address(port=server.port, key=key.hex(), fingerprint=hash_supply_settings(parameters))
         process = DriveProcess(
             lambda: hold_supply_lock(folder, address),
             open_supply,

@@ -19,20 +19,20 @@ from typing import Self
 
 from daq_service.catalogue.rows import EnvironmentRow
 from daq_service.clock import MACHINE, MachineClock
-from daq_service.corrosion_drive.channel import Connection, Message, connect
+from daq_service.corrosion_drive.channel import Connection, Message, connect_to_server
 from daq_service.corrosion_drive.charge import DriveState
 from daq_service.corrosion_drive.drive import (
     CONDITIONS,
     DriveCondition,
     Reply,
-    no_supply,
+    row_without_supply,
 )
-from daq_service.corrosion_drive.own_process import fingerprint
+from daq_service.corrosion_drive.own_process import hash_supply_settings
 from daq_service.corrosion_drive.supply_state import (
-    address_of,
-    process_of,
+    read_address,
+    read_process_number,
     read_stored_state,
-    stored_state_now,
+    stamp_state,
     write_stored_state,
 )
 from daq_service.processes.data_folder import DRIVE_LOCK, is_owned
@@ -56,7 +56,7 @@ KILL = getattr(signal, "SIGKILL", signal.SIGTERM)
 Start = Callable[[], "subprocess.Popen[bytes]"]
 
 
-def answered_within_s(parameters: DriveParameters) -> float:
+def longest_answer_time_s(parameters: DriveParameters) -> float:
     """Return the longest time between a request and its answer, s: the current call, then the request."""
     return parameters.read_timeout_s + 2.0 * parameters.longest_order_s + 5.0
 
@@ -118,7 +118,7 @@ class RemoteDrive:
     def __exit__(self, *_: object) -> None:
         if any(request.values["do"] == "energise" for request in self._sent.values()):
             # The answer to that command would be lost.
-            self._command("switch off", author="the recorder's end")
+            self._queue_command("switch off", author="the recorder's end")
         self._disconnect("the recorder has ended")
         self._abandon_process()
 
@@ -134,7 +134,7 @@ class RemoteDrive:
         if stored is not None and stored.utc_ns:
             return
         try:
-            write_stored_state(self._folder, stored_state_now(replace(state, command=None)))
+            write_stored_state(self._folder, stamp_state(replace(state, command=None)))
         except OSError as error:
             log.warning("the drive starts without its charge: %s", error)
 
@@ -147,29 +147,29 @@ class RemoteDrive:
             self._unsent.remove(request)
             request.reply.error = "the process of the drive does not answer; nothing was sent to it"
             if request.values["do"] != "energise":
-                self._follow_up(request)
+                self._schedule_switch_off(request)
         if self._connection is None:
             if now_s >= self._next_check_s:
                 self._next_check_s = now_s + CHECK_EVERY_S
                 self._connect_or_start(now_s)
             return
         try:
-            for answer in self._connection.received():
+            for answer in self._connection.read_messages():
                 if answer.get("released"):
                     self._disconnect("the process of the drive has released the supply")
                     return
                 self._process_answer(answer)
             for request in self._unsent[:]:
                 self._unsent.remove(request)
-                self._send(request)
+                self._send_request(request)
             if not self._sent and now_s >= self._next_check_s:
                 self._next_check_s = now_s + CHECK_EVERY_S
-                self._request("look" if self._watches else "ping")
+                self._send_to_process("look" if self._watches else "ping")
         except OSError as error:
             self._handle_lost_connection(error)
             return
         waited_s = now_s - min((request.since_s for request in self._sent.values()), default=now_s)
-        if waited_s >= answered_within_s(self._parameters):
+        if waited_s >= longest_answer_time_s(self._parameters):
             self._kill_process(f"it has not answered for {waited_s:.0f} s")
 
     def _connect_or_start(self, now_s: float) -> None:
@@ -185,27 +185,29 @@ class RemoteDrive:
                 self._next_check_s = now_s  # it comes up soon
             return
         try:
-            address = address_of(self._folder)
-            self._connection = connect(address.port, bytes.fromhex(address.key))
+            address = read_address(self._folder)
+            self._connection = connect_to_server(address.port, bytes.fromhex(address.key))
             if not self._watches:
-                self._request("ping")
-            elif address.fingerprint != fingerprint(self._parameters):
+                self._send_to_process("ping")
+            elif address.fingerprint != hash_supply_settings(self._parameters):
                 reason = "the recorder has another configuration or version"
-                self._request("hand over", why=reason, supply_port=self._supply_port)
+                self._send_to_process("hand over", why=reason, supply_port=self._supply_port)
             elif self._pending is not None:
-                self._request(**self._pending)
+                self._send_to_process(**self._pending)
             elif self._tripped is not None:
-                self._request("trip", reason=self._tripped)
+                self._send_to_process("trip", reason=self._tripped)
             else:
-                self._request("look", commanded=self._commanded)
+                self._send_to_process("look", commanded=self._commanded)
         except (OSError, ValueError, LookupError, TypeError) as error:
             self._handle_lost_connection(error)
 
-    def _request(self, do: str, **values: object) -> None:
+    def _send_to_process(self, do: str, **values: object) -> None:
         """Send a request to the process of the drive."""
-        self._send(_Request(values={"do": do, **values}, since_s=self._machine.mono_s(), reply=Reply()))
+        self._send_request(
+            _Request(values={"do": do, **values}, since_s=self._machine.mono_s(), reply=Reply())
+        )
 
-    def _send(self, request: _Request) -> None:
+    def _send_request(self, request: _Request) -> None:
         """Send a request with a new number."""
         assert self._connection is not None, "only called while connected"
         number = next(self._ids)
@@ -240,9 +242,9 @@ class RemoteDrive:
         sent, self._sent = self._sent, {}
         for request in sent.values():
             request.reply.error = reason
-            self._follow_up(request)
+            self._schedule_switch_off(request)
 
-    def _follow_up(self, request: _Request) -> None:
+    def _schedule_switch_off(self, request: _Request) -> None:
         """Schedule a switch-off after a command without an answer, for the next connection."""
         if request.values["do"] in ("energise", "switch off"):
             self._pending = self._pending or {"do": "switch off", "author": request.values["author"]}
@@ -252,7 +254,7 @@ class RemoteDrive:
     def _kill_process(self, reason: str) -> None:
         """Kill a process that hangs; the next tick starts another one."""
         try:
-            process = process_of(self._folder)
+            process = read_process_number(self._folder)
             log.error("the process of the drive (%d) is killed: %s", process, reason)
             self._kill(process)
         except (OSError, ValueError) as error:
@@ -266,19 +268,21 @@ class RemoteDrive:
         self, author: str, *, voltage_v: float | None = None, current_limit_a: float | None = None
     ) -> Reply:
         """Command the output on, and reset the interlock."""
-        return self._command("energise", author=author, voltage_v=voltage_v, current_limit_a=current_limit_a)
+        return self._queue_command(
+            "energise", author=author, voltage_v=voltage_v, current_limit_a=current_limit_a
+        )
 
     def switch_off(self, author: str) -> Reply:
         """Command the output off; the interlock stays as it is."""
-        return self._command("switch off", author=author)
+        return self._queue_command("switch off", author=author)
 
     def trip(self, reason: str) -> bool:
         """Trip the interlock; the request is repeated until a process answers."""
         self._tripped = self._tripped or reason
-        self._command("trip", reason=reason)
+        self._queue_command("trip", reason=reason)
         return False
 
-    def _command(self, do: str, **values: object) -> Reply:
+    def _queue_command(self, do: str, **values: object) -> Reply:
         """Queue a command for the supply process; return the object that receives its reply."""
         if do == "energise":
             within_s = round(self._parameters.read_timeout_s + COMES_WITHIN_S)
@@ -310,9 +314,7 @@ class RemoteDrive:
         stored = read_stored_state(self._folder)
         state = DriveState() if stored is None else stored.state
         try:
-            write_stored_state(
-                self._folder, stored_state_now(replace(state, command=None, must_switch_off=True))
-            )
+            write_stored_state(self._folder, stamp_state(replace(state, command=None, must_switch_off=True)))
         except OSError as error:
             log.error("the drive's next process finds no switch-off to do: %s", error)
         self._abandon_process()
@@ -336,7 +338,7 @@ class RemoteDrive:
             conditions[name] = DriveCondition(name=name, active=True, message=message)
         missing_s = self._machine.mono_s() - (self._started_s if self._newest is None else self._newest_s)
         is_lost = not self._answers and (self._newest is not None or missing_s >= COMES_WITHIN_S)
-        if is_lost or missing_s >= answered_within_s(self._parameters):
+        if is_lost or missing_s >= longest_answer_time_s(self._parameters):
             conditions["supply_not_responding"] = DriveCondition(
                 name="supply_not_responding",
                 active=True,
@@ -348,7 +350,7 @@ class RemoteDrive:
     def row(self, set_index: int, due_h: float) -> EnvironmentRow:
         """Return the row of a set from the newest answer; without one, output and charge are unknown."""
         unknown = replace(
-            no_supply(set_index, due_h),
+            row_without_supply(set_index, due_h),
             supply_state="unknown",
             supply_quality="stale",
             supply_tripped=self._tripped,
@@ -362,7 +364,7 @@ class RemoteDrive:
             supply_age_s=None if row.supply_age_s is None else row.supply_age_s + since_s,
             supply_tripped=self._tripped,
         )
-        if self._answers and since_s < answered_within_s(self._parameters):
+        if self._answers and since_s < longest_answer_time_s(self._parameters):
             return aged
         return replace(
             aged,
@@ -375,6 +377,6 @@ class RemoteDrive:
         """Restart the means with the readings that were not in the last row."""
         if self._connection is not None and self._newest is not None:
             try:
-                self._request("begin window", window_length=self._newest["window_length"])
+                self._send_to_process("begin window", window_length=self._newest["window_length"])
             except OSError as error:
                 self._handle_lost_connection(error)

@@ -86,7 +86,7 @@ def hold_supply_lock(folder: Path, address: Address) -> AbstractContextManager[o
     return hold_lock(folder, DRIVE_LOCK, text, holder="process of the drive", mode=0o600)
 
 
-def address_of(folder: Path) -> Address:
+def read_address(folder: Path) -> Address:
     """Read the address of the process that holds the lock.
 
     Raises
@@ -97,12 +97,12 @@ def address_of(folder: Path) -> Address:
     return Address(**json.loads(lock_text(folder, DRIVE_LOCK).partition("\n")[2]))
 
 
-def process_of(folder: Path) -> int:
+def read_process_number(folder: Path) -> int:
     """Read the process number of the holder of the lock; ValueError where it is not written yet."""
     return int(lock_text(folder, DRIVE_LOCK).partition("\n")[0].removeprefix("process "))
 
 
-def stored_state_now(state: DriveState, **values: Any) -> StoredState:
+def stamp_state(state: DriveState, **values: Any) -> StoredState:
     """Return the state with the present time stamps."""
     now_ns = elapsed_ns()
     stamps = {"utc_ns": time.time_ns(), "boot_ns": now_ns, "boot_id": boot_name(), "heard_boot_ns": now_ns}

@@ -14,7 +14,7 @@ from dataclasses import replace
 from daq_service.alarms.states import Condition, Moment
 from daq_service.catalogue import Catalogue, SetCommit
 from daq_service.catalogue.rows import AlarmRow, EnvironmentRow
-from daq_service.corrosion_drive.charge import DriveState, restored_state
+from daq_service.corrosion_drive.charge import DriveState, restore_charge_state
 from daq_service.corrosion_drive.climate import ClimateLog
 from daq_service.corrosion_drive.drive import (
     CONDITIONS,
@@ -22,8 +22,8 @@ from daq_service.corrosion_drive.drive import (
     DriveCondition,
     Reply,
     SupplyLogger,
-    no_supply,
-    summary,
+    row_without_supply,
+    summarise_row,
 )
 from daq_service.corrosion_drive.remote import RemoteDrive
 from daq_service.errors import StorageError
@@ -71,7 +71,7 @@ class DriveWatch:
         self._off_at_end = settings.driven is not None and settings.driven.off_at_end
         self._drive: SupplyDrive | None = remote
         if settings.driven is not None:
-            state = _restored_state(settings.driven, catalogue, alarms)
+            state = _restore_last_state(settings.driven, catalogue, alarms)
             if remote is not None:
                 remote.take_over(state)
             elif rig.supply is not None:
@@ -126,18 +126,20 @@ class DriveWatch:
 
     def summary(self) -> Mapping[str, float | str | None]:
         """Return the values of supply and probe since the last stored set."""
-        return summary(self._row(0, 0.0))
+        return summarise_row(self._make_row(0, 0.0))
 
     def add_row(self, transaction: SetCommit, due: DueSet, moment: Moment) -> None:
         """Add the row of a set, and restart the means."""
-        transaction.environment.append(self._row(due.set_index, due.due_h))
+        transaction.environment.append(self._make_row(due.set_index, due.due_h))
         transaction.events.append(moment.event("environment", "environment_read", {}))
         if self._drive is not None:
             self._drive.start_window()
 
-    def _row(self, set_index: int, due_h: float) -> EnvironmentRow:
+    def _make_row(self, set_index: int, due_h: float) -> EnvironmentRow:
         """Return the row of supply and climate for a set."""
-        row = no_supply(set_index, due_h) if self._drive is None else self._drive.row(set_index, due_h)
+        row = (
+            row_without_supply(set_index, due_h) if self._drive is None else self._drive.row(set_index, due_h)
+        )
         return row if self._climate is None else self._climate.add_to_row(row)
 
     # Commands ------------------------------------------------------------------------------------
@@ -151,14 +153,14 @@ class DriveWatch:
             return drive.energise(author, voltage_v=voltage_v, current_limit_a=current_limit_a)
 
         done, failed = "the supply is on, read back as commanded", "the supply was not switched on: {error}"
-        return self._send(energise, hour, done, failed)
+        return self._send_command(energise, hour, done, failed)
 
     def supply_off(self, author: str, hour: float) -> PendingReply:
         """Switch the drive off at a person's command; see `_send`."""
         done, failed = "the supply is off, read back", "the supply may be on: {error}; switch it off by hand"
-        return self._send(lambda drive: drive.switch_off(author), hour, done, failed)
+        return self._send_command(lambda drive: drive.switch_off(author), hour, done, failed)
 
-    def _send(
+    def _send_command(
         self, command: Callable[[SupplyDrive], Reply], hour: float, done: str, failed: str
     ) -> PendingReply:
         """Send a command and return a function that returns its reply, or None before there is one.
@@ -202,13 +204,13 @@ class DriveWatch:
         return "the supply is off"
 
 
-def _restored_state(supply: DriveParameters | None, catalogue: Catalogue, alarms: Alarms) -> DriveState:
+def _restore_last_state(supply: DriveParameters | None, catalogue: Catalogue, alarms: Alarms) -> DriveState:
     """Return the state of the last recorder; the active alarm shows whether the interlock has tripped."""
     state = DriveState()
-    row = None if supply is None else catalogue.last_environment()
-    last_event = None if row is None else catalogue.last_event("environment")
+    row = None if supply is None else catalogue.read_last_environment()
+    last_event = None if row is None else catalogue.read_last_event("environment")
     if supply is not None and last_event is not None:
-        state = restored_state(row, written_utc_ns=last_event.utc_ns, parameters=supply)
+        state = restore_charge_state(row, written_utc_ns=last_event.utc_ns, parameters=supply)
     tripped = alarms.get((None, "interlock_tripped"))
     is_active = tripped is not None and tripped.state in ("unacknowledged", "acknowledged")
     return replace(state, tripped=tripped.message if tripped is not None and is_active else None)

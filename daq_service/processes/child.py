@@ -79,7 +79,7 @@ def stop_on_signals() -> Iterator[threading.Event]:
         setter.join()
 
 
-def announced(run: Callable[[], int], *, supervised: bool) -> int:
+def run_and_announce(run: Callable[[], int], *, supervised: bool) -> int:
     """Run a child, announce its exit code (also that of an error) to the supervisor and return the code.
 
     A code without announcement counts as a crash there: a library may end the process with any code.

@@ -21,10 +21,10 @@ import orjson
 from pydantic import ValidationError
 
 from daq_service.catalogue import open_catalogue
-from daq_service.catalogue.earlier_names import current_row
+from daq_service.catalogue.earlier_names import to_current_row
 from daq_service.catalogue.errors import CatalogueError
 from daq_service.catalogue.experiment_file import EXPERIMENT_FILE, HISTORY_FILE, read_experiment
-from daq_service.catalogue.network_folder import network_filesystem
+from daq_service.catalogue.network_folder import find_network_type
 from daq_service.errors import (
     BusyError,
     StorageError,
@@ -32,14 +32,14 @@ from daq_service.errors import (
     UsageError,
 )
 from daq_service.settings.file import load_settings
-from daq_service.settings.stored import renamed
+from daq_service.settings.stored import rename_old_keys
 from daq_service.settings.tree import Settings, StorageSettings
 from daq_service.shared_file import (
     HINT_SUFFIX,
     PATIENCE_S,
-    patiently,
     read_shared,
     remove_quietly,
+    retry_call,
     write_durably,
 )
 
@@ -55,7 +55,7 @@ if sys.platform == "win32":
     def is_locked(file: IO[bytes]) -> bool:
         """Return whether another process holds the lock; a concurrent check holds it for an instant."""
         try:
-            patiently(lambda: try_lock(file), patience_s=0.1)
+            retry_call(lambda: try_lock(file), patience_s=0.1)
         except OSError:
             return True
         msvcrt.locking(file.fileno(), msvcrt.LK_UNLCK, 1)
@@ -119,18 +119,18 @@ DRIVE_LOCK, DRIVE_FILE = "drive.lock", "drive.json"
 WRITE_TEST = ".write-test-"
 
 
-def backup_identity(folder: Path) -> Mapping[str, object] | None:
+def read_backup_identity(folder: Path) -> Mapping[str, object] | None:
     """Read which test a folder is a backup of; empty where the file is invalid, None if it is no backup."""
     try:
         found = orjson.loads(read_shared(folder / BACKUP_FILE))
-        return current_row("experiment", found)  # those of earlier versions have no UUID
+        return to_current_row("experiment", found)  # those of earlier versions have no UUID
     except FileNotFoundError:
         return None
     except (ValueError, LookupError, TypeError, AttributeError):
         return {}
 
 
-def new_folder(purpose: str) -> Path:
+def new_folder_path(purpose: str) -> Path:
     """Return a path in the working directory that does not exist yet, named by purpose and time."""
     base = Path.cwd() / f"solimon-{purpose}-{datetime.now().astimezone():%Y%m%d-%H%M%S}"
     folder, number = base, 1
@@ -168,20 +168,20 @@ def prepare_data_folder(folder: Path, *, may_create: bool = True) -> None:
         raise StorageUnavailableError(
             f"cannot make the data folder {folder}: {error.strerror}; choose another with --data-dir"
         ) from error
-    kind = network_filesystem(folder)
+    kind = find_network_type(folder)
     if kind is not None:
         raise StorageError(
             f"{folder} is on a network file system ({kind}), which cannot lock a catalogue; "
             "choose a local disk with --data-dir"
         )
-    if foreign := _foreign_file(folder):
+    if foreign := _find_foreign_file(folder):
         raise StorageError(
             f"{folder} is not empty and is no data folder of solimon (it holds {foreign!r}); "
             "choose a new or empty one with --data-dir"
         )
     probe = folder / f"{WRITE_TEST}{uuid.uuid4().hex}"
     try:
-        patiently(lambda: probe.write_bytes(b"solimon"))
+        retry_call(lambda: probe.write_bytes(b"solimon"))
         remove_quietly(probe)
         (folder / "sets").mkdir(exist_ok=True)
         for name in ("live", "logs"):
@@ -201,7 +201,7 @@ def _create_hint_folder(folder: Path) -> None:
         log.warning("%s cannot be made: %s; the test goes on without", folder, error)
 
 
-def sweep(folder: Path) -> None:
+def remove_temporary_files(folder: Path) -> None:
     """Remove temporary files of killed writers; only the owner may call this, as only it writes hints."""
     for directory in (folder, folder / "live"):
         for pattern in (f"*{HINT_SUFFIX}", f"{WRITE_TEST}*"):
@@ -209,7 +209,7 @@ def sweep(folder: Path) -> None:
                 remove_quietly(path)
 
 
-def _foreign_file(folder: Path) -> str:
+def _find_foreign_file(folder: Path) -> str:
     """Return the name of a foreign file; empty where the folder is a data folder of solimon or is empty."""
     names = {path.name for path in folder.iterdir() if not path.name.startswith(WRITE_TEST)}
     return min(names) if names and not names & OWN_NAMES else ""
@@ -228,7 +228,7 @@ def refuse_other_folders(folder: Path) -> None:
         "and `demo` make one"
     )
     try:
-        foreign = _foreign_file(folder)
+        foreign = _find_foreign_file(folder)
     except FileNotFoundError as error:
         raise UsageError(f"there is no data folder {folder}; {remedy}") from error
     except OSError as error:
@@ -275,9 +275,9 @@ def hold_lock(
     with ExitStack() as stack:
         try:
             if mode is not None:
-                patiently(lambda: path.touch(mode))
+                retry_call(lambda: path.touch(mode))
                 path.chmod(mode)
-            file = stack.enter_context(patiently(lambda: path.open("a+b")))
+            file = stack.enter_context(retry_call(lambda: path.open("a+b")))
         except OSError as error:
             raise StorageUnavailableError(
                 f"{path} cannot be opened: {error.strerror}; remove it if it is no file of solimon, or give "
@@ -285,7 +285,7 @@ def hold_lock(
             ) from error
         file.seek(0)
         try:
-            patiently(
+            retry_call(
                 lambda: try_lock(file),
                 is_refusal=lambda error: isinstance(error, BlockingIOError | PermissionError),
                 patience_s=patience_s,
@@ -313,9 +313,9 @@ def one_at_a_time(path: Path) -> Iterator[None]:
         The lock cannot be created, or another process held it all the time.
     """
     lock = path.with_suffix(".lock")
-    with patiently(lambda: lock.open("a+b")) as file:
+    with retry_call(lambda: lock.open("a+b")) as file:
         refusals = (BlockingIOError, PermissionError)
-        patiently(lambda: try_lock(file), is_refusal=lambda error: isinstance(error, refusals))
+        retry_call(lambda: try_lock(file), is_refusal=lambda error: isinstance(error, refusals))
         yield
 
 
@@ -402,8 +402,8 @@ def _stored_settings(folder: Path) -> Settings | None:
         stored = read_experiment(folder)
         if stored is None:
             with open_catalogue(folder) as catalogue:
-                stored = catalogue.experiment_row()
-        return Settings(**renamed(stored.configuration))
+                stored = catalogue.read_experiment()
+        return Settings(**rename_old_keys(stored.configuration))
     except (CatalogueError, ValidationError) as error:
         log.debug("%s keeps no configuration for this version: %s", folder, error)
         return None

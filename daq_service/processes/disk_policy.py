@@ -8,8 +8,8 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Literal
 
-from daq_service.acquisition.schedule import due_hours
-from daq_service.archive.waterfall.tiles import kept_cells, planned_bytes
+from daq_service.acquisition.schedule import list_due_hours
+from daq_service.archive.waterfall.tiles import estimate_tile_bytes, list_tile_cells
 from daq_service.catalogue import Catalogue
 from daq_service.catalogue.connection import FILE_NAME
 from daq_service.settings.tree import ScheduleSettings, StorageSettings
@@ -99,16 +99,16 @@ def outlook(
     usage: Usage = disk_usage,
 ) -> Outlook:
     """Forecast whether the remaining sets of the test fit on the disk."""
-    space, newest = disk_space(folder, storage, usage=usage), catalogue.newest_recorded()
+    space, newest = disk_space(folder, storage, usage=usage), catalogue.read_newest_recorded()
     forecast = Outlook(**asdict(space))
     path = folder / ((newest and newest.file) or "")
     if not path.is_file():  # the set is still in the journal
         return forecast
     counts = catalogue.counts()
     n_done = counts["sets"] + counts["missed_sets"]
-    planned_h = due_hours(schedule.phases, end_h=schedule.end_h)
+    planned_h = list_due_hours(schedule.phases, end_h=schedule.end_h)
     remaining_h = planned_h[n_done:]
-    tiles = sum(planned_bytes(n_cells, len(planned_h)) for n_cells in kept_cells(folder)) / max(
+    tiles = sum(estimate_tile_bytes(n_cells, len(planned_h)) for n_cells in list_tile_cells(folder)) / max(
         1, len(planned_h)
     )
     bytes_per_set = path.stat().st_size + tiles + (folder / FILE_NAME).stat().st_size / max(1, n_done)

@@ -21,7 +21,7 @@ from urllib.parse import urlsplit
 
 from daq_service.errors import BusyError, UsageError
 from daq_service.processes.worker import leave_with_parent
-from simulator.numerics.one_thread import one_blas_thread
+from simulator.numerics.one_thread import use_one_blas_thread
 
 T = TypeVar("T")
 
@@ -36,14 +36,14 @@ SAME_EVERYWHERE = ("solimon", "numpy", "scipy", "numba")
 """Packages whose versions must be the same on all workers: digits depend on them."""
 
 
-def usable_cores() -> int:
+def count_usable_cores() -> int:
     """Return the number of cores that this process may use."""
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
 
 
-def checked_name(name: str, workers: int | None) -> str:
+def check_executor_name(name: str, workers: int | None) -> str:
     """Check and return the name of an executor.
 
     Raises
@@ -58,14 +58,14 @@ def checked_name(name: str, workers: int | None) -> str:
     return name
 
 
-def start_worker() -> None:
+def prepare_worker() -> None:
     """Prepare a worker process: one BLAS thread, and end with the parent."""
-    one_blas_thread().__enter__()
+    use_one_blas_thread().__enter__()
     leave_with_parent()
 
 
 @contextmanager
-def opened_executor(name: str, workers: int) -> Iterator[Executor]:
+def open_executor(name: str, workers: int) -> Iterator[Executor]:
     """Yield an executor; leaving it early cancels pending tasks and waits for running ones.
 
     Parameters
@@ -83,24 +83,24 @@ def opened_executor(name: str, workers: int) -> Iterator[Executor]:
         No scheduler answers there, or it has no worker.
     """
     if name.startswith(DASK):
-        with _cluster(name) as on_cluster:
+        with _open_cluster(name) as on_cluster:
             yield on_cluster
         return
     executor = _ProcessExecutor(workers) if name == "processes" else ThreadPoolExecutor(workers)
     # Threads share the libraries' setting: without this, the end of one would give the others more threads.
-    with one_blas_thread():
+    with use_one_blas_thread():
         try:
             yield executor
         finally:
             executor.shutdown(wait=True, cancel_futures=True)
 
 
-def workers_of(executor: Executor, workers: int) -> int:
+def count_workers(executor: Executor, workers: int) -> int:
     """Return the number of parallel tasks of an executor; ``workers`` where it is no cluster."""
     return executor.n_workers if isinstance(executor, _ClusterExecutor) else workers
 
 
-def worker_lost() -> tuple[type[Exception], ...]:
+def worker_lost_errors() -> tuple[type[Exception], ...]:
     """Return the exceptions of a task whose workers died repeatedly."""
     distributed = sys.modules.get("distributed")
     return (BrokenExecutor,) if distributed is None else (BrokenExecutor, distributed.KilledWorker)
@@ -127,7 +127,7 @@ class _ProcessExecutor(Executor):
 
     def __init__(self, workers: int) -> None:
         self._workers, self._lock, self._closed = min(workers, MOST_PROCESSES), threading.Lock(), False
-        self._pool = self._new_pool()
+        self._pool = self._start_pool()
 
     def submit(self, work: Callable[..., T], /, *args: object, **named: object) -> Future[T]:
         """Submit work; it is repeated if a worker process dies."""
@@ -141,10 +141,10 @@ class _ProcessExecutor(Executor):
             self._closed, pool = True, self._pool
         pool.shutdown(wait, cancel_futures=cancel_futures)
 
-    def _new_pool(self) -> ProcessPoolExecutor:
+    def _start_pool(self) -> ProcessPoolExecutor:
         """Return new worker processes."""
         context = multiprocessing.get_context("spawn")
-        return ProcessPoolExecutor(self._workers, mp_context=context, initializer=start_worker)
+        return ProcessPoolExecutor(self._workers, mp_context=context, initializer=prepare_worker)
 
     def _submit_attempt(self, task: _Task[T]) -> None:
         """Submit a task to the pool; replace a broken pool."""
@@ -161,7 +161,7 @@ class _ProcessExecutor(Executor):
         """Replace a broken pool; return the present one."""
         with self._lock:
             if self._pool is broken:
-                self._pool = self._new_pool()
+                self._pool = self._start_pool()
             return self._pool
 
     def _finish_attempt(self, task: _Task[T], pool: ProcessPoolExecutor, attempt: Future[T]) -> None:
@@ -188,7 +188,7 @@ class _ClusterExecutor(Executor):
 
     def submit(self, work: Callable[..., T], /, *args: object, **named: object) -> Future[T]:
         """Submit work to the cluster, one BLAS thread per task."""
-        future: Future[T] = self._executor.submit(_in_one_thread, work, *args, **named)
+        future: Future[T] = self._executor.submit(_run_in_one_thread, work, *args, **named)
         return future
 
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
@@ -196,14 +196,14 @@ class _ClusterExecutor(Executor):
         self._executor.shutdown(wait=wait and not cancel_futures)
 
 
-def _in_one_thread(work: Callable[..., T], *args: object, **named: object) -> T:
+def _run_in_one_thread(work: Callable[..., T], *args: object, **named: object) -> T:
     """Run work with one BLAS thread."""
-    with one_blas_thread():
+    with use_one_blas_thread():
         return work(*args, **named)
 
 
 @contextmanager
-def _cluster(name: str) -> Iterator[Executor]:
+def _open_cluster(name: str) -> Iterator[Executor]:
     """Yield an executor on a Dask cluster."""
     try:
         from distributed import Client
@@ -221,8 +221,8 @@ def _cluster(name: str) -> Iterator[Executor]:
             "there, or choose --executor processes"
         ) from error
     with client:
-        own_versions = _versions()
-        worker_versions = client.run(_versions)
+        own_versions = _list_versions()
+        worker_versions = client.run(_list_versions)
         if not worker_versions:
             raise BusyError(f"the Dask scheduler at {address} has no worker; start `dask worker {address}`")
         for worker, versions in worker_versions.items():
@@ -242,6 +242,6 @@ def _cluster(name: str) -> Iterator[Executor]:
             executor.shutdown(wait=True, cancel_futures=True)
 
 
-def _versions() -> dict[str, str]:
+def _list_versions() -> dict[str, str]:
     """Return the versions of a process that affect the digits."""
     return {"python": sys.version.split()[0], **{name: version(name) for name in SAME_EVERYWHERE}}

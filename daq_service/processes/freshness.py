@@ -6,11 +6,11 @@ import time
 from dataclasses import replace
 from pathlib import Path
 
-from daq_service.alarms.operator_actions import without_expired_shelf
+from daq_service.alarms.operator_actions import remove_expired_shelf
 from daq_service.catalogue import Catalogue
 from daq_service.catalogue.reader import LatestRows
 from daq_service.catalogue.rows import AlarmRow, EventRow
-from daq_service.processes.heartbeat import time_now_ns
+from daq_service.processes.heartbeat import compute_test_time_ns
 from daq_service.processes.recorder_state import PROCESS_EVENTS, read_recorder_state
 from hardware_drivers.nanoseconds import NS_PER_H, NS_PER_S
 
@@ -40,17 +40,17 @@ class Freshness:
     """
 
     def __init__(self, folder: Path, catalogue: Catalogue, clock: str) -> None:
-        self.epoch_utc_ns = catalogue.experiment_row().epoch_utc_ns
+        self.epoch_utc_ns = catalogue.read_experiment().epoch_utc_ns
         self.clock = clock
         self.last_event_id = catalogue.last_event_id()
         after_id = max(0, self.last_event_id - LOOK_BACK_EVENTS)
         times = ("utc_ns", "wall_utc_ns")
         newest = catalogue.columns(EventRow, times, after_id=after_id, limit=LOOK_BACK_EVENTS)
         utc_ns, wall_utc_ns = (newest[name] for name in times)
-        recorder_event = catalogue.last_service_event(*PROCESS_EVENTS)
+        recorder_event = catalogue.read_last_service_event(*PROCESS_EVENTS)
         wall_ns = time.time_ns()
         self.recorder = read_recorder_state(folder, [recorder_event.kind] if recorder_event else [])
-        test_time_ns = time_now_ns(self.recorder.beat) if clock == "wall" else None
+        test_time_ns = compute_test_time_ns(self.recorder.beat) if clock == "wall" else None
         # A simulated clock stops while no recorder runs: the newest events give its time. The same holds for
         # an unverified real clock, and then the system's time may be earlier.
         self.now_utc_ns = max(utc_ns, default=self.epoch_utc_ns)
@@ -66,13 +66,13 @@ class Freshness:
                 ages_ns.append(test_time_ns - utc_ns[-1])
             self.wall_age_s = min((age_ns for age_ns in ages_ns if age_ns >= 0), default=0) / NS_PER_S
 
-    def standing(self, row: AlarmRow) -> AlarmRow:
+    def with_present_state(self, row: AlarmRow) -> AlarmRow:
         """Return an alarm in its present state: an expired shelf has ended, also without a recorder."""
-        return without_expired_shelf(row, utc_ns=self.now_utc_ns, wall_utc_ns=time.time_ns())
+        return remove_expired_shelf(row, utc_ns=self.now_utc_ns, wall_utc_ns=time.time_ns())
 
-    def standing_word(self, last: LatestRows) -> LatestRows:
+    def with_present_alarms(self, last: LatestRows) -> LatestRows:
         """Return the newest values of a position with its alarms in their present state."""
-        return replace(last, active_alarms=[self.standing(row) for row in last.active_alarms])
+        return replace(last, active_alarms=[self.with_present_state(row) for row in last.active_alarms])
 
     def age_h(self, due_h: float) -> float:
         """Return the age of an hour on the test clock, h; not negative."""

@@ -138,7 +138,7 @@ class Heartbeat:
         )
         self._notify("beat", **asdict(beat))
         try:
-            _overwrite(self._path, encoded(beat))
+            _overwrite_file(self._path, encode_heartbeat(beat))
         except OSError as error:
             _warn_once(self._path, f"cannot be written ({error}); the supervisor hears it all the same")
         self._last_ns, self._last_doing = now_ns, doing
@@ -146,18 +146,18 @@ class Heartbeat:
         self._last_cost_ns = self._machine.mono_ns() - now_ns
 
 
-def encoded(beat: Beat) -> bytes:
+def encode_heartbeat(beat: Beat) -> bytes:
     """Return the content of the heartbeat file."""
     values = asdict(beat)
-    return json.dumps({**values, "crc32": _crc32(values)}).encode().ljust(FILE_BYTES)
+    return json.dumps({**values, "crc32": _compute_crc32(values)}).encode().ljust(FILE_BYTES)
 
 
-def _crc32(values: Mapping[str, Any]) -> int:
+def _compute_crc32(values: Mapping[str, Any]) -> int:
     """Return the CRC-32 of values as JSON."""
     return zlib.crc32(json.dumps(values).encode())
 
 
-def _overwrite(path: Path, content: bytes) -> None:
+def _overwrite_file(path: Path, content: bytes) -> None:
     """Overwrite a file in place."""
     descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | O_BINARY, 0o644)
     try:
@@ -175,7 +175,7 @@ def read_heartbeat(folder: Path, file: str = FILE_NAME) -> Beat | None:
         if content is None:
             return None
         try:
-            return _decoded(content)
+            return _decode_heartbeat(content)
         except (ValueError, TypeError, LookupError, AttributeError, OverflowError) as error:
             # A power cut may leave it empty or torn: that counts as no heartbeat.
             reason = f"{type(error).__name__}: {error}"
@@ -183,16 +183,16 @@ def read_heartbeat(folder: Path, file: str = FILE_NAME) -> Beat | None:
     return None
 
 
-def _decoded(content: bytes) -> Beat:
+def _decode_heartbeat(content: bytes) -> Beat:
     """Return the heartbeat of a file's content; raise ValueError if it is corrupt."""
     values = json.loads(content)
     crc32 = values.pop("crc32", None)  # an older version wrote none
-    if crc32 is not None and crc32 != _crc32(values):
+    if crc32 is not None and crc32 != _compute_crc32(values):
         raise ValueError("its checksum is wrong")
-    return beat_of(values)
+    return check_beat(values)
 
 
-def beat_of(values: Mapping[str, Any]) -> Beat:
+def check_beat(values: Mapping[str, Any]) -> Beat:
     """Check the values of a beat and return it.
 
     Raises
@@ -206,13 +206,13 @@ def beat_of(values: Mapping[str, Any]) -> Beat:
         deadline_s=float(values["deadline_s"]),
         doing=str(values["doing"]),
         boot=values.get("boot"),
-        utc_ns=_optional_int(values.get("utc_ns")),
-        elapsed_ns=_optional_int(values.get("elapsed_ns")),
+        utc_ns=_int_or_none(values.get("utc_ns")),
+        elapsed_ns=_int_or_none(values.get("elapsed_ns")),
         stage=values.get("stage", ""),
     )
 
 
-def _optional_int(value: Any) -> int | None:
+def _int_or_none(value: Any) -> int | None:
     """Return an integer; None stays None."""
     return None if value is None else int(value)
 
@@ -223,7 +223,7 @@ def _warn_once(path: Path, problem: str) -> None:
     log.warning("%s %s", path, problem)
 
 
-def age_s(beat: Beat, *, boot: str | None, mono_ns: int) -> float | None:
+def compute_beat_age_s(beat: Beat, *, boot: str | None, mono_ns: int) -> float | None:
     """Return the age of a beat at a monotonic time of a boot; None where it was written in another boot.
 
     Where a boot name is missing (`clock.boot_name`, or a file of an older version), only a time in the future
@@ -233,18 +233,18 @@ def age_s(beat: Beat, *, boot: str | None, mono_ns: int) -> float | None:
     return None if other_boot or beat.mono_ns > mono_ns else (mono_ns - beat.mono_ns) / NS_PER_S
 
 
-def web_beat() -> Beat:
+def create_web_beat() -> Beat:
     """Return a beat of the web service that runs in this process, for its supervisor."""
     now_ns = time.monotonic_ns()
     return Beat(process=os.getpid(), mono_ns=now_ns, deadline_s=WEB_DEADLINE_S, doing="serving")
 
 
-def web_state(folder: Path, *, machine: MachineClock = MACHINE) -> WebState:
+def read_web_state(folder: Path, *, machine: MachineClock = MACHINE) -> WebState:
     """Return whether the web service of a folder responds, does not respond, or is not expected."""
     beat = read_heartbeat(folder, WEB_FILE)
     if beat is None or beat.stage == "ended":
         return "not_expected"
-    age = age_s(beat, boot=boot_name(), mono_ns=machine.mono_ns())
+    age = compute_beat_age_s(beat, boot=boot_name(), mono_ns=machine.mono_ns())
     return "responding" if age is not None and age <= beat.deadline_s else "not_responding"
 
 
@@ -262,14 +262,14 @@ class WebWatch:
         if now_ns < self._next_ns:
             return None
         self._next_ns = now_ns + NS_PER_S
-        if web_state(self._folder, machine=self._machine) != "not_responding":
+        if read_web_state(self._folder, machine=self._machine) != "not_responding":
             self._until_ns = None
             return False
         self._until_ns = self._until_ns or now_ns + WEB_ANSWERS_WITHIN_S * NS_PER_S
         return True if now_ns >= self._until_ns else None
 
 
-def time_line_of(beat: Beat | None, *, boot: str | None, elapsed_ns: int) -> TimeLine | None:
+def read_time_line(beat: Beat | None, *, boot: str | None, elapsed_ns: int) -> TimeLine | None:
     """Return the test time of a recorder of this boot; None where it is unknown."""
     if beat is None or beat.utc_ns is None or beat.elapsed_ns is None:
         return None
@@ -278,11 +278,11 @@ def time_line_of(beat: Beat | None, *, boot: str | None, elapsed_ns: int) -> Tim
     return TimeLine(utc_ns=beat.utc_ns, elapsed_ns=beat.elapsed_ns)
 
 
-def time_now_ns(beat: Beat | None, *, machine: MachineClock = MACHINE) -> int | None:
+def compute_test_time_ns(beat: Beat | None, *, machine: MachineClock = MACHINE) -> int | None:
     """Return the time of a test in real time, ns of UTC; None where no recorder of this boot reports it.
 
     It may differ from the system time, which may have been set since.
     """
     now_ns = machine.elapsed_ns()
-    time_line = time_line_of(beat, boot=machine.boot_name(), elapsed_ns=now_ns)
+    time_line = read_time_line(beat, boot=machine.boot_name(), elapsed_ns=now_ns)
     return None if time_line is None else time_line.utc_ns + now_ns - time_line.elapsed_ns

@@ -10,9 +10,9 @@ from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, BinaryIO
 
-from daq_service.catalogue.history import append_durably, line_of, parse_line
+from daq_service.catalogue.history import append_durably, encode_line, parse_line
 from daq_service.processes.data_folder import one_at_a_time
-from daq_service.shared_file import patiently
+from daq_service.shared_file import retry_call
 
 BLOCK_BYTES = 64 * 1024
 """More than the longest line."""
@@ -34,11 +34,11 @@ def append_line(path: Path, table: str, row: Mapping[str, Any]) -> None:
         The line may not be durable.
     """
     with one_at_a_time(path):
-        lines, _ = newest_lines(path, limit=1, most_lines=LOOK_BACK_LINES)
-        append_durably(path, [line_of(lines[0][0] + 1 if lines else 1, table, row)])
+        lines, _ = read_newest_lines(path, limit=1, most_lines=LOOK_BACK_LINES)
+        append_durably(path, [encode_line(lines[0][0] + 1 if lines else 1, table, row)])
 
 
-def newest_lines(
+def read_newest_lines(
     path: Path,
     *,
     limit: int,
@@ -72,8 +72,8 @@ def newest_lines(
     """
     selected: list[Line] = []
     try:
-        with patiently(lambda: path.open("rb")) as file:
-            for n_lines, (offset, line) in enumerate(_reversed_lines(file, end), start=1):
+        with retry_call(lambda: path.open("rb")) as file:
+            for n_lines, (offset, line) in enumerate(_yield_lines_reversed(file, end), start=1):
                 record = parse_line(line)
                 if record is not None and wanted(record[2]):
                     selected.append((record[0], record[2]))
@@ -84,7 +84,7 @@ def newest_lines(
     return selected, None
 
 
-def _reversed_lines(file: BinaryIO, end: int | None) -> Iterator[tuple[int, bytes]]:
+def _yield_lines_reversed(file: BinaryIO, end: int | None) -> Iterator[tuple[int, bytes]]:
     """Yield the lines before a byte, the last one first, each with the byte at which it starts."""
     size = file.seek(0, os.SEEK_END)
     offset, content = min(size, size if end is None else end), b""

@@ -7,14 +7,14 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from daq_service.archive.journal.reader import read_journal
-from daq_service.archive.records import SETS_FOLDER, set_keys
+from daq_service.archive.records import SETS_FOLDER, parse_set_keys
 from daq_service.catalogue import Catalogue
 
 FILED_WITHIN_S = 2.0
 """Longest time from the write of a file to its final name and the time stamp of its folder."""
 
 
-def lost_sets(folder: Path, catalogue: Catalogue, *, newest_rows: int | None = None) -> dict[str, str]:
+def find_lost_sets(folder: Path, catalogue: Catalogue, *, newest_rows: int | None = None) -> dict[str, str]:
     """Return the missing or empty set files of the catalogue, each with which of the two it is.
 
     Parameters
@@ -30,19 +30,21 @@ def lost_sets(folder: Path, catalogue: Catalogue, *, newest_rows: int | None = N
     """
     sets = folder / SETS_FOLDER
     if newest_rows is None:
-        missing_files = catalogue.files_but_of(
-            set_keys([name for name in _names(sets) if _size(f"{sets}/{name}")])
+        missing_files = catalogue.list_files_except(
+            parse_set_keys([name for name in _list_file_names(sets) if _file_size_or_none(f"{sets}/{name}")])
         )
     else:
-        recent = catalogue.newest_files(newest_rows)
-        missing_files = {key: file for key, file in recent.items() if not _size(f"{folder}/{file}")}
-        if _changed_after(sets, [file for key, file in recent.items() if key not in missing_files]):
-            missing_files |= catalogue.files_but_of(set_keys(_names(sets)))
+        recent = catalogue.list_newest_files(newest_rows)
+        missing_files = {
+            key: file for key, file in recent.items() if not _file_size_or_none(f"{folder}/{file}")
+        }
+        if _has_changed_since(sets, [file for key, file in recent.items() if key not in missing_files]):
+            missing_files |= catalogue.list_files_except(parse_set_keys(_list_file_names(sets)))
     if not missing_files:
         return {}
     journal = read_journal(folder)
     sizes = {
-        file: _size(f"{folder}/{file}")
+        file: _file_size_or_none(f"{folder}/{file}")
         for key, file in missing_files.items()
         # The set may have come out of the journal between the two reads.
         if not (key in journal and journal[key].reference == file)
@@ -50,12 +52,12 @@ def lost_sets(folder: Path, catalogue: Catalogue, *, newest_rows: int | None = N
     return {file: "is missing" if size is None else "is empty" for file, size in sizes.items() if not size}
 
 
-def _names(sets: Path) -> list[str]:
+def _list_file_names(sets: Path) -> list[str]:
     """Return the names of the files of sets; none without the folder."""
     return os.listdir(sets) if sets.is_dir() else []  # noqa: PTH208 - only names are needed
 
 
-def _changed_after(sets: Path, files: Sequence[str]) -> bool:
+def _has_changed_since(sets: Path, files: Sequence[str]) -> bool:
     """Return whether the folder changed after the newest of these files was filed."""
     try:
         written_s = max((sets.parent / file).stat().st_mtime for file in files[-1:])
@@ -64,7 +66,7 @@ def _changed_after(sets: Path, files: Sequence[str]) -> bool:
         return True
 
 
-def _size(path: str) -> int | None:  # thousands of them: a `Path` takes longer than the call
+def _file_size_or_none(path: str) -> int | None:  # thousands of them: a `Path` takes longer than the call
     """Return the size of a file in bytes; None if it is missing."""
     try:
         return os.stat(path).st_size  # noqa: PTH116

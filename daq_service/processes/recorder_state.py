@@ -10,7 +10,7 @@ from typing import Literal
 
 from daq_service.clock import boot_name
 from daq_service.processes.data_folder import LOCK_FILE, is_owned, lock_text
-from daq_service.processes.heartbeat import Beat, age_s, read_heartbeat
+from daq_service.processes.heartbeat import Beat, compute_beat_age_s, read_heartbeat
 
 RecorderStatus = Literal["running", "finished", "stopped", "not_responding", "not_started"]
 
@@ -49,7 +49,7 @@ class RecorderState:
     beat_age_s: float | None
 
 
-def recorder_state(
+def determine_recorder_state(
     beat: Beat | None, kinds: Sequence[str], *, owned: bool | None, boot: str | None, mono_ns: int
 ) -> RecorderState:
     """Determine the state from the newest event, the folder's lock and the heartbeat.
@@ -67,7 +67,7 @@ def recorder_state(
         This boot and its monotonic time.
     """
     last_kind = next((kind for kind in reversed(kinds) if kind in PROCESS_EVENTS), "")
-    age = None if beat is None else age_s(beat, boot=boot, mono_ns=mono_ns)
+    age = None if beat is None else compute_beat_age_s(beat, boot=boot, mono_ns=mono_ns)
     is_late = beat is not None and age is not None and age > beat.deadline_s
     is_running = owned if owned is not None else beat is not None and age is not None and not is_late
     in_time = is_running and not is_late
@@ -79,7 +79,9 @@ def recorder_state(
         if beat is None and not (is_running or last_kind)
         else "not_responding"
     )
-    description = _description(beat, age, is_running=is_running, is_late=is_late, has_started=bool(last_kind))
+    description = _describe_state(
+        beat, age, is_running=is_running, is_late=is_late, has_started=bool(last_kind)
+    )
     if last_kind in FAREWELLS and (ended or not in_time):
         status, description = FAREWELLS[last_kind]
     return RecorderState(
@@ -91,7 +93,7 @@ def recorder_state(
     )
 
 
-def _description(
+def _describe_state(
     beat: Beat | None, age: float | None, *, is_running: bool, is_late: bool, has_started: bool
 ) -> str:
     """Return the state of the recorder in words."""
@@ -123,7 +125,7 @@ def read_recorder_state(folder: Path, kinds: Sequence[str]) -> RecorderState:
         owner = lock_text(folder, LOCK_FILE).removeprefix("process ")
         if owner.isdigit() and int(owner) != beat.process:
             beat = None  # of an earlier recorder: the running one has just started
-    return recorder_state(
+    return determine_recorder_state(
         beat,
         kinds,
         owned=owned,

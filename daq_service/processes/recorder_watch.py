@@ -12,9 +12,9 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Literal
 
-from daq_service.acquisition.schedule import due_hours
-from daq_service.alarms.process_trouble import RECORDER_NOT_RUNNING, recorder_condition
-from daq_service.alarms.states import Moment, update
+from daq_service.acquisition.schedule import list_due_hours
+from daq_service.alarms.process_trouble import RECORDER_NOT_RUNNING, build_recorder_condition
+from daq_service.alarms.states import Moment, update_alarm
 from daq_service.catalogue import Catalogue, SetCommit
 from daq_service.catalogue.rows import AlarmRow
 from daq_service.catalogue.store import NoDataYetError, open_for_one_command
@@ -69,7 +69,7 @@ class RecorderWatch:
         except NoDataYetError:
             return
         fresh = Freshness(self._folder, catalogue, self._clock)
-        recorded, rows = catalogue.newest_recorded(), catalogue.rows(AlarmRow, kind=RECORDER_NOT_RUNNING)
+        recorded, rows = catalogue.read_newest_recorded(), catalogue.rows(AlarmRow, kind=RECORDER_NOT_RUNNING)
         stored_ns = (recorded and recorded.ended_utc_ns) or 0
         self._count_restarts(fresh)
         stored_h = (stored_ns - fresh.epoch_utc_ns) / NS_PER_H
@@ -101,7 +101,7 @@ class RecorderWatch:
         elif len(self._restarts) == MOST_RESTARTS and now_s - self._restarts[0] <= RESTARTS_WITHIN_S:
             self._restarts.clear()
             return f"{MOST_RESTARTS} restarts in {RESTARTS_WITHIN_S / 60.0:.0f} min"
-        due_h = due_hours(self._schedule.phases, end_h=self._schedule.end_h)
+        due_h = list_due_hours(self._schedule.phases, end_h=self._schedule.end_h)
         since_h = max(stored_h, self._attended_h, due_h[0])
         following = bisect_left(due_h, since_h)
         index = min(max(following, 1), len(due_h) - 1)
@@ -120,7 +120,9 @@ class RecorderWatch:
         moment = Moment(utc_ns=fresh.now_utc_ns, due_h=fresh.now_h, set_index=None)
         with open_for_one_command(self._folder) as catalogue:
             rows = catalogue.rows(AlarmRow, kind=RECORDER_NOT_RUNNING)
-            change = update(rows[-1] if rows else None, recorder_condition(finding, fresh.now_h), moment)
+            change = update_alarm(
+                rows[-1] if rows else None, build_recorder_condition(finding, fresh.now_h), moment
+            )
             if change is None:
                 return
             commit = SetCommit()

@@ -28,7 +28,7 @@ from typing import Any
 from daq_service.clock import MACHINE, MachineClock
 from daq_service.errors import EXIT_INTERRUPTED, EXIT_OK
 from daq_service.processes.child import ANNOUNCEMENT, FAREWELL, PROGRAM
-from daq_service.processes.heartbeat import WEB_FILE, Beat, age_s, beat_of, read_heartbeat
+from daq_service.processes.heartbeat import WEB_FILE, Beat, check_beat, compute_beat_age_s, read_heartbeat
 from hardware_drivers.nanoseconds import NS_PER_S
 
 log = logging.getLogger(__name__)
@@ -186,11 +186,11 @@ class Supervisor:
         if child.process is None:
             if self._machine.mono_ns() >= child.start_at_ns:
                 self._readers = [reader for reader in self._readers if reader.is_alive()]
-                self._start(child)
+                self._start_child(child)
             return None
         code = child.process.poll()
         if code is None:
-            if (child.plan.watched or child.reported_beat) and (cause := self._overdue(child)):
+            if (child.plan.watched or child.reported_beat) and (cause := self._overdue_reason(child)):
                 child.cause = cause
                 child.process.kill()
             return None
@@ -229,14 +229,14 @@ class Supervisor:
         delay_s = self._restart_delays_s[min(child.quick_failures, len(self._restart_delays_s) - 1)]
         child.quick_failures += 1
         child.start_at_ns = now_ns + round(delay_s * NS_PER_S)
-        child.cause = child.cause or _end_description(code)
+        child.cause = child.cause or _describe_end(code)
         if child.announced is None and code in (EXIT_OK, EXIT_INTERRUPTED, *FINAL_CODES):
             child.cause += ", which it had not announced"
         log.warning("%s %s; started again in %g s", child.plan.name, child.cause, delay_s)
         self._messages.put((child.plan.name, {"event": "restarts", "cause": child.cause, "in_s": delay_s}))
         return None
 
-    def _start(self, child: _Child) -> None:
+    def _start_child(self, child: _Child) -> None:
         """Start a child with the threads that read its streams."""
         arguments = [argument.replace("{cause}", child.cause) for argument in child.plan.arguments]
         child.started_ns, child.cause = self._machine.mono_ns(), ""
@@ -268,7 +268,7 @@ class Supervisor:
                     message = json.loads(line)
                     event = message["event"]
                     if event == "beat":
-                        before, child.reported_beat = child.reported_beat, beat_of(message)
+                        before, child.reported_beat = child.reported_beat, check_beat(message)
                         if before is not None and before.doing == child.reported_beat.doing:
                             continue
                     if event == ANNOUNCEMENT:
@@ -284,9 +284,9 @@ class Supervisor:
                 child.has_started = child.has_started or event in ("progress", "listening")
                 self._messages.put((child.plan.name, message))
 
-    def _overdue(self, child: _Child) -> str:
+    def _overdue_reason(self, child: _Child) -> str:
         """Return why a running child must be killed; empty while its heartbeat is in time."""
-        beats = (child.reported_beat, self._beat_in_file(child))
+        beats = (child.reported_beat, self._read_beat(child))
         now_ns = self._machine.mono_ns()
         # A folder has one recorder: a beat since the start is this child's. Process numbers are reused, and
         # a launcher (Windows, virtual environments) has another one than its Python. A file that cannot be
@@ -295,7 +295,7 @@ class Supervisor:
             if (
                 beat is not None
                 and beat.mono_ns >= (child.started_ns if child.beat is None else child.beat.mono_ns)
-                and age_s(beat, boot=self._boot, mono_ns=now_ns) is not None
+                and compute_beat_age_s(beat, boot=self._boot, mono_ns=now_ns) is not None
             ):
                 child.beat = beat
         if child.beat is None:
@@ -309,7 +309,7 @@ class Supervisor:
             f"{child.beat.deadline_s:g} s"
         )
 
-    def _beat_in_file(self, child: _Child) -> Beat | None:
+    def _read_beat(self, child: _Child) -> Beat | None:
         """Return the heartbeat of a child from its file; None without one."""
         if child.plan.watched:
             return self._read_beat(self._folder)
@@ -348,6 +348,6 @@ class Supervisor:
             reader.join(remaining_s(0.1))
 
 
-def _end_description(code: int) -> str:
+def _describe_end(code: int) -> str:
     """Describe how a process ended."""
     return f"was killed by signal {-code}" if code < 0 else f"ended with exit code {code}"

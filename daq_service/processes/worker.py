@@ -28,7 +28,7 @@ def leave_with_parent() -> None:
     threading.Thread(target=leave, name="leave-with-parent", daemon=True).start()
 
 
-def one_worker(
+def start_one_worker(
     initializer: Callable[..., None] = leave_with_parent, *arguments: object
 ) -> ProcessPoolExecutor:
     """Start a pool of one process, which its owner shuts down.

@@ -10,13 +10,13 @@ from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 
 from analysis.waves.features import ShotFeatures
-from analysis.waves.quality_gate import SUPERSEDED, Attempt, RestrikeRule, outcomes
-from daq_service.acquisition.shot_features import features_of_a_rehearsal
+from analysis.waves.quality_gate import SUPERSEDED, Attempt, RestrikeRule, decide_outcomes
+from daq_service.acquisition.shot_features import compute_rehearsal_features
 from daq_service.archive import PositionRecord, SetRecord
-from daq_service.clock import WallClock, boot_id
+from daq_service.clock import WallClock, read_boot_id
 from daq_service.commands.execution import CommandExecutor
 from daq_service.recording.persistence import Persistence
-from daq_service.recording.provenance import provenance
+from daq_service.recording.provenance import build_provenance
 from daq_service.recording.resources import Resources
 from daq_service.recording.resumed_time import CLOCK_STEP
 from daq_service.recording.set_assessor import SetAssessor
@@ -84,7 +84,7 @@ class TakenSet:
         else:
             self.echoes.append(measurement)
 
-    def wants_restrike(self, taken: Shot | MissedShot) -> bool:
+    def requires_restrike(self, taken: Shot | MissedShot) -> bool:
         """Return whether the quality check repeats a strike; if so, count the repetition."""
         position = taken.key.position
         flags = ("missed",) if isinstance(taken, MissedShot) else self.features[taken.sequence].flags
@@ -105,7 +105,7 @@ class TakenSet:
             {item.key.shot_index for item in (*self.shots, *self.echoes) if item.key.position == position}
         )
 
-    def shortfall(self, position: str, n_planned: int, stop_reason: str) -> str:
+    def find_shortfall(self, position: str, n_planned: int, stop_reason: str) -> str:
         """Return why a position has fewer records than planned; empty if it has all.
 
         Parameters
@@ -123,7 +123,7 @@ class TakenSet:
             causes.append(f"{len(missed)} missed: {missed[0].cause}")
         return "; ".join(causes)
 
-    def instrument_error(self) -> str:
+    def format_error(self) -> str:
         """Return the instrument error in the archive's form, ``class: message``; empty if there was none."""
         if self.trouble is None:
             return ""
@@ -131,7 +131,7 @@ class TakenSet:
         kinds = (kind for kind in type(self.trouble).__mro__ if kind.__module__ == InstrumentError.__module__)
         return f"{next(kinds).__name__}: {self.trouble}"
 
-    def superseded(self) -> dict[int, str]:
+    def find_superseded_shots(self) -> dict[int, str]:
         """Return the outcome of the shots that are superseded by their repetition, by sequence."""
         attempts = [
             Attempt(
@@ -141,7 +141,7 @@ class TakenSet:
             )
             for shot in self.shots
         ]
-        found = zip(self.shots, outcomes(attempts), strict=True)
+        found = zip(self.shots, decide_outcomes(attempts), strict=True)
         return {shot.sequence: outcome for shot, outcome in found if outcome == SUPERSEDED}
 
 
@@ -176,7 +176,7 @@ class Activity:
         self.doing = doing
         self.beat()
 
-    def between_shots(self) -> bool:
+    def run_between_shots(self) -> bool:
         """Write the heartbeat, check clock, disk, supply and requests; return False if the recorder stops."""
         clock, disk, drive = self._resources.rig.clock, self._resources.disk, self._set_assessor.drive
         if isinstance(clock, WallClock):
@@ -220,13 +220,13 @@ class SetAcquisition:
         self._archive, self._live = resources.archive, resources.live
         self._set_assessor, self._persistence = assessor, persistence
         self._commands, self._activity = commands, activity
-        self._struck = self._settings.names_of(SOLITARY_WAVE)
-        self.features_of = features_of_a_rehearsal if self._rig.dry_run else features_of
+        self._struck = self._settings.list_positions(SOLITARY_WAVE)
+        self.features_of = compute_rehearsal_features if self._rig.dry_run else features_of
         # Simulated time has one frame on every computer.
         self._in_real_time = resources.in_real_time
-        self._boot_id = boot_id() if self._in_real_time else "simulated"
-        self.provenance = provenance(
-            self._settings, self._rig, experiment=resources.catalogue.experiment_row()
+        self._boot_id = read_boot_id() if self._in_real_time else "simulated"
+        self.provenance = build_provenance(
+            self._settings, self._rig, experiment=resources.catalogue.read_experiment()
         )
         self.next_sequence = 0
 
@@ -240,7 +240,7 @@ class SetAcquisition:
             if due.position not in (None, name)
         }
         taken = TakenSet(
-            rule=self.restrike_rule(),
+            rule=self.select_restrike_rule(),
             # As of now: a command during the set changes what is struck, not what was planned.
             disabled=self._set_assessor.disabled() | left_out,
             started_ns=self._rig.clock.utc_ns(),
@@ -253,7 +253,7 @@ class SetAcquisition:
         )
         return taken
 
-    def restrike_rule(self) -> RestrikeRule:
+    def select_restrike_rule(self) -> RestrikeRule:
         """Return the rule by which shots of a set are repeated."""
         quality = self._settings.quality
         restrikes = 0 if self._rig.dry_run else quality.restrikes_per_set
@@ -261,7 +261,7 @@ class SetAcquisition:
 
     # Strike by strike -----------------------------------------------------------------------------
 
-    def measurements(self, due: DueSet, taken: TakenSet) -> Iterator[Measurement]:
+    def acquire_measurements(self, due: DueSet, taken: TakenSet) -> Iterator[Measurement]:
         """Yield the measurements of a set; an instrument error ends it, earlier ones are kept."""
         schedule = self._settings.schedule
         set_plan = SetPlan(
@@ -281,8 +281,8 @@ class SetAcquisition:
             progress=taken.progress(self._struck) if taken.tried else None,
             first_sequence=self.next_sequence,
             boot_id=self._boot_id,
-            idle=lambda: self._activity.between_shots() and not self._commands.paused,
-            wants_restrike=taken.wants_restrike,
+            idle=lambda: self._activity.run_between_shots() and not self._commands.paused,
+            wants_restrike=taken.requires_restrike,
             may_strike=lambda position: position not in self._set_assessor.disabled(),
         )
         try:
@@ -314,7 +314,7 @@ class SetAcquisition:
 
     # After the last strike ------------------------------------------------------------------------
 
-    def shortfall(self, position: str, taken: TakenSet, cut_short_reason: str = "") -> str:
+    def find_shortfall(self, position: str, taken: TakenSet, cut_short_reason: str = "") -> str:
         """Return the reason why a position has fewer records than planned; empty if it has all."""
         end_reason = (
             cut_short_reason
@@ -322,11 +322,11 @@ class SetAcquisition:
             or self._commands.paused
             or "the recorder was told to stop"
         )
-        return taken.shortfall(position, self._set_assessor.n_planned[position], end_reason)
+        return taken.find_shortfall(position, self._set_assessor.n_planned[position], end_reason)
 
-    def shortfalls(self, due: DueSet, taken: TakenSet) -> dict[str, str]:
+    def find_shortfalls(self, due: DueSet, taken: TakenSet) -> dict[str, str]:
         """Return the reason why each position of a set has fewer records than planned."""
-        return {name: self.shortfall(name, taken) for name in self._set_assessor.positions_of(due)}
+        return {name: self.find_shortfall(name, taken) for name in self._set_assessor.list_set_positions(due)}
 
     def record_of(self, due: DueSet, taken: TakenSet, cut_short_reason: str) -> SetRecord:
         """Build the record of a set that is to be stored."""
@@ -335,7 +335,7 @@ class SetAcquisition:
                 position=name,
                 method=place.method,
                 n_planned=self._set_assessor.n_planned[name],
-                cause=self.shortfall(name, taken, cut_short_reason),
+                cause=self.find_shortfall(name, taken, cut_short_reason),
                 label=place.label,
                 serial_number=place.serial_number,
             )
@@ -354,12 +354,12 @@ class SetAcquisition:
             shots=taken.shots,
             echoes=taken.echoes,
             missed=taken.missed,
-            outcomes=taken.superseded(),
-            trouble=taken.instrument_error(),
+            outcomes=taken.find_superseded_shots(),
+            trouble=taken.format_error(),
             environment={} if self._set_assessor.drive is None else self._set_assessor.drive.summary(),
             provenance=self.provenance,
         )
 
-    def number_after(self, record: SetRecord) -> None:
+    def set_next_shot_number(self, record: SetRecord) -> None:
         """Set the next shot number above those of a record."""
         self.next_sequence = max([self.next_sequence, *(item.sequence + 1 for item in record.records)])

@@ -10,7 +10,7 @@ from analysis.waves.quality_gate import RestrikeRule
 from daq_service.archive import CorruptArchiveError, OpenSet
 from daq_service.catalogue.rows import SetRow
 from daq_service.recording.acquire_set import SetAcquisition, TakenSet
-from daq_service.recording.experiment import foreign_reason, refuse_foreign, refuse_foreign_open_set
+from daq_service.recording.experiment import find_foreign_reason, refuse_foreign_open_set, refuse_foreign_sets
 from daq_service.recording.persistence import Persistence
 from daq_service.recording.resources import Resources
 from daq_service.recording.set_assessor import SetAssessor
@@ -42,7 +42,7 @@ class CarriedOver:
         self._archive, self._catalogue = resources.archive, resources.catalogue
         self._set_assessor, self._persistence, self._acquisition = assessor, persistence, acquisition
         self._epoch_ns = resources.epoch_ns
-        done, corrupt = self._catalogue.committed_sets(), self._archive.journal_damage
+        done, corrupt = self._catalogue.list_committed_sets(), self._archive.journal_damage
         self.open_sets = dict(self._archive.open_sets())
         for opened in self.open_sets.values():
             if opened.is_dated:
@@ -55,7 +55,7 @@ class CarriedOver:
         reason = f"its part of the journal was damaged: {', '.join(corrupt.files)}"
         self.corruption_of = dict.fromkeys(corrupt.sets, reason)
         self.open_sets = {
-            index: opened if opened.is_dated else self._dated(opened)
+            index: opened if opened.is_dated else self._complete_open_set(opened)
             for index, opened in self.open_sets.items()
         }
         for index in done & self.open_sets.keys():
@@ -63,47 +63,47 @@ class CarriedOver:
             if not opened.records:
                 self._archive.settle(index)
             elif index in corrupt.sets:
-                persistence.do(partial(self._end_again, opened))
+                persistence.do(partial(self._store_end_again, opened))
             else:
-                persistence.after_set(
+                persistence.notify_set_stored(
                     index
                 )  # a frame of it is corrupt: that is reported, and the others stay
         sequences = [item.sequence + 1 for opened in self.open_sets.values() for item in opened.records]
         known = [self._catalogue.next_sequence(), corrupt.next_sequence, *sequences]
         acquisition.next_sequence = max(known) + corrupt.n_lost
 
-    def holds(self, set_key: SetKey) -> bool:
+    def has_strikes_of(self, set_key: SetKey) -> bool:
         """Return whether an earlier recorder made strikes of a set."""
         return set_key in self.open_sets or set_key in self._rowless_files
 
-    def unscheduled(self) -> list[DueSet]:
+    def list_unscheduled_sets(self) -> list[DueSet]:
         """List the open unscheduled sets, also if their requests were lost with the catalogue."""
         found = []
         for set_key, opened in self.open_sets.items():
             if set_key.unscheduled_index:
                 (position,) = (name for name in self._positions if name not in opened.disabled)
-                found.append(replace(self._due_of(opened), position=position))
+                found.append(replace(self._find_due_set(opened), position=position))
         return found
 
     def resume(self, opened: OpenSet) -> TakenSet:
         """Continue a set that the last recorder left open in the journal."""
         self._archive.resume_set(opened)
-        return self._restored(opened)
+        return self._restore_with_features(opened)
 
-    def _restored(self, opened: OpenSet) -> TakenSet:
+    def _restore_with_features(self, opened: OpenSet) -> TakenSet:
         """Return the acquired part of an open set with its features."""
-        taken = taken_before(opened, self._acquisition.restrike_rule())
+        taken = restore_taken_set(opened, self._acquisition.select_restrike_rule())
         taken.features.update({shot.sequence: self._acquisition.features_of(shot) for shot in taken.shots})
-        self._persistence.were_acknowledged(item.sequence for item in opened.records)
+        self._persistence.skip_acknowledged_shots(item.sequence for item in opened.records)
         log.warning("set %s goes on: %d records of it are there", opened.set_key, len(opened.records))
         return taken
 
-    def _due_of(self, opened: OpenSet) -> DueSet:
+    def _find_due_set(self, opened: OpenSet) -> DueSet:
         """Return the due set of an open set in the journal."""
         due_h = (opened.due_utc_ns - self._epoch_ns) / NS_PER_H
         return DueSet(**opened.set_key._asdict(), due_h=due_h, due_utc_ns=opened.due_utc_ns)
 
-    def _dated(self, opened: OpenSet) -> OpenSet:
+    def _complete_open_set(self, opened: OpenSet) -> OpenSet:
         """Return an open set without its first frame, with times and positions of rows or schedule."""
         index, unscheduled_index = opened.set_key
         rows = self._catalogue.rows(SetRow, **opened.set_key._asdict())
@@ -121,24 +121,24 @@ class CarriedOver:
             disabled={name: reason for name, reason in left_out.items() if name not in struck},
         )
 
-    def _end_again(self, opened: OpenSet) -> None:
+    def _store_end_again(self, opened: OpenSet) -> None:
         """Store the end of a set again with its intact records; its end or other records are corrupt."""
         file = self._archive.sets().get(opened.set_key)
         if file is not None:
             record = self._archive.read_set(file, skip_damaged=True)
         else:
-            taken, reason = self._restored(opened), self.corruption_of[opened.set_key]
-            record = self._acquisition.record_of(self._due_of(opened), taken, reason)
+            taken, reason = self._restore_with_features(opened), self.corruption_of[opened.set_key]
+            record = self._acquisition.record_of(self._find_due_set(opened), taken, reason)
         self._archive.resume_set(opened)
         self._archive.store_set(record)
-        self._persistence.after_set(opened.set_key)
+        self._persistence.notify_set_stored(opened.set_key)
 
     def quarantine_corrupt_files(self) -> None:
         """Move corrupt files without rows to the quarantine: each set is due again, or missed."""
         for set_key, file in list(self._rowless_files.items()):
             try:
-                reason = foreign_reason(self._archive.read_set(file), self._catalogue.experiment_row())
-                refuse_foreign([f"{file}: {reason}"] if reason else [], self._archive.name)
+                reason = find_foreign_reason(self._archive.read_set(file), self._catalogue.read_experiment())
+                refuse_foreign_sets([f"{file}: {reason}"] if reason else [], self._archive.name)
             except CorruptArchiveError as error:
                 log.error("set %s is set aside: %s", set_key, error)
                 self._archive.set_aside(file)
@@ -162,13 +162,13 @@ class CarriedOver:
         assess = partial(self._set_assessor.assessed, due, record, file, features, sha256=sha256)
         self._persistence.post(assess, self._set_assessor.commit)
         if sha256 is None:  # it is still in the journal
-            self._persistence.do(partial(self._persistence.after_set, due.set_key))
-        self._acquisition.number_after(record)
+            self._persistence.do(partial(self._persistence.notify_set_stored, due.set_key))
+        self._acquisition.set_next_shot_number(record)
         log.warning("set %s: rows made again from %s/%s", due.set_key, self._archive.name, file)
         return record.ended_utc_ns
 
 
-def taken_before(opened: OpenSet, rule: RestrikeRule) -> TakenSet:
+def restore_taken_set(opened: OpenSet, rule: RestrikeRule) -> TakenSet:
     """Restore the acquired part of a set from the journal; features are added separately."""
     taken = TakenSet(
         rule=rule,

@@ -6,7 +6,7 @@ import logging
 from dataclasses import asdict
 from functools import partial
 
-from daq_service.alarms.clock_trouble import doubt_condition
+from daq_service.alarms.clock_trouble import build_clock_condition
 from daq_service.clock import WallClock
 from daq_service.recording.opening import Opening
 from daq_service.recording.persistence import Persistence
@@ -18,7 +18,7 @@ from daq_service.recording.waiting import Waiting
 log = logging.getLogger(__name__)
 
 
-def until_clock_is_believed(
+def wait_for_verified_clock(
     resources: Resources,
     assessor: SetAssessor,
     persistence: Persistence,
@@ -35,7 +35,7 @@ def until_clock_is_believed(
         return [(clock.utc_ns(), not_running_reason)]
 
     def report_doubt(doubt: str) -> None:
-        persistence.do(partial(assessor.update_alarm, doubt_condition(doubt), resources.moment()))
+        persistence.do(partial(assessor.update_alarm, build_clock_condition(doubt), resources.moment()))
 
     def wait(reason: str) -> bool:
         if not reasons:
@@ -43,7 +43,7 @@ def until_clock_is_believed(
             report_doubt(reason)
         reasons.append(reason)
         waiting.activity.doing = f"waiting for a set clock: {reason}"
-        return waiting.between_sets()
+        return waiting.run_between_sets()
 
     started_ns = clock.mono_ns()
     believed = clock.wait_while_doubted(wait)

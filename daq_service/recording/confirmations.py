@@ -9,19 +9,19 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, replace
 
-from daq_service.acquisition.schedule import due_hours, unscheduled_set
-from daq_service.alarms.states import ALARMS_OF_CHANGE, Condition, Moment, add_evidence, disabled_positions
+from daq_service.acquisition.schedule import list_due_hours, unscheduled_set
+from daq_service.alarms.states import ALARMS_OF_CHANGE, Condition, Moment, add_evidence, find_disabled
 from daq_service.assessment.confirmation import (
     CONFIRMATION_ASKED,
     Confirmation,
     ConfirmationResult,
-    confirmation_from_payload,
-    longest_set_ns,
-    newest_confirmation,
-    next_unscheduled_number,
-    overlap_reason,
+    compute_longest_set_ns,
+    find_next_unscheduled_number,
+    find_overlap,
+    find_rejection_reason,
+    parse_confirmation_payload,
     read_confirmations,
-    rejection_reason,
+    read_newest_confirmation,
     summarize_confirmation,
 )
 from daq_service.catalogue import RecorderCatalogue, SetCommit
@@ -50,8 +50,8 @@ class Confirmations:
 
     def __init__(self, settings: Settings, catalogue: RecorderCatalogue) -> None:
         self._rules = settings.alarms
-        self._hours = due_hours(settings.schedule.phases, end_h=settings.schedule.end_h)
-        self.set_ns = longest_set_ns(
+        self._hours = list_due_hours(settings.schedule.phases, end_h=settings.schedule.end_h)
+        self.set_ns = compute_longest_set_ns(
             settings.schedule, settings.quality.restrikes_per_set, settings.rig.read_timeout_s
         )
         self.asked: dict[SetKey, Confirmation] = {}
@@ -59,20 +59,20 @@ class Confirmations:
         self.last_results: dict[str, ConfirmationResult] = {}
         for one in read_confirmations(catalogue):
             self.asked[one.due.set_key] = self.waiting[one.due.set_key] = one
-        for set_key in catalogue.committed_sets(self.waiting) if self.waiting else ():
+        for set_key in catalogue.list_committed_sets(self.waiting) if self.waiting else ():
             del self.waiting[set_key]
         for position in {one.due.position for one in self.asked.values()} - {None}:
-            last = newest_confirmation(catalogue, str(position))
+            last = read_newest_confirmation(catalogue, str(position))
             if last is not None:
                 self.last_results[str(position)] = last
 
-    def take_event(self, event: EventRow) -> None:
+    def apply_event(self, event: EventRow) -> None:
         """Add a request, once its event is stored; other events are ignored."""
         if event.kind == CONFIRMATION_ASKED and event.position is not None:
-            one = confirmation_from_payload(event.position, event.payload)
+            one = parse_confirmation_payload(event.position, event.payload)
             self.asked[one.due.set_key] = self.waiting[one.due.set_key] = one
 
-    def take_rows(self, stored: SetCommit) -> None:
+    def apply_rows(self, stored: SetCommit) -> None:
         """Update the requests and results with the stored rows of a set."""
         for row in stored.sets:
             if row.purpose == "confirmation":
@@ -80,7 +80,7 @@ class Confirmations:
                 assessment = next((one for one in stored.assessments if one.set_key == row.set_key), None)
                 self.last_results[row.position] = summarize_confirmation(row, assessment)
 
-    def room_ns(self, planned: DueSet, utc_ns: int) -> float:
+    def find_room_ns(self, planned: DueSet, utc_ns: int) -> float:
         """Return the time in ns from now to the scheduled set that follows a planned one."""
         following = self._hours[planned.set_index + 1 : planned.set_index + 2]
         left_h = following[0] - planned.due_h if following else float("inf")
@@ -97,22 +97,22 @@ class Confirmations:
     ) -> None:
         """Add a requested confirmation set to the transaction of a scheduled set, if it is allowed."""
         own = [row for row in alarms.values() if row.position == position]
-        if disabled_positions(own) or any(row.suppressed == "out_of_service" for row in own):
+        if find_disabled(own) or any(row.suppressed == "out_of_service" for row in own):
             return
         at_h = planned.due_h + (moment.utc_ns - planned.due_utc_ns) / NS_PER_H
-        if not rejection_reason(
+        if not find_rejection_reason(
             position,
             self.asked.values(),
             at_h=at_h,
             maximum_per_day=self._rules.confirmation_sets_a_day,
-            available_ns=self.room_ns(planned, moment.utc_ns),
+            available_ns=self.find_room_ns(planned, moment.utc_ns),
             set_ns=self.set_ns,
         ):
             self.add(reason, planned, position, moment, transaction)
 
     def order(self, planned: DueSet, position: str, author: str, note: str, moment: Moment) -> SetCommit:
         """Build the request of a person for a set; raise ValueError with the reason if it is rejected."""
-        if too_late := overlap_reason(self.room_ns(planned, moment.utc_ns), self.set_ns):
+        if too_late := find_overlap(self.find_room_ns(planned, moment.utc_ns), self.set_ns):
             raise ValueError(f"{too_late}: that one says the same")
         transaction = SetCommit()
         if self.add(note, planned, position, moment, transaction, author) is None:
@@ -132,11 +132,11 @@ class Confirmations:
     ) -> Confirmation | None:
         """Add the request event for a set after a planned one; return None if there are too many."""
         requested = [
-            confirmation_from_payload(str(event.position), event.payload)
+            parse_confirmation_payload(str(event.position), event.payload)
             for event in transaction.events
             if event.kind == CONFIRMATION_ASKED
         ]
-        number = next_unscheduled_number([*self.asked.values(), *requested], planned.set_index)
+        number = find_next_unscheduled_number([*self.asked.values(), *requested], planned.set_index)
         if number is None:
             return None
         due = unscheduled_set(number, planned, moment.utc_ns, position)
@@ -146,7 +146,7 @@ class Confirmations:
         )
         return one
 
-    def with_result(
+    def add_result_to_evidence(
         self, last: ConfirmationResult, conditions: Sequence[Condition], planned_set: int
     ) -> Sequence[Condition]:
         """Add the newest confirmation result of a position to the evidence of a change, if it is recent."""

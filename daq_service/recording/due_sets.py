@@ -6,7 +6,7 @@ import logging
 import math
 from collections.abc import Callable, Collection, Iterator, Sequence
 
-from daq_service.assessment.confirmation import overlap_reason
+from daq_service.assessment.confirmation import find_overlap
 from daq_service.commands.execution import CommandExecutor
 from daq_service.errors import RigError
 from daq_service.recording.carried_over import CarriedOver
@@ -67,53 +67,53 @@ class DueSets:
             if due.set_key in done:
                 self._waiting.newest = due
                 continue
-            yield from self._unscheduled_before(due)
-            self._waiting.next_set = due.set_index + self._carried_over.holds(due.set_key)
-            if not (self._adopted(due) or self._closed_overdue(due, absences)):
-                yield from self._when_due(due)
+            yield from self._yield_unscheduled_sets(due)
+            self._waiting.next_set = due.set_index + self._carried_over.has_strikes_of(due.set_key)
+            if not (self._store_adopted_rows(due) or self._close_overdue_set(due, absences)):
+                yield from self._wait_for_scheduled_set(due)
             self._waiting.newest = due
             if not self._stop.is_set() and not self._resources.in_real_time:
-                self._waiting.until_stored()
-                self._waiting.for_worker()
+                self._waiting.wait_until_stored()
+                self._waiting.wait_for_worker()
             if self._stop.is_set():
                 break
             self._resources.report("progress", done=number + 1, planned=len(self._plan), due_h=due.due_h)
-        yield from self._unscheduled_before(None)
+        yield from self._yield_unscheduled_sets(None)
         self._waiting.newest = None
 
-    def _when_due(self, due: DueSet) -> Iterator[DueSet]:
+    def _wait_for_scheduled_set(self, due: DueSet) -> Iterator[DueSet]:
         """Wait for a scheduled set; unscheduled ones that are requested meanwhile come first."""
-        self._calibrate_before(due)
+        self._start_self_calibration(due)
         # Simulated time has no idle hours: there files are checked after the last set.
         self._waiting.free_until_ns = due.due_utc_ns if self._resources.in_real_time else -math.inf
         self._waiting.activity.doing = f"waiting for set {due.set_index}"
-        while not self._clock.wait_until(due.due_utc_ns, self._idle_unless_requested):
+        while not self._clock.wait_until(due.due_utc_ns, self._is_still_idle):
             if self._stop.is_set():
                 return
-            yield from self._unscheduled_before(due)
+            yield from self._yield_unscheduled_sets(due)
             self._waiting.activity.doing = f"waiting for set {due.set_index}"
-        if not self._closed_overdue(due):
+        if not self._close_overdue_set(due):
             self._waiting.newest = due
             yield due
 
-    def _adopted(self, due: DueSet) -> bool:
+    def _store_adopted_rows(self, due: DueSet) -> bool:
         """Store the rows of a file of the last recorder; simulated time continues where its set ended."""
         ended_ns = self._carried_over.adopt(due)
         if ended_ns is not None:
-            self._clock.wait_until(ended_ns, self._waiting.between_sets)
+            self._clock.wait_until(ended_ns, self._waiting.run_between_sets)
         return ended_ns is not None
 
-    def _closed_overdue(self, due: DueSet, absences: Sequence[tuple[int, str]] = ()) -> bool:
+    def _close_overdue_set(self, due: DueSet, absences: Sequence[tuple[int, str]] = ()) -> bool:
         """Close a set whose time is over, since the next one is due."""
         following = self._plan[due.set_index + 1 : due.set_index + 2]
         over_ns = following[0].due_utc_ns if following else due.due_utc_ns + NS_PER_H
         if self._clock.utc_ns() < over_ns:
             return False
         reason = next((reason for until_ns, reason in absences if due.due_utc_ns <= until_ns), "")
-        self._record_gap(due, reason or self._waiting.storage.overdue_reason(due.due_utc_ns))
+        self._record_gap(due, reason or self._waiting.storage.find_overdue_reason(due.due_utc_ns))
         return True
 
-    def _calibrate_before(self, due: DueSet) -> None:
+    def _start_self_calibration(self, due: DueSet) -> None:
         """Start the self-calibration of the boards between sets, at the configured interval."""
         self_calibrating, interval_h = self._rig.self_calibrating, self._rig.self_calibration_interval_h
         if self_calibrating is None or not interval_h:
@@ -136,38 +136,40 @@ class DueSets:
 
     # Unscheduled sets -----------------------------------------------------------------------------
 
-    def _requested(self) -> list[DueSet]:
+    def _list_requested_sets(self) -> list[DueSet]:
         """List the requested sets in their order; a started one only waits for the disk."""
-        found = {due.set_key: due for due in self._carried_over.unscheduled()}
+        found = {due.set_key: due for due in self._carried_over.list_unscheduled_sets()}
         found |= {key: one.due for key, one in self._set_assessor.confirmations.waiting.items()}
         return [found[key] for key in sorted(found.keys() - self._started_unscheduled)]
 
-    def _idle_unless_requested(self) -> bool:
+    def _is_still_idle(self) -> bool:
         """Return whether to keep waiting, because no set has been requested."""
-        return self._waiting.between_sets() and not self._requested()
+        return self._waiting.run_between_sets() and not self._list_requested_sets()
 
-    def _unscheduled_before(self, scheduled: DueSet | None) -> Iterator[DueSet]:
+    def _yield_unscheduled_sets(self, scheduled: DueSet | None) -> Iterator[DueSet]:
         """Yield the unscheduled sets that precede a scheduled one; None: after the last one."""
-        for due in self._requested():
+        for due in self._list_requested_sets():
             if not self._stop.is_set() and (scheduled is None or due.set_index < scheduled.set_index):
                 self._started_unscheduled.add(due.set_key)
-                if not self._adopted(due):
+                if not self._store_adopted_rows(due):
                     yield due
 
-    def hindrance(self, due: DueSet) -> str:
+    def find_hindrance(self, due: DueSet) -> str:
         """Return the reason why a due set is not acquired; empty if it is acquired."""
-        if due.position is not None and (reason := self._unscheduled_hindrance(due, due.position)):
+        if due.position is not None and (reason := self._find_unscheduled_hindrance(due, due.position)):
             return reason
         if self._commands.paused or self._persistence.trouble is None or self._persistence.has_room:
             return self._commands.paused
         return f"the memory for what waits is full: {self._persistence.trouble.message}"
 
-    def _unscheduled_hindrance(self, due: DueSet, position: str) -> str:
+    def _find_unscheduled_hindrance(self, due: DueSet, position: str) -> str:
         """Return why an unscheduled set is rejected (late, or transducer disabled); empty if it is not."""
         if reason := self._set_assessor.disabled().get(position):
             return reason
         now_ns = self._clock.utc_ns()
         if now_ns > due.due_utc_ns + NS_PER_H:
-            return self._waiting.storage.overdue_reason(due.due_utc_ns)
+            return self._waiting.storage.find_overdue_reason(due.due_utc_ns)
         confirmations = self._set_assessor.confirmations
-        return overlap_reason(confirmations.room_ns(self._plan[due.set_index], now_ns), confirmations.set_ns)
+        return find_overlap(
+            confirmations.find_room_ns(self._plan[due.set_index], now_ns), confirmations.set_ns
+        )

@@ -7,20 +7,20 @@ from collections.abc import Mapping
 from dataclasses import replace
 from functools import partial
 
-from daq_service.alarms.rig_trouble import lost_cause, rig_condition
+from daq_service.alarms.rig_trouble import build_rig_condition, find_connection_loss
 from daq_service.alarms.states import Moment
 from daq_service.assessment.assessor import PositionResult
 from daq_service.catalogue import SetCommit
 from daq_service.recording.acquire_set import TakenSet
 from daq_service.recording.confirmations import add_confirmation
 from daq_service.recording.persistence import Persistence
-from daq_service.recording.set_assessor import SetAssessor, add_position
+from daq_service.recording.set_assessor import SetAssessor, add_position_rows
 from hardware_drivers.measurement import DueSet
 
 log = logging.getLogger(__name__)
 
 
-def store_nothing_taken(
+def store_empty_set(
     assessor: SetAssessor,
     persistence: Persistence,
     due: DueSet,
@@ -30,11 +30,11 @@ def store_nothing_taken(
     tried: TakenSet | None = None,
 ) -> None:
     """Store the rows of a set without a record (`nothing_taken`) after what waits for the disk."""
-    rows = partial(nothing_taken, assessor, due, reasons, utc_ns=utc_ns, tried=tried)
+    rows = partial(build_empty_set_rows, assessor, due, reasons, utc_ns=utc_ns, tried=tried)
     persistence.post(rows, assessor.commit)
 
 
-def nothing_taken(
+def build_empty_set_rows(
     assessor: SetAssessor,
     due: DueSet,
     reasons: Mapping[str, str],
@@ -54,7 +54,7 @@ def nothing_taken(
     moment = Moment.of_set(due, utc_ns)
     transaction = SetCommit()
     disabled = assessor.disabled() if tried is None else tried.disabled
-    for position in assessor.positions_of(due):
+    for position in assessor.list_set_positions(due):
         gone = position in disabled
         missed = (
             []
@@ -66,7 +66,7 @@ def nothing_taken(
         if tried is not None and not gone and due.position is None:
             position_result = assessor.assessors[position].assess_empty_set(due, len(missed) - restrikes)
         row = replace(
-            assessor.without_records(
+            assessor.build_empty_row(
                 due,
                 position,
                 disabled=gone,
@@ -75,15 +75,15 @@ def nothing_taken(
             n_missed=len(missed),
             n_restrikes=restrikes,
         )
-        add_position(transaction, row, [], position_result, moment)
+        add_position_rows(transaction, row, [], position_result, moment)
         for condition in position_result.conditions:
-            assessor.carry_alarm(condition, moment, transaction)
+            assessor.apply_alarm(condition, moment, transaction)
     if tried is not None and (tried.trouble is not None or tried.missed):
-        unanswered = "" if tried.trouble is not None else lost_cause(tried.missed)
-        payload = rig_condition(due, tried.instrument_error(), unanswered, proven=assessor.proven)
-        assessor.carry_alarm(payload, moment, transaction)
+        unanswered = "" if tried.trouble is not None else find_connection_loss(tried.missed)
+        payload = build_rig_condition(due, tried.format_error(), unanswered, proven=assessor.proven)
+        assessor.apply_alarm(payload, moment, transaction)
     log.warning("set %s missed: %s", due.set_key, next(iter(reasons.values())))
     if due.position is not None:
         add_confirmation(assessor.alarms, due.position, transaction, moment)
         return transaction
-    return assessor.with_environment(due, moment, transaction)
+    return assessor.add_environment(due, moment, transaction)

@@ -7,13 +7,13 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from daq_service.archive import ArchiveError, OpenSet, SetReader, SetRecord
-from daq_service.catalogue.earlier_names import current_row
+from daq_service.catalogue.earlier_names import to_current_row
 from daq_service.catalogue.errors import CatalogueDamagedError, OtherExperimentError
 from daq_service.catalogue.experiment_file import (
     EXPERIMENT_FILE,
     HISTORY_FILE,
     read_experiment,
-    refuse_another,
+    refuse_other_record,
 )
 from daq_service.catalogue.history import History
 from daq_service.catalogue.rows import ExperimentRow
@@ -24,7 +24,7 @@ from hardware_drivers.nanoseconds import NS_PER_H
 log = logging.getLogger(__name__)
 
 
-def kept_experiment(folder: Path, history: History, archive: SetReader) -> ExperimentRow | None:
+def find_stored_experiment(folder: Path, history: History, archive: SetReader) -> ExperimentRow | None:
     """Find the experiment of a folder without a catalogue; return None for a new folder.
 
     Raises
@@ -39,11 +39,11 @@ def kept_experiment(folder: Path, history: History, archive: SetReader) -> Exper
         kept = None
     stored = history.experiment
     if kept is not None and stored is not None:
-        refuse_another(kept, stored, EXPERIMENT_FILE, HISTORY_FILE, folder)
-    return kept or stored or _of_the_files(archive)
+        refuse_other_record(kept, stored, EXPERIMENT_FILE, HISTORY_FILE, folder)
+    return kept or stored or _read_experiment_from_files(archive)
 
 
-def _of_the_files(archive: SetReader) -> ExperimentRow | None:
+def _read_experiment_from_files(archive: SetReader) -> ExperimentRow | None:
     """Read the experiment from the first readable set: its start and its clock follow from there."""
     for reference in archive.sets().values():
         try:
@@ -60,33 +60,35 @@ def _of_the_files(archive: SetReader) -> ExperimentRow | None:
             "name": configuration["name"],
             "configuration_hash": stored["configuration_hash"],
             "configuration": configuration,
-            "created_utc_ns": _hour_0(record),
-            "epoch_utc_ns": _hour_0(record),
+            "created_utc_ns": _read_hour_0(record),
+            "epoch_utc_ns": _read_hour_0(record),
             "clock": configuration["clock"]["kind"],
             "solimon_version": stored["versions"]["solimon"],
             **{name: value for name, value in identity.items() if value is not None},
         }
-        return ExperimentRow(**current_row("experiment", row))
+        return ExperimentRow(**to_current_row("experiment", row))
     return None
 
 
-def foreign_reason(record: SetRecord, experiment: ExperimentRow) -> str:
+def find_foreign_reason(record: SetRecord, experiment: ExperimentRow) -> str:
     """Return the reason why a set is not of this test; empty if it is."""
     stored = record.provenance.get("configuration_hash", experiment.configuration_hash)
     if stored != experiment.configuration_hash:
         return f"configuration {stored} instead of {experiment.configuration_hash}"
-    if _hour_0(record) != experiment.epoch_utc_ns:
-        return f"hour 0 at {format_utc(_hour_0(record))} instead of {format_utc(experiment.epoch_utc_ns)}"
+    if _read_hour_0(record) != experiment.epoch_utc_ns:
+        return (
+            f"hour 0 at {format_utc(_read_hour_0(record))} instead of {format_utc(experiment.epoch_utc_ns)}"
+        )
     return ""
 
 
-def _hour_0(record: SetRecord) -> int:
+def _read_hour_0(record: SetRecord) -> int:
     """Return hour 0 of the test, from the file's field (format 1.2) or the due time of its set."""
     counted: int = record.due_utc_ns - round(record.due_h * NS_PER_H)
     return int(record.provenance.get("experiment", {}).get("epoch_utc_ns", counted))
 
 
-def refuse_foreign(found: Sequence[str], where: str) -> None:
+def refuse_foreign_sets(found: Sequence[str], where: str) -> None:
     """Raise an error if there are sets of another experiment.
 
     Parameters
@@ -119,4 +121,4 @@ def refuse_foreign_open_set(opened: OpenSet, planned: Sequence[DueSet], where: s
     due = next((due.due_utc_ns for due in planned if due.set_key == opened.set_key), opened.due_utc_ns)
     if due != opened.due_utc_ns:
         stored = f"due at {format_utc(opened.due_utc_ns)} instead of {format_utc(due)}"
-        refuse_foreign([f"journal, set {opened.set_key}: {stored}"], where)
+        refuse_foreign_sets([f"journal, set {opened.set_key}: {stored}"], where)

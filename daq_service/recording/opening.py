@@ -10,8 +10,8 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from daq_service.alarms.rig_trouble import opening_condition
-from daq_service.alarms.states import Change, Condition, Moment, update
+from daq_service.alarms.rig_trouble import build_opening_condition
+from daq_service.alarms.states import Change, Condition, Moment, update_alarm
 from daq_service.catalogue import RecorderCatalogue, SetCommit
 from daq_service.catalogue.history import HistoryFollower
 from daq_service.catalogue.rows import AlarmRow
@@ -54,7 +54,7 @@ def is_transient(trouble: InstrumentError, *, proven: bool) -> bool:
     return proven or isinstance(trouble, InstrumentBusyError | ConnectionLostError)
 
 
-def raise_final(trouble: InstrumentError, due: DueSet, *, n_shots: int, proven: bool) -> None:
+def raise_if_permanent(trouble: InstrumentError, due: DueSet, *, n_shots: int, proven: bool) -> None:
     """Raise RigError if the error that ended a set early will not be gone at the next set."""
     if not is_transient(trouble, proven=proven):
         raise RigError(
@@ -62,7 +62,7 @@ def raise_final(trouble: InstrumentError, due: DueSet, *, n_shots: int, proven: 
         ) from trouble
 
 
-def started_payload(
+def build_started_payload(
     rig: Rig, not_running_reason: str, sets_done: int, provenance: Mapping[str, Any]
 ) -> dict[str, object]:
     """Return the payload of the event of a recorder's start."""
@@ -93,11 +93,11 @@ class OpeningAlarm:
         self._moment, self._report = moment, report
         self._reported = False
 
-    def carry(self, trouble: InstrumentError | None) -> None:
+    def report_condition(self, trouble: InstrumentError | None) -> None:
         """Report the error that prevents the opening, None for none; store the alarm if the disk permits."""
-        condition, moment = opening_condition(trouble), self._moment()
+        condition, moment = build_opening_condition(trouble), self._moment()
         try:
-            change = self._carried(condition, moment)
+            change = self._update_stored_alarm(condition, moment)
         except PASSING as error:
             log.warning("the alarm is not stored, the next try does it: %s", error)
             change = None
@@ -108,13 +108,13 @@ class OpeningAlarm:
             self._report("waits", reason=condition.message)
         self._reported = condition.present
 
-    def _carried(self, condition: Condition, moment: Moment) -> Change | None:
+    def _update_stored_alarm(self, condition: Condition, moment: Moment) -> Change | None:
         """Update the alarm in the catalogue; return the change, None if there is none."""
         rows = self._catalogue.rows(AlarmRow, kind=condition.kind)
         row = rows[-1] if rows else None
         if not condition.present and row is not None and row.evidence.get("set_index") is not None:
             return None
-        change = update(row, condition, moment)
+        change = update_alarm(row, condition, moment)
         if change is not None:
             transaction = SetCommit()
             transaction.add_alarm(change.row, change.event(moment))
@@ -123,7 +123,7 @@ class OpeningAlarm:
         return change
 
 
-def open_patiently(
+def open_rig_with_retries(
     open_once: Callable[[], Rig],
     *,
     resuming: bool,
@@ -163,7 +163,7 @@ def open_patiently(
                 raise kind(f"the rig cannot be opened: {error}") from error
             log.warning("the rig cannot be opened, next try in %g s: %s", wait_s, error)
             did = f"the recorder waited for the rig: {error}"
-            alarm.carry(error)
+            alarm.report_condition(error)
             again_s = time.monotonic() + wait_s
             while time.monotonic() < again_s:
                 heartbeat.beat(f"waiting for the rig: {error}")
@@ -171,6 +171,6 @@ def open_patiently(
                     return None, did
         else:
             heartbeat.stage = ""
-            alarm.carry(None)
+            alarm.report_condition(None)
             return rig, did
     raise AssertionError("the waits never end")

@@ -21,7 +21,7 @@ ASKED, ASKED_OVER = "asked", "asked_over"
 """Events: a person is asked to do something now; that is done, or too late."""
 
 
-def command_executor(resources: Resources, assessor: SetAssessor, waiting: Waiting) -> CommandExecutor:
+def build_command_executor(resources: Resources, assessor: SetAssessor, waiting: Waiting) -> CommandExecutor:
     """Return the executor of an operator's commands to this recorder."""
     settings, catalogue, drive = resources.settings, resources.catalogue, assessor.drive
     test = RunningTest(
@@ -37,7 +37,7 @@ def command_executor(resources: Resources, assessor: SetAssessor, waiting: Waiti
         next_set=lambda: waiting.next_set,
         baseline=catalogue.baseline,
         renewed=assessor.assessors.renew,
-        positions=settings.names_of(SOLITARY_WAVE),
+        positions=settings.list_positions(SOLITARY_WAVE),
         supply=drive if drive is not None and drive.has_supply else None,
     )
     return CommandExecutor(catalogue, test, adopt=assessor.adopt)

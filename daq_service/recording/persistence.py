@@ -86,7 +86,7 @@ class Persistence:
                 self._reported_ids.add(shot_id)
                 self._acknowledged(shot_id)
 
-    def were_acknowledged(self, shot_ids: Iterable[int]) -> None:
+    def skip_acknowledged_shots(self, shot_ids: Iterable[int]) -> None:
         """Skip the report of shots that an earlier recorder has acknowledged."""
         self._reported_ids.update(shot_ids)
 
@@ -97,10 +97,10 @@ class Persistence:
         self._reported_ids.difference_update(stored.crc32)
         return stored
 
-    def after_set(self, set_key: SetKey) -> None:
+    def notify_set_stored(self, set_key: SetKey) -> None:
         """Notify the background tasks of a set whose rows are stored: its file can be written."""
         for task in self._tasks:
-            task.after_set(set_key)
+            task.notify_set_stored(set_key)
 
     # The queue ------------------------------------------------------------------------------------
 
@@ -117,7 +117,7 @@ class Persistence:
         self._jobs.append((job, n_bytes))
         self._n_bytes += n_bytes
         if self.trouble is None:
-            self.run_all()
+            self.run_queued_jobs()
 
     def attempt(self, job: Callable[[], None]) -> None:
         """Run a job; after a disk error queue it, or leave it to the next check if others already wait."""
@@ -153,19 +153,19 @@ class Persistence:
     def run_for(self, seconds: float) -> None:
         """Retry the jobs if the waiting time is over."""
         if self._jobs and self._mono_s() >= self._next_s:
-            self.run_all()
+            self.run_queued_jobs()
 
-    def run_all(self) -> None:
+    def run_queued_jobs(self) -> None:
         """Run the jobs until one is refused."""
         while self._jobs:
             if refusal := self._refusal():
-                self._wait(refusal)
+                self._schedule_retry(refusal)
                 return
             job, n_bytes = self._jobs[0]
             try:
                 job()
             except PASSING as error:
-                self._wait(f"{error}")
+                self._schedule_retry(f"{error}")
                 return
             self._jobs.popleft()
             self._n_bytes -= n_bytes
@@ -178,7 +178,7 @@ class Persistence:
         """Return the reason why nothing is stored on a writable disk; a stop may use the remaining space."""
         return "" if self._disk is None or self._stop.is_set() else self._disk.refusal
 
-    def _wait(self, message: str) -> None:
+    def _schedule_retry(self, message: str) -> None:
         """Schedule the next retry, and report a new trouble."""
         now_s, before = self._mono_s(), self.trouble
         self._next_s = now_s + WAITS_S[min(self._tries, len(WAITS_S) - 1)]

@@ -14,7 +14,7 @@ from simulator.parameters.experiment import TWIN_VERSION
 PACKAGES = ("solimon", "numpy", "scipy", "h5py", "numba")
 
 
-def provenance(settings: Settings, rig: Rig, *, experiment: ExperimentRow) -> dict[str, Any]:
+def build_provenance(settings: Settings, rig: Rig, *, experiment: ExperimentRow) -> dict[str, Any]:
     """Return the provenance that is stored with every set of a run, ready for JSON.
 
     Parameters

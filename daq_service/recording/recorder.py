@@ -15,18 +15,18 @@ from functools import partial
 from typing import Any
 
 from analysis.waves.features import ShotFeatures
-from daq_service.acquisition.shot_features import features_of
+from daq_service.acquisition.shot_features import extract_shot_features
 from daq_service.alarms.states import Moment
 from daq_service.archive import SetRecord
 from daq_service.catalogue import SetCommit
 from daq_service.recording.acquire_set import Activity, FeaturesOf, SetAcquisition, TakenSet
 from daq_service.recording.carried_over import CarriedOver
-from daq_service.recording.clock_doubt import until_clock_is_believed
+from daq_service.recording.clock_doubt import wait_for_verified_clock
 from daq_service.recording.computer_load import MACHINE_READ
 from daq_service.recording.due_sets import DueSets
-from daq_service.recording.empty_set import store_nothing_taken
-from daq_service.recording.opening import Opening, raise_final, started_payload
-from daq_service.recording.operators import command_executor, listen_to_instruments
+from daq_service.recording.empty_set import store_empty_set
+from daq_service.recording.opening import Opening, build_started_payload, raise_if_permanent
+from daq_service.recording.operators import build_command_executor, listen_to_instruments
 from daq_service.recording.persistence import Persistence
 from daq_service.recording.resources import Resources
 from daq_service.recording.set_assessor import SetAssessor
@@ -73,7 +73,7 @@ class Cost:
 class Recorder:
     """Takes the sets of a test, one after the other."""
 
-    def __init__(self, resources: Resources, *, features_of: FeaturesOf = features_of) -> None:
+    def __init__(self, resources: Resources, *, features_of: FeaturesOf = extract_shot_features) -> None:
         self._resources, self._stop, self._cost = resources, resources.stop, Cost()
         self._set_assessor = assessor = SetAssessor(
             resources.settings,
@@ -87,7 +87,7 @@ class Recorder:
         self._activity = activity = Activity(resources, assessor, persistence)
         storage = StorageAlarms(resources, assessor, persistence)
         self.waiting = waiting = Waiting(resources, assessor, persistence, storage, activity)
-        self.commands = commands = command_executor(resources, assessor, waiting)
+        self.commands = commands = build_command_executor(resources, assessor, waiting)
         activity.looks = (storage.watch_web, partial(persistence.attempt, commands.listen))
         self._acquisition = SetAcquisition(resources, assessor, persistence, features_of, commands, activity)
         self._carried_over = CarriedOver(resources, assessor, persistence, self._acquisition)
@@ -105,26 +105,26 @@ class Recorder:
             What this recorder did before, while other sets may have fallen due.
         """
         resources, persistence, waiting = self._resources, self._persistence, self.waiting
-        done = resources.catalogue.committed_sets()
+        done = resources.catalogue.list_committed_sets()
         persistence.do(self.commands.begin)
         origin = self._acquisition.provenance
-        started = started_payload(resources.rig, not_running_reason, len(done), origin)
+        started = build_started_payload(resources.rig, not_running_reason, len(done), origin)
         persistence.say("recorder_started", started)
         self._carried_over.quarantine_corrupt_files()
         waiting.storage.start_verification()
         resources.report("begun")
-        absences = until_clock_is_believed(
+        absences = wait_for_verified_clock(
             resources, self._set_assessor, persistence, waiting, not_running_reason, opening
         )
         for due in self.plan(done, absences):
-            self._take(due)
-        waiting.until_stored()
-        waiting.for_files()
+            self._process_set(due)
+        waiting.wait_until_stored()
+        waiting.wait_for_files()
         return self._end()
 
-    def _take(self, due: DueSet) -> None:
+    def _process_set(self, due: DueSet) -> None:
         """Acquire a set and pass it through all stages."""
-        if hindrance := self._due_sets.hindrance(due):
+        if hindrance := self._due_sets.find_hindrance(due):
             self._record_gap(due, hindrance)
             return
         self._persistence.attempt(self._set_assessor.adopt)
@@ -136,26 +136,26 @@ class Recorder:
         for measurement in self.acquire(due, taken):
             self.persist(measurement, taken)
             self.extract(measurement, due, taken)
-        if self._stays_open(taken):
+        if self._leave_set_open(taken):
             return
         if not taken.is_empty:
-            self._finish(due, taken)
+            self._process_acquired_set(due, taken)
         elif not self._stop.is_set():
-            reasons = self._acquisition.shortfalls(due, taken)
-            store_nothing_taken(
+            reasons = self._acquisition.find_shortfalls(due, taken)
+            store_empty_set(
                 self._set_assessor, self._persistence, due, reasons, utc_ns=taken.ended_ns, tried=taken
             )
             self._resources.archive.settle(due.set_key)
         # else: the set is still due after a restart
         if taken.trouble is not None:
-            raise_final(taken.trouble, due, n_shots=len(taken.shots), proven=self._set_assessor.proven)
+            raise_if_permanent(taken.trouble, due, n_shots=len(taken.shots), proven=self._set_assessor.proven)
 
-    def _finish(self, due: DueSet, taken: TakenSet, *, cut_short_reason: str = "") -> None:
+    def _process_acquired_set(self, due: DueSet, taken: TakenSet, *, cut_short_reason: str = "") -> None:
         """Pass acquired records through the stages that write to disk; they wait while the disk refuses."""
         self._activity.announce(f"storing {due}")
         reason = self._carried_over.corruption_of.get(due.set_key, cut_short_reason)
         record = self._acquisition.record_of(due, taken, reason)
-        self._acquisition.number_after(record)
+        self._acquisition.set_next_shot_number(record)
         # Now, and not when the disk takes the set.
         watch = self._resources.computer_load
         load = None if watch is None else watch.read(self._cost.seconds)
@@ -174,7 +174,7 @@ class Recorder:
 
     def acquire(self, due: DueSet, taken: TakenSet) -> Iterator[Measurement]:
         """Strike and read, measurement by measurement."""
-        measurements = self._acquisition.measurements(due, taken)
+        measurements = self._acquisition.acquire_measurements(due, taken)
         while True:
             with self._cost.of("strike_and_read_s"):
                 measurement = next(measurements, None)
@@ -217,21 +217,21 @@ class Recorder:
     def publish(self, due: DueSet, transaction: SetCommit) -> None:
         """Report alarms and gaps, and have the set get its file."""
         self._set_assessor.publish(transaction)
-        self._persistence.after_set(due.set_key)
+        self._persistence.notify_set_stored(due.set_key)
 
     def _record_gap(self, due: DueSet, reason: str) -> None:
         """Record a set without a strike: store the records of an open set, or else rows of a gap."""
         opened = self._carried_over.open_sets.pop(due.set_key, None)
         if opened is not None and opened.records:
-            self._finish(due, self._carried_over.resume(opened), cut_short_reason=reason)
+            self._process_acquired_set(due, self._carried_over.resume(opened), cut_short_reason=reason)
             return
         reason = self._carried_over.corruption_of.get(due.set_key, reason)
-        reasons = dict.fromkeys(self._set_assessor.positions_of(due), reason)
+        reasons = dict.fromkeys(self._set_assessor.list_set_positions(due), reason)
         self._resources.archive.settle(due.set_key)
         now_ns = self._resources.rig.clock.utc_ns()
-        store_nothing_taken(self._set_assessor, self._persistence, due, reasons, utc_ns=now_ns)
+        store_empty_set(self._set_assessor, self._persistence, due, reasons, utc_ns=now_ns)
 
-    def _stays_open(self, taken: TakenSet) -> bool:
+    def _leave_set_open(self, taken: TakenSet) -> bool:
         """Leave a set that a stop cut short to the next recorder; the journal keeps its shots."""
         cut = self._stop.is_set() and not self.commands.paused and taken.trouble is None
         return cut and not taken.is_complete(self._set_assessor.n_planned) and self._persistence.acknowledge()
@@ -246,5 +246,5 @@ class Recorder:
         self.waiting.end()
         self._persistence.say("schedule_done" if finished else stopped, farewell)
         if finished:
-            self.waiting.until_stored()
+            self.waiting.wait_until_stored()
         return finished

@@ -8,7 +8,7 @@ from concurrent.futures import Executor
 from dataclasses import dataclass, field
 from functools import cached_property
 
-from daq_service.acquisition.schedule import plan
+from daq_service.acquisition.schedule import plan_sets
 from daq_service.alarms.states import Moment
 from daq_service.archive import Archive
 from daq_service.background.disk_watch import DiskWatch
@@ -21,7 +21,7 @@ from daq_service.clock import MACHINE, Before, MachineClock, WallClock
 from daq_service.corrosion_drive.remote import RemoteDrive
 from daq_service.processes.disk_policy import Usage, disk_usage
 from daq_service.processes.heartbeat import Heartbeat, WebWatch
-from daq_service.processes.worker import one_worker
+from daq_service.processes.worker import start_one_worker
 from daq_service.recording.computer_load import ComputerLoadWatch
 from daq_service.recording.opening import WAITS_FOR_RIG_S
 from daq_service.settings.tree import Settings
@@ -60,7 +60,7 @@ class Host:
 
     machine: MachineClock = MACHINE
     wall_clock: Callable[[Before], Clock] = WallClock
-    worker: Callable[[], Executor] = one_worker
+    worker: Callable[[], Executor] = start_one_worker
     disk_usage: Usage = disk_usage
     look_every_s: float = 0.1
     listen_every_s: float = LISTEN_EVERY_S
@@ -135,13 +135,13 @@ class Resources:
     @cached_property
     def epoch_ns(self) -> int:
         """Return hour 0 of the test in ns of UTC."""
-        return self.catalogue.experiment_row().epoch_utc_ns
+        return self.catalogue.read_experiment().epoch_utc_ns
 
     @cached_property
     def plan(self) -> Sequence[DueSet]:
         """Return every scheduled set; the set of index k is the k-th."""
         schedule = self.settings.schedule
-        return plan(schedule.phases, self.epoch_ns, end_h=schedule.end_h)
+        return plan_sets(schedule.phases, self.epoch_ns, end_h=schedule.end_h)
 
     @property
     def in_real_time(self) -> bool:
@@ -150,10 +150,10 @@ class Resources:
 
     def moment(self) -> Moment:
         """Return the present moment of the test."""
-        return moment_at(self.rig.clock, self.epoch_ns)
+        return build_present_moment(self.rig.clock, self.epoch_ns)
 
 
-def moment_at(clock: Clock, epoch_ns: int) -> Moment:
+def build_present_moment(clock: Clock, epoch_ns: int) -> Moment:
     """Return the present moment of a test whose hour 0 is ``epoch_ns``."""
     now_ns = clock.utc_ns()
     return Moment(utc_ns=now_ns, due_h=(now_ns - epoch_ns) / NS_PER_H, set_index=None)

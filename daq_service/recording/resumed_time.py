@@ -8,7 +8,7 @@ from dataclasses import replace
 from daq_service.catalogue import RecorderCatalogue
 from daq_service.clock import Before, format_utc, parse_utc
 from daq_service.errors import UsageError
-from daq_service.processes.heartbeat import Beat, time_line_of
+from daq_service.processes.heartbeat import Beat, read_time_line
 from hardware_drivers.nanoseconds import NS_PER_S
 
 CLOCK_STEP, CLOCK_BELIEVED = "clock_step", "clock_believed"
@@ -18,7 +18,7 @@ EARLIEST_UTC = "2025-01-01T00:00:00Z"
 """Nobody had this software before: a machine without a clock of its own starts in 1970, 2000 or 2010."""
 
 
-def time_before(
+def read_previous_time(
     catalogue: RecorderCatalogue,
     beat: Beat | None,
     *,
@@ -41,21 +41,21 @@ def time_before(
     boot, elapsed_ns
         This boot, and what has elapsed of it.
     """
-    line = time_line_of(beat, boot=boot, elapsed_ns=elapsed_ns)
-    last_event = catalogue.last_service_event(CLOCK_STEP, CLOCK_BELIEVED)
+    line = read_time_line(beat, boot=boot, elapsed_ns=elapsed_ns)
+    last_event = catalogue.read_last_service_event(CLOCK_STEP, CLOCK_BELIEVED)
     if line is not None and last_event is not None and last_event.payload["boot"] == boot:
         line = replace(line, ahead_ns=round(last_event.payload["ahead_s"] * NS_PER_S))
-    newest = catalogue.events_after(catalogue.last_event_id() - 1, limit=1)
+    newest = catalogue.read_events_after(catalogue.last_event_id() - 1, limit=1)
     return Before(
         last_utc_ns=max(
-            newest[0].utc_ns if newest else catalogue.experiment_row().epoch_utc_ns, *opened_utc_ns, 0
+            newest[0].utc_ns if newest else catalogue.read_experiment().epoch_utc_ns, *opened_utc_ns, 0
         ),
         line=line,
         doubt_after_h=doubt_after_h,
     )
 
 
-def hour_0(system_ns: int) -> int:
+def compute_hour_0_ns(system_ns: int) -> int:
     """Return hour 0 of a test in real time that starts now, in ns of UTC.
 
     Raises

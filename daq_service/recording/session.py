@@ -16,8 +16,8 @@ from typing import Any
 
 from daq_service.alarms.states import Moment
 from daq_service.archive import Archive, FolderArchive, Results, SetRecord, SetReference
-from daq_service.archive.waterfall.cells import anchors_of
-from daq_service.assessment.results_in_file import newest_results
+from daq_service.archive.waterfall.cells import extract_anchors
+from daq_service.assessment.results_in_file import read_newest_results
 from daq_service.background.disk_watch import DiskWatch
 from daq_service.background.finalize_sets import SetFinalizer
 from daq_service.background.live_figure import LiveFigure
@@ -25,20 +25,20 @@ from daq_service.background.tiles import TileMaker, add_record_to_tiles
 from daq_service.background.verification import IdleVerification
 from daq_service.catalogue import RecorderCatalogue, open_catalogue
 from daq_service.catalogue.errors import NoDataYetError
-from daq_service.catalogue.experiment_file import keep_experiment, write_experiment
+from daq_service.catalogue.experiment_file import ensure_experiment_file, write_experiment
 from daq_service.catalogue.history import HistoryFollower
-from daq_service.catalogue.owner import experiment_identity
+from daq_service.catalogue.owner import build_experiment_identity
 from daq_service.catalogue.rows import SetRow
 from daq_service.clock import WallClock, boot_name, elapsed_ns, parse_utc
 from daq_service.errors import PASSING
-from daq_service.processes.data_folder import backup_identity
+from daq_service.processes.data_folder import read_backup_identity
 from daq_service.processes.heartbeat import Beat, Heartbeat, WebWatch, read_heartbeat
 from daq_service.processes.lost_catalogue import is_catalogue_lost
-from daq_service.processes.lost_sets import lost_sets
+from daq_service.processes.lost_sets import find_lost_sets
 from daq_service.processes.recorder_state import FAREWELLS, PROCESS_EVENTS
 from daq_service.recording.computer_load import ComputerLoadWatch
-from daq_service.recording.opening import Opening, OpeningAlarm, open_patiently
-from daq_service.recording.reassessment.rebuild import rebuild
+from daq_service.recording.opening import Opening, OpeningAlarm, open_rig_with_retries
+from daq_service.recording.reassessment.rebuild import rebuild_folder_catalogue
 from daq_service.recording.recorder import Recorder
 from daq_service.recording.resources import (
     PLAIN,
@@ -47,10 +47,10 @@ from daq_service.recording.resources import (
     Reporter,
     Resources,
     SessionOptions,
-    moment_at,
+    build_present_moment,
 )
-from daq_service.recording.resumed_time import hour_0, time_before
-from daq_service.settings.instruments import configured
+from daq_service.recording.resumed_time import compute_hour_0_ns, read_previous_time
+from daq_service.settings.instruments import list_instruments
 from daq_service.settings.tree import ClockSettings, Settings
 from hardware_drivers.instruments import Clock, Rig
 from hardware_drivers.measurement import SetKey
@@ -65,7 +65,7 @@ NOTED_AT_ONCE = 100
 RigOpener = Callable[[Settings, Clock, int], AbstractContextManager[Rig]]
 
 
-def record(
+def record_test(
     settings: Settings,
     folder: Path,
     open_rig: RigOpener,
@@ -88,26 +88,26 @@ def record(
         What cannot be repaired here; every taken shot is stored.
     """
     started_ns, last_beat = time.monotonic_ns(), read_heartbeat(folder)
-    deadline_s = longest_call_s(settings) + settings.rig.stall_timeout_s
-    rebuilt = _rebuilt_if_lost(settings, folder, Heartbeat(folder, deadline_s=deadline_s, notify=report))
+    deadline_s = compute_longest_call_s(settings) + settings.rig.stall_timeout_s
+    rebuilt = _rebuild_if_lost(settings, folder, Heartbeat(folder, deadline_s=deadline_s, notify=report))
     with ExitStack() as stack:
         catalogue = stack.enter_context(open_catalogue(folder, writer=True, settings=settings))
-        not_running_reason = _why_not_running(catalogue, last_beat, options.restart_reason)
-        epoch_ns = _experiment_epoch(catalogue, settings)
-        _separate_copy(folder, catalogue, epoch_ns)
-        keep_experiment(folder, catalogue.experiment_row())
+        not_running_reason = _find_downtime_reason(catalogue, last_beat, options.restart_reason)
+        epoch_ns = _create_or_read_epoch(catalogue, settings)
+        _assign_copy_uuid(folder, catalogue, epoch_ns)
+        ensure_experiment_file(folder, catalogue.read_experiment())
         if rebuilt:
-            _note_rebuilt(catalogue, rebuilt, epoch_ns)
+            _store_rebuilt_event(catalogue, rebuilt, epoch_ns)
         history = HistoryFollower(folder, catalogue)
         history.begin()
         archive = stack.enter_context(closing(FolderArchive(folder)))
-        _note_digests(catalogue, archive, partial(_note_file, catalogue, history))
-        clock = _clock(settings.clock, catalogue, archive, last_beat, host)
+        _store_missing_digests(catalogue, archive, partial(_store_file_digest, catalogue, history))
+        clock = _create_clock(settings.clock, catalogue, archive, last_beat, host)
         line = clock.line if isinstance(clock, WallClock) else lambda: None
         heartbeat = Heartbeat(folder, deadline_s=deadline_s, notify=report, time_line=line)
-        moment = partial(moment_at, clock, epoch_ns)
+        moment = partial(build_present_moment, clock, epoch_ns)
         since_mono_ns = clock.mono_ns() - (time.monotonic_ns() - started_ns)
-        rig, did = open_patiently(
+        rig, did = open_rig_with_retries(
             lambda: stack.enter_context(open_rig(settings, clock, epoch_ns)),
             resuming=bool(catalogue.rows(SetRow, limit=1)),
             restarted=bool(options.restart_reason),
@@ -131,7 +131,7 @@ def record(
             options=options,
             host=host,
         )
-        resources = _with_background_tasks(bare, folder, archive, history)
+        resources = _add_background_tasks(bare, folder, archive, history)
         for task in reversed(resources.tasks):
             stack.callback(task.close)
         recorder = Recorder(resources)
@@ -146,16 +146,16 @@ def record(
         return finished
 
 
-def _clock(
+def _create_clock(
     clock: ClockSettings, catalogue: RecorderCatalogue, archive: Archive, last_beat: Beat | None, host: Host
 ) -> Clock:
     """Make the clock of the test, which goes on where the last recorder ended."""
     if clock.kind != "wall":
-        epoch_ns = catalogue.experiment_row().epoch_utc_ns
-        start_ns = _resume_utc_ns(catalogue, archive, epoch_ns)
+        epoch_ns = catalogue.read_experiment().epoch_utc_ns
+        start_ns = _find_resume_utc_ns(catalogue, archive, epoch_ns)
         return SimulatedClock(start_ns, pace_h_per_s=clock.pace_h_per_s)
     return host.wall_clock(
-        time_before(
+        read_previous_time(
             catalogue,
             last_beat,
             opened_utc_ns=[item.last_utc_ns for item in archive.open_sets().values()],
@@ -166,12 +166,12 @@ def _clock(
     )
 
 
-def _with_background_tasks(
+def _add_background_tasks(
     bare: Resources, folder: Path, archive: FolderArchive, history: HistoryFollower
 ) -> Resources:
     """Add the work between sets; sets that the last recorder left in the journal get their files first."""
-    catalogue, note_file = bare.catalogue, partial(_note_file, bare.catalogue, history)
-    experiment = experiment_identity(catalogue.experiment_row())
+    catalogue, note_file = bare.catalogue, partial(_store_file_digest, bare.catalogue, history)
+    experiment = build_experiment_identity(catalogue.read_experiment())
     disk = DiskWatch(folder, bare.settings.storage, usage=bare.host.disk_usage)
 
     def has_room() -> bool:
@@ -180,17 +180,17 @@ def _with_background_tasks(
     def tiles(set_key: SetKey, results: Results) -> Callable[[SetRecord], str] | None:
         if not has_room():
             return None
-        return partial(add_record_to_tiles, folder, experiment, anchors_of(results))
+        return partial(add_record_to_tiles, folder, experiment, extract_anchors(results))
 
-    results, files = partial(newest_results, catalogue), partial(catalogue.files_but_of, ())
+    results, files = partial(read_newest_results, catalogue), partial(catalogue.list_files_except, ())
     finalizer = SetFinalizer(
         folder, archive, start=bare.host.worker, results=results, filed=note_file, also=tiles
     )
     # One that has no rows yet gets them first: its file holds a copy of them.
-    for set_key in sorted(catalogue.committed_sets(archive.to_finalize())):
-        finalizer.after_set(set_key)
+    for set_key in sorted(catalogue.list_committed_sets(archive.list_sets_to_finalize())):
+        finalizer.notify_set_stored(set_key)
     verification = IdleVerification(
-        folder, finalizer, partial(lost_sets, folder, catalogue), catalogue.digest_of, note_file
+        folder, finalizer, partial(find_lost_sets, folder, catalogue), catalogue.read_digest, note_file
     )
     return replace(
         bare,
@@ -209,27 +209,27 @@ def _with_background_tasks(
     )
 
 
-def _note_rebuilt(catalogue: RecorderCatalogue, rebuilt: dict[str, Any], epoch_ns: int) -> None:
+def _store_rebuilt_event(catalogue: RecorderCatalogue, rebuilt: dict[str, Any], epoch_ns: int) -> None:
     """Store the event that the catalogue was lost and rebuilt, at the time of its newest event."""
-    newest = catalogue.events_after(catalogue.last_event_id() - 1, limit=1)
+    newest = catalogue.read_events_after(catalogue.last_event_id() - 1, limit=1)
     now_ns = newest[0].utc_ns if newest else epoch_ns
     catalogue.add_service_event(utc_ns=now_ns, kind="catalogue_rebuilt", payload=rebuilt)
 
 
-def _note_file(
+def _store_file_digest(
     catalogue: RecorderCatalogue, history: HistoryFollower, set_key: SetKey, file: str, sha256: str
 ) -> None:
     """Store the SHA-256 of the file of a set."""
-    catalogue.set_digest(set_key, file, sha256)
+    catalogue.store_digest(set_key, file, sha256)
     history.note_digest(file, sha256)
 
 
-def _rebuilt_if_lost(settings: Settings, folder: Path, heartbeat: Heartbeat) -> dict[str, Any]:
+def _rebuild_if_lost(settings: Settings, folder: Path, heartbeat: Heartbeat) -> dict[str, Any]:
     """Rebuild a lost catalogue before recording; return the event's payload, empty: none was lost."""
     if not is_catalogue_lost(folder):
         return {}
     log.error("the catalogue of %s is lost and made again from sets, journal and history", folder)
-    made = rebuild(
+    made = rebuild_folder_catalogue(
         folder,
         settings=settings,
         progress=lambda done, total: heartbeat.beat(f"making the catalogue again: set {done} of {total}"),
@@ -239,27 +239,27 @@ def _rebuilt_if_lost(settings: Settings, folder: Path, heartbeat: Heartbeat) -> 
     return asdict(made)
 
 
-def _note_digests(
+def _store_missing_digests(
     catalogue: RecorderCatalogue, archive: Archive, note_file: Callable[[SetKey, str, str], None]
 ) -> None:
     """Store the SHA-256 of files that a crash left without one; those of an older folder follow when idle."""
-    for set_key, file in sorted(catalogue.without_digest().items())[-NOTED_AT_ONCE:]:
+    for set_key, file in sorted(catalogue.list_sets_without_digest().items())[-NOTED_AT_ONCE:]:
         sha256 = archive.digest(SetReference(file))
         if sha256 is not None:
             note_file(set_key, file, sha256)
 
 
-def longest_call_s(settings: Settings) -> float:
+def compute_longest_call_s(settings: Settings) -> float:
     """Return the longest time in s of an instrument's call that has a timeout."""
     rig = settings.rig
-    longest_s = max(item.kind.longest_call_s(item.parameters) for item in configured(settings))
+    longest_s = max(item.kind.longest_call_s(item.parameters) for item in list_instruments(settings))
     return max(rig.read_timeout_s, longest_s)
 
 
-def _experiment_epoch(catalogue: RecorderCatalogue, settings: Settings) -> int:
+def _create_or_read_epoch(catalogue: RecorderCatalogue, settings: Settings) -> int:
     """Return hour 0 (ns of UTC) of this folder's test; create the test in a new folder."""
     with suppress(NoDataYetError):
-        row = catalogue.experiment_row()
+        row = catalogue.read_experiment()
         if row.solimon_version != version("solimon"):
             log.warning(
                 "solimon %s goes on with a test that %s began", version("solimon"), row.solimon_version
@@ -270,7 +270,7 @@ def _experiment_epoch(catalogue: RecorderCatalogue, settings: Settings) -> int:
         name=settings.name,
         configuration_hash=settings.configuration_hash(),
         configuration=settings.model_dump(mode="json"),
-        epoch_utc_ns=parse_utc(settings.clock.epoch) if simulated else hour_0(time.time_ns()),
+        epoch_utc_ns=parse_utc(settings.clock.epoch) if simulated else compute_hour_0_ns(time.time_ns()),
         clock=settings.clock.kind,
         solimon_version=version("solimon"),
         site=settings.site or None,
@@ -278,24 +278,24 @@ def _experiment_epoch(catalogue: RecorderCatalogue, settings: Settings) -> int:
     return row.epoch_utc_ns
 
 
-def _separate_copy(folder: Path, catalogue: RecorderCatalogue, epoch_ns: int) -> None:
+def _assign_copy_uuid(folder: Path, catalogue: RecorderCatalogue, epoch_ns: int) -> None:
     """Assign a new UUID to a backup that continues the test; the original keeps its UUID."""
-    row, original = catalogue.experiment_row(), backup_identity(folder)
+    row, original = catalogue.read_experiment(), read_backup_identity(folder)
     if original is None or original.get("uuid") != row.uuid:
         return
     separated = replace(row, uuid=str(uuid.uuid4()))
-    catalogue.restore([separated])
+    catalogue.restore_rows([separated])
     write_experiment(folder, separated)
     payload = {"uuid": separated.uuid, "original_uuid": row.uuid}
-    utc_ns = catalogue.last_ended_utc_ns() or epoch_ns
+    utc_ns = catalogue.find_last_end_utc_ns() or epoch_ns
     catalogue.add_service_event(utc_ns=utc_ns, kind="copy_continued", payload=payload)
     log.warning("this folder is a backup: it continues as test %s", separated.uuid)
 
 
-def _resume_utc_ns(catalogue: RecorderCatalogue, archive: Archive, epoch_ns: int) -> int:
+def _find_resume_utc_ns(catalogue: RecorderCatalogue, archive: Archive, epoch_ns: int) -> int:
     """Return the time (ns of UTC) at which a simulated clock continues: that of the last stored record."""
     opened = [item.last_utc_ns for item in archive.open_sets().values()]
-    ended_ns = catalogue.last_ended_utc_ns()
+    ended_ns = catalogue.find_last_end_utc_ns()
     return max([*opened, *([] if ended_ns is None else [ended_ns])], default=epoch_ns)
 
 
@@ -318,17 +318,17 @@ def _store_stop(
         log.warning("the stop is not stored: %s", error)
 
 
-def _why_not_running(catalogue: RecorderCatalogue, beat: Beat | None, restart_reason: str) -> str:
+def _find_downtime_reason(catalogue: RecorderCatalogue, beat: Beat | None, restart_reason: str) -> str:
     """Return why no recorder ran until now, by the supervisor, the catalogue or the heartbeat."""
     if restart_reason:
         return f"the recorder {restart_reason}"
-    last_event = catalogue.last_service_event(*PROCESS_EVENTS)
+    last_event = catalogue.read_last_service_event(*PROCESS_EVENTS)
     if last_event is not None and last_event.kind in FAREWELLS and (beat is None or beat.stage == "ended"):
         return f"the recorder was {FAREWELLS[last_event.kind][1].partition(';')[0]}"
     if beat is not None:
         return f"the recorder was down; it was last seen {beat.doing}"
     if last_event is None:
         return "the recorder was starting"
-    seen_ns = max(last_event.utc_ns, catalogue.last_ended_utc_ns() or last_event.utc_ns)
-    seen_h = (seen_ns - catalogue.experiment_row().epoch_utc_ns) / NS_PER_H
+    seen_ns = max(last_event.utc_ns, catalogue.find_last_end_utc_ns() or last_event.utc_ns)
+    seen_h = (seen_ns - catalogue.read_experiment().epoch_utc_ns) / NS_PER_H
     return f"the recorder was down; it was last seen at hour {seen_h:.2f}"

@@ -15,21 +15,21 @@ from analysis.waves.features import ShotFeatures
 from analysis.waves.quality_gate import ACCEPTED, SUPERSEDED
 from daq_service.alarms.delays import DELAY_EVENT, apply_delays
 from daq_service.alarms.operator_actions import end_expired_shelf
-from daq_service.alarms.process_trouble import RECORDER_NOT_RUNNING, recorder_condition
-from daq_service.alarms.rig_trouble import RIG_UNAVAILABLE, lost_cause, rig_condition
+from daq_service.alarms.process_trouble import RECORDER_NOT_RUNNING, build_recorder_condition
+from daq_service.alarms.rig_trouble import RIG_UNAVAILABLE, build_rig_condition, find_connection_loss
 from daq_service.alarms.states import (
     Condition,
     Moment,
-    disabled_positions,
-    update,
+    find_disabled,
+    update_alarm,
 )
-from daq_service.archive import SetReader, SetRecord, waveform_crc32
+from daq_service.archive import SetReader, SetRecord, compute_crc32
 from daq_service.assessment.assessor import Assessor, PositionResult
 from daq_service.assessment.methods import METHODS
 from daq_service.assessment.restore_state import STATE_FORMAT
 from daq_service.catalogue import Catalogue, RecorderCatalogue, SetCommit
 from daq_service.catalogue.rows import AlarmRow, AssessorStateRow, EventRow, Outcome, SetRow, ShotRow
-from daq_service.catalogue.writer import payload_of
+from daq_service.catalogue.writer import build_event_payload
 from daq_service.corrosion_drive.remote import RemoteDrive
 from daq_service.corrosion_drive.watch import DriveWatch
 from daq_service.recording.confirmations import Confirmations, add_confirmation
@@ -82,7 +82,7 @@ class SetAssessor:
         news: Callable[..., None] = lambda event, **values: None,
     ) -> None:
         self._settings, self._delays = settings, settings.alarms.kinds
-        self._positions_by_method = [settings.names_of(method) for method in METHODS]
+        self._positions_by_method = [settings.list_positions(method) for method in METHODS]
         self.n_planned = {
             name: METHODS[place.method].records_planned(settings.schedule)
             for name, place in settings.positions.items()
@@ -98,11 +98,11 @@ class SetAssessor:
         self.alarms = {(row.position, row.kind): row for row in catalogue.rows(AlarmRow)}
         self._delayed_since_ns: dict[tuple[str | None, str], int | None] = {}
         for event in catalogue.rows(EventRow, topic="alarms", kind=DELAY_EVENT):
-            self.take_stored(event)
+            self.apply_stored_event(event)
         self.drive = None
         if rig is not None and (rig.supply or rig.climate or remote_drive):
             self.drive = DriveWatch(
-                settings.rig, rig, catalogue, self.alarms, self.carry_alarm, self.commit, remote_drive
+                settings.rig, rig, catalogue, self.alarms, self.apply_alarm, self.commit, remote_drive
             )
 
     def adopt(self) -> None:
@@ -110,7 +110,7 @@ class SetAssessor:
         rows = self._catalogue.rows(AlarmRow, kind=RECORDER_NOT_RUNNING)
         self.alarms |= {(row.position, row.kind): row for row in rows}
 
-    def passed(self, row: SetRow) -> Sequence[Condition]:
+    def apply_stored_row(self, row: SetRow) -> Sequence[Condition]:
         """Update the state with the stored row of a set without waveforms; return its alarm conditions."""
         position_result = self.assessors[row.position].assess_empty_set(
             DueSet(set_index=row.set_index, due_h=row.due_h, due_utc_ns=row.due_utc_ns),
@@ -120,7 +120,7 @@ class SetAssessor:
 
     def disabled(self) -> dict[str, str]:
         """Return the disabled transducers, each with the reason."""
-        return disabled_positions(self.alarms.values())
+        return find_disabled(self.alarms.values())
 
     def assessed(
         self,
@@ -145,17 +145,17 @@ class SetAssessor:
         disabled = self.disabled()
         transaction = SetCommit()
         suspicions: dict[str, str] = {}
-        for position in self.positions_of(due):
+        for position in self.list_set_positions(due):
             if position not in reasons:
                 reason = disabled.get(position, "disabled")
-                transaction.sets.append(self.without_records(due, position, disabled=True, reason=reason))
+                transaction.sets.append(self.build_empty_row(due, position, disabled=True, reason=reason))
                 continue
             measurements = [item for item in record.records if item.key.position == position]
             assessor = self.assessors[position]
             assess_set = assessor.assess_set if due.position is None else assessor.assess_unscheduled
             position_result = assess_set(due, record, features)
             row = replace(
-                self.without_records(due, position, disabled=False, reason=reasons[position]),
+                self.build_empty_row(due, position, disabled=False, reason=reasons[position]),
                 state="done" if not reasons[position] else "partial" if measurements else "missed",
                 n_taken=len(measurements),
                 n_valid=position_result.n_valid,
@@ -166,33 +166,33 @@ class SetAssessor:
                 file=file if measurements else None,
                 file_sha256=sha256 if measurements else None,
             )
-            add_position(transaction, row, measurements, position_result, moment, record.outcomes)
+            add_position_rows(transaction, row, measurements, position_result, moment, record.outcomes)
             suspicions[position] = position_result.suspicion
             conditions, confirmed = position_result.conditions, self.confirmations.last_results.get(position)
             if confirmed is not None:
-                conditions = self.confirmations.with_result(confirmed, conditions, due.set_index)
+                conditions = self.confirmations.add_result_to_evidence(confirmed, conditions, due.set_index)
             for condition in conditions:
-                self.carry_alarm(condition, moment, transaction)
+                self.apply_alarm(condition, moment, transaction)
         if due.position is not None:
             add_confirmation(self.alarms, due.position, transaction, moment)
-        trouble, unanswered = record.trouble, self._unanswered(record)
+        trouble, unanswered = record.trouble, self._find_unanswered_reason(record)
         has_trouble = bool(trouble or unanswered)
         # One position that works proves nothing of the other instruments.
-        if has_trouble or (due.position is None and self._may_end(None, RIG_UNAVAILABLE)):
-            rig_now = rig_condition(due, trouble, unanswered, proven=self.proven)
-            self.carry_alarm(rig_now, moment, transaction)
+        if has_trouble or (due.position is None and self._has_alarm_to_end(None, RIG_UNAVAILABLE)):
+            rig_now = build_rig_condition(due, trouble, unanswered, proven=self.proven)
+            self.apply_alarm(rig_now, moment, transaction)
         if due.position is not None:
             return transaction
-        if self._may_end(None, RECORDER_NOT_RUNNING):
-            self.carry_alarm(recorder_condition("", due.due_h), moment, transaction)
+        if self._has_alarm_to_end(None, RECORDER_NOT_RUNNING):
+            self.apply_alarm(build_recorder_condition("", due.due_h), moment, transaction)
         self.proven = self.proven or not (record.trouble or any(reasons.values()))
         standing = {**self.alarms, **{(row.position, row.kind): row for row in transaction.alarms}}
         for position, reason in suspicions.items():
             if reason:
                 self.confirmations.request(reason, due, position, standing, moment, transaction)
-        return self.with_environment(due, moment, transaction)
+        return self.add_environment(due, moment, transaction)
 
-    def without_records(self, due: DueSet, position: str, *, disabled: bool, reason: str) -> SetRow:
+    def build_empty_row(self, due: DueSet, position: str, *, disabled: bool, reason: str) -> SetRow:
         """Build the row of a position without records, or that was not measured."""
         return SetRow(
             set_index=due.set_index,
@@ -207,14 +207,14 @@ class SetAssessor:
             purpose=None if due.position is None else "confirmation",
         )
 
-    def positions_of(self, due: DueSet) -> list[str]:
+    def list_set_positions(self, due: DueSet) -> list[str]:
         """Return the positions of a set."""
         return list(self._settings.positions) if due.position is None else [due.position]
 
     def update_alarm(self, condition: Condition, moment: Moment) -> None:
         """Store the new state of an alarm that belongs to no set."""
         transaction = SetCommit()
-        self.carry_alarm(condition, moment, transaction)
+        self.apply_alarm(condition, moment, transaction)
         if transaction.events:
             self.commit(transaction)
 
@@ -228,20 +228,20 @@ class SetAssessor:
                 transaction.add_alarm(change.row, change.event(moment))
             self.commit(transaction)
 
-    def _unanswered(self, record: SetRecord) -> str:
+    def _find_unanswered_reason(self, record: SetRecord) -> str:
         """Return why no instrument of a method responded in a set; empty if each method has a record."""
         for names in self._positions_by_method:
             if not any(item.key.position in names for item in record.records):
                 missed = [item for item in record.missed if item.key.position in names]
-                if missed and (cause := lost_cause(missed)):
+                if missed and (cause := find_connection_loss(missed)):
                     return cause
         return ""
 
-    def _may_end(self, position: str | None, kind: str) -> bool:
+    def _has_alarm_to_end(self, position: str | None, kind: str) -> bool:
         """Return whether an absent condition ends an alarm, or the delay before one."""
         return (position, kind) in self.alarms or (position, kind) in self._delayed_since_ns
 
-    def carry_alarm(self, condition: Condition, moment: Moment, transaction: SetCommit) -> None:
+    def apply_alarm(self, condition: Condition, moment: Moment, transaction: SetCommit) -> None:
         """Add what becomes of an alarm with a condition, unless it is held back."""
         key = (condition.position, condition.kind)
         row, since_ns = self.alarms.get(key), self._delayed_since_ns.get(key)
@@ -252,7 +252,7 @@ class SetAssessor:
         if now_since_ns != since_ns:
             delay = {"alarm_kind": condition.kind, "since_utc_ns": now_since_ns}
             transaction.events.append(moment.event("alarms", DELAY_EVENT, delay, position=condition.position))
-        change = None if to_follow is None else update(row, to_follow, moment)
+        change = None if to_follow is None else update_alarm(row, to_follow, moment)
         if change is not None:
             if (
                 self.drive is not None
@@ -264,14 +264,14 @@ class SetAssessor:
             transaction.add_alarm(change.row, change.event(moment))
             log.warning("%s at hour %g: %s", change.event_kind, moment.due_h, change.row.message)
 
-    def take_stored(self, event: EventRow) -> None:
+    def apply_stored_event(self, event: EventRow) -> None:
         """Update alarm delays and requested sets from a stored event."""
-        self.confirmations.take_event(event)
+        self.confirmations.apply_event(event)
         if event.kind == DELAY_EVENT:
             payload = event.payload
             self._delayed_since_ns[(event.position, payload["alarm_kind"])] = payload["since_utc_ns"]
 
-    def with_environment(self, due: DueSet, moment: Moment, transaction: SetCommit) -> SetCommit:
+    def add_environment(self, due: DueSet, moment: Moment, transaction: SetCommit) -> SetCommit:
         """Add the readings of supply and climate probe since the last set."""
         if self.drive is not None:
             self.drive.add_row(transaction, due, moment)
@@ -288,12 +288,12 @@ class SetAssessor:
         Called again after an error, it first looks whether the commit took place all the same.
         """
         keys = {row.set_key for row in transaction.sets}
-        if transaction is self._uncommitted and keys <= self._catalogue.committed_sets(keys):
+        if transaction is self._uncommitted and keys <= self._catalogue.list_committed_sets(keys):
             self.alarms |= {(row.position, row.kind): row for row in self._catalogue.rows(AlarmRow)}
             return
         # Not with a change that overtakes a set: the state is that after the set, which is not stored yet.
         if keys or (self.assessors.enabled and self._uncommitted is None):
-            transaction.states |= self.assessors.changed_states()
+            transaction.states |= self.assessors.collect_changed_states()
         self._uncommitted = transaction if keys else self._uncommitted
         committed = self._catalogue.commit_set(transaction)
         self._uncommitted = None if transaction is self._uncommitted else self._uncommitted
@@ -303,12 +303,12 @@ class SetAssessor:
     def publish(self, transaction: SetCommit) -> None:
         """Update the state with a stored transaction, and report its alarms and gaps."""
         for event in transaction.events:
-            self.take_stored(event)
-        self.confirmations.take_rows(transaction)
+            self.apply_stored_event(event)
+        self.confirmations.apply_rows(transaction)
         report_changes(transaction, self._news)
 
 
-def shot_row(
+def build_shot_row(
     measurement: Shot | PulseEchoRecord, *, valid: bool, flags: Sequence[str], outcome: Outcome = ACCEPTED
 ) -> ShotRow:
     """Return the catalogue row of a stored record."""
@@ -323,14 +323,14 @@ def shot_row(
         utc_ns=stamp.utc_ns,
         mono_ns=stamp.mono_ns,
         boot_id=stamp.boot_id,
-        crc32=waveform_crc32(measurement.waveform),
+        crc32=compute_crc32(measurement.waveform),
         valid=valid,
         flags=list(flags),
         outcome=outcome,
     )
 
 
-def add_position(
+def add_position_rows(
     transaction: SetCommit,
     its_set: SetRow,
     measurements: Sequence[Shot | PulseEchoRecord],
@@ -345,7 +345,7 @@ def add_position(
         flags = position_result.shot_flags[measurement.sequence]
         valid = measurement.sequence not in position_result.invalid
         outcome: Outcome = SUPERSEDED if outcomes.get(measurement.sequence) == SUPERSEDED else ACCEPTED
-        transaction.shots.append(shot_row(measurement, valid=valid, flags=flags, outcome=outcome))
+        transaction.shots.append(build_shot_row(measurement, valid=valid, flags=flags, outcome=outcome))
     transaction.features += position_result.features
     transaction.thickness += position_result.thickness
     transaction.assessments += position_result.assessments
@@ -361,7 +361,7 @@ def add_position(
         frozen = event("assessments", "baseline_frozen", {})
         transaction.add_baseline(baseline, frozen, last="created_utc_ns")
     for assessment in position_result.assessments[-1:]:
-        payload = payload_of(assessment) if assessment.in_baseline else {}
+        payload = build_event_payload(assessment) if assessment.in_baseline else {}
         transaction.events.append(event("assessments", "set_assessed", payload))
 
 
@@ -417,12 +417,12 @@ class PositionAssessors:
         for position, state in states.items():
             self[position].state = state
 
-    def changed_states(self) -> dict[str, AssessorStateRow]:
+    def collect_changed_states(self) -> dict[str, AssessorStateRow]:
         """Return the rows of the states that have changed since the last call, by ``place``."""
         rows: list[AssessorStateRow] = []
         for position, assessor in self._assessors.items():
             before, self._stored[position] = self._stored.get(position), assessor.state
-            rows += state_rows(
+            rows += find_changed_state_rows(
                 before,
                 assessor.state,
                 position=position,
@@ -433,7 +433,7 @@ class PositionAssessors:
         return {row.place: row for row in rows}
 
 
-def state_rows(
+def find_changed_state_rows(
     before: Any, after: Any, *, position: str, baseline_id: int | None, configuration_hash: str
 ) -> list[AssessorStateRow]:
     """Return the rows of a state that differ from those of the earlier state; all of them if it is None."""

@@ -7,8 +7,12 @@ from contextlib import suppress
 from dataclasses import asdict
 from functools import partial
 
-from daq_service.alarms.data_trouble import damage_condition, space_condition, storage_condition
-from daq_service.alarms.process_trouble import web_condition
+from daq_service.alarms.data_trouble import (
+    build_damage_condition,
+    build_space_condition,
+    build_storage_condition,
+)
+from daq_service.alarms.process_trouble import build_web_condition
 from daq_service.alarms.states import Condition
 from daq_service.errors import PASSING
 from daq_service.processes.disk_policy import DiskSpace
@@ -38,7 +42,7 @@ class StorageAlarms:
         if self._disk is not None:
             self._disk.on_change = self._report_space
 
-    def overdue_reason(self, due_utc_ns: int) -> str:
+    def find_overdue_reason(self, due_utc_ns: int) -> str:
         """Return the reason why the time of a set passed: disk, catalogue, or sleep of the computer."""
         is_over = self._persistence.trouble is None and self._trouble_until_ns < due_utc_ns
         return OVERSLEPT if is_over else f"the recorder waited for the disk: {self._reported_trouble}"
@@ -50,7 +54,7 @@ class StorageAlarms:
             return
         moment = self._moment()
         with suppress(*PASSING):  # the next look stores it
-            self._set_assessor.update_alarm(web_condition(moment.due_h, present=is_missing), moment)
+            self._set_assessor.update_alarm(build_web_condition(moment.due_h, present=is_missing), moment)
             self._web_is_missing = is_missing
 
     def start_verification(self) -> None:
@@ -61,11 +65,11 @@ class StorageAlarms:
             self._verification.begin(alarm.evidence.get("damaged", {}) if alarm and stands else {})
         self._report_corruption(at_the_start=True)
 
-    def use_reserve(self) -> None:
+    def store_in_reserve(self) -> None:
         """Store what waits in the space that is reserved for a stop; what no disk takes is lost."""
         if self._persistence.trouble is not None and self._disk is not None:
             self._disk.free_reserve()
-            self._persistence.run_all()
+            self._persistence.run_queued_jobs()
         if (trouble := self._persistence.trouble) is not None:
             log.error("%d jobs are lost that no disk took: %s", len(self._persistence), trouble.message)
 
@@ -80,7 +84,7 @@ class StorageAlarms:
         """Report the level of the volume: an event at each change, an alarm at the last two."""
         log.warning("%s: level %s", space.description, space.level)
         self._persistence.say(DISK_SPACE, asdict(space))
-        condition = space_condition(
+        condition = build_space_condition(
             space.description, present=space.level in ("alarm", "stop"), stops=space.level == "stop"
         )
         self._store_alarm(condition)
@@ -101,13 +105,13 @@ class StorageAlarms:
             self._reported_trouble = trouble.message
             try:
                 self._set_assessor.update_alarm(
-                    storage_condition(trouble.message, present=True), self._moment()
+                    build_storage_condition(trouble.message, present=True), self._moment()
                 )
             except PASSING as error:
                 log.warning("the alarm is not stored: %s", error)
         else:  # on record even if the catalogue itself was what took nothing
-            self._store_alarm(storage_condition(self._reported_trouble, present=True))
-            self._store_alarm(storage_condition(self._reported_trouble, present=False))
+            self._store_alarm(build_storage_condition(self._reported_trouble, present=True))
+            self._store_alarm(build_storage_condition(self._reported_trouble, present=False))
             self._reported_finalizing = ""  # what still has no file is reported again
 
     def _report_finalizing(self, trouble: str) -> None:
@@ -116,7 +120,7 @@ class StorageAlarms:
             return
         message = trouble or self._reported_finalizing
         self._reported_finalizing = trouble
-        self._store_alarm(storage_condition(message, present=bool(trouble), waits_in="journal"))
+        self._store_alarm(build_storage_condition(message, present=bool(trouble), waits_in="journal"))
 
     def _report_corruption(self, *, at_the_start: bool = False) -> None:
         """Raise or clear the alarm of corrupt or missing sets, and report each new one."""
@@ -134,6 +138,6 @@ class StorageAlarms:
         for file, description in new.items():
             log.error("%s: %s", file, description)
             self._persistence.say("data_corrupt", {"file": file, "description": description})
-        aside = [file for file in self._archive.quarantined() if file not in damaged]
-        condition = damage_condition(aside, damaged)
+        aside = [file for file in self._archive.list_quarantined() if file not in damaged]
+        condition = build_damage_condition(aside, damaged)
         self._persistence.do(partial(self._set_assessor.update_alarm, condition, self._moment()))

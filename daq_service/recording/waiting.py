@@ -49,7 +49,7 @@ class Waiting:
         self.next_set = 0
         persistence.on_change = self._report_trouble
 
-    def between_sets(self) -> bool:
+    def run_between_sets(self) -> bool:
         """Run the background tasks, heartbeat and requests between sets; return False to stop."""
         seconds = (self.free_until_ns - self._resources.rig.clock.utc_ns()) / NS_PER_S
         self._persistence.run_for(seconds)
@@ -57,35 +57,35 @@ class Waiting:
             task.run_for(seconds if self._persistence.trouble is None else 0.0)
         self.storage.report()
         self._persistence.attempt(partial(self._set_assessor.expire_shelves, self._resources.moment()))
-        return self.activity.between_shots()
+        return self.activity.run_between_shots()
 
-    def until_stored(self) -> None:
+    def wait_until_stored(self) -> None:
         """Wait until everything is stored, or until a stop."""
-        while self._persistence.trouble is not None and self.between_sets():
+        while self._persistence.trouble is not None and self.run_between_sets():
             self._resources.stop.wait(self._resources.host.look_every_s)
-        self.storage.use_reserve()
+        self.storage.store_in_reserve()
 
-    def for_worker(self) -> None:
+    def wait_for_worker(self) -> None:
         """Wait for the files of earlier sets in simulated time, or journal and memory would grow."""
         finalizer = self._resources.finalizer
-        while finalizer is not None and finalizer.n_under_way > MOST_UNDER_WAY and self.between_sets():
+        while finalizer is not None and finalizer.n_under_way > MOST_UNDER_WAY and self.run_between_sets():
             self._resources.stop.wait(self._resources.host.look_every_s / 10.0)
 
-    def for_files(self) -> None:
+    def wait_for_files(self) -> None:
         """Wait for the files of the last sets at the end of a test, but not after a stop."""
         finalizer, host, stop = self._resources.finalizer, self._resources.host, self._resources.stop
         if finalizer is None or stop.is_set():
             return
         until_s = host.machine.mono_s() + WAIT_FOR_FILES_S
-        while self.between_sets() and host.machine.mono_s() < until_s and finalizer.waits:
-            finalizer.try_again()
+        while self.run_between_sets() and host.machine.mono_s() < until_s and finalizer.waits:
+            finalizer.retry_failed_sets()
             stop.wait(host.look_every_s)
 
     def linger(self) -> None:
         """Execute operators' commands without acquiring sets, until ``stop`` is set."""
         self.activity.doing = "waiting for commands; every set is taken"
         self.free_until_ns = math.inf
-        while self.between_sets():
+        while self.run_between_sets():
             self._resources.stop.wait(self._resources.host.look_every_s)
 
     def end(self) -> None:

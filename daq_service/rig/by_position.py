@@ -21,7 +21,7 @@ class Strikers:
 
     def strike(self, key: ShotKey) -> None:
         """Strike with the striker of the position, or ask a person to strike."""
-        striker = _of(self._strikers, key, "striker")
+        striker = _find_instrument(self._strikers, key, "striker")
         self._asking.about(key)
         striker.strike(key)
 
@@ -29,7 +29,7 @@ class Strikers:
         """De-energise all strikers, even if one fails; its error is raised afterwards."""
         with ExitStack() as every:
             every.callback(self._asking.ask, "")
-            for striker in _distinct(self._strikers):
+            for striker in _list_distinct(self._strikers):
                 every.callback(striker.make_safe)
 
 
@@ -42,7 +42,7 @@ class Digitizers:
 
     def arm(self, key: ShotKey) -> None:
         """Arm the digitizer of the position."""
-        digitizer = _of(self._digitizers, key, "digitizer")
+        digitizer = _find_instrument(self._digitizers, key, "digitizer")
         if self._armed is not None:
             raise ConfigurationError(f"already armed for {self._armed}; read or disarm first")
         digitizer.arm(key)
@@ -62,7 +62,7 @@ class Digitizers:
         """Disarm all digitizers."""
         self._armed = None
         with ExitStack() as every:
-            for digitizer in _distinct(self._digitizers):
+            for digitizer in _list_distinct(self._digitizers):
                 every.callback(digitizer.disarm)
 
 
@@ -74,10 +74,10 @@ class PulseEchoUnits:
 
     def acquire(self, key: ShotKey, timeout_s: float) -> Echo:
         """Acquire an echo with the unit of the position."""
-        return _of(self._units, key, "pulse-echo unit").acquire(key, timeout_s)
+        return _find_instrument(self._units, key, "pulse-echo unit").acquire(key, timeout_s)
 
 
-def _of(instruments: Mapping[str, T], key: ShotKey, what: str) -> T:
+def _find_instrument(instruments: Mapping[str, T], key: ShotKey, what: str) -> T:
     """Return the instrument at the position of a shot; raise an error without one."""
     if key.position not in instruments:
         raise ConfigurationError(
@@ -87,6 +87,6 @@ def _of(instruments: Mapping[str, T], key: ShotKey, what: str) -> T:
     return instruments[key.position]
 
 
-def _distinct(instruments: Mapping[str, T]) -> list[T]:
+def _list_distinct(instruments: Mapping[str, T]) -> list[T]:
     """Return each instrument once."""
     return list({id(instrument): instrument for instrument in instruments.values()}.values())

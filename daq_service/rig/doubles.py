@@ -45,7 +45,7 @@ class DemoRig:
 
 
 @contextmanager
-def running_rig(rig: str, overrides: Mapping[str, object]) -> Iterator[DemoRig]:
+def run_rig_doubles(rig: str, overrides: Mapping[str, object]) -> Iterator[DemoRig]:
     """Start what a rig of the demonstration needs; it ends with the context.
 
     Parameters
@@ -73,30 +73,30 @@ def running_rig(rig: str, overrides: Mapping[str, object]) -> Iterator[DemoRig]:
     transport = rig.removeprefix("daqmx-")
     with ExitStack() as stack:
         try:
-            folders = _library_folders() if transport == "library" else []
+            folders = _build_libraries() if transport == "library" else []
             has_probe = len(folders) > 1
-            doubles = stack.enter_context(running_doubles(_description(settings)))
+            doubles = stack.enter_context(running_doubles(_describe_boards(settings)))
         except DoublesError as error:
             raise RigError(f"the doubles of the NI boards did not start: {error}") from error
         if transport == "grpc" and not doubles.grpc:
             raise UsageError("--rig daqmx-grpc needs the package grpcio: pip install 'solimon[grpc]'")
-        tables = _rig_tables(settings, transport, doubles.grpc, has_probe=has_probe)
-        dropped = [] if has_probe else settings.names_of(PULSE_ECHO)
-        environment = client_environment(doubles.wire, *folders, environment=_library_path(folders))
+        tables = _build_rig_table(settings, transport, doubles.grpc, has_probe=has_probe)
+        dropped = [] if has_probe else settings.list_positions(PULSE_ECHO)
+        environment = client_environment(doubles.wire, *folders, environment=_build_library_path(folders))
         yield DemoRig(
-            settings=_on_rig(settings, tables, dropped),
+            settings=_set_rig(settings, tables, dropped),
             environment={**environment, CONTROL_VARIABLE: doubles.control.address},
             notes=tuple(f"position {name} is left out: {NO_PROBE[transport]}" for name in dropped),
         )
 
 
-def _library_path(folders: Sequence[Path]) -> dict[str, str]:
+def _build_library_path(folders: Sequence[Path]) -> dict[str, str]:
     """Return the library path to which the folders are added; empty if no library is built."""
     before = os.environ.get("LD_LIBRARY_PATH")
     return {"LD_LIBRARY_PATH": before} if folders and before else {}
 
 
-def _description(settings: Settings) -> Description:
+def _describe_boards(settings: Settings) -> Description:
     """Wire the configuration's transducers and probes to the doubles' boards."""
     from simulator.doubles.chassis.description import (
         SIMULTANEOUS_16_BIT,
@@ -106,7 +106,7 @@ def _description(settings: Settings) -> Description:
     )
 
     serial, places = SIMULTANEOUS_16_BIT.serial_number, settings.positions
-    names = settings.names_of(SOLITARY_WAVE)
+    names = settings.list_positions(SOLITARY_WAVE)
     coils = len(SIMULTANEOUS_16_BIT.kind.counter_terminals)
     if len(names) > coils:
         raise UsageError(f"the double's board drives {coils} coils, the configuration has {len(names)}")
@@ -128,14 +128,14 @@ def _description(settings: Settings) -> Description:
             name: ProbeWiring(
                 resource=PROBE_RESOURCE, channel=str(index), thickness_m=places[name].plate.thickness_m
             )
-            for index, name in enumerate(settings.names_of(PULSE_ECHO))
+            for index, name in enumerate(settings.list_positions(PULSE_ECHO))
         },
         twin=settings.twin,
         shots_per_set=settings.schedule.shots_per_set,
     )
 
 
-def _rig_tables(
+def _build_rig_table(
     settings: Settings, transport: str, grpc: str | None, *, has_probe: bool
 ) -> dict[str, object]:
     """Return the table ``[rig]`` for the doubles' boards."""
@@ -161,7 +161,7 @@ def _rig_tables(
                     "counter": f"ctr{index}",
                     "output_terminal": SIMULTANEOUS_16_BIT.kind.counter_terminals[index],
                 }
-                for index, name in enumerate(settings.names_of(SOLITARY_WAVE))
+                for index, name in enumerate(settings.list_positions(SOLITARY_WAVE))
             },
         },
     }
@@ -177,13 +177,13 @@ def _rig_tables(
                     "range_v": echo.range_v,
                     "gain_db": echo.gain_db,
                 }
-                for index, name in enumerate(settings.names_of(PULSE_ECHO))
+                for index, name in enumerate(settings.list_positions(PULSE_ECHO))
             },
         }
     return tables
 
 
-def _on_rig(settings: Settings, tables: Mapping[str, object], dropped: Sequence[str]) -> Settings:
+def _set_rig(settings: Settings, tables: Mapping[str, object], dropped: Sequence[str]) -> Settings:
     """Return the settings with other tables of the rig and without some positions."""
     values = settings.model_dump(mode="json")
     values["rig"] |= tables
@@ -192,7 +192,7 @@ def _on_rig(settings: Settings, tables: Mapping[str, object], dropped: Sequence[
     return Settings(**values)
 
 
-def _library_folders() -> list[Path]:
+def _build_libraries() -> list[Path]:
     """Build the libraries and return their folders: NI-DAQmx, and NI-SCOPE if its package is installed."""
     from simulator.doubles.transports.library import build_library, why_unavailable
 

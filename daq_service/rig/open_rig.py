@@ -9,10 +9,10 @@ from dataclasses import dataclass, replace
 from importlib.metadata import version
 from typing import Any
 
-from daq_service.clock import boot_id
+from daq_service.clock import read_boot_id
 from daq_service.errors import UsageError
 from daq_service.rig.by_position import Digitizers, PulseEchoUnits, Strikers
-from daq_service.settings.instruments import Instrument, configured
+from daq_service.settings.instruments import Instrument, list_instruments
 from daq_service.settings.tree import Settings
 from hardware_drivers.errors import ConfigurationError
 from hardware_drivers.instruments import (
@@ -62,11 +62,11 @@ def open_rig(
         A real instrument is wrong, busy or not there.
     """
     asking = PersonRequests()
-    instruments, opened = configured(settings), list[Opened]()
+    instruments, opened = list_instruments(settings), list[Opened]()
     with ExitStack() as stack:
         for item in instruments:
             opening = replace(
-                opening_of(item, settings, clock),
+                build_opening(item, settings, clock),
                 ask=asking.ask,
                 epoch_utc_ns=epoch_utc_ns,
                 preparing=preparing,
@@ -84,19 +84,19 @@ def open_rig(
 @contextmanager
 def open_supply(settings: Settings, clock: Clock) -> Iterator[PowerSupply]:
     """Open the supply of the corrosion, without switching it."""
-    (item,) = (item for item in configured(settings) if "supply" in item.serves)
-    with item.kind.open(item.parameters, opening_of(item, settings, clock)) as opened:
+    (item,) = (item for item in list_instruments(settings) if "supply" in item.serves)
+    with item.kind.open(item.parameters, build_opening(item, settings, clock)) as opened:
         _require_roles(item, opened)
         assert opened.supply is not None, "just required"
         yield opened.supply
 
 
-def opening_of(item: Instrument, settings: Settings, clock: Clock) -> Opening:
+def build_opening(item: Instrument, settings: Settings, clock: Clock) -> Opening:
     """Build the opening of an instrument that is opened for a check."""
     return Opening(
         clock=clock,
         serves=item.serves,
-        boot_id=boot_id(),
+        boot_id=read_boot_id(),
         shot_interval_s=settings.schedule.shot_interval_s,
         experiment=settings.model_dump(mode="json"),
     )
@@ -129,7 +129,7 @@ def _compose_rig(
         return next((getattr(its, role) for item, its in pairs if role in item.serves), None)
 
     mixed = kind == "mixed"
-    calibrating, interval_h = _self_calibrating(opened)
+    calibrating, interval_h = _find_self_calibrating(opened)
     return Rig(
         kind=kind,
         clock=clock,
@@ -142,11 +142,11 @@ def _compose_rig(
         self_calibration_interval_h=interval_h,
         asking=asking,
         dry_run=any(its.dry_run for its in opened),
-        identity=_identity(pairs, named=mixed),
+        identity=_collect_identities(pairs, named=mixed),
     )
 
 
-def _self_calibrating(opened: Sequence[Opened]) -> tuple[list[SelfCalibrating], float]:
+def _find_self_calibrating(opened: Sequence[Opened]) -> tuple[list[SelfCalibrating], float]:
     """Return the self-calibrating instruments and their shortest required interval in h."""
     candidates = [(its.self_calibrating, its.self_calibration_interval_h) for its in opened]
     intervals_h = [
@@ -156,7 +156,7 @@ def _self_calibrating(opened: Sequence[Opened]) -> tuple[list[SelfCalibrating], 
     return [what for what, own_h in candidates if what is not None and own_h != 0.0], interval_h
 
 
-def _identity(pairs: Sequence[tuple[Instrument, Opened]], *, named: bool) -> dict[str, str]:
+def _collect_identities(pairs: Sequence[tuple[Instrument, Opened]], *, named: bool) -> dict[str, str]:
     """Collect the identities of the instruments; in a mixed rig with their names as prefixes."""
     identity: dict[str, str] = {}
     for item, instrument in pairs:
@@ -189,7 +189,7 @@ class _Together:
 def _announce_shots(rig: Rig, twin: TwinParameters, epoch_utc_ns: int) -> Iterator[Rig]:
     """Announce each shot and its hour to the doubles, because they know no experiment."""
     from simulator.doubles.transports.control import DoublesControl
-    from simulator.experiment.corrosion import held_hour_h
+    from simulator.experiment.corrosion import round_down_to_update_h
 
     address = os.environ.get(CONTROL_VARIABLE)
     if not address:
@@ -201,7 +201,7 @@ def _announce_shots(rig: Rig, twin: TwinParameters, epoch_utc_ns: int) -> Iterat
 
         def announce(key: ShotKey) -> None:
             elapsed_ns = rig.clock.utc_ns() - epoch_utc_ns
-            control.announce(key, held_hour_h(elapsed_ns, twin.update_interval_s))
+            control.announce(key, round_down_to_update_h(elapsed_ns, twin.update_interval_s))
 
         yield replace(
             rig,

@@ -20,7 +20,7 @@ from daq_service.archive import (
     SetReader,
     SetRecord,
     SetReference,
-    due_utc_ns,
+    parse_due_utc_ns,
 )
 from daq_service.archive.errors import ArchiveError
 from daq_service.errors import UsageError
@@ -67,14 +67,14 @@ class ArchivedShots:
             raise UsageError(
                 f"{archive.name} holds no sets; give the data folder of a test (the one that holds sets/)"
             )
-        self._due_utc_ns = [due_utc_ns(file) for file in self._files.values()]
+        self._due_utc_ns = [parse_due_utc_ns(file) for file in self._files.values()]
         self._damaged: dict[SetKey, str] = {}
         self._missed: set[ShotKey] = set()
-        first = self._first_readable()
+        first = self._find_first_readable_set()
         self.rig_kind = first.rig_kind
         self.epoch_utc_ns = first.due_utc_ns - round(first.due_h * NS_PER_H)
         self.configuration_hash = str(first.provenance.get("configuration_hash", ""))
-        self._shots = ShotsBySet(_positions(first), self._records)
+        self._shots = ShotsBySet(_find_positions(first), self._read_set_records)
         self._moments: dict[SetKey, list[int]] = {}
 
     @property
@@ -110,18 +110,18 @@ class ArchivedShots:
         # A set may last into the next one's time, but not into that of the one after it.
         first = max(0, bisect_right(self._due_utc_ns, after_utc_ns) - 2)
         for set_key in islice(self._files, first, None):
-            moments = self._moments_of(set_key)
+            moments = self._list_record_times(set_key)
             if moments and moments[-1] > after_utc_ns:
                 return next(moment for moment in moments if moment > after_utc_ns)
         return None
 
-    def _moments_of(self, set_key: SetKey) -> list[int]:
+    def _list_record_times(self, set_key: SetKey) -> list[int]:
         """Return the times of the records of a set, ns."""
         if set_key not in self._moments:
             self._shots.records_of_set(set_key)
         return self._moments[set_key]
 
-    def _first_readable(self) -> SetRecord:
+    def _find_first_readable_set(self) -> SetRecord:
         """Return the first set that can be read."""
         for file in self._files.values():
             try:
@@ -132,13 +132,13 @@ class ArchivedShots:
             f"none of the {len(self._files)} sets of {self._archive.name} can be read; see `solimon verify`"
         )
 
-    def _records(self, set_key: SetKey) -> Iterable[Record]:
+    def _read_set_records(self, set_key: SetKey) -> Iterable[Record]:
         """Return the records of a set; none if its file is missing or corrupt."""
         file = self._files.get(set_key)
         if file is None:
             return ()
         try:
-            record = self._complete_or_remaining(set_key, file)
+            record = self._read_intact_records(set_key, file)
         except CorruptArchiveError as error:
             self._damaged[set_key] = str(error)
             self._moments[set_key] = []
@@ -151,7 +151,7 @@ class ArchivedShots:
         )
         return record.records
 
-    def _complete_or_remaining(self, set_key: SetKey, file: SetReference) -> SetRecord:
+    def _read_intact_records(self, set_key: SetKey, file: SetReference) -> SetRecord:
         """Read a set, or what is left of it."""
         try:
             return self._archive.read_set(file)
@@ -162,7 +162,7 @@ class ArchivedShots:
             return left
 
 
-def _positions(record: SetRecord) -> dict[str, str]:
+def _find_positions(record: SetRecord) -> dict[str, str]:
     """Return positions and methods of a test: those of its configuration, disabled or not, and of the set."""
     configured = record.provenance.get("configuration", {}).get("positions", {})
     return {
@@ -246,7 +246,7 @@ def playback_instruments(
 
 
 @contextmanager
-def _open(parameters: PlaybackParameters, opening: Opening) -> Iterator[Opened]:
+def _open_playback(parameters: PlaybackParameters, opening: Opening) -> Iterator[Opened]:
     """Open a recording as an instrument."""
     wanted = {
         **dict.fromkeys(opening.serves.get("digitizer", ()), SOLITARY_WAVE),
@@ -268,9 +268,9 @@ def _check(parameters: PlaybackParameters, opening: Opening) -> Iterator[Finding
     yield Finding(subject="rig", check="", state="ok", detail="playback: no boards to look at")
 
 
-def _packages(parameters: PlaybackParameters) -> tuple[str, ...]:
+def _list_packages(parameters: PlaybackParameters) -> tuple[str, ...]:
     """Return the packages that the format needs."""
     return ("npTDMS",) if parameters.format == "tdms" else ()
 
 
-KIND = Kind(parameters=PlaybackParameters, open=_open, check=_check, packages=_packages)
+KIND = Kind(parameters=PlaybackParameters, open=_open_playback, check=_check, packages=_list_packages)

@@ -21,10 +21,10 @@ from importlib.metadata import version
 from multiprocessing.connection import Connection
 from typing import TYPE_CHECKING
 
-from daq_service.acquisition.schedule import plan
-from daq_service.acquisition.strikes_ahead import strikes_after
+from daq_service.acquisition.schedule import plan_sets
+from daq_service.acquisition.strikes_ahead import build_strike_predictor
 from daq_service.errors import UsageError
-from daq_service.processes.worker import leave_with_parent, one_worker
+from daq_service.processes.worker import leave_with_parent, start_one_worker
 from daq_service.settings.tree import Settings
 from hardware_drivers.bounds import bounded
 from hardware_drivers.instruments import Acquired
@@ -43,7 +43,7 @@ COMPILING = "compiling the twin's loops, once on this computer"
 BUILDING = "building the twin's plates, which are kept for the next time"
 
 
-def transducers_of(settings: Settings) -> dict[str, Transducer]:
+def build_transducers(settings: Settings) -> dict[str, Transducer]:
     """Build chain and physics of each solitary-wave position.
 
     Raises
@@ -51,7 +51,7 @@ def transducers_of(settings: Settings) -> dict[str, Transducer]:
     SimulatorError
         One cannot be built as configured.
     """
-    from simulator.experiment.corrosion import patch_of
+    from simulator.experiment.corrosion import make_patch
     from simulator.shot.model import ShotModel
     from simulator.specimen import Transducer
 
@@ -62,14 +62,14 @@ def transducers_of(settings: Settings) -> dict[str, Transducer]:
             model=ShotModel(
                 places[name].chain,
                 places[name].plate,
-                patch_of(settings.twin, name, places[name].corrosion),
+                make_patch(settings.twin, name, places[name].corrosion),
             ),
         )
-        for name in settings.names_of(SOLITARY_WAVE)
+        for name in settings.list_positions(SOLITARY_WAVE)
     }
 
 
-def twin_executor(settings: Settings, sender: Connection | None = None) -> ProcessPoolExecutor:
+def start_twin_executor(settings: Settings, sender: Connection | None = None) -> ProcessPoolExecutor:
     """Start a worker process that computes `records` of these settings; its owner shuts it down.
 
     Parameters
@@ -77,16 +77,16 @@ def twin_executor(settings: Settings, sender: Connection | None = None) -> Proce
     sender
         Pipe to which it sends the start (True) and the end (False) of a compilation.
     """
-    return one_worker(_prepare, settings.model_dump_json(), sender)
+    return start_one_worker(_prepare_specimen, settings.model_dump_json(), sender)
 
 
 @contextmanager
-def twin_process(settings: Settings, compiling: Callable[[bool], None]) -> Iterator[ProcessPoolExecutor]:
+def run_twin_process(settings: Settings, compiling: Callable[[bool], None]) -> Iterator[ProcessPoolExecutor]:
     """Run the worker process; a thread calls ``compiling`` at start and end of its compilations."""
     receiver, sender = multiprocessing.get_context("spawn").Pipe(duplex=False)
     with receiver:
         with sender:  # once it has started, it alone holds this end: the pipe ends with it
-            executor = twin_executor(settings, sender)
+            executor = start_twin_executor(settings, sender)
         listening = threading.Thread(
             target=_forward_messages, args=(receiver, compiling), name="news-of-the-worker", daemon=True
         )
@@ -109,40 +109,39 @@ def _forward_messages(receiver: Connection, compiling: Callable[[bool], None]) -
         compiling(False)
 
 
-def records(settings_json: str, strikes: Sequence[tuple[ShotKey, float]]) -> list[Acquired | None]:
+def compute_records(settings_json: str, strikes: Sequence[tuple[ShotKey, float]]) -> list[Acquired | None]:
     """Compute records of strikes and their features in the worker (`Specimen.solitary_waves`)."""
-    from daq_service.acquisition.shot_features import analysed
+    from daq_service.acquisition.shot_features import extract_record_features
 
-    return analysed(_specimen(settings_json).solitary_waves(strikes))
+    return extract_record_features(_build_specimen(settings_json).solitary_waves(strikes))
 
 
 @cache
-def _specimen(settings_json: str) -> Specimen:
+def _build_specimen(settings_json: str) -> Specimen:
     """Build the specimen of the twin from settings as JSON."""
     from simulator.specimen import build_specimen
 
     settings = Settings.model_validate_json(settings_json)
     return build_specimen(
         settings.twin,
-        transducers=transducers_of(settings),
+        transducers=build_transducers(settings),
         probed_thickness_m={
-            name: settings.positions[name].plate.thickness_m for name in settings.names_of(PULSE_ECHO)
+            name: settings.positions[name].plate.thickness_m for name in settings.list_positions(PULSE_ECHO)
         },
     )
 
 
-def _prepare(settings_json: str, sender: Connection | None) -> None:
+def _prepare_specimen(settings_json: str, sender: Connection | None) -> None:
     """Build the specimen before the first strike."""
     leave_with_parent()
     import daq_service.acquisition.shot_features  # noqa: F401 - while the recorder opens the test
 
     if sender is not None:
-        from simulator.numerics.machine_code import compilation_reported
 
         reporting = ExitStack()
-        reporting.enter_context(compilation_reported(sender.send))
+        reporting.enter_context(report_compilation(sender.send))
         atexit.register(reporting.close)  # kept as long as the process
-    _specimen(settings_json)
+    _build_specimen(settings_json)
 
 
 # As a kind of instrument -------------------------------------------------------------------------------
@@ -154,15 +153,15 @@ class TwinOfTheExperiment:
 
 
 @contextmanager
-def _open(parameters: TwinOfTheExperiment, opening: Opening) -> Iterator[Opened]:
+def _open_twin(parameters: TwinOfTheExperiment, opening: Opening) -> Iterator[Opened]:
     """Open the twin as an instrument, in its own process where that is faster."""
     settings = Settings.model_validate(opening.experiment)
     places, schedule, serves = settings.positions, settings.schedule, opening.serves
     served = {name: places[name] for name in opening.positions}
-    sets = plan(schedule.phases, opening.epoch_utc_ns, end_h=schedule.end_h)
-    planned = strikes_after(
+    sets = plan_sets(schedule.phases, opening.epoch_utc_ns, end_h=schedule.end_h)
+    planned = build_strike_predictor(
         sets,
-        settings.names_of(SOLITARY_WAVE),
+        settings.list_positions(SOLITARY_WAVE),
         shots_per_set=schedule.shots_per_set,
         shot_interval_s=schedule.shot_interval_s,
     )
@@ -172,7 +171,7 @@ def _open(parameters: TwinOfTheExperiment, opening: Opening) -> Iterator[Opened]
     with ExitStack() as stack:
         # One worker: the physics of the next shots runs while this one is stored and judged.
         executor: Executor = (
-            stack.enter_context(twin_process(settings, compiling))
+            stack.enter_context(run_twin_process(settings, compiling))
             if own_process
             else ThreadPoolExecutor(max_workers=1, thread_name_prefix="twin")
         )
@@ -180,12 +179,12 @@ def _open(parameters: TwinOfTheExperiment, opening: Opening) -> Iterator[Opened]
         # These imports take a while: the worker has started by now.
         from simulator.errors import SimulatorError
         from simulator.instruments import build_bench
-        from simulator.numerics.machine_code import compilation_reported
+        from simulator.numerics.machine_code import report_compilation
 
-        stack.enter_context(compilation_reported(compiling))
+        stack.enter_context(report_compilation(compiling))
         opening.preparing(BUILDING, True)
         try:
-            transducers = transducers_of(settings)
+            transducers = build_transducers(settings)
         except SimulatorError as error:
             raise UsageError(f"the twin cannot be built as configured: {error}") from error
         finally:
@@ -202,7 +201,7 @@ def _open(parameters: TwinOfTheExperiment, opening: Opening) -> Iterator[Opened]
                 strike for strike in planned(key, utc_ns) if strike[0].position in served
             ),
             executor=executor,
-            compute=partial(records, settings.model_dump_json()) if own_process else None,
+            compute=partial(compute_records, settings.model_dump_json()) if own_process else None,
         )
         yield Opened(
             striker=bench.striker,
@@ -215,7 +214,7 @@ def _open(parameters: TwinOfTheExperiment, opening: Opening) -> Iterator[Opened]
 def _needs_own_process(settings: Settings, n_sets: int) -> bool:
     """Return whether the test is unpaced and long, because a process needs a second or two to start."""
     unpaced = settings.clock.kind == "simulated" and settings.clock.pace_h_per_s is None
-    strikes = n_sets * settings.schedule.shots_per_set * len(settings.names_of(SOLITARY_WAVE))
+    strikes = n_sets * settings.schedule.shots_per_set * len(settings.list_positions(SOLITARY_WAVE))
     return unpaced and strikes >= STRIKES_WORTH_A_PROCESS
 
 
@@ -224,7 +223,7 @@ def _check(parameters: TwinOfTheExperiment, opening: Opening) -> Iterator[Findin
     yield Finding(subject="rig", check="", state="ok", detail="simulated: no boards to look at")
 
 
-def _require(parameters: TwinOfTheExperiment, serves: Mapping[Role, tuple[str, ...]]) -> None:
+def _require_both_roles(parameters: TwinOfTheExperiment, serves: Mapping[Role, tuple[str, ...]]) -> None:
     """Raise an error if a position is only struck or only digitized by the twin."""
     struck, digitized = (set(serves.get(role, ())) for role in ("striker", "digitizer"))
     if apart := sorted(struck ^ digitized):
@@ -234,4 +233,4 @@ def _require(parameters: TwinOfTheExperiment, serves: Mapping[Role, tuple[str, .
         )
 
 
-KIND = Kind(parameters=TwinOfTheExperiment, open=_open, check=_check, require=_require)
+KIND = Kind(parameters=TwinOfTheExperiment, open=_open_twin, check=_check, require=_require_both_roles)

@@ -11,8 +11,8 @@ from decimal import Decimal
 import tomlkit
 from tomlkit.items import Float, Item, Table, Trivia
 
-from daq_service.settings.schema import describe
-from daq_service.settings.tables import KeyPath, flattened
+from daq_service.settings.schema import describe_key
+from daq_service.settings.tables import KeyPath, flatten
 
 WIDTH = 118
 COMMENT_COLUMN = 40
@@ -21,7 +21,7 @@ _BLANK_LINES = re.compile(r"\n{3,}")
 _SWITCHED_OFF = re.compile(r"^#(?=[a-z\[])", re.MULTILINE)
 
 
-def commented_toml(
+def format_commented_toml(
     values: Mapping[str, object], *, head: str = "", switched_off: Collection[KeyPath] = ()
 ) -> str:
     """Return the text of a configuration file.
@@ -37,32 +37,32 @@ def commented_toml(
     """
     lines = ["#:schema ./settings.schema.json", *(f"# {line}".rstrip() for line in head.splitlines()), ""]
     document = tomlkit.document()
-    for name, item in _table(values, (), set()).items():
+    for name, item in _add_key_descriptions(values, (), set()).items():
         document.append(name, item)
     text = _BLANK_LINES.sub("\n\n", tomlkit.dumps(document))
-    return "\n".join([*lines, *_switch_off(text.split("\n"), switched_off)])
+    return "\n".join([*lines, *_comment_out_tables(text.split("\n"), switched_off)])
 
 
-def switched_on(text: str) -> str:
+def uncomment_tables(text: str) -> str:
     """Uncomment every table of a file that is switched off."""
     return _SWITCHED_OFF.sub("", text)
 
 
-def _switch_off(lines: list[str], tables: Collection[KeyPath]) -> Iterator[str]:
+def _comment_out_tables(lines: list[str], tables: Collection[KeyPath]) -> Iterator[str]:
     """Comment the keys and headers of these tables out; descriptions stay as they are."""
     off = False
     for line in lines:
         if line.startswith("["):
-            path = next(iter(flattened(tomllib.loads(f"{line}\nkey = 0"))))
+            path = next(iter(flatten(tomllib.loads(f"{line}\nkey = 0"))))
             off = any(path[: len(table)] == table for table in tables)
         yield f"#{line}" if off and line and not line.lstrip().startswith("#") else line
 
 
-def _table(values: Mapping[str, object], path: KeyPath, described: set[str]) -> Table:
+def _add_key_descriptions(values: Mapping[str, object], path: KeyPath, described: set[str]) -> Table:
     """Return a table with the description of each key that did not appear before."""
 
     def description(*name: str) -> str:
-        text = describe((*path, *name))
+        text = describe_key((*path, *name))
         new = text not in described
         described.add(text)
         return text if new else ""
@@ -70,35 +70,35 @@ def _table(values: Mapping[str, object], path: KeyPath, described: set[str]) -> 
     tables = {name: value for name, value in values.items() if isinstance(value, Mapping) and value}
     keys = {name: value for name, value in values.items() if name not in tables}
     table = tomlkit.table(is_super_table=not keys)
-    above = _comment(description()) if path and keys else []
+    above = _wrap_comment(description()) if path and keys else []
     for name, value in keys.items():
-        item = _item(value)
+        item = _to_toml_item(value)
         table.append(name, item)
-        _describe(item, f"{tomlkit.key(name).as_string()} = {item.as_string()}", description(name))
+        _add_comment(item, f"{tomlkit.key(name).as_string()} = {item.as_string()}", description(name))
     for name, value in tables.items():
-        table.append(name, _table(value, (*path, name), described))
+        table.append(name, _add_key_descriptions(value, (*path, name), described))
     # Last: tomlkit indents what is appended like the header.
     table.trivia.indent = "\n".join(["", *above, ""])
     return table
 
 
-def _describe(item: Item, assignment: str, description: str) -> None:
+def _add_comment(item: Item, assignment: str, description: str) -> None:
     """Add a comment after the assignment, or above a long one."""
     if len(assignment) > COMMENT_COLUMN - 2:
-        item.trivia.indent = "".join(f"{line}\n" for line in _comment(description))
+        item.trivia.indent = "".join(f"{line}\n" for line in _wrap_comment(description))
         return
-    first, *rest = _comment(description, WIDTH - COMMENT_COLUMN) or [""]
+    first, *rest = _wrap_comment(description, WIDTH - COMMENT_COLUMN) or [""]
     item.trivia.comment_ws = " " * (COMMENT_COLUMN - len(assignment)) if first else ""
     item.trivia.comment = first
     item.trivia.trail = "\n".join(["", *(f"{'':<{COMMENT_COLUMN}}{line}" for line in rest), ""])
 
 
-def _comment(text: str, width: int = WIDTH) -> list[str]:
+def _wrap_comment(text: str, width: int = WIDTH) -> list[str]:
     """Wrap a text as comment lines."""
     return [f"# {line}" for line in textwrap.wrap(text, width - 2, break_on_hyphens=False)]
 
 
-def _item(value: object) -> Item:
+def _to_toml_item(value: object) -> Item:
     """Return a value as TOML; a float in powers of 1000 where that is shorter."""
     match value:
         case float():
@@ -108,12 +108,12 @@ def _item(value: object) -> Item:
         case Mapping():
             inline = tomlkit.inline_table()
             for name, inner in value.items():
-                inline.append(name, _item(inner))
+                inline.append(name, _to_toml_item(inner))
             return inline
         case list() | tuple():
             array = tomlkit.array()
             for inner in value:
-                array.append(_item(inner))
+                array.append(_to_toml_item(inner))
             return array
         case _:
             return tomlkit.item(value)

@@ -14,10 +14,10 @@ from typing import Any
 from pydantic import ValidationError
 
 from daq_service.errors import UsageError
-from daq_service.settings.instruments import ParametersError, with_defaults
-from daq_service.settings.schema import describe, known_keys
-from daq_service.settings.stored import renamed
-from daq_service.settings.tables import KeyPath, Tables, flattened, nested
+from daq_service.settings.instruments import ParametersError, fill_instrument_defaults
+from daq_service.settings.schema import describe_key, list_known_keys
+from daq_service.settings.stored import rename_old_keys
+from daq_service.settings.tables import KeyPath, Tables, flatten, nest_tables
 from daq_service.settings.tree import Settings
 from daq_service.shared_file import read_shared
 from hardware_drivers.errors import ConfigurationError
@@ -36,7 +36,7 @@ PLACEHOLDER = "PLACEHOLDER"
 """Stands in a value that only the laboratory knows; what holds it is refused."""
 
 
-def config_file(name: str) -> Path:
+def find_config_file(name: str) -> Path:
     """Return a file of ``config/``: inside the installed package, or beside it in an editable install."""
     package = Path(__file__).parents[1]
     for folder in (package / "config", package.parent / "config"):
@@ -58,7 +58,7 @@ def load_settings(path: Path | None, *, overrides: Mapping[str, object] | None =
     UsageError
         The file cannot be read or a value is refused: file, key, value, bound and remedy.
     """
-    path = config_file("simulated.toml") if path is None else path
+    path = find_config_file("simulated.toml") if path is None else path
     try:
         text = read_shared(path).decode()
         values = json.loads(text) if path.suffix == ".json" else tomllib.loads(text)
@@ -72,55 +72,55 @@ def load_settings(path: Path | None, *, overrides: Mapping[str, object] | None =
         raise UsageError(f"{path} must hold tables, not a {type(values).__name__}")
     values.pop("$schema", None)
     # A JSON file is a folder's, maybe of an earlier version; a TOML file is a person's to correct.
-    values = renamed(values) if path.suffix == ".json" else values
-    return checked_settings(values, path, overrides=overrides)
+    values = rename_old_keys(values) if path.suffix == ".json" else values
+    return validate_settings(values, path, overrides=overrides)
 
 
-def checked_settings(
+def validate_settings(
     values: Tables, path: Path, *, overrides: Mapping[str, object] | None = None
 ) -> Settings:
     """Validate the values of a file and return the settings; errors as of `load_settings`."""
     _refuse_unknown_variables()
     if path.suffix != ".json":
         _refuse_placeholders(values, path)
-    values = _with_absolute_files(values, path)
+    values = _make_paths_absolute(values, path)
     try:
-        return with_defaults(Settings(**_merge(values, overrides or {})))
+        return fill_instrument_defaults(Settings(**_merge_tables(values, overrides or {})))
     except ValidationError as error:
-        raise UsageError(_explain(error.errors(), known_keys(), path)) from error
+        raise UsageError(_explain_rejections(error.errors(), list_known_keys(), path)) from error
     except ParametersError as error:
-        raise UsageError(_explain(error.problems, error.keys, path)) from error
+        raise UsageError(_explain_rejections(error.problems, error.keys, path)) from error
     except ConfigurationError as error:
-        raise UsageError(_rejection(path, [str(error)])) from error
+        raise UsageError(_build_rejection(path, [str(error)])) from error
 
 
-def placeholders(values: Mapping[str, object]) -> list[KeyPath]:
+def find_placeholders(values: Mapping[str, object]) -> list[KeyPath]:
     """Return the keys with a placeholder, without those that the environment sets."""
     return [
         key
-        for key, value in flattened(values).items()
+        for key, value in flatten(values).items()
         if PLACEHOLDER in str(value) and f"SOLIMON_{'__'.join(key)}".upper() not in map(str.upper, os.environ)
     ]
 
 
 def _refuse_placeholders(values: Mapping[str, object], path: Path) -> None:
     """Raise an error that lists the values still to be filled in."""
-    if missing := placeholders(values):
-        lines = "\n".join(f"  {'.'.join(key)}: {describe(key)}" for key in missing)
+    if missing := find_placeholders(values):
+        lines = "\n".join(f"  {'.'.join(key)}: {describe_key(key)}" for key in missing)
         raise UsageError(
             f"{path} is not finished; still {PLACEHOLDER}:\n{lines}\n"
             f"Fill them in and run `solimon check-config {path}`."
         )
 
 
-def _with_absolute_files(values: Tables, path: Path) -> Tables:
+def _make_paths_absolute(values: Tables, path: Path) -> Tables:
     """Make the files that some keys name absolute, relative to the configuration file."""
-    flat, folder = flattened(values), path.absolute().parent
+    flat, folder = flatten(values), path.absolute().parent
     for key, value in flat.items():
         named = any(fnmatchcase(".".join(key), name) for name in FILES)
         if isinstance(value, str) and (key == RECORDING or (named and value)):
             flat[key] = str(folder / value)
-    return nested(flat)
+    return nest_tables(flat)
 
 
 def _refuse_unknown_variables() -> None:
@@ -137,18 +137,18 @@ def _refuse_unknown_variables() -> None:
                 )
 
 
-def _merge(values: Mapping[str, object], overrides: Mapping[str, object]) -> Tables:
+def _merge_tables(values: Mapping[str, object], overrides: Mapping[str, object]) -> Tables:
     """Return nested tables with overridden values."""
     merged = dict(values)
     for key, value in overrides.items():
         below = merged.get(key)
         merged[key] = (
-            _merge(below, value) if isinstance(below, dict) and isinstance(value, Mapping) else value
+            _merge_tables(below, value) if isinstance(below, dict) and isinstance(value, Mapping) else value
         )
     return merged
 
 
-def _explain(problems: Sequence[Mapping[str, Any]], keys: Sequence[str], path: Path) -> str:
+def _explain_rejections(problems: Sequence[Mapping[str, Any]], keys: Sequence[str], path: Path) -> str:
     """Return a message with every rejected value: file, key, value, bound, remedy."""
     refused = {problem["loc"] for problem in problems}
     lines = []
@@ -167,10 +167,10 @@ def _explain(problems: Sequence[Mapping[str, Any]], keys: Sequence[str], path: P
             may_show = problem["loc"][:2] != ("notifications", "receivers")
             shown = f" (value: {value!r})" if may_show and isinstance(value, (str, int, float, bool)) else ""
             lines.append(f"{key}: {problem['msg'].removeprefix('Value error, ')}{shown}")
-    return _rejection(path, lines)
+    return _build_rejection(path, lines)
 
 
-def _rejection(path: Path, lines: Sequence[str]) -> str:
+def _build_rejection(path: Path, lines: Sequence[str]) -> str:
     """Return the message about an invalid configuration."""
     shown_lines = "\n".join(f"  {line}" for line in dict.fromkeys(lines))
     return (

@@ -27,7 +27,7 @@ _CONTROL_OR_BREAK = re.compile(f"[\n{_CONTROLS}]")
 _FORMULA = re.compile(r"[\t\r\n]|\s*[=+\-@\uff1d\uff0b\uff0d\uff20]")
 
 
-def require_written(text: str, *, message: str) -> str:
+def require_visible_text(text: str, *, message: str) -> str:
     """Check that a text has visible characters and return it.
 
     Raises
@@ -40,31 +40,31 @@ def require_written(text: str, *, message: str) -> str:
     return text
 
 
-def without_controls(text: str) -> str:
+def escape_controls(text: str) -> str:
     """Write control characters as their escapes; line breaks and tabs stay."""
-    return _CONTROL.sub(_escape, text)
+    return _CONTROL.sub(_escape_character, text)
 
 
-def in_one_line(text: str) -> str:
+def escape_to_one_line(text: str) -> str:
     """Write control characters and line breaks as their escapes."""
-    return _CONTROL_OR_BREAK.sub(_escape, text)
+    return _CONTROL_OR_BREAK.sub(_escape_character, text)
 
 
-def all_in_one_line(values: Any) -> Any:
+def escape_all_to_one_line(values: Any) -> Any:
     """Apply `in_one_line` to every text of a JSON-ready value."""
     if isinstance(values, dict):
-        return {name: all_in_one_line(value) for name, value in values.items()}
+        return {name: escape_all_to_one_line(value) for name, value in values.items()}
     if isinstance(values, (list, tuple)):
-        return [all_in_one_line(value) for value in values]
-    return in_one_line(values) if isinstance(values, str) else values
+        return [escape_all_to_one_line(value) for value in values]
+    return escape_to_one_line(values) if isinstance(values, str) else values
 
 
-def spreadsheet_cell(text: str) -> str:
+def escape_spreadsheet_cell(text: str) -> str:
     """Return a text with a leading apostrophe if a spreadsheet would execute it."""
     return f"'{text}" if _FORMULA.match(text) else text
 
 
-def _escape(match: re.Match[str]) -> str:
+def _escape_character(match: re.Match[str]) -> str:
     """Return a character as its escape sequence."""
     return ascii(match[0])[1:-1]
 
@@ -77,14 +77,14 @@ class PlainStream:
 
     def write(self, text: str) -> int:
         """Write a text with its control characters escaped."""
-        return self.stream.write(without_controls(text))
+        return self.stream.write(escape_controls(text))
 
     def __getattr__(self, name: str) -> object:
         return getattr(self.stream, name)
 
 
 @contextmanager
-def plain_output() -> Iterator[None]:
+def escape_output() -> Iterator[None]:
     """Escape control characters in all that is written to standard output and standard error."""
     before = {name: getattr(sys, name) for name in ("stdout", "stderr")}
     try:
@@ -101,8 +101,8 @@ class OneLineFormatter(logging.Formatter):
 
     def formatMessage(self, record: logging.LogRecord) -> str:  # noqa: N802 - logging's name
         """Format a log message in one line, with control characters escaped."""
-        return in_one_line(super().formatMessage(record))
+        return escape_to_one_line(super().formatMessage(record))
 
     def format(self, record: logging.LogRecord) -> str:
         """Format a log record with its traceback, with control characters escaped."""
-        return without_controls(super().format(record)).replace("\n", "\n  ")
+        return escape_controls(super().format(record)).replace("\n", "\n  ")

@@ -63,7 +63,7 @@ class ParametersError(ValueError):
         self.keys = keys
 
 
-def instruments_of(settings: Settings) -> list[Instrument]:
+def validate_instruments(settings: Settings) -> list[Instrument]:
     """Find the kind of each instrument and let it validate its parameters.
 
     Raises
@@ -79,30 +79,34 @@ def instruments_of(settings: Settings) -> list[Instrument]:
         _require_roles(rig)
         for name, item in rig.instruments.items():
             table = f"rig.instruments.{name}"
-            instruments.append(_instrument(name, table, item.kind, item.parameters, rig.served_by(name)))
+            instruments.append(
+                _validate(name, table, item.kind, item.parameters, rig.find_served_positions(name))
+            )
             if not instruments[-1].serves:
                 raise ConfigurationError(
                     f"{table}: no position uses it; name {name!r} in [rig.positions], or take the table out"
                 )
     else:
-        transducers, probes = (tuple(settings.names_of(method)) for method in (SOLITARY_WAVE, PULSE_ECHO))
+        transducers, probes = (
+            tuple(settings.list_positions(method)) for method in (SOLITARY_WAVE, PULSE_ECHO)
+        )
         wanted: dict[Role, tuple[str, ...]] = {"digitizer": transducers, "striker": transducers}
         of_probes: dict[Role, tuple[str, ...]] = {"pulse_echo": probes} if probes else {}
         if rig.kind == "daqmx":
             if rig.niscope is not None:
-                instruments.append(_instrument("niscope", "rig.niscope", "niscope", rig.niscope, of_probes))
+                instruments.append(_validate("niscope", "rig.niscope", "niscope", rig.niscope, of_probes))
         else:
             wanted |= of_probes
         table = f"rig.{rig.kind}"
-        instruments.insert(0, _instrument(rig.kind, table, rig.kind, getattr(rig, rig.kind, None), wanted))
+        instruments.insert(0, _validate(rig.kind, table, rig.kind, getattr(rig, rig.kind, None), wanted))
     for role, kind in TEXT.items():
         parameters = getattr(rig, role)
         if parameters is not None:
-            instruments.append(_instrument(role, f"rig.{role}", kind, parameters, {role: ()}))
+            instruments.append(_validate(role, f"rig.{role}", kind, parameters, {role: ()}))
     return instruments
 
 
-def configured(settings: Settings) -> list[Instrument]:
+def list_instruments(settings: Settings) -> list[Instrument]:
     """Return the instruments of a configuration, not opened.
 
     Raises
@@ -111,31 +115,31 @@ def configured(settings: Settings) -> list[Instrument]:
         One cannot be had as configured: the cause and the remedy.
     """
     try:
-        return instruments_of(settings)
+        return validate_instruments(settings)
     except (ConfigurationError, ParametersError) as error:
         raise UsageError(str(error)) from error
 
 
-def with_defaults(settings: Settings) -> Settings:
+def fill_instrument_defaults(settings: Settings) -> Settings:
     """Fill in the default parameters of a mixed rig's instruments; raises as `instruments_of`."""
     if settings.rig.kind != "mixed":
         return settings
     filled = {
-        item.name: InstrumentSettings(kind=item.offer.name, **plain(item))
-        for item in instruments_of(settings)
+        item.name: InstrumentSettings(kind=item.offer.name, **to_plain_parameters(item))
+        for item in validate_instruments(settings)
         if item.name in settings.rig.instruments
     }
     return settings.model_copy(update={"rig": settings.rig.model_copy(update={"instruments": filled})})
 
 
-def plain(instrument: Instrument) -> dict[str, object]:
+def to_plain_parameters(instrument: Instrument) -> dict[str, object]:
     """Return all parameters of an instrument, ready for JSON."""
     adapter: TypeAdapter[object] = TypeAdapter(instrument.kind.parameters)
     values: dict[str, object] = adapter.dump_python(instrument.parameters, mode="json")
     return values
 
 
-def _instrument(
+def _validate(
     name: str, table: str, kind_name: str, values: object, serves: Mapping[Role, tuple[str, ...]]
 ) -> Instrument:
     """Return an instrument with its kind and validated parameters."""
@@ -162,11 +166,11 @@ def _require_roles(rig: MixedRig) -> None:
     known = offers()
     for name, item in rig.instruments.items():
         offer = known.get(item.kind)  # one that is unknown is told with its parameters
-        serves = rig.served_by(name)
+        serves = rig.find_served_positions(name)
         for role in serves:
             if offer is not None and role not in offer.roles:
                 raise ConfigurationError(
-                    f"{rig.key_of(name, role)} is {name!r}, whose kind {item.kind!r} is a "
+                    f"{rig.find_role_key(name, role)} is {name!r}, whose kind {item.kind!r} is a "
                     f"{' and '.join(offer.roles)}, not a {role}; name another instrument"
                 )
         if "supply" in serves and len(serves) > 1:

@@ -8,7 +8,7 @@ from typing import Self
 
 from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
-from daq_service.settings.tables import Tables, without
+from daq_service.settings.tables import Tables, remove_keys
 from hardware_drivers.drive_parameters import NamedClimateProbe, NamedSupply
 from hardware_drivers.errors import ConfigurationError
 from hardware_drivers.kinds import Role
@@ -43,7 +43,7 @@ class InstrumentSettings(BaseModel):
             kind, _ = find_kind(self.kind)
         except ConfigurationError:
             return self.model_dump(mode="json")  # a reader has no need of its package
-        return without(self.model_dump(mode="json"), kind.reached_by)
+        return remove_keys(self.model_dump(mode="json"), kind.reached_by)
 
 
 class PlaceSettings(BaseModel):
@@ -80,7 +80,7 @@ class MixedRig(BaseModel):
 
     @field_validator("instruments")
     @classmethod
-    def _plain_names(cls, instruments: dict[str, InstrumentSettings]) -> dict[str, InstrumentSettings]:
+    def _check_names(cls, instruments: dict[str, InstrumentSettings]) -> dict[str, InstrumentSettings]:
         """Check the characters of the instruments' names."""
         for name in instruments:
             if not re.fullmatch(r"[A-Za-z0-9_-]{1,40}", name):
@@ -88,7 +88,7 @@ class MixedRig(BaseModel):
         return instruments
 
     @model_validator(mode="after")
-    def _names_instruments(self) -> Self:
+    def _check_named_instruments(self) -> Self:
         """Check that every named instrument exists and has the role."""
         named = {
             f"positions.{at}.{role}": name
@@ -96,7 +96,7 @@ class MixedRig(BaseModel):
             for role, name in place
             if name
         }
-        named |= {f"{key}.instrument": its.instrument for key, its in self._rig_wide_tables().items()}
+        named |= {f"{key}.instrument": its.instrument for key, its in self._list_rig_wide_tables().items()}
         for key, name in named.items():
             if name not in self.instruments:
                 raise ValueError(
@@ -105,11 +105,11 @@ class MixedRig(BaseModel):
                 )
         return self
 
-    def _rig_wide_tables(self) -> dict[str, NamedSupply | NamedClimateProbe]:
+    def _list_rig_wide_tables(self) -> dict[str, NamedSupply | NamedClimateProbe]:
         """Return the tables of instruments that serve no position."""
         return {key: its for key, its in (("drive", self.drive), ("air", self.air)) if its is not None}
 
-    def served_by(self, name: str) -> dict[Role, tuple[str, ...]]:
+    def find_served_positions(self, name: str) -> dict[Role, tuple[str, ...]]:
         """Return the positions that an instrument serves, by role."""
         served: dict[Role, tuple[str, ...]] = {}
         for roles in NEEDED.values():
@@ -123,14 +123,14 @@ class MixedRig(BaseModel):
             served["climate"] = ()
         return served
 
-    def key_of(self, name: str, role: Role) -> str:
+    def find_role_key(self, name: str, role: Role) -> str:
         """Return the first key that gives an instrument its role."""
         if role in ROLE_KEYS:
             return f"rig.{ROLE_KEYS[role]}.instrument"
         position = next(at for at, place in self.positions.items() if getattr(place, role) == name)
         return f"rig.positions.{position}.{role}"
 
-    def require_places(self, methods: Mapping[str, str]) -> None:
+    def check_positions(self, methods: Mapping[str, str]) -> None:
         """Raise an error for a position without its instruments, or an unknown position or role.
 
         Parameters

@@ -24,7 +24,7 @@ MOST_RECEIVERS = 16
 _VARIABLE = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
 
 
-def refused_address(url: str, *, plain_http: bool) -> str:
+def find_address_refusal(url: str, *, plain_http: bool) -> str:
     """Return why a webhook's address is rejected, without the address; empty if it is valid."""
     try:
         parts = urlsplit(url)
@@ -73,14 +73,14 @@ class ReceiverSettings(_Table):
     e-mail and chat at least 3600 s. None is sent while no recorder answers: whoever misses it must act."""
 
     @model_validator(mode="after")
-    def _has_what_it_needs(self) -> Self:
+    def _check_required_keys(self) -> Self:
         """Check that a receiver has an address and, for a webhook, a secret."""
         places = ["url", "url_file", "url_env"] if self.kind == "webhook" else ["url_file", "url_env"]
         if self.kind == "apprise" and self.url:
             raise ValueError("an address of apprise holds a password; put it into url_file or url_env")
-        self._exactly_one(places)
+        self._require_exactly_one(places)
         if self.kind == "webhook":
-            self._exactly_one(["secret_file", "secret_env"])
+            self._require_exactly_one(["secret_file", "secret_env"])
         elif self.secret_file or self.secret_env or self.plain_http:
             raise ValueError("secret_file, secret_env, plain_http are a webhook's; take them out for apprise")
         elif self.heartbeat_s is not None and self.heartbeat_s < SHORTEST_FOR_PEOPLE_S:
@@ -88,11 +88,11 @@ class ReceiverSettings(_Table):
                 f"heartbeat_s = {self.heartbeat_s:g} is below {SHORTEST_FOR_PEOPLE_S:g}, the minimum for "
                 f"e-mail and chat. Give {SHORTEST_FOR_PEOPLE_S:g} or more."
             )
-        if self.url and (refusal := refused_address(self.url, plain_http=self.plain_http)):
+        if self.url and (refusal := find_address_refusal(self.url, plain_http=self.plain_http)):
             raise ValueError(f"url: {refusal}")
         return self
 
-    def _exactly_one(self, places: list[str]) -> None:
+    def _require_exactly_one(self, places: list[str]) -> None:
         """Raise an error unless exactly one of several keys is given."""
         given = [name for name in places if getattr(self, name)]
         if len(given) != 1:
@@ -101,7 +101,7 @@ class ReceiverSettings(_Table):
 
     @field_validator("url_env", "secret_env")
     @classmethod
-    def _is_a_variable(cls, name: str) -> str:
+    def _check_variable_name(cls, name: str) -> str:
         """Check that a value is the name of an environment variable."""
         if name and not _VARIABLE.fullmatch(name):
             raise ValueError("give the name of a variable, not what it holds: letters, digits and _")
@@ -130,7 +130,7 @@ class RuleSettings(_Table):
 
     @model_validator(mode="before")
     @classmethod
-    def _current_names(cls, values: object) -> object:
+    def _convert_old_names(cls, values: object) -> object:
         """Accept the key and the kinds of alarm of earlier versions."""
         if not isinstance(values, dict):
             return values
@@ -151,7 +151,7 @@ class NotificationSettings(_Table):
     """What could not be delivered for so long is given up, which the log of deliveries tells."""
 
     @model_validator(mode="after")
-    def _rules_name_receivers(self) -> Self:
+    def _check_rule_receivers(self) -> Self:
         """Check that the rules name existing receivers."""
         for number, rule in enumerate(self.rules, start=1):
             if unknown := sorted(set(rule.receivers) - set(self.receivers)):

@@ -41,18 +41,18 @@ class RigSettings(MixedRig):
     """Recording to play back."""
 
     @model_validator(mode="after")
-    def _has_what_its_kind_needs(self) -> Self:
+    def _check_kind_tables(self) -> Self:
         """Check that the rig has the table of its kind."""
         if self.kind == "daqmx" and self.daqmx is None:
             raise ValueError("kind is 'daqmx', which needs [rig.daqmx]; `solimon init rig` writes one")
         if self.kind == "playback" and self.playback is None:
             raise ValueError("kind is 'playback', which needs [rig.playback] with its source")
-        self._is_mixed_or_not()
+        self._check_unused_tables()
         if self.on_doubles and self.kind != "daqmx":
             raise ValueError(f"on_doubles is true; it belongs to kind = 'daqmx', not to {self.kind!r}")
         return self
 
-    def _is_mixed_or_not(self) -> None:
+    def _check_unused_tables(self) -> None:
         """Raise an error for tables that this kind of rig does not use."""
         if self.kind != "mixed":
             given = [table for table in MixedRig.model_fields if getattr(self, table)]
@@ -84,7 +84,7 @@ class RigSettings(MixedRig):
         """Return the logging parameters of the climate probe of any kind; None if there is none."""
         return self.climate or self.air
 
-    def without_supply(self) -> RigSettings:
+    def copy_without_supply(self) -> RigSettings:
         """Return the settings without the supply, because its port belongs to a separate process."""
         used = None if self.drive is None else self.drive.instrument
         others = {name: item for name, item in self.instruments.items() if name != used}

@@ -22,16 +22,16 @@ log = logging.getLogger(__name__)
 
 
 @cache
-def _classes(module: ModuleType | None) -> dict[str, ast.ClassDef]:
+def _find_classes(module: ModuleType | None) -> dict[str, ast.ClassDef]:
     """Return the definitions of the classes in a module by name."""
     tree = ast.parse(inspect.getsource(module)) if module else ast.Module([], [])
     return {node.name: node for node in tree.body if isinstance(node, ast.ClassDef)}
 
 
-def _texts_below_attributes(kind: type) -> dict[str, str]:
+def _read_attribute_docstrings(kind: type) -> dict[str, str]:
     """Return the string literal that follows each annotated attribute of a class."""
     texts = {}
-    for attribute, text in pairwise(_classes(inspect.getmodule(kind))[kind.__name__].body):
+    for attribute, text in pairwise(_find_classes(inspect.getmodule(kind))[kind.__name__].body):
         match attribute, text:
             case ast.AnnAssign(target=ast.Name(id=name)), ast.Expr(value=ast.Constant(value=str(words))):
                 texts[name] = inspect.cleandoc(words)
@@ -44,37 +44,37 @@ class _Described(GenerateJsonSchema):
     pydantic's ``use_attribute_docstrings`` would read the sources anew at each start of each process.
     """
 
-    def _described(self, table: JsonSchemaValue, kind: type) -> JsonSchemaValue:
+    def _add_key_descriptions(self, table: JsonSchemaValue, kind: type) -> JsonSchemaValue:
         """Add the descriptions of the keys to the schema of a class."""
         keys = table["properties"]
         for base in kind.__mro__[:-1]:
-            if base.__name__ not in _classes(inspect.getmodule(base)):
+            if base.__name__ not in _find_classes(inspect.getmodule(base)):
                 continue  # pydantic's own, or made by a function
-            for name, words in _texts_below_attributes(base).items():
+            for name, words in _read_attribute_docstrings(base).items():
                 keys.get(name, {}).setdefault("description", words)
         return table
 
     def model_schema(self, schema: ModelSchema) -> JsonSchemaValue:
         """Return the schema of a model with its attribute docstrings."""
-        return self._described(super().model_schema(schema), schema["cls"])
+        return self._add_key_descriptions(super().model_schema(schema), schema["cls"])
 
     def dataclass_schema(self, schema: DataclassSchema) -> JsonSchemaValue:
         """Return the schema of a dataclass with its attribute docstrings."""
-        return self._described(super().dataclass_schema(schema), schema["cls"])
+        return self._add_key_descriptions(super().dataclass_schema(schema), schema["cls"])
 
 
-def settings_schema() -> JsonSchemaValue:
+def build_settings_schema() -> JsonSchemaValue:
     """Return the JSON Schema of the configuration, shipped as ``config/settings.schema.json``."""
     schema = Settings.model_json_schema(schema_generator=_Described)
     return {"$schema": "https://json-schema.org/draft/2020-12/schema", **schema}
 
 
-def schema_with_kinds() -> JsonSchemaValue:
+def build_schema_with_kinds() -> JsonSchemaValue:
     """Return the schema with the keys of every installed kind of instrument.
 
     A kind that cannot be imported is left out; it is refused where a configuration names it.
     """
-    schema = settings_schema()
+    schema = build_settings_schema()
     choices = []
     for name, offer in offers().items():
         try:
@@ -92,9 +92,9 @@ def schema_with_kinds() -> JsonSchemaValue:
     return schema
 
 
-def describe(path: Sequence[str]) -> str:
+def describe_key(path: Sequence[str]) -> str:
     """Describe a key or table in words: by the text below it, else by the first paragraph of its class."""
-    schema = _schema()
+    schema = _build_schema()
     node = schema
     for name in path:
         node = _resolve_reference(schema, node)
@@ -105,9 +105,9 @@ def describe(path: Sequence[str]) -> str:
 
 
 @cache
-def _schema() -> JsonSchemaValue:
+def _build_schema() -> JsonSchemaValue:
     """Return the JSON schema of the settings."""
-    return settings_schema()
+    return build_settings_schema()
 
 
 def _resolve_reference(schema: JsonSchemaValue, node: JsonSchemaValue) -> JsonSchemaValue:
@@ -117,7 +117,7 @@ def _resolve_reference(schema: JsonSchemaValue, node: JsonSchemaValue) -> JsonSc
     return schema["$defs"][names[0]] if names else node
 
 
-def known_keys() -> list[str]:
+def list_known_keys() -> list[str]:
     """Return the names of all keys at any level."""
-    tables = (_schema(), *_schema()["$defs"].values())
+    tables = (_build_schema(), *_build_schema()["$defs"].values())
     return sorted({name for table in tables for name in table.get("properties", {})})

@@ -13,8 +13,8 @@ from functools import cache
 
 from pydantic import ValidationError
 
-from daq_service.settings.instruments import ParametersError, with_defaults
-from daq_service.settings.tables import KeyPath, Tables, flattened, nested
+from daq_service.settings.instruments import ParametersError, fill_instrument_defaults
+from daq_service.settings.tables import KeyPath, Tables, flatten, nest_tables
 from daq_service.settings.tree import HASHED_OUT, Settings
 from hardware_drivers.errors import ConfigurationError
 
@@ -32,7 +32,7 @@ SHOWN = 12
 
 
 @cache
-def _stored_tree() -> type[Settings]:
+def _build_stored_tree() -> type[Settings]:
     """Return the tree without the environment, made when first needed: most processes read no stored one."""
 
     class Stored(Settings):
@@ -43,7 +43,7 @@ def _stored_tree() -> type[Settings]:
     return Stored
 
 
-def stored_settings(values: Mapping[str, object]) -> Settings:
+def restore_settings(values: Mapping[str, object]) -> Settings:
     """Return the settings with which a test was started, without the current environment.
 
     Raises
@@ -51,18 +51,18 @@ def stored_settings(values: Mapping[str, object]) -> Settings:
     ValidationError
         This version knows no such test.
     """
-    return _stored_tree()(**renamed(values))
+    return _build_stored_tree()(**rename_old_keys(values))
 
 
-def renamed(values: Mapping[str, object]) -> Tables:
+def rename_old_keys(values: Mapping[str, object]) -> Tables:
     """Return nested tables with current names, without removed keys, with earlier values of new keys."""
     # What a version wrote has all its tables; one that a person wrote and left out means today's defaults.
     before = {path: value for key, value in BEFORE.items() if (path := tuple(key.split(".")))[0] in values}
-    moved = ((_current_path(path), value) for path, value in flattened(values).items())
-    return nested(before | {path: value for path, value in moved if path})
+    moved = ((_find_current_path(path), value) for path, value in flatten(values).items())
+    return nest_tables(before | {path: value for path, value in moved if path})
 
 
-def differences(stored: Mapping[str, object], given: Settings) -> list[str]:
+def find_settings_differences(stored: Mapping[str, object], given: Settings) -> list[str]:
     """Return the differences in meaning between a stored configuration and the given one, by key.
 
     Parameters
@@ -75,13 +75,13 @@ def differences(stored: Mapping[str, object], given: Settings) -> list[str]:
     list of str
         A line a key, with both values; empty where the same is measured.
     """
-    given_flat = flattened(given.model_dump(mode="json"))
+    given_flat = flatten(given.model_dump(mode="json"))
     flat = {
         path: given_flat.get(path, value) if _is_hashed_out(path) else value
-        for path, value in flattened(renamed(stored)).items()
+        for path, value in flatten(rename_old_keys(stored)).items()
         if HASHED_OUT.get(path[0]) is not True  # of a table without meaning here, half of each fits nowhere
     }
-    foreign = _unknown(nested(flat))
+    foreign = _find_unknown_keys(nest_tables(flat))
     unknown = {path for path in flat if any(path[: len(key)] == key for key in foreign)}
     messages = {
         path: f"began with {json.dumps(flat[path])}; this version has no such key"
@@ -89,21 +89,24 @@ def differences(stored: Mapping[str, object], given: Settings) -> list[str]:
         if not _is_hashed_out(path)
     }
     try:
-        known: Settings = _stored_tree()(**nested({p: v for p, v in flat.items() if p not in unknown}))
-        known = _with_current_defaults(known)
-        then = flattened(known.measured())
+        known: Settings = _build_stored_tree()(
+            **nest_tables({p: v for p, v in flat.items() if p not in unknown})
+        )
+        known = _fill_current_defaults(known)
+        then = flatten(known.measured())
     except ValidationError as error:
         messages |= {
-            _path(problem["loc"]): f"{problem['msg']}, says this version" for problem in error.errors()
+            _format_error_path(problem["loc"]): f"{problem['msg']}, says this version"
+            for problem in error.errors()
         }
     else:
-        now = flattened(given.measured())
+        now = flatten(given.measured())
         # A key that is not hashed where it says what was done before it came has a value all the same.
-        then_flat = flattened(known.model_dump(mode="json"))
+        then_flat = flatten(known.model_dump(mode="json"))
         messages |= {
-            path: f"began with {_value(then_flat | then, path)}, is {_value(given_flat | now, path)} now"
+            path: f"began with {_as_json(then_flat | then, path)}, is {_as_json(given_flat | now, path)} now"
             for path in {**then, **now}
-            if _value(then, path) != _value(now, path)
+            if _as_json(then, path) != _as_json(now, path)
         }
     # A position repeats what it takes from the tables above it.
     lines = [
@@ -114,21 +117,21 @@ def differences(stored: Mapping[str, object], given: Settings) -> list[str]:
     return lines if len(lines) <= SHOWN else [*lines[:SHOWN], f"and {len(lines) - SHOWN} more"]
 
 
-def _with_current_defaults(settings: Settings) -> Settings:
+def _fill_current_defaults(settings: Settings) -> Settings:
     """Fill in new defaults of plug-ins; a plug-in that is not installed has none."""
     try:
-        return with_defaults(settings)
+        return fill_instrument_defaults(settings)
     except (ConfigurationError, ParametersError):
         return settings
 
 
-def _unknown(values: Tables) -> set[KeyPath]:
+def _find_unknown_keys(values: Tables) -> set[KeyPath]:
     """Return the keys that this version does not know."""
     try:
-        _stored_tree()(**values)
+        _build_stored_tree()(**values)
     except ValidationError as error:
         kinds = {"extra_forbidden", "unexpected_keyword_argument"}
-        return {_path(problem["loc"]) for problem in error.errors() if problem["type"] in kinds}
+        return {_format_error_path(problem["loc"]) for problem in error.errors() if problem["type"] in kinds}
     return set()
 
 
@@ -144,7 +147,7 @@ def _is_hashed_out(path: KeyPath) -> bool:
     return False
 
 
-def _current_path(path: KeyPath) -> KeyPath | None:
+def _find_current_path(path: KeyPath) -> KeyPath | None:
     """Return the current path of a key, None if it was removed."""
     for old, new in RENAMED.items():
         names = old.split(".")
@@ -157,11 +160,11 @@ def _current_path(path: KeyPath) -> KeyPath | None:
     return path
 
 
-def _path(location: tuple[int | str, ...]) -> KeyPath:
+def _format_error_path(location: tuple[int | str, ...]) -> KeyPath:
     """Return the location of an error as the path of a key."""
     return tuple(str(part) for part in location)
 
 
-def _value(flat: Mapping[KeyPath, object], path: KeyPath) -> str:
+def _as_json(flat: Mapping[KeyPath, object], path: KeyPath) -> str:
     """Return a stored value as JSON, or that there is none."""
     return json.dumps(flat[path]) if path in flat else "no value"

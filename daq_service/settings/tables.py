@@ -10,18 +10,18 @@ Tables = dict[str, Any]
 """Tables as a file has them: their values have no type before they are validated as settings."""
 
 
-def flattened(values: Mapping[str, object], above: KeyPath = ()) -> dict[KeyPath, object]:
+def flatten(values: Mapping[str, object], above: KeyPath = ()) -> dict[KeyPath, object]:
     """Return the values by the path of each key; an empty table and a list count as values."""
     flat: dict[KeyPath, object] = {}
     for name, value in values.items():
         if isinstance(value, Mapping) and value:
-            flat |= flattened(value, (*above, name))
+            flat |= flatten(value, (*above, name))
         else:
             flat[*above, name] = value
     return flat
 
 
-def nested(values: Mapping[KeyPath, object]) -> Tables:
+def nest_tables(values: Mapping[KeyPath, object]) -> Tables:
     """Return nested tables from values by path; the inverse of `flattened`."""
     tree: Tables = {}
     for path, value in values.items():
@@ -32,12 +32,12 @@ def nested(values: Mapping[KeyPath, object]) -> Tables:
     return tree
 
 
-def without(values: Mapping[str, object], paths: frozenset[str]) -> Tables:
+def remove_keys(values: Mapping[str, object], paths: frozenset[str]) -> Tables:
     """Return nested tables without the keys at these dotted paths."""
     kept = {}
     for name, value in values.items():
         if name in paths:
             continue
         below = frozenset(path.removeprefix(f"{name}.") for path in paths if path.startswith(f"{name}."))
-        kept[name] = without(value, below) if below and isinstance(value, Mapping) else value
+        kept[name] = remove_keys(value, below) if below and isinstance(value, Mapping) else value
     return kept

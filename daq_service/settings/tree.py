@@ -87,7 +87,7 @@ class ClockSettings(Section):
 
     @field_validator("epoch")
     @classmethod
-    def _is_a_time(cls, text: str) -> str:
+    def _check_time(cls, text: str) -> str:
         """Check that the epoch is a time."""
         parse_utc(text)
         return text
@@ -118,7 +118,7 @@ class ScheduleSettings(Section):
     """Seconds between two strikes of a transducer (paper: 0.25 Hz)."""
 
     @model_validator(mode="after")
-    def _phases_follow_each_other(self) -> Self:
+    def _check_phase_order(self) -> Self:
         """Check that each phase ends after the one before."""
         before = 0.0
         for phase in self.phases:
@@ -147,7 +147,7 @@ class PositionSettings(Section):
     """Footprint assumed here; keys not given are those of `[corrosion]`."""
 
 
-def _paper_positions() -> dict[str, PositionSettings]:
+def _list_positions() -> dict[str, PositionSettings]:
     """Return the positions of Table 1 of the paper."""
     small, large = CorrosionParameters(size_m=25.4e-3), CorrosionParameters(size_m=50.8e-3)
     return {
@@ -218,7 +218,7 @@ class NoveltySettings(Section):
 
     @field_validator("limit")
     @classmethod
-    def _limit_is_known(cls, limit: str) -> str:
+    def _check_limit_name(cls, limit: str) -> str:
         """Check that the limit exists; return its current name."""
         limit = {"chart": "mewma"}.get(limit, limit)  # stored by earlier versions
         if limit == cls.model_fields["limit"].default:
@@ -256,7 +256,7 @@ class AlarmSettings(Section):
 
     @field_validator("kinds", mode="before")
     @classmethod
-    def _current_kinds(cls, kinds: object) -> object:
+    def _convert_old_kinds(cls, kinds: object) -> object:
         """Accept earlier names of alarm kinds."""
         if not isinstance(kinds, Mapping):
             return kinds
@@ -264,14 +264,14 @@ class AlarmSettings(Section):
 
     @field_validator("kinds")
     @classmethod
-    def _kinds_may_wait(cls, kinds: dict[str, AlarmKindSettings]) -> dict[str, AlarmKindSettings]:
+    def _check_kind_delays(cls, kinds: dict[str, AlarmKindSettings]) -> dict[str, AlarmKindSettings]:
         """Check that each kind may have its delays."""
         for kind, rule in kinds.items():
             rule.require_fits(kind)
         return kinds
 
     @model_validator(mode="after")
-    def _k_of_n(self) -> Self:
+    def _check_k_of_n(self) -> Self:
         """Check that k is at most n."""
         if self.k > self.n:
             raise ValueError(f"k is {self.k}; it must be at most n = {self.n}")
@@ -299,7 +299,7 @@ class StorageSettings(Section):
 
     @model_validator(mode="before")
     @classmethod
-    def _journal_is_always_used(cls, values: object) -> object:
+    def _remove_old_journal_key(cls, values: object) -> object:
         """Remove the key `journal` of earlier versions."""
         if not (isinstance(values, dict) and "journal" in values):
             return values
@@ -308,7 +308,7 @@ class StorageSettings(Section):
         return {name: value for name, value in values.items() if name != "journal"}
 
     @model_validator(mode="after")
-    def _limits_follow_each_other(self) -> Self:
+    def _check_limit_order(self) -> Self:
         """Check that the levels of disk space are in order."""
         if not self.stop_free_fraction <= self.alarm_free_fraction <= self.warn_free_fraction:
             raise ValueError(
@@ -341,7 +341,7 @@ class Settings(BaseSettings):
     chain: ChainParameters = ChainParameters()
     plate: PlateParameters = PlateParameters()
     corrosion: CorrosionParameters = CorrosionParameters()
-    positions: dict[str, PositionSettings] = Field(default_factory=_paper_positions, min_length=1)
+    positions: dict[str, PositionSettings] = Field(default_factory=_list_positions, min_length=1)
     """Monitored places by their short name (letters and digits)."""
     ultrasound: UltrasoundSettings = UltrasoundSettings()
     features: FeatureSettings = FeatureSettings()
@@ -368,24 +368,24 @@ class Settings(BaseSettings):
 
     @model_validator(mode="before")
     @classmethod
-    def _positions_inherit(cls, values: object) -> object:
+    def _fill_positions(cls, values: object) -> object:
         """Fill a position's chain, plate and corrosion from the top-level tables of the same name."""
         if not isinstance(values, dict):
             return values
         positions = values.get("positions")
         if positions is None:
-            positions = {name: _position_values(place) for name, place in _paper_positions().items()}
+            positions = {name: _strip_defaults(place) for name, place in _list_positions().items()}
         if not isinstance(positions, dict):
             return values
         filled = {
-            name: _with_inherited_tables(place, values) if isinstance(place, dict) else place
+            name: _inherit_tables(place, values) if isinstance(place, dict) else place
             for name, place in positions.items()
         }
         return {**values, "positions": filled}
 
     @field_validator("positions")
     @classmethod
-    def _plain_names(cls, positions: dict[str, PositionSettings]) -> dict[str, PositionSettings]:
+    def _check_position_names(cls, positions: dict[str, PositionSettings]) -> dict[str, PositionSettings]:
         """Check the characters of the positions' names."""
         for name in positions:
             if not (name.isascii() and name.isalnum() and len(name) <= 16):
@@ -393,7 +393,7 @@ class Settings(BaseSettings):
         return positions
 
     @model_validator(mode="after")
-    def _parts_fit(self) -> Self:
+    def _check_tables_agree(self) -> Self:
         """Check that the tables agree with one another."""
         if self.baseline.minimum_valid_shots > self.schedule.shots_per_set:
             raise ValueError(
@@ -404,22 +404,22 @@ class Settings(BaseSettings):
             raise ValueError(
                 "clock.kind is 'simulated'; a real rig needs the wall clock: clock.kind = 'wall'"
             )
-        if unknown := sorted(set(self.twin.faults) - set(self.names_of(SOLITARY_WAVE))):
+        if unknown := sorted(set(self.twin.faults) - set(self.list_positions(SOLITARY_WAVE))):
             raise ValueError(
                 f"twin.faults.{unknown[0]}: there is no solitary_wave position {unknown[0]!r}; take it out, "
                 "or correct the name"
             )
         self.notifications.require_positions(list(self.positions))
         if self.rig.kind == "daqmx":
-            self._is_wired()
+            self._check_wiring()
         if self.rig.kind == "mixed":
-            self.rig.require_places({name: place.method for name, place in self.positions.items()})
-        self._sets_do_not_overlap()
+            self.rig.check_positions({name: place.method for name, place in self.positions.items()})
+        self._check_set_overlap()
         return self
 
-    def _sets_do_not_overlap(self) -> None:
+    def _check_set_overlap(self) -> None:
         """Check that each set ends before the next is due, which would be missed otherwise."""
-        transducers = len(self.names_of(SOLITARY_WAVE))
+        transducers = len(self.list_positions(SOLITARY_WAVE))
         # The last strike needs no interval after it.
         strikes = max(0, transducers * self.schedule.shots_per_set - 1)
         takes_s = strikes * self.schedule.shot_interval_s
@@ -433,7 +433,7 @@ class Settings(BaseSettings):
                 "last record and storing; take a longer interval_h or fewer strikes"
             )
 
-    def _is_wired(self) -> None:
+    def _check_wiring(self) -> None:
         """Check that every position has its board, and every board a monitored position."""
         assert self.rig.daqmx is not None, "RigSettings asks for it"
         probes = {} if self.rig.niscope is None else self.rig.niscope.probes
@@ -500,12 +500,12 @@ class Settings(BaseSettings):
         """Return the minimum thickness of a probe's wall, at which its alarm becomes active, in m."""
         return (1.0 - self.alarms.thickness_loss_fraction) * self.ultrasound.initial_thickness_m
 
-    def names_of(self, method: Method) -> list[str]:
+    def list_positions(self, method: Method) -> list[str]:
         """Return the positions monitored by a method, in the order of the file."""
         return [name for name, place in self.positions.items() if place.method == method]
 
 
-def _with_inherited_tables(place: Mapping[str, object], common: Mapping[str, object]) -> dict[str, object]:
+def _inherit_tables(place: Mapping[str, object], common: Mapping[str, object]) -> dict[str, object]:
     """Return a position with the values that it inherits from common tables."""
     filled = dict(place)
     for table in ("chain", "plate", "corrosion"):
@@ -515,6 +515,6 @@ def _with_inherited_tables(place: Mapping[str, object], common: Mapping[str, obj
     return filled
 
 
-def _position_values(place: PositionSettings) -> dict[str, object]:
+def _strip_defaults(place: PositionSettings) -> dict[str, object]:
     """Return a position as in a file, with only the values that differ from the defaults."""
     return {"method": place.method, "label": place.label, "corrosion": {"size_m": place.corrosion.size_m}}

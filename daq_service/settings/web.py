@@ -46,7 +46,7 @@ class WebSettings(BaseModel):
 
     @field_validator("host", "proxy")
     @classmethod
-    def _is_an_address(cls, text: str) -> str:
+    def _check_address(cls, text: str) -> str:
         """Check that the text is an IP address, if it is given."""
         if text and text not in LOOPBACK and not is_address(text):
             raise ValueError("give an IP address of a computer; names belong into web.host_names")
@@ -54,14 +54,14 @@ class WebSettings(BaseModel):
 
     @field_validator("host")
     @classmethod
-    def _is_somewhere(cls, text: str) -> str:
+    def _require_address(cls, text: str) -> str:
         """Check that an address is given."""
         if not text:
             raise ValueError("give an IP address of this computer, for example 127.0.0.1")
         return text
 
     @model_validator(mode="after")
-    def _doors_have_locks(self) -> Self:
+    def _check_exposed_service(self) -> Self:
         """Check that a service that other computers reach is encrypted and knows its host names."""
         if bool(self.tls_certificate) != bool(self.tls_key):
             raise ValueError("web.tls_certificate and web.tls_key belong together; give both or none")

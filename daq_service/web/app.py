@@ -17,14 +17,14 @@ from daq_service.settings.tree import Settings
 from daq_service.web import assets, routes
 from daq_service.web.answers import problem
 from daq_service.web.answers.json_answer import JsonAnswer
-from daq_service.web.answers.models import problem_schemas, problems
+from daq_service.web.answers.models import build_problem_schemas, list_errors
 from daq_service.web.answers.version import API_VERSION
 from daq_service.web.auth.middleware import AuthenticationMiddleware
-from daq_service.web.context import Context, context_of
+from daq_service.web.context import Context, find_app_context
 from daq_service.web.guards import RequestGuard
 from daq_service.web.request_times import AnswerTimes, RequestTimes
 from daq_service.web.routes import health, metrics, page
-from daq_service.web.routes.admission import admit
+from daq_service.web.routes.admission import check_role
 from daq_service.web.routes.description import OpenApi, describe_names, describe_roles
 from daq_service.web.routes.parameters import refuse_unknown_parameters
 
@@ -36,9 +36,9 @@ SMALL_BYTES = 2048
 
 
 @asynccontextmanager
-async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
+async def _run_lifespan(app: FastAPI) -> AsyncIterator[None]:
     """Run the background tasks as long as the application runs."""
-    async with context_of(app).run_background_tasks():
+    async with find_app_context(app).run_background_tasks():
         yield
 
 
@@ -58,13 +58,13 @@ class Service(FastAPI):
             default_response_class=JsonAnswer,
             generate_unique_id_function=lambda route: route.name,  # the function, as in the table of roles
         )
-        problem.install(self)
+        problem.install_error_handlers(self)
 
     def openapi(self) -> OpenApi:
         """Return the OpenAPI 3.1 description of the interface."""
         if self.openapi_schema is None:
             document = super().openapi()
-            document["components"]["schemas"].update(problem_schemas())
+            document["components"]["schemas"].update(build_problem_schemas())
             describe_roles(document)
             describe_names(document)
         assert self.openapi_schema is not None
@@ -81,12 +81,12 @@ def create_app(settings: Settings, data_folder: Path, *, no_person: bool = False
     no_person
         No token is required: not allowed for an application that listens on a port.
     """
-    app = application_of_test(lifespan=_lifespan)
-    guard(app, Context(settings, data_folder, no_person=no_person))
+    app = create_app_of_test(lifespan=_run_lifespan)
+    add_guard_middleware(app, Context(settings, data_folder, no_person=no_person))
     return app
 
 
-def application_of_test(lifespan: Lifespan[FastAPI] | None = None) -> Service:
+def create_app_of_test(lifespan: Lifespan[FastAPI] | None = None) -> Service:
     """Return an application with the routes of a test; `context.context_at` selects the test of a request."""
     app = Service(
         "solimon",
@@ -99,25 +99,25 @@ def application_of_test(lifespan: Lifespan[FastAPI] | None = None) -> Service:
     )
     app.include_router(health.probes)
     app.include_router(metrics.probes)
-    app.include_router(versioned(RESOURCES))
+    app.include_router(build_versioned_router(RESOURCES))
     app.include_router(page.router)
     app.include_router(assets.router)
     return app
 
 
-def versioned(resources: Iterable[ModuleType]) -> APIRouter:
+def build_versioned_router(resources: Iterable[ModuleType]) -> APIRouter:
     """Return a router of resources below `/api/v1`, with checks of the role and of unknown parameters."""
     api = APIRouter(
         prefix="/api/v1",
-        dependencies=[Depends(admit), Depends(refuse_unknown_parameters)],
-        responses=problems(422),
+        dependencies=[Depends(check_role), Depends(refuse_unknown_parameters)],
+        responses=list_errors(422),
     )
     for resource in resources:
         api.include_router(resource.router)
     return api
 
 
-def guard(app: FastAPI, context: Context, *, has_tests: bool = False) -> None:
+def add_guard_middleware(app: FastAPI, context: Context, *, has_tests: bool = False) -> None:
     """Add middleware to an application: guards, authentication, compression and timing.
 
     Parameters

@@ -17,7 +17,7 @@ from starlette.types import ASGIApp, Receive, Scope, Send
 
 from daq_service.shared_file import read_shared
 from daq_service.web.answers.problem import not_found
-from daq_service.web.answers.unchanged import unchanged
+from daq_service.web.answers.unchanged import check_etag
 
 router = APIRouter(include_in_schema=False)
 FOLDER = Path(__file__).parent / "dashboard"
@@ -46,7 +46,7 @@ class Asset:
 
 
 @cache
-def assets() -> dict[str, Asset]:
+def load_assets() -> dict[str, Asset]:
     """Return all files of the dashboard by their path in the URL."""
     contents = {}
     for path in sorted(FOLDER.rglob("*")):
@@ -54,10 +54,10 @@ def assets() -> dict[str, Asset]:
             contents[path.relative_to(FOLDER).as_posix()] = read_shared(path)
     # Modules named in the page are requested at once, not each after its importer. Only those of the first
     # view are preloaded: the others wait in a template, which a browser does not read.
-    preloaded = [FIRST, *modules(contents, FIRST)]
-    deferred = [SCRIPT, *(name for name in modules(contents, SCRIPT) if name not in preloaded)]
-    contents[PAGE] = contents[PAGE].replace(b"</head>", _preloads(preloaded) + b"</head>")
-    contents[PAGE] = contents[PAGE].replace(LATER, LATER + _preloads(deferred))
+    preloaded = [FIRST, *find_imported_modules(contents, FIRST)]
+    deferred = [SCRIPT, *(name for name in find_imported_modules(contents, SCRIPT) if name not in preloaded)]
+    contents[PAGE] = contents[PAGE].replace(b"</head>", _build_preload_links(preloaded) + b"</head>")
+    contents[PAGE] = contents[PAGE].replace(LATER, LATER + _build_preload_links(deferred))
     return {
         name: Asset(
             content,
@@ -69,12 +69,12 @@ def assets() -> dict[str, Asset]:
     }
 
 
-def _preloads(names: Iterable[str]) -> bytes:
+def _build_preload_links(names: Iterable[str]) -> bytes:
     """Return the links that load scripts early."""
     return "".join(f'<link rel="modulepreload" href="{PLACE}{name}">' for name in names).encode()
 
 
-def modules(files: Mapping[str, bytes], script: str) -> list[str]:
+def find_imported_modules(files: Mapping[str, bytes], script: str) -> list[str]:
     """Return the names of all modules that a script imports, directly or not."""
     names, waiting = {script: None}, [script]
     while waiting:
@@ -95,12 +95,12 @@ async def get_asset(name: str, request: Request) -> Response:
 
 def answer_asset(name: str, request: Request) -> Response:
     """Return the response for a file, or 304 where the browser already has it."""
-    asset = assets().get(name)
+    asset = load_assets().get(name)
     if asset is None:
         raise not_found(
             f"The dashboard has no file {name!r}.", "The dashboard is at /, the API at /api/v1/openapi.json."
         )
-    headers, known = unchanged(request, asset.etag)
+    headers, known = check_etag(request, asset.etag)
     if known:
         return known
     headers["Vary"] = "Accept-Encoding"
@@ -121,5 +121,5 @@ class AssetsFirst:
         answer: ASGIApp = self._app
         if scope["type"] == "http" and scope["method"] == "GET" and scope["path"].startswith(PLACE):
             name = scope["path"].removeprefix(PLACE)
-            answer = answer_asset(name, Request(scope)) if name in assets() else answer
+            answer = answer_asset(name, Request(scope)) if name in load_assets() else answer
         await answer(scope, receive, send)

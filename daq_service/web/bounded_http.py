@@ -34,10 +34,10 @@ class BoundedHttp(HttpToolsProtocol):
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override] # as uvicorn's
         """Wait for the first request."""
         super().connection_made(transport)
-        self._await_request()
+        self._start_waiting()
         most = self.limit_concurrency
         if most is not None and (over := len(self.connections) - most) >= 0:
-            oldest = min(self._all_waiting(), key=lambda connection: connection._since_s)
+            oldest = min(self._list_waiting(), key=lambda connection: connection._since_s)
             if oldest is not self or over >= SPARE_CONNECTIONS:
                 oldest._stop_waiting()
                 oldest.transport.abort()
@@ -52,7 +52,7 @@ class BoundedHttp(HttpToolsProtocol):
         """Wait for the next request of this connection."""
         super().on_message_begin()
         if self._waiting is None:
-            self._await_request()
+            self._start_waiting()
 
     def on_headers_complete(self) -> None:
         """Hand the request to the application."""
@@ -72,9 +72,9 @@ class BoundedHttp(HttpToolsProtocol):
         if self._waiting is not None and self._in_headers:
             self._headers_bytes += len(data)
             if self._headers_bytes > LARGEST_HEADERS_BYTES:
-                self._refuse(HTTPStatus.REQUEST_HEADER_FIELDS_TOO_LARGE)
+                self._refuse_request(HTTPStatus.REQUEST_HEADER_FIELDS_TOO_LARGE)
 
-    def _await_request(self) -> None:
+    def _start_waiting(self) -> None:
         """Start to wait for the next request."""
         self._headers_bytes, self._in_headers = 0, True
         self._since_s, self._n_checks = time.monotonic(), 0
@@ -94,7 +94,7 @@ class BoundedHttp(HttpToolsProtocol):
         """Return whether an answer is under way."""
         return self.cycle is not None and not self.cycle.response_complete
 
-    def _all_waiting(self) -> list[BoundedHttp]:
+    def _list_waiting(self) -> list[BoundedHttp]:
         """Return the connections that wait for a complete request."""
         return [
             connection
@@ -102,9 +102,9 @@ class BoundedHttp(HttpToolsProtocol):
             if isinstance(connection, BoundedHttp) and connection._waiting is not None
         ]
 
-    def _too_many_wait(self) -> bool:
+    def _has_too_many_waiting(self) -> bool:
         """Return whether too many connections wait; a proxy sends complete requests, so it hardly counts."""
-        waiting = self._all_waiting()
+        waiting = self._list_waiting()
         same_address = sum(
             (connection.client or ("",))[0] == (self.client or ("",))[0] for connection in waiting
         )
@@ -116,14 +116,14 @@ class BoundedHttp(HttpToolsProtocol):
         if self._in_headers and self._is_answering():  # the next request may take until this one is answered
             self._schedule_check()
         elif self._in_headers and time.monotonic() - self._since_s >= HEADERS_WITHIN_S:
-            self._refuse(HTTPStatus.REQUEST_TIMEOUT)
+            self._refuse_request(HTTPStatus.REQUEST_TIMEOUT)
         # Between two checks the loop reads: data that have arrived are not discarded unread.
-        elif self._n_checks > 1 and self._too_many_wait():
-            self._refuse(HTTPStatus.SERVICE_UNAVAILABLE)
+        elif self._n_checks > 1 and self._has_too_many_waiting():
+            self._refuse_request(HTTPStatus.SERVICE_UNAVAILABLE)
         else:
             self._schedule_check()
 
-    def _refuse(self, status: HTTPStatus) -> None:
+    def _refuse_request(self, status: HTTPStatus) -> None:
         """Answer with a status and close the connection."""
         self._stop_waiting()
         message = (

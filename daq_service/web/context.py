@@ -13,22 +13,22 @@ from typing import Annotated, Any
 from fastapi import Depends, FastAPI
 from starlette.requests import HTTPConnection
 
-from daq_service.alarms.evidence import evidence_sentences
+from daq_service.alarms.evidence import build_evidence_sentences
 from daq_service.archive import FolderSetReader
 from daq_service.archive.waterfall.image import WaterfallReader
 from daq_service.catalogue.access import CatalogueAccess
-from daq_service.catalogue.rows import AlarmRow, BaselineRow, Row, SetRow, values
+from daq_service.catalogue.rows import AlarmRow, BaselineRow, Row, SetRow, to_columns
 from daq_service.catalogue.store import Catalogue, NoDataYetError
 from daq_service.commands.audit import Audit
 from daq_service.errors import StorageError
 from daq_service.processes import freshness
 from daq_service.processes.data_folder import BACKUP_FILE
 from daq_service.processes.heartbeat import WEB_BEATS_EVERY_S, WEB_DEADLINE_S, WEB_FILE, Heartbeat
-from daq_service.processes.lost_catalogue import lost_reason
+from daq_service.processes.lost_catalogue import lost_catalogue_reason
 from daq_service.processes.notifications.service import Notifications
 from daq_service.settings.tree import Settings
-from daq_service.web.answers.json_answer import rfc3339, rfc3339_of_hour, with_utc
-from daq_service.web.answers.problem import Problem, catalogue_lost, no_data_yet, not_found
+from daq_service.web.answers.json_answer import add_utc, format_hour_as_rfc3339, format_rfc3339
+from daq_service.web.answers.problem import Problem, create_lost, create_no_data, not_found
 from daq_service.web.auth.middleware import AccessPolicy
 from daq_service.web.streams.hub import EventHub
 from daq_service.web.streams.live_figures import LiveFigures
@@ -55,11 +55,11 @@ class CatalogueEvents:
         except NoDataYetError:
             return []
         if self._epoch_utc_ns is None:
-            self._epoch_utc_ns = catalogue.experiment_row().epoch_utc_ns
-        rows = catalogue.events_after(event_id, limit=limit)
+            self._epoch_utc_ns = catalogue.read_experiment().epoch_utc_ns
+        rows = catalogue.read_events_after(event_id, limit=limit)
         epoch_utc_ns = self._epoch_utc_ns
         return [
-            {**with_utc(values(row), epoch_utc_ns), "payload": with_utc(row.payload, epoch_utc_ns)}
+            {**add_utc(to_columns(row), epoch_utc_ns), "payload": add_utc(row.payload, epoch_utc_ns)}
             for row in rows
         ]
 
@@ -138,12 +138,12 @@ class Context:
         try:
             catalogue = self.catalogue_access.get()
         except NoDataYetError:
-            if reason := lost_reason(self.data_folder):
-                raise catalogue_lost(reason) from None
-            raise no_data_yet() from None
+            if reason := lost_catalogue_reason(self.data_folder):
+                raise create_lost(reason) from None
+            raise create_no_data() from None
         if not self._has_data:
             if not catalogue.rows(SetRow, limit=1):
-                raise no_data_yet()
+                raise create_no_data()
             self._has_data = True
         return catalogue
 
@@ -162,7 +162,7 @@ class Context:
         self.live.close()
         self.notifications.close()
 
-    def checked_position(self, position: str) -> str:
+    def validate_position(self, position: str) -> str:
         """Check and return the name of a position (it becomes part of file names).
 
         Raises
@@ -177,7 +177,7 @@ class Context:
             )
         return position
 
-    def freshness(self) -> Freshness:
+    def compute_freshness(self) -> Freshness:
         """Return the present freshness of the catalogue."""
         return Freshness(self)
 
@@ -192,49 +192,49 @@ class Freshness(freshness.Freshness):
     @cached_property
     def _baselines(self) -> dict[int, BaselineRow]:
         """Return all baselines by id."""
-        return self._catalogue.baselines_by_id()
+        return self._catalogue.read_baselines_by_id()
 
     def as_of(self) -> dict[str, object]:
         """Return the part `as_of` of an answer."""
         return {
             "clock": self.clock,
-            "now_utc": rfc3339(self.now_utc_ns),
+            "now_utc": format_rfc3339(self.now_utc_ns),
             "now_h": self.now_h,
-            "last_write_wall_utc": rfc3339(self.written_ns),
+            "last_write_wall_utc": format_rfc3339(self.written_ns),
             "wall_age_s": self.wall_age_s,
             "recorder": self.recorder.status,
         }
 
-    def utc_of(self, hour: float) -> str | None:
+    def format_utc_of_hour(self, hour: float) -> str | None:
         """Return the RFC 3339 time of an hour of the test."""
-        return rfc3339_of_hour(self.epoch_utc_ns, hour)
+        return format_hour_as_rfc3339(self.epoch_utc_ns, hour)
 
     def row(self, row: Row, **extra_columns: object) -> dict[str, object]:
         """Return a row of the catalogue for an answer: times as text, and its age if it has an hour."""
         if isinstance(row, AlarmRow):
-            row = self.standing(row)
-            extra_columns |= {"evidence_sentences": evidence_sentences(row, self._baselines)}
-        answer = with_utc({**values(row), **extra_columns}, self.epoch_utc_ns)
+            row = self.with_present_state(row)
+            extra_columns |= {"evidence_sentences": build_evidence_sentences(row, self._baselines)}
+        answer = add_utc({**to_columns(row), **extra_columns}, self.epoch_utc_ns)
         dated_h = answer.get("raised_h", answer.get("due_h"))
         return answer | {"age_h": self.age_h(dated_h)} if isinstance(dated_h, int | float) else answer
 
 
-def context_of(app: FastAPI) -> Context:
+def find_app_context(app: FastAPI) -> Context:
     """Return the shared parts of an application."""
     context = app.state.context
     assert isinstance(context, Context)
     return context
 
 
-def context_at(connection: HTTPConnection) -> Context:
+def find_request_context(connection: HTTPConnection) -> Context:
     """Return the shared parts of the test of a request, or else of its application."""
     context = getattr(connection.state, "test", None)
-    return context if isinstance(context, Context) else context_of(connection.app)
+    return context if isinstance(context, Context) else find_app_context(connection.app)
 
 
-async def _context_dependency(connection: HTTPConnection) -> Context:
+async def _provide_context(connection: HTTPConnection) -> Context:
     """Return `context_at`; as a coroutine it needs no thread of the pool."""
-    return context_at(connection)
+    return find_request_context(connection)
 
 
-ContextOf = Annotated[Context, Depends(_context_dependency)]
+ContextOf = Annotated[Context, Depends(_provide_context)]

@@ -14,7 +14,7 @@ from starlette.datastructures import Headers, MutableHeaders
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from daq_service.settings.web import LOOPBACK
-from daq_service.web.answers.problem import Problem, problem_response
+from daq_service.web.answers.problem import Problem, build_problem_response
 from daq_service.web.bounded_http import LARGEST_HEADERS_BYTES
 
 LARGEST_BODY_BYTES = 64 * 1024
@@ -71,7 +71,7 @@ class RequestGuard:
         name = uuid.uuid4().hex
         scope.setdefault("state", {})["request_id"] = name
         headers = Headers(scope=scope)
-        problem = _find_problem(scope, headers, self._names)
+        problem = _find_request_problem(scope, headers, self._names)
 
         async def send_with_headers(message: Message) -> None:
             if message["type"] in {"http.response.start", "websocket.http.response.start"}:
@@ -87,15 +87,15 @@ class RequestGuard:
                 async with asyncio.timeout(BODY_WITHIN_S):
                     body = await _read_body(receive)
             except TimeoutError:
-                problem = _too_slow()
+                problem = _create_too_slow()
             else:
                 if body is None:
-                    problem = _too_large(f"more than {LARGEST_BODY_BYTES}")
+                    problem = _create_too_large(f"more than {LARGEST_BODY_BYTES}")
                 else:
                     receive = _replay_body(body, receive)
         if problem is not None and problem.name in FOREIGN and self._audit_rejection is not None:
             await self._audit_rejection(scope, problem.detail)
-        application = self._app if problem is None else problem_response(scope, problem)
+        application = self._app if problem is None else build_problem_response(scope, problem)
         await application(scope, receive, send_with_headers)
 
 
@@ -116,49 +116,51 @@ def _replay_body(body: bytes, receive: Receive) -> Receive:
     """Return a `receive` that returns the body once, and then the messages of the server."""
     unread = [body]
 
-    async def replay() -> Message:
+    async def receive_replayed() -> Message:
         if unread:
             return {"type": "http.request", "body": unread.pop(), "more_body": False}
         return await receive()
 
-    return replay
+    return receive_replayed
 
 
-def _too_large(size: str) -> Problem:
+def _create_too_large(size: str) -> Problem:
     """Return the error of a body that is too large."""
     return Problem("body-too-large", f"The body has {size} bytes; the limit is {LARGEST_BODY_BYTES}.")
 
 
-def _too_slow() -> Problem:
+def _create_too_slow() -> Problem:
     """Return the error of a body that arrives too slowly."""
     return Problem("body-too-slow", f"The body was not whole within {BODY_WITHIN_S:g} s.")
 
 
-def _find_problem(scope: Scope, headers: Headers, names: frozenset[str]) -> Problem | None:
+def _find_request_problem(scope: Scope, headers: Headers, names: frozenset[str]) -> Problem | None:
     """Return the problem of a request's headers, host or origin; None if there is none."""
     if (header_bytes := sum(len(name) + len(value) for name, value in headers.raw)) > LARGEST_HEADERS_BYTES:
         return Problem(
             "headers-too-large",
             f"The headers have {header_bytes} bytes; the limit is {LARGEST_HEADERS_BYTES}.",
         )
-    host = _joined_header(headers, "host")
-    if _hostname(f"//{host}") not in names:
+    host = _join_header(headers, "host")
+    if _parse_hostname(f"//{host}") not in names:
         return Problem(
             "foreign-host", f"Host is {host!r}; this service answers to {', '.join(sorted(names))} only."
         )
     streams = scope["type"] == "websocket" or scope["path"].endswith(EVENTS)
-    origin = _joined_header(headers, "origin")
-    is_foreign = "cross-site" in _joined_header(headers, "sec-fetch-site") and _hostname(origin) not in names
+    origin = _join_header(headers, "origin")
+    is_foreign = (
+        "cross-site" in _join_header(headers, "sec-fetch-site") and _parse_hostname(origin) not in names
+    )
     reads_across = "/api/" in scope["path"] and is_foreign
     if reads_across or ((streams or scope["method"] not in SAFE_METHODS) and not is_same_origin(headers)):
         return Problem("foreign-origin", f"Origin is {origin!r}, but the request went to {host!r}.")
     size = headers.get("content-length", "0")
     if scope["type"] == "http" and (not size.isdecimal() or int(size[:9]) > LARGEST_BODY_BYTES):
-        return _too_large(size)
+        return _create_too_large(size)
     return None
 
 
-def _hostname(address: str) -> str | None:
+def _parse_hostname(address: str) -> str | None:
     """Return the host of an address; None if it is malformed."""
     try:
         return urlsplit(address).hostname
@@ -166,14 +168,14 @@ def _hostname(address: str) -> str | None:
         return None
 
 
-def _joined_header(headers: Headers, name: str) -> str:
+def _join_header(headers: Headers, name: str) -> str:
     """Return all headers of a name in one text: a proxy and this service might use different ones."""
     return ", ".join(headers.getlist(name))
 
 
 def is_same_origin(headers: Headers) -> bool:
     """Return whether the request comes from no browser, or from a page of the same origin."""
-    host = _joined_header(headers, "host")
-    return _joined_header(headers, "sec-fetch-site") in {"", "same-origin", "none"} and _joined_header(
+    host = _join_header(headers, "host")
+    return _join_header(headers, "sec-fetch-site") in {"", "same-origin", "none"} and _join_header(
         headers, "origin"
     ) in {"", f"http://{host}", f"https://{host}"}

@@ -18,7 +18,7 @@ from fastapi import FastAPI
 from daq_service.errors import BusyError, UsageError
 from daq_service.settings.web import LOOPBACK, WebSettings
 from daq_service.web.bounded_http import SPARE_CONNECTIONS, BoundedHttp
-from daq_service.web.context import context_of
+from daq_service.web.context import find_app_context
 
 LONGEST_SHUTDOWN_S = 1
 """Streams close at once; this limits a request that hangs in a thread."""
@@ -69,7 +69,7 @@ class _Server(uvicorn.Server):
         await super().shutdown(sockets)
 
 
-def bind(host: str, port: int, *, locked: bool = False) -> socket.socket:
+def bind_socket(host: str, port: int, *, locked: bool = False) -> socket.socket:
     """Return a socket that listens on an address of this computer; port 0 takes a free one.
 
     Parameters
@@ -116,7 +116,7 @@ def bind(host: str, port: int, *, locked: bool = False) -> socket.socket:
     return listener
 
 
-def most_connections() -> int:
+def raise_connection_limit() -> int:
     """Raise the limit of open handles of the process, and return the number of connections that fit."""
     if sys.platform == "win32":  # no such limit
         return MOST_CONNECTIONS
@@ -131,7 +131,7 @@ def most_connections() -> int:
     return max(min(MOST_CONNECTIONS, fit), 1)
 
 
-def collect_garbage_seldom() -> None:
+def reduce_garbage_collection() -> None:
     """Collect cyclic garbage less often, and never in objects that live until the process ends.
 
     A thousand streams are half a million objects: each default collection blocks all requests for a
@@ -142,7 +142,7 @@ def collect_garbage_seldom() -> None:
     gc.set_threshold(*COLLECTED_AFTER)
 
 
-def _loop(config: uvicorn.Config) -> asyncio.AbstractEventLoop:
+def _create_event_loop(config: uvicorn.Config) -> asyncio.AbstractEventLoop:
     """Return an event loop with a limited time for TLS handshakes."""
     factory = config.get_loop_factory()
     loop = asyncio.new_event_loop() if factory is None else factory()
@@ -177,7 +177,7 @@ def serve(
         Called by the event loop once a second, unless it stalls.
     """
     locks = locks or WebSettings()
-    listener = bind(host, port, locked=locks.is_reachable)
+    listener = bind_socket(host, port, locked=locks.is_reachable)
     try:
         config = uvicorn.Config(
             app,
@@ -187,7 +187,7 @@ def serve(
             ws_ping_interval=20.0,
             log_config=None,
             access_log=False,
-            limit_concurrency=most_connections(),
+            limit_concurrency=raise_connection_limit(),
             server_header=False,
             timeout_graceful_shutdown=LONGEST_SHUTDOWN_S,
             lifespan="on",
@@ -201,8 +201,8 @@ def serve(
         if locks.has_tls and locks.host_names:  # what the certificate is for
             shown = locks.host_names[0]
         on_bound(f"http{'s' if locks.has_tls else ''}://{shown}:{bound_port}/")
-        closing = close_streams or context_of(app).close_streams
-        with asyncio.Runner(loop_factory=partial(_loop, config)) as runner:
+        closing = close_streams or find_app_context(app).close_streams
+        with asyncio.Runner(loop_factory=partial(_create_event_loop, config)) as runner:
             server = _Server(config, closing, stop)
             server.on_beat = on_beat
             runner.run(server.serve(sockets=[listener]))

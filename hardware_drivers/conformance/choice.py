@@ -82,10 +82,10 @@ def choose_instrument(kind_name: str, file: Path | None) -> ChosenInstrument:
     return ChosenInstrument(
         kind=kind,
         offer=offer,
-        table=_parameters(instruments[name]),
+        table=_read_parameters(instruments[name]),
         serves=serves,
         strikers={
-            place: (find_kind(table["kind"])[0], _parameters(table))
+            place: (find_kind(table["kind"])[0], _read_parameters(table))
             for place in serves.get("digitizer", ())
             if (table := instruments.get(positions[place].get("striker", ""))) is not None
         },
@@ -113,7 +113,7 @@ def find_double(where: str) -> Double:
     return found
 
 
-def _parameters(table: Mapping[str, object]) -> dict[str, object]:
+def _read_parameters(table: Mapping[str, object]) -> dict[str, object]:
     """Return the parameters of an instrument: its table without the key `kind`."""
     return {key: value for key, value in table.items() if key != "kind"}
 

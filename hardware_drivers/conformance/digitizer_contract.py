@@ -20,7 +20,7 @@ OVERRUN_S = 20.0
 """A read may end so much later on a busy machine; one that waits for the strike itself never ends."""
 
 
-def _record(digitizer: Digitizer, strike: Strike, key: ShotKey, timeout_s: float) -> Acquired:
+def _acquire_record(digitizer: Digitizer, strike: Strike, key: ShotKey, timeout_s: float) -> Acquired:
     """Arm, strike and read one shot."""
     digitizer.arm(key)
     strike(key)
@@ -65,7 +65,7 @@ class DigitizerContract:
     def test_a_strike_on_an_armed_digitizer_is_recorded(
         self, digitizer: Digitizer, strike: Strike, keys: Keys, timeout_s: float
     ) -> None:
-        acquired = _record(digitizer, strike, keys[0], timeout_s)
+        acquired = _acquire_record(digitizer, strike, keys[0], timeout_s)
         assert isinstance(acquired, Acquired)
         waveform = acquired.waveform
         assert 0 < waveform.pretrigger_samples < waveform.counts.size
@@ -74,7 +74,7 @@ class DigitizerContract:
     def test_counts_are_read_only_codes_of_their_calibration(
         self, digitizer: Digitizer, strike: Strike, keys: Keys, timeout_s: float
     ) -> None:
-        acquired = _record(digitizer, strike, keys[0], timeout_s)
+        acquired = _acquire_record(digitizer, strike, keys[0], timeout_s)
         require_record(acquired)
         lowest, highest = acquired.waveform.calibration.full_scale_counts
         counts = acquired.waveform.counts
@@ -83,7 +83,7 @@ class DigitizerContract:
     def test_records_of_one_position_have_one_shape_and_calibration(
         self, digitizer: Digitizer, strike: Strike, keys: Keys, timeout_s: float
     ) -> None:
-        first, second = (_record(digitizer, strike, key, timeout_s).waveform for key in keys)
+        first, second = (_acquire_record(digitizer, strike, key, timeout_s).waveform for key in keys)
         assert first.counts.shape == second.counts.shape
         assert first.counts.dtype == second.counts.dtype
         assert first.sample_rate_hz == second.sample_rate_hz
@@ -108,7 +108,7 @@ class DigitizerContract:
     def test_reading_disarms(
         self, digitizer: Digitizer, strike: Strike, keys: Keys, timeout_s: float
     ) -> None:
-        _record(digitizer, strike, keys[0], timeout_s)
+        _acquire_record(digitizer, strike, keys[0], timeout_s)
         with pytest.raises(ConfigurationError):
             digitizer.read(SHORT_TIMEOUT_S)
         digitizer.arm(keys[1])

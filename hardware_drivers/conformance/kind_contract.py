@@ -83,10 +83,10 @@ class KindContract:
     def test_reading_a_configuration_imports_none_of_its_packages(
         self, kind: Kind[object], parameters: object, module: str
     ) -> None:
-        needed = {_plain(name) for name in kind.packages(parameters)}
+        needed = {_normalize(name) for name in kind.packages(parameters)}
         if not needed:
             return
-        heavy = [name for name, by in packages_distributions().items() if needed & set(map(_plain, by))]
+        heavy = [name for name, by in packages_distributions().items() if needed & set(map(_normalize, by))]
         program = f"import {module}, sys; print(*(name for name in {heavy!r} if name in sys.modules))"
         command = [sys.executable, "-c", program]
         done = subprocess.run(command, capture_output=True, text=True, check=True)
@@ -129,6 +129,6 @@ class _FailureAtTheRigError(Exception):
     """Any error elsewhere while the instrument is open."""
 
 
-def _plain(distribution: str) -> str:
+def _normalize(distribution: str) -> str:
     """Return the name of a distribution in the one form that is compared."""
     return distribution.lower().replace("_", "-")

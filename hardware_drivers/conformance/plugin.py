@@ -65,21 +65,21 @@ def pytest_configure(config: pytest.Config) -> None:
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
     """Make one test of each fault that the double can inject."""
     if metafunc.module.__name__ == SUITES and "fault" in metafunc.fixturenames:
-        metafunc.parametrize("fault", _faults(metafunc.config))
+        metafunc.parametrize("fault", _list_faults(metafunc.config))
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """Deselect the suites of roles that the instrument does not have; bound the time of each rule."""
-    ours = [item for item in items if _suite(item) is not None]
+    ours = [item for item in items if _find_suite_role(item) is not None]
     if not ours:
         return
     if CHOSEN not in config.stash:
         raise pytest.UsageError("which instrument? give --solimon-kind NAME, as its entry points call it")
-    out = [item for item in ours if not _is_asked(item, config)]
+    out = [item for item in ours if not _is_requested(item, config)]
     items[:] = [item for item in items if item not in out]
     config.hook.pytest_deselected(items=out)
     for item in ours:
-        item.user_properties.append(("solimon_suite", _suite(item)))
+        item.user_properties.append(("solimon_suite", _find_suite_role(item)))
         if config.pluginmanager.has_plugin("timeout") and item.get_closest_marker("timeout") is None:
             item.add_marker(pytest.mark.timeout(RULE_TIMEOUT_S))
 
@@ -92,7 +92,7 @@ def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter, config: p
             suite = dict(getattr(report, "user_properties", ())).get("solimon_suite")
             if suite is not None:
                 rules = rules_by_suite.setdefault(str(suite), {}).setdefault(outcome, [])
-                rules.append(_rule(report.nodeid))
+                rules.append(_format_rule(report.nodeid))
     if not rules_by_suite:
         return
     chosen = config.stash[CHOSEN]
@@ -106,29 +106,29 @@ def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter, config: p
             terminalreporter.line(f"  broken: {rule}", red=True)
     if missing := [role for role in chosen.offer.roles if role not in chosen.serves]:
         terminalreporter.line(f"not proved: {', '.join(missing)}; no position of the configuration names it")
-    if not _faults(config):
+    if not _list_faults(config):
         terminalreporter.line("not proved: what it does when it fails; no double knows how")
 
 
-def _faults(config: pytest.Config) -> tuple[str, ...]:
+def _list_faults(config: pytest.Config) -> tuple[str, ...]:
     """Return the faults that the chosen double can inject; none without a double."""
     double = config.stash.get(DOUBLE, None)
     return () if double is None else double.faults
 
 
-def _is_asked(item: pytest.Item, config: pytest.Config) -> bool:
+def _is_requested(item: pytest.Item, config: pytest.Config) -> bool:
     """Return whether the instrument has the suite's role, and a double if the rule needs one."""
-    if "fault" in getattr(item, "fixturenames", ()) and not _faults(config):
+    if "fault" in getattr(item, "fixturenames", ()) and not _list_faults(config):
         return False
-    return _suite(item) in {"kind", "safety", *config.stash[CHOSEN].serves}
+    return _find_suite_role(item) in {"kind", "safety", *config.stash[CHOSEN].serves}
 
 
-def _suite(item: pytest.Item) -> str | None:
+def _find_suite_role(item: pytest.Item) -> str | None:
     """Return the role of a test's suite, ``kind`` or ``safety``; None: no test of solimon."""
     cls = getattr(item, "cls", None)
     return cls.suite if cls is not None and cls.__module__ == SUITES else None
 
 
-def _rule(nodeid: str) -> str:
+def _format_rule(nodeid: str) -> str:
     """Return the rule in words: the name of its test."""
     return nodeid.rpartition("::")[2].removeprefix("test_").replace("_", " ")

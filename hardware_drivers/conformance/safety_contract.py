@@ -43,11 +43,11 @@ class SafetyContract:
 
     def test_it_is_safe_after_an_interruption(self, bench: Bench, open_kind: Open, opening: Opening) -> None:
         with open_kind() as opened:
-            for _, call in _calls(opened, opening, ("arm", "strike"), WHOLE_TIMEOUT_S):
+            for _, call in _list_calls(opened, opening, ("arm", "strike"), WHOLE_TIMEOUT_S):
                 call()
-        assert _coils_on(bench) == []
+        assert _find_energised_coils(bench) == []
         with open_kind() as opened:
-            for _, call in _calls(opened, opening, ("arm",)):
+            for _, call in _list_calls(opened, opening, ("arm",)):
                 call()
 
     def test_opening_fails_by_errors_of_hardware_drivers_only(
@@ -58,16 +58,16 @@ class SafetyContract:
             with open_kind():
                 """Opened all the same: a fault that only calls will tell."""
 
-        with _failing(bench, fault):
-            _error_of("opening", open_it)
+        with _inject_fault(bench, fault):
+            _capture_error("opening", open_it)
 
     def test_calls_fail_by_errors_of_hardware_drivers_only(
         self, bench: Bench, open_kind: Open, opening: Opening, fault: str
     ) -> None:
         errors = {}
-        with _open_failing(open_kind) as opened, _failing(bench, fault):
-            for name, call in _calls(opened, opening):
-                errors[name] = _error_of(name, call)
+        with _open_failing(open_kind) as opened, _inject_fault(bench, fault):
+            for name, call in _list_calls(opened, opening):
+                errors[name] = _capture_error(name, call)
         assert any(errors.values()), (
             f"no call told of the fault {fault!r}: {', '.join(errors) or 'none was made'}"
         )
@@ -78,12 +78,12 @@ class SafetyContract:
         with _open_failing(open_kind) as opened:
             if opened.digitizer is None or "digitizer" not in opening.serves:
                 pytest.skip("it is no digitizer")
-            opened.digitizer.arm(_key("digitizer", opening))
+            opened.digitizer.arm(_make_key("digitizer", opening))
             read = opened.digitizer.read
-            with _failing(bench, fault):
-                first = _error_of("read", lambda: read(TIMEOUT_S))
+            with _inject_fault(bench, fault):
+                first = _capture_error("read", lambda: read(TIMEOUT_S))
             assert first is not None, f"read told nothing of the fault {fault!r}"
-            second = _error_of("read", lambda: read(TIMEOUT_S))
+            second = _capture_error("read", lambda: read(TIMEOUT_S))
             assert second is not None, "there was nothing to read any more"
             assert not isinstance(second, AcquisitionTimeoutError), "it waited again: still armed"
 
@@ -92,22 +92,22 @@ class SafetyContract:
     ) -> None:
         if bench.coil_levels is None:
             pytest.skip("it has no coil, or nobody knows what its coils did")
-        with _open_failing(open_kind) as opened, _failing(bench, fault):
-            for name, call in _calls(opened, opening, ("strike", "make_safe")):
-                _error_of(name, call)
-                assert _coils_on(bench) == [], f"after {name}"
-        assert _coils_on(bench) == []
+        with _open_failing(open_kind) as opened, _inject_fault(bench, fault):
+            for name, call in _list_calls(opened, opening, ("strike", "make_safe")):
+                _capture_error(name, call)
+                assert _find_energised_coils(bench) == [], f"after {name}"
+        assert _find_energised_coils(bench) == []
 
     def test_after_a_fault_it_can_be_opened_again(
         self, bench: Bench, open_kind: Open, opening: Opening, fault: str
     ) -> None:
         with ExitStack() as still, _open_failing(open_kind) as opened:
             # Ended last: the instrument is left while it fails.
-            still.enter_context(_failing(bench, fault))
-            for name, call in _calls(opened, opening):
-                _error_of(name, call)
+            still.enter_context(_inject_fault(bench, fault))
+            for name, call in _list_calls(opened, opening):
+                _capture_error(name, call)
         with open_kind() as opened:
-            for _, call in _calls(opened, opening, AT_REST, WHOLE_TIMEOUT_S):
+            for _, call in _list_calls(opened, opening, AT_REST, WHOLE_TIMEOUT_S):
                 call()
 
 
@@ -120,13 +120,13 @@ def _open_failing(open_kind: Open) -> Iterator[Opened]:
             stack.close()
 
 
-def _failing(bench: Bench, fault: str) -> AbstractContextManager[object]:
+def _inject_fault(bench: Bench, fault: str) -> AbstractContextManager[object]:
     """Return the context in which the instrument has a fault."""
     assert bench.fault is not None, "a double that names faults gives Bench.fault"
     return bench.fault(fault)
 
 
-def _error_of(name: str, call: Call) -> InstrumentError | None:
+def _capture_error(name: str, call: Call) -> InstrumentError | None:
     """Return the error of a call; one that is not of `hardware_drivers.errors` breaks the rule."""
     try:
         call()
@@ -139,12 +139,12 @@ def _error_of(name: str, call: Call) -> InstrumentError | None:
     return None
 
 
-def _key(role: Role, opening: Opening) -> ShotKey:
+def _make_key(role: Role, opening: Opening) -> ShotKey:
     """Return the key of a shot at the first position that the instrument serves in a role."""
     return ShotKey(position=opening.serves[role][0], set_index=0, shot_index=0)
 
 
-def _calls(
+def _list_calls(
     opened: Opened, opening: Opening, only: tuple[str, ...] = (), timeout_s: float = TIMEOUT_S
 ) -> Iterator[tuple[str, Call]]:
     """Return the calls of every requested role in the order of a shot, each with its name."""
@@ -152,14 +152,16 @@ def _calls(
         name: [] for name in ("arm", "strike", "read", "disarm", "make_safe", "measure")
     }
     if (digitizer := opened.digitizer) is not None and "digitizer" in opening.serves:
-        calls_by_role["arm"].append(lambda: digitizer.arm(_key("digitizer", opening)))
+        calls_by_role["arm"].append(lambda: digitizer.arm(_make_key("digitizer", opening)))
         calls_by_role["read"].append(lambda: digitizer.read(timeout_s))
         calls_by_role["disarm"].append(digitizer.disarm)
     if (striker := opened.striker) is not None and "striker" in opening.serves:
-        calls_by_role["strike"].append(lambda: striker.strike(_key("striker", opening)))
+        calls_by_role["strike"].append(lambda: striker.strike(_make_key("striker", opening)))
         calls_by_role["make_safe"].append(striker.make_safe)
     if (pulse_echo := opened.pulse_echo) is not None and "pulse_echo" in opening.serves:
-        calls_by_role["strike"].append(lambda: pulse_echo.acquire(_key("pulse_echo", opening), timeout_s))
+        calls_by_role["strike"].append(
+            lambda: pulse_echo.acquire(_make_key("pulse_echo", opening), timeout_s)
+        )
     if (supply := opened.supply) is not None and "supply" in opening.serves:
         calls_by_role["measure"].append(lambda: supply.read(timeout_s))
         calls_by_role["make_safe"].append(supply.make_safe)
@@ -173,7 +175,7 @@ def _calls(
     )
 
 
-def _coils_on(bench: Bench) -> list[str]:
+def _find_energised_coils(bench: Bench) -> list[str]:
     """Return the positions whose coil is on after all switchings so far."""
     levels: Mapping[str, bool] = dict(bench.coil_levels()) if bench.coil_levels is not None else {}
     return [position for position, on in levels.items() if on]

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from hardware_drivers.daqmx.boards import Board, is_accepted
 from hardware_drivers.daqmx.connection import Connection, clear_task
 from hardware_drivers.daqmx.parameters import DaqmxParameters, TransducerWiring
-from hardware_drivers.daqmx.translation import vendor_call
+from hardware_drivers.daqmx.translation import translate_errors
 from hardware_drivers.errors import ConfigurationError, ConnectionLostError
 from hardware_drivers.measurement import Calibration, Waveform
 
@@ -69,12 +69,12 @@ class Acquisition:
 
     def start(self) -> None:
         """Start sampling, at once or at the edge of the coil's counter."""
-        with vendor_call(f"starting the acquisition of {self.position!r}"):
+        with translate_errors(f"starting the acquisition of {self.position!r}"):
             self.task.start()
 
     def read(self, timeout_s: float) -> Waveform:
         """Wait for the record and return it; the buffer's content is used only after a complete read."""
-        with vendor_call(f"reading the record of {self.position!r}"):
+        with translate_errors(f"reading the record of {self.position!r}"):
             read = self.reader.read_int16 if self.buffer.dtype == np.int16 else self.reader.read_int32
             wanted = self.buffer.shape[1]
             # A longer record comes in parts: an answer over gRPC holds one of usual length.
@@ -97,7 +97,7 @@ class Acquisition:
 
     def stop(self) -> None:
         """Return the task to committed, ready for the next shot."""
-        with vendor_call(f"stopping the acquisition of {self.position!r}"):
+        with translate_errors(f"stopping the acquisition of {self.position!r}"):
             self.task.stop()
 
     def close(self) -> bool:
@@ -144,20 +144,20 @@ def commit_acquisition(
     wiring = parameters.transducers[position]
     task = connection.task("digitizer")
     try:
-        with vendor_call(f"setting up the acquisition of {position!r} on {board.label}"):
-            channel = _configure(task, parameters, wiring, board, record)
+        with translate_errors(f"setting up the acquisition of {position!r} on {board.label}"):
+            channel = _configure_task(task, parameters, wiring, board, record)
             if record == "pulse" or (record == "shot" and parameters.holdoff_s is not None):
-                _start_by_coil(task, parameters, position, coil_board, board, record)
+                _configure_coil_start(task, parameters, position, coil_board, board, record)
             from nidaqmx.constants import TaskMode
 
             task.control(TaskMode.TASK_COMMIT)
-            return _committed(task, channel, parameters, position, board, record)
+            return _verify_committed(task, channel, parameters, position, board, record)
     except BaseException:
         clear_task(task, f"setting up the acquisition of {position!r}")
         raise
 
 
-def _configure(
+def _configure_task(
     task: Task, parameters: DaqmxParameters, wiring: TransducerWiring, board: Board, record: Record
 ) -> AIChannel:
     """Configure channel, sample clock, reference clock and trigger of a task; return its channel."""
@@ -175,7 +175,7 @@ def _configure(
     task.timing.cfg_samp_clk_timing(
         parameters.sample_rate_hz,
         sample_mode=AcquisitionType.FINITE,
-        samps_per_chan=_samples(parameters, record),
+        samps_per_chan=_count_samples(parameters, record),
     )
     if parameters.reference_clock != "onboard":
         task.timing.ref_clk_src = parameters.reference_clock
@@ -190,12 +190,12 @@ def _configure(
     return channel
 
 
-def _samples(parameters: DaqmxParameters, record: Record) -> int:
+def _count_samples(parameters: DaqmxParameters, record: Record) -> int:
     """Return the number of samples of a record."""
     return parameters.whole_strike_samples if record == "pulse" else parameters.record_samples
 
 
-def _start_by_coil(
+def _configure_coil_start(
     task: Task, parameters: DaqmxParameters, position: str, coil_board: Board, board: Board, record: Record
 ) -> None:
     """Configure the start by an edge of the coil's counter: with the pulse, or the holdoff after its end.
@@ -206,7 +206,7 @@ def _start_by_coil(
 
     source = f"/{coil_board.name}/Ctr{parameters.transducers[position].counter[3:]}InternalOutput"
     trigger = task.triggers.start_trigger
-    with vendor_call(
+    with translate_errors(
         f"starting the acquisition of {position!r} on {board.label} by {source} of {coil_board.label} (a "
         "coil's counter can do that on the digitizer's own board, of S Series ctr0 only, or on one in the "
         "same chassis if NI MAX knows the chassis)"
@@ -251,7 +251,7 @@ _TERMINALS = {
 _CLOCK_HZ = {"PXI_Clk10": 10e6, "PXIe_Clk100": 100e6}
 
 
-def _committed(
+def _verify_committed(
     task: Task, channel: AIChannel, parameters: DaqmxParameters, position: str, board: Board, record: Record
 ) -> Acquisition:
     """Read back the essential settings and reject silent changes."""
@@ -270,7 +270,7 @@ def _committed(
             f"range_v is {wiring.range_v} V; {board.label} would use {low_v:g}..{high_v:g} V; choose a "
             "range it has"
         )
-    calibration = _calibration(channel, wiring, board)
+    calibration = _read_calibration(channel, wiring, board)
     size = int(channel.ai_raw_samp_size)
     if size not in _DTYPES or calibration.resolution_bits > size:
         raise ConfigurationError(
@@ -292,18 +292,18 @@ def _committed(
         board=board,
         task=task,
         reader=reader,
-        buffer=np.zeros((1, _samples(parameters, record)), dtype=_DTYPES[size]),
+        buffer=np.zeros((1, _count_samples(parameters, record)), dtype=_DTYPES[size]),
         part_samples=parameters.record_samples,
         sample_rate_hz=rate_hz,
         pretrigger_samples=parameters.pretrigger_samples,
         calibration=calibration,
         trigger_level_v=level_v,
         triggered=triggered,
-        settings=_settings(parameters, wiring, board, level_v, triggered=triggered),
+        settings=_collect_settings(parameters, wiring, board, level_v, triggered=triggered),
     )
 
 
-def _calibration(channel: AIChannel, wiring: TransducerWiring, board: Board) -> Calibration:
+def _read_calibration(channel: AIChannel, wiring: TransducerWiring, board: Board) -> Calibration:
     """Return the scaling of the board's codes; reject it if its ends are not those of the range."""
     coefficients = np.array(channel.ai_dev_scaling_coeff, dtype=np.float64)
     bits = float(channel.ai_resolution)
@@ -327,7 +327,7 @@ def _calibration(channel: AIChannel, wiring: TransducerWiring, board: Board) -> 
     return calibration
 
 
-def _settings(
+def _collect_settings(
     parameters: DaqmxParameters, wiring: TransducerWiring, board: Board, level_v: float, *, triggered: bool
 ) -> dict[str, float | str]:
     """Return the settings that are stored with each record, SI units in the names."""

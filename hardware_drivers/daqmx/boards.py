@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from hardware_drivers.daqmx.connection import Connection
 from hardware_drivers.daqmx.parameters import DaqmxParameters, TransducerWiring
-from hardware_drivers.daqmx.translation import metadata, vendor_call
+from hardware_drivers.daqmx.translation import read_metadata, translate_errors
 from hardware_drivers.errors import ConfigurationError, ConnectionLostError
 
 if TYPE_CHECKING:
@@ -55,26 +55,26 @@ class Board:
         return f"{self.product} {self.serial}"
 
 
-def serial_text(serial: int) -> str:
+def format_serial(serial: int) -> str:
     """Return a serial number as NI prints it on the label."""
     return f"{serial:08X}"
 
 
-def normalized_serial(text: str) -> str:
+def normalize_serial(text: str) -> str:
     """Return a configured serial number in the one form that is compared."""
-    return serial_text(int(text, 16))
+    return format_serial(int(text, 16))
 
 
-def installed(connection: Connection) -> dict[str, Device]:
+def list_boards(connection: Connection) -> dict[str, Device]:
     """Return all boards the driver knows by serial number (0: NI's simulated devices; use one at a time)."""
     system = connection.system()
-    with vendor_call("listing the boards"):
+    with translate_errors("listing the boards"):
         devices = list(system.devices)
     found = {}
     for device in devices:
         try:
-            with vendor_call(f"reading the serial number of {device.name}"):
-                found[serial_text(device.serial_num)] = device
+            with translate_errors(f"reading the serial number of {device.name}"):
+                found[format_serial(device.serial_num)] = device
         except ConnectionLostError as error:
             if getattr(error.__cause__, "error_code", 0) not in ABSENT:
                 raise
@@ -91,35 +91,35 @@ def find_boards(connection: Connection, serials: Iterable[str]) -> dict[str, Boa
     ConnectionLostError
         One of them is not there: switched off, pulled, or its number mistyped.
     """
-    known = installed(connection)
+    known = list_boards(connection)
     found = {}
-    for serial in sorted({normalized_serial(text) for text in serials}):
+    for serial in sorted({normalize_serial(text) for text in serials}):
         if serial not in known:
             raise ConnectionLostError(
-                f"no board with serial number {serial}; there are: {_names(known)}; check its power, seating "
+                f"no board with serial number {serial}; there are: {_format_board_names(known)}; check its power, seating "
                 "and cable, and board_serial in [rig.daqmx.transducers]"
             )
-        found[serial] = describe(serial, known[serial])
+        found[serial] = describe_board(serial, known[serial])
     return found
 
 
-def describe(serial: str, device: Device) -> Board:
+def describe_board(serial: str, device: Device) -> Board:
     """Read a board's description from the driver."""
-    with vendor_call(f"reading what board {serial} is"):
+    with translate_errors(f"reading what board {serial} is"):
         name, product = str(device.name), str(device.product_type)
         if not (name and product):
             raise ConnectionLostError(f"board {serial} gives its name as {name!r} and product as {product!r}")
-    calibrates_itself = metadata(
+    calibrates_itself = read_metadata(
         lambda: bool(device.self_cal_supported), False, f"whether board {serial} calibrates itself"
     )
     date, temperature_c = "", math.nan
     if calibrates_itself:
-        date = metadata(
+        date = read_metadata(
             lambda: str(device.self_cal_last_date_and_time.isoformat(timespec="minutes")),
             "",
             f"when board {serial} was calibrated",
         )
-        temperature_c = metadata(
+        temperature_c = read_metadata(
             lambda: float(device.self_cal_last_temp), math.nan, f"how warm board {serial} was then"
         )
     return Board(
@@ -130,11 +130,13 @@ def describe(serial: str, device: Device) -> Board:
         calibrates_itself=calibrates_itself,
         calibration_date=date,
         calibration_temperature_c=temperature_c,
-        simulated=metadata(lambda: bool(device.is_simulated), False, f"whether board {serial} is simulated"),
+        simulated=read_metadata(
+            lambda: bool(device.is_simulated), False, f"whether board {serial} is simulated"
+        ),
     )
 
 
-def _names(boards: Mapping[str, Device]) -> str:
+def _format_board_names(boards: Mapping[str, Device]) -> str:
     """Return serial numbers and names of boards for a message."""
     return ", ".join(f"{serial} ({device.name})" for serial, device in boards.items()) or "none"
 
@@ -147,7 +149,7 @@ def check_board(board: Board, wiring: TransducerWiring, parameters: DaqmxParamet
     ConfigurationError
         Too slow, no such range, or no analog trigger.
     """
-    with vendor_call(f"reading what {board.label} can do"):
+    with translate_errors(f"reading what {board.label} can do"):
         limit_hz = float(board.device.ai_max_single_chan_rate)
         ends_v = [float(value) for value in board.device.ai_voltage_rngs]
         triggers = bool(board.device.anlg_trig_supported)

@@ -22,12 +22,12 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 
 from hardware_drivers.daqmx.acquisition import Acquisition, Record, commit_acquisition
-from hardware_drivers.daqmx.boards import Board, check_board, find_boards, normalized_serial
+from hardware_drivers.daqmx.boards import Board, check_board, find_boards, normalize_serial
 from hardware_drivers.daqmx.client_lock import ClientLock
 from hardware_drivers.daqmx.coil import Coil, commit_coil
-from hardware_drivers.daqmx.connection import Connection, client_name, package_versions
+from hardware_drivers.daqmx.connection import Connection, build_client_name, read_package_versions
 from hardware_drivers.daqmx.parameters import DaqmxParameters
-from hardware_drivers.daqmx.translation import owner_in, vendor_call
+from hardware_drivers.daqmx.translation import find_owner, translate_errors
 from hardware_drivers.errors import BusyError, ConfigurationError, ConnectionLostError, InstrumentError
 
 log = logging.getLogger(__name__)
@@ -78,9 +78,9 @@ class Chassis:
         self._maybe_on: tuple[str, float] = ("", 0.0)
         try:
             if parameters.transport == "grpc":
-                self._lock = ClientLock(parameters.grpc_address, client_name(parameters))
+                self._lock = ClientLock(parameters.grpc_address, build_client_name(parameters))
             self._connect()
-            self.prove()
+            self.commit_all_once()
         except BaseException:
             self.close()
             raise
@@ -97,7 +97,7 @@ class Chassis:
 
     # Turns ---------------------------------------------------------------------------------------
 
-    def turn(self, position: str, record: Record = "shot") -> Turn:
+    def start_turn(self, position: str, record: Record = "shot") -> Turn:
         """Commit the tasks of a transducer, after the next recovery step if the connection was lost.
 
         Parameters
@@ -116,13 +116,13 @@ class Chassis:
 
     def acquisition(self, position: str, record: Record = "shot") -> Acquisition:
         """Return the acquisition of a transducer that these boards digitize, after its commit."""
-        acquisition = self.turn(position, record).acquisition
+        acquisition = self.start_turn(position, record).acquisition
         assert acquisition is not None, "asked for with its input only"
         return acquisition
 
     def coil(self, position: str, record: Record = "shot") -> Coil:
         """Return the coil of a transducer that these boards strike, after its commit."""
-        coil = self.turn(position, record).coil
+        coil = self.start_turn(position, record).coil
         assert coil is not None, "asked for with its counter only"
         return coil
 
@@ -139,14 +139,14 @@ class Chassis:
         if turn.coil is not None and turn.coil.on_until > time.monotonic():
             self._maybe_on = (turn.position, turn.coil.on_until)
         if not well:
-            self._cleared_by_name(ROLES)
+            self._clear_by_name(ROLES)
 
     def _commit(self, position: str, record: Record) -> Turn:
         """Commit the tasks of a transducer, the coil first; an error leaves none of them."""
         wiring = self.parameters.transducers[position]
         connection = self.connection
-        coil_board = self._boards[normalized_serial(wiring.coil_serial)]
-        board = self._boards[normalized_serial(wiring.board_serial)]
+        coil_board = self._boards[normalize_serial(wiring.coil_serial)]
+        board = self._boards[normalize_serial(wiring.board_serial)]
         with ExitStack() as undo:
             coil = acquisition = None
             if wiring.strikes:
@@ -159,12 +159,12 @@ class Chassis:
             undo.pop_all()
         return Turn(position=position, record=record, acquisition=acquisition, coil=coil)
 
-    def prove(self) -> None:
+    def commit_all_once(self) -> None:
         """Commit every transducer once, so that the hardware rejects settings before a test starts."""
         for position, wiring in self.parameters.transducers.items():
             if wiring.digitizes:
-                check_board(self._boards[normalized_serial(wiring.board_serial)], wiring, self.parameters)
-            self.turn(position)
+                check_board(self._boards[normalize_serial(wiring.board_serial)], wiring, self.parameters)
+            self.start_turn(position)
         self.end_turn()
 
     def require_real_boards(self) -> None:
@@ -195,14 +195,14 @@ class Chassis:
         self.end_turn()
         position, until = self._maybe_on
         left_s = until - time.monotonic()
-        if left_s <= 0.0 or self._cleared_by_name(ROLES):
+        if left_s <= 0.0 or self._clear_by_name(ROLES):
             return
         raise ConnectionLostError(
             f"the coil of {position!r} may be on for another {left_s:.2g} s: its board does not answer; the "
             f"board's counter ends the pulse after pulse_s = {self.parameters.pulse_s} s whatever happens"
         )
 
-    def _cleared_by_name(self, roles: Sequence[str]) -> bool:
+    def _clear_by_name(self, roles: Sequence[str]) -> bool:
         """Clear tasks on a server that remain after the loss of their local object."""
         try:
             cleared = self._connection is not None and self._connection.clear_leftovers(roles)
@@ -246,15 +246,15 @@ class Chassis:
     def _handle_busy_board(self, error: BusyError) -> None:
         """Distinguish another owner, who is never disturbed, from a leftover task of this program."""
         # The driver's text names the task that was refused too, and that one is always ours.
-        owner = owner_in(str(error.__cause__))
-        if self._connection is None or not self._connection.is_ours(owner):
+        owner = find_owner(str(error.__cause__))
+        if self._connection is None or not self._connection.is_own_task(owner):
             self._shared = True
             return
         lost = ConnectionLostError(f"{error}; that is a task of our own, which the driver did not clear")
         self._count_loss(lost)
         raise lost from error
 
-    def recovered(self) -> None:
+    def reset_recovery(self) -> None:
         """Reset recovery to its first step, because an intact record was read."""
         self._rung = self._lost = 0
 
@@ -267,7 +267,7 @@ class Chassis:
         if self._rung == 1:
             self.connection.clear_leftovers(ROLES)
         elif self._rung == 2:
-            self._boards = find_boards(self.connection, serials_of(self.parameters))
+            self._boards = find_boards(self.connection, list_serials(self.parameters))
             self._reset_boards()
         else:
             self._connect()
@@ -279,7 +279,7 @@ class Chassis:
             log.warning("not resetting: somebody else uses a board of ours too")
             return
         for board in self._boards.values():
-            with vendor_call(f"resetting {board.label}"):
+            with translate_errors(f"resetting {board.label}"):
                 board.device.reset_device()
         self._maybe_on = ("", 0.0)
 
@@ -294,7 +294,7 @@ class Chassis:
             self._connection.close()
         self._connection = Connection(self.parameters)
         self._connection.clear_leftovers(ROLES)
-        self._boards = find_boards(self._connection, serials_of(self.parameters))
+        self._boards = find_boards(self._connection, list_serials(self.parameters))
         self.driver_version = self._connection.driver_version()
 
     @property
@@ -312,15 +312,15 @@ class Chassis:
         self._recover()
         done = {}
         wirings = self.parameters.transducers.values()
-        for serial in {normalized_serial(wiring.board_serial) for wiring in wirings if wiring.digitizes}:
+        for serial in {normalize_serial(wiring.board_serial) for wiring in wirings if wiring.digitizes}:
             board = self._boards[serial]
             if not board.calibrates_itself:
                 done[serial] = "this board cannot calibrate itself"
                 continue
-            with vendor_call(f"self-calibrating {board.label}"):
+            with translate_errors(f"self-calibrating {board.label}"):
                 board.device.self_cal()
-        self._boards = find_boards(self.connection, serials_of(self.parameters))
-        self.prove()
+        self._boards = find_boards(self.connection, list_serials(self.parameters))
+        self.commit_all_once()
         for serial, board in self._boards.items():
             if serial not in done and board.calibrates_itself:
                 date = board.calibration_date or "date unknown"
@@ -332,7 +332,7 @@ class Chassis:
         return {
             "transport": self.parameters.transport,
             "daqmx_driver_version": self.driver_version,
-            **package_versions(),
+            **read_package_versions(),
             **{f"board_{serial}": board.product for serial, board in self._boards.items()},
         }
 
@@ -350,7 +350,7 @@ class Chassis:
                     self._lock.release()
 
 
-def serials_of(parameters: DaqmxParameters) -> list[str]:
+def list_serials(parameters: DaqmxParameters) -> list[str]:
     """Return the serial numbers of the boards of every transducer."""
     wirings = parameters.transducers.values()
     return [wiring.board_serial for wiring in wirings] + [wiring.coil_serial for wiring in wirings]

@@ -37,7 +37,7 @@ class ClientLock:
         except OSError as error:  # another user's process made it
             raise BusyError(f"{refusal} (owner: {path}: {error})") from error
         try:
-            _lock(self._file)
+            _lock_first_byte(self._file)
         except OSError as error:
             self._file.seek(1)
             owner = self._file.read().decode(errors="replace") or "unknown"
@@ -56,7 +56,7 @@ class ClientLock:
             file.close()
 
 
-def _lock(file: IO[bytes]) -> None:
+def _lock_first_byte(file: IO[bytes]) -> None:
     """Lock the first byte of a file for this process; an OSError if another process holds it."""
     if sys.platform == "win32":
         import msvcrt

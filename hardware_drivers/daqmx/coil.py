@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 from hardware_drivers.daqmx.boards import Board
 from hardware_drivers.daqmx.connection import Connection, clear_task, clear_watchdog
 from hardware_drivers.daqmx.parameters import DaqmxParameters, WatchdogWiring
-from hardware_drivers.daqmx.translation import vendor_call
+from hardware_drivers.daqmx.translation import translate_errors
 from hardware_drivers.errors import (
     AcquisitionTimeoutError,
     ConfigurationError,
@@ -61,12 +61,12 @@ class Coil:
             The counter is not done in time, or the watchdog cut the pulse short.
         """
         if self.watchdog is not None:
-            with vendor_call(f"starting the watchdog of {self.position!r}"):
+            with translate_errors(f"starting the watchdog of {self.position!r}"):
                 self.watchdog.start()
         # Whatever fails from here on, the counter may have been started as late as now.
         self.on_until = math.inf
         try:
-            with vendor_call(f"pulsing the coil of {self.position!r}"):
+            with translate_errors(f"pulsing the coil of {self.position!r}"):
                 self.task.start()
                 self.task.wait_until_done(self.longest_s + DONE_MARGIN_S)
                 self.task.stop()
@@ -79,7 +79,7 @@ class Coil:
 
     def _stop_watchdog(self, watchdog: WatchdogTask) -> None:
         """Stop the watchdog; an expired one pulled the coil low during the strike, which is then missed."""
-        with vendor_call(f"stopping the watchdog of {self.position!r}"):
+        with translate_errors(f"stopping the watchdog of {self.position!r}"):
             expired = bool(watchdog.expired)
             if expired:
                 watchdog.clear_expiration()
@@ -98,7 +98,7 @@ class Coil:
         doing = f"switching off the coil of {self.position!r}"
         well = True
         try:
-            with vendor_call(doing):
+            with translate_errors(doing):
                 self.task.stop()
             self.on_until = 0.0
         except InstrumentError as error:
@@ -126,7 +126,7 @@ def commit_coil(connection: Connection, parameters: DaqmxParameters, position: s
             f"pulse_s is {parameters.pulse_s} s; this driver pulses a coil for at most {CAP_S} s; shorten it"
         )
     doing = f"setting up the coil of {position!r} on {board.label}"
-    wired = parameters.watchdog_of(board.serial)
+    wired = parameters.find_watchdog(board.serial)
     with ExitStack() as undo:
         # First: some boards let no watchdog be reserved next to other tasks (-201477).
         watchdog = None if wired is None else _commit_watchdog(connection, wired, board)
@@ -134,8 +134,8 @@ def commit_coil(connection: Connection, parameters: DaqmxParameters, position: s
             undo.callback(clear_watchdog, watchdog, doing)
         task = connection.task("striker")
         undo.callback(clear_task, task, doing)
-        with vendor_call(doing):
-            _configure(task, parameters, position, board)
+        with translate_errors(doing):
+            _configure_pulse(task, parameters, position, board)
         undo.pop_all()
     return Coil(
         position=position,
@@ -146,7 +146,7 @@ def commit_coil(connection: Connection, parameters: DaqmxParameters, position: s
     )
 
 
-def _configure(task: Task, parameters: DaqmxParameters, position: str, board: Board) -> None:
+def _configure_pulse(task: Task, parameters: DaqmxParameters, position: str, board: Board) -> None:
     """Configure one pulse that idles low, verify terminal, level and length, then commit."""
     from nidaqmx.constants import Level, TaskMode
 
@@ -185,7 +185,7 @@ def _commit_watchdog(connection: Connection, wired: WatchdogWiring, board: Board
     watchdog = connection.watchdog(board.name, "watchdog", wired.timeout_s)
     doing = f"setting up the watchdog of {board.label}"
     try:
-        with vendor_call(doing):
+        with translate_errors(doing):
             watchdog.cfg_watchdog_do_expir_states(
                 [
                     DOExpirationState(physical_channel=f"{board.name}/{line}", expiration_state=Level.LOW)

@@ -17,7 +17,7 @@ from importlib.metadata import version
 from typing import TYPE_CHECKING, TypeVar
 
 from hardware_drivers.daqmx.parameters import DaqmxParameters
-from hardware_drivers.daqmx.translation import metadata, vendor_call
+from hardware_drivers.daqmx.translation import read_metadata, translate_errors
 from hardware_drivers.errors import ConfigurationError, ConnectionLostError
 
 if TYPE_CHECKING:
@@ -38,7 +38,7 @@ NAMES = 2
 NAME_TAKEN = -200089
 
 
-def client_name(parameters: DaqmxParameters) -> str:
+def build_client_name(parameters: DaqmxParameters) -> str:
     """Return the name that marks this rig's tasks on a gRPC server."""
     return parameters.grpc_client_name or re.sub(r"[^A-Za-z0-9_.-]", "_", socket.gethostname())[:40]
 
@@ -62,7 +62,7 @@ class Connection:
         self._channel: Channel | None = None
         # In the library a name is seen by this process only; on a server a later process must know it.
         remote = parameters.transport == "grpc"
-        self._client = client_name(parameters) if remote else f"process-{os.getpid()}"
+        self._client = build_client_name(parameters) if remote else f"process-{os.getpid()}"
         self._created: Counter[str] = Counter()
         if remote:
             self._channel = _open_channel(parameters)
@@ -77,15 +77,15 @@ class Connection:
         """Return NI's view of all boards (`nidaqmx.system.System`)."""
         from nidaqmx.system import System
 
-        with vendor_call("reaching NI-DAQmx"):
+        with translate_errors("reaching NI-DAQmx"):
             if self._channel is None:
                 return System()
-            return System.remote(_session_options(self._channel, "", attach=False))
+            return System.remote(_make_options(self._channel, "", attach=False))
 
     def driver_version(self) -> str:
         """Return the version of NI-DAQmx, as in ``24.8.0``; "unknown" where the driver reports none."""
         system = self.system()
-        return metadata(
+        return read_metadata(
             lambda: ".".join(str(part) for part in system.driver_version), "unknown", "the driver's version"
         )
 
@@ -93,34 +93,34 @@ class Connection:
         """Create an empty task (`nidaqmx.Task`) named after this client and its role."""
         from nidaqmx import Task
 
-        return self._create_new(role, lambda name: self._create(Task, f"creating the task {name}", name))
+        return self._create_named(role, lambda name: self._create(Task, f"creating the task {name}", name))
 
     def watchdog(self, device: str, role: str, timeout_s: float) -> WatchdogTask:
         """Create the watchdog task of a board (`nidaqmx.system.watchdog.WatchdogTask`)."""
         from nidaqmx.system.watchdog import WatchdogTask
 
         doing = f"creating the watchdog of {device}"
-        return self._create_new(
+        return self._create_named(
             role, lambda name: self._create(WatchdogTask, doing, device, name, timeout_s, session=name)
         )
 
-    def _create_new(self, role: str, create: Callable[[str], T]) -> T:
+    def _create_named(self, role: str, create: Callable[[str], T]) -> T:
         """Create a task under a name that a later process finds, or under any if those are taken."""
         self._created[role] += 1
         number = self._created[role] if self._channel is None else self._created[role] % NAMES
         try:
-            return create(self._name(role, number))
+            return create(self._build_task_name(role, number))
         except ConnectionLostError as error:
-            if not _name_is_taken(error):
+            if not _is_name_taken(error):
                 raise
             log.warning("a task of ours under its usual name is beyond reach; taking another name")
-            return create(self._name(role, uuid.uuid4().hex[:8]))
+            return create(self._build_task_name(role, uuid.uuid4().hex[:8]))
 
-    def is_ours(self, owner: str) -> bool:
+    def is_own_task(self, owner: str) -> bool:
         """Check whether a resource is owned by an uncleared task of this program."""
         return f"solimon-{self._client}-" in owner
 
-    def _name(self, role: str, mark: int | str) -> str:
+    def _build_task_name(self, role: str, mark: int | str) -> str:
         """Return the name of a task of this client."""
         return f"solimon-{self._client}-{role}-{mark}"
 
@@ -141,14 +141,14 @@ class Connection:
         from nidaqmx import Task
 
         reached = True
-        for name in (self._name(role, number) for role in roles for number in range(NAMES)):
+        for name in (self._build_task_name(role, number) for role in roles for number in range(NAMES)):
             doing = f"clearing what an earlier run may have left as {name}"
             try:
                 task = self._create(Task, doing, name, attach=True)
-                with vendor_call(doing):
+                with translate_errors(doing):
                     task.close()
             except ConnectionLostError as error:
-                if not _name_is_taken(error):
+                if not _is_name_taken(error):
                     raise
                 # The server has forgotten the session but not its task: no one can reach it.
                 log.warning("%s: it is beyond reach", doing)
@@ -163,8 +163,8 @@ class Connection:
         # lost and its task stays. So the object is kept apart from its construction.
         task = kind.__new__(kind)
         name = session or str(arguments[0])
-        options = None if self._channel is None else _session_options(self._channel, name, attach=attach)
-        with vendor_call(doing):
+        options = None if self._channel is None else _make_options(self._channel, name, attach=attach)
+        with translate_errors(doing):
             try:
                 kind.__init__(task, *arguments, grpc_options=options)  # type: ignore[call-arg]
             except BaseException:
@@ -173,7 +173,7 @@ class Connection:
         return task
 
 
-def _session_options(channel: Channel, name: str, *, attach: bool) -> GrpcSessionOptions:
+def _make_options(channel: Channel, name: str, *, attach: bool) -> GrpcSessionOptions:
     """Return options for a new session on a server, or (`attach`) for the one of this name if it exists."""
     from nidaqmx.grpc_session_options import GrpcSessionOptions, SessionInitializationBehavior
 
@@ -193,16 +193,16 @@ def clear_task(task: Task | WatchdogTask, doing: str) -> bool:
     """
     from nidaqmx.constants import TaskMode
 
-    _attempt(lambda: task.control(TaskMode.TASK_ABORT), doing)
-    return _attempt(task.close, doing)
+    _run_cleanup_step(lambda: task.control(TaskMode.TASK_ABORT), doing)
+    return _run_cleanup_step(task.close, doing)
 
 
 def clear_watchdog(watchdog: WatchdogTask, doing: str) -> bool:
     """Release and clear a watchdog, which NI's package lets be cleared a second time, unlike a task."""
-    return clear_task(watchdog, doing) or _attempt(watchdog.close, doing)
+    return clear_task(watchdog, doing) or _run_cleanup_step(watchdog.close, doing)
 
 
-def _attempt(step: Callable[[], None], doing: str) -> bool:
+def _run_cleanup_step(step: Callable[[], None], doing: str) -> bool:
     """Run one step of a clean-up; return False and log the error if it fails."""
     with warnings.catch_warnings():
         # A task that was never created needs no clearing; NI warns of that.
@@ -216,12 +216,12 @@ def _attempt(step: Callable[[], None], doing: str) -> bool:
     return True
 
 
-def _name_is_taken(error: ConnectionLostError) -> bool:
+def _is_name_taken(error: ConnectionLostError) -> bool:
     """Check whether an error states that a task of this name exists already."""
     return getattr(error.__cause__, "error_code", 0) == NAME_TAKEN
 
 
-def package_versions() -> dict[str, str]:
+def read_package_versions() -> dict[str, str]:
     """Return the versions of NI's Python package, for the record."""
     return {"nidaqmx_version": version("nidaqmx")}
 

@@ -62,7 +62,7 @@ class DaqmxBoards:
                 settings = {**acquisition.settings, "driver_version": chassis.driver_version}
                 acquired = Acquired(waveform=waveform, settings=settings)
                 self._lands_at = 0.0
-                chassis.recovered()
+                chassis.reset_recovery()
                 acquisition.stop()
         except InstrumentError as error:
             if acquired is None:

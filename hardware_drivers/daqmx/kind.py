@@ -9,26 +9,26 @@ from hardware_drivers.daqmx.parameters import REACHED_BY, DaqmxParameters
 from hardware_drivers.kinds import Finding, Kind, Opened, Opening, Role
 
 
-def _open(parameters: DaqmxParameters, opening: Opening) -> AbstractContextManager[Opened]:
+def _open_boards(parameters: DaqmxParameters, opening: Opening) -> AbstractContextManager[Opened]:
     """Open the boards."""
     from hardware_drivers.daqmx.instruments import open_daqmx
 
     return open_daqmx(parameters)
 
 
-def _check(parameters: DaqmxParameters, opening: Opening) -> Iterator[Finding]:
+def _check_boards(parameters: DaqmxParameters, opening: Opening) -> Iterator[Finding]:
     """Return findings on driver, boards and wiring; nothing strikes."""
-    from hardware_drivers.daqmx.look import board_findings
+    from hardware_drivers.daqmx.look import yield_board_findings
 
-    return board_findings(parameters, shot_interval_s=opening.shot_interval_s)
+    return yield_board_findings(parameters, shot_interval_s=opening.shot_interval_s)
 
 
-def _packages(parameters: DaqmxParameters) -> tuple[str, ...]:
+def _list_packages(parameters: DaqmxParameters) -> tuple[str, ...]:
     """Return the distributions that the transport needs."""
     return ("nidaqmx", "grpcio") if parameters.transport == "grpc" else ("nidaqmx",)
 
 
-def _require(parameters: DaqmxParameters, serves: Mapping[Role, tuple[str, ...]]) -> None:
+def _check_wired_positions(parameters: DaqmxParameters, serves: Mapping[Role, tuple[str, ...]]) -> None:
     """Check that every wired end is used, and every used end is wired."""
     ends: tuple[tuple[Role, str], ...] = (("digitizer", "input"), ("striker", "counter"))
     for position, wiring in parameters.transducers.items():
@@ -49,11 +49,11 @@ def _require(parameters: DaqmxParameters, serves: Mapping[Role, tuple[str, ...]]
 
 KIND = Kind(
     parameters=DaqmxParameters,
-    open=_open,
-    check=_check,
-    packages=_packages,
+    open=_open_boards,
+    check=_check_boards,
+    packages=_list_packages,
     # A call of NI's own library has no bound of its own.
     longest_call_s=lambda parameters: parameters.longest_call_s if parameters.transport == "grpc" else 0.0,
     reached_by=REACHED_BY,
-    require=_require,
+    require=_check_wired_positions,
 )

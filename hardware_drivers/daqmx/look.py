@@ -23,25 +23,25 @@ LARGEST_DUTY = 0.25
 """More on-time than this is what small electromagnets are usually not rated for (assumption: see yours)."""
 
 
-def board_findings(parameters: DaqmxParameters, *, shot_interval_s: float) -> Iterator[Finding]:
+def yield_board_findings(parameters: DaqmxParameters, *, shot_interval_s: float) -> Iterator[Finding]:
     """Yield findings on driver, boards, every transducer's wiring and the watchdogs."""
     if any(wiring.strikes for wiring in parameters.transducers.values()):
-        yield _duty(parameters.pulse_s, shot_interval_s)
+        yield _check_duty_cycle(parameters.pulse_s, shot_interval_s)
     if parameters.transport == "grpc":
-        server = _server(parameters.grpc_address)
+        server = _check_server(parameters.grpc_address)
         yield server
         if server.state == "fail":
             return
     survey = survey_rig(parameters)
     if survey.driver_version:
-        yield _driver(survey.driver_version)
+        yield _check_driver_version(survey.driver_version)
     yield from survey.findings
-    yield from (_watchdog(parameters, watchdog) for watchdog in parameters.all_watchdogs)
+    yield from (_check_watchdog(parameters, watchdog) for watchdog in parameters.all_watchdogs)
     if parameters.all_watchdogs:
-        yield from _boards_without_watchdog(parameters)
+        yield from _check_missing_watchdogs(parameters)
 
 
-def _duty(pulse_s: float, shot_interval_s: float) -> Finding:
+def _check_duty_cycle(pulse_s: float, shot_interval_s: float) -> Finding:
     """Return the finding on the coil's duty cycle while its transducer is struck."""
     part = pulse_s / shot_interval_s
     return Finding(
@@ -54,7 +54,7 @@ def _duty(pulse_s: float, shot_interval_s: float) -> Finding:
     )
 
 
-def _server(address: str) -> Finding:
+def _check_server(address: str) -> Finding:
     """Check the connection to the server: a missing one is found at once, not at every call's deadline."""
     host, _, port = address.rpartition(":")
     try:
@@ -72,7 +72,7 @@ def _server(address: str) -> Finding:
     return Finding(subject="gRPC server", check="", state="ok", detail=f"{address} takes a connection")
 
 
-def _driver(text: str) -> Finding:
+def _check_driver_version(text: str) -> Finding:
     """Return the finding on the driver's version."""
     oldest = ".".join(map(str, OLDEST_DRIVER))
     fits = tuple(int(part) for part in re.findall(r"\d+", text)) >= OLDEST_DRIVER
@@ -86,7 +86,7 @@ def _driver(text: str) -> Finding:
     )
 
 
-def _watchdog(parameters: DaqmxParameters, watchdog: WatchdogWiring) -> Finding:
+def _check_watchdog(parameters: DaqmxParameters, watchdog: WatchdogWiring) -> Finding:
     """Check that each coil of the board is among the lines that the watchdog pulls low."""
     board = int(watchdog.board_serial, 16)
     uncovered = [
@@ -94,7 +94,7 @@ def _watchdog(parameters: DaqmxParameters, watchdog: WatchdogWiring) -> Finding:
         for position, wiring in parameters.transducers.items()
         if wiring.strikes
         and int(wiring.coil_serial, 16) == board
-        and digital_name(wiring.output_terminal) not in watchdog.lines
+        and find_digital_name(wiring.output_terminal) not in watchdog.lines
     ]
     covered = f"{', '.join(watchdog.lines)} of board {board:08X} go low after {watchdog.timeout_s:g} s"
     return Finding(
@@ -107,7 +107,7 @@ def _watchdog(parameters: DaqmxParameters, watchdog: WatchdogWiring) -> Finding:
     )
 
 
-def _boards_without_watchdog(parameters: DaqmxParameters) -> Iterator[Finding]:
+def _check_missing_watchdogs(parameters: DaqmxParameters) -> Iterator[Finding]:
     """Return warnings on boards that drive coils without a watchdog while others have one."""
     coils = {int(wiring.coil_serial, 16) for wiring in parameters.transducers.values() if wiring.strikes}
     return (
@@ -119,11 +119,11 @@ def _boards_without_watchdog(parameters: DaqmxParameters) -> Iterator[Finding]:
             remedy="give it its own [[rig.daqmx.watchdogs]], if it is an X Series board",
         )
         for serial in sorted(coils)
-        if parameters.watchdog_of(f"{serial:X}") is None
+        if parameters.find_watchdog(f"{serial:X}") is None
     )
 
 
-def digital_name(terminal: str) -> str:
+def find_digital_name(terminal: str) -> str:
     """Return the digital name of an X Series terminal: PFI 0..7 are port 1, 8..15 port 2; else empty."""
     match = re.fullmatch(r"PFI(\d+)", terminal)
     if match is None:

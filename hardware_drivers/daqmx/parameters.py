@@ -198,7 +198,7 @@ class DaqmxParameters:
         object.__setattr__(self, "transducers", dict(self.transducers))
         self._check_record()
         self.check_holdoff(self.holdoff_s)
-        self._check_holdoff_s_counter()
+        self._check_holdoff_counter()
         self._check_transport()
         self._check_wiring()
         self._check_watchdogs()
@@ -235,7 +235,7 @@ class DaqmxParameters:
                 f"shorter than {latest_s:.4g} s, the fall from {self.drop_height_m:g} m less the pre-trigger"
             )
 
-    def _check_holdoff_s_counter(self) -> None:
+    def _check_holdoff_counter(self) -> None:
         """Reject a holdoff without the coil's counter, which starts it."""
         if self.holdoff_s is None:
             return
@@ -282,7 +282,7 @@ class DaqmxParameters:
                         "needs its own input, counter and output terminal"
                     )
 
-    def watchdog_of(self, serial: str) -> WatchdogWiring | None:
+    def find_watchdog(self, serial: str) -> WatchdogWiring | None:
         """Return the watchdog of a board, by its serial number in any form."""
         of_board = (one for one in self.all_watchdogs if int(one.board_serial, 16) == int(serial, 16))
         return next(of_board, None)

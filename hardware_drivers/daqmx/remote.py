@@ -98,7 +98,7 @@ class Channel:
         else:
             if tls.server_name:
                 options.append(("grpc.ssl_target_name_override", tls.server_name))
-            self._plain = grpc.secure_channel(address, _credentials(tls), options=options)
+            self._plain = grpc.secure_channel(address, _read_credentials(tls), options=options)
         self.calls = grpc.intercept_channel(self._plain, Deadlines(call_timeout_s))
 
     def close(self) -> None:
@@ -106,13 +106,13 @@ class Channel:
         self._plain.close()
 
 
-def _credentials(tls: GrpcTls) -> grpc.ChannelCredentials:
+def _read_credentials(tls: GrpcTls) -> grpc.ChannelCredentials:
     """Return the credentials of an encrypted channel, from PEM files."""
-    root, key, certificate = map(_read, (tls.root_certificate, tls.private_key, tls.certificate))
+    root, key, certificate = map(_read_pem_file, (tls.root_certificate, tls.private_key, tls.certificate))
     return grpc.ssl_channel_credentials(root, key, certificate)
 
 
-def _read(file: Path | None) -> bytes | None:
+def _read_pem_file(file: Path | None) -> bytes | None:
     """Return the bytes of a PEM file, or raise: later a wrong file would look like an unreachable server."""
     if file is None:
         return None

@@ -13,15 +13,15 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from hardware_drivers.daqmx.acquisition import Acquisition, commit_acquisition
-from hardware_drivers.daqmx.boards import Board, check_board, describe, installed, normalized_serial
-from hardware_drivers.daqmx.chassis import ROLES, serials_of
+from hardware_drivers.daqmx.boards import Board, check_board, describe_board, list_boards, normalize_serial
+from hardware_drivers.daqmx.chassis import ROLES, list_serials
 from hardware_drivers.daqmx.client_lock import ClientLock
 from hardware_drivers.daqmx.coil import Coil, commit_coil
-from hardware_drivers.daqmx.connection import Connection, client_name
+from hardware_drivers.daqmx.connection import Connection, build_client_name
 from hardware_drivers.daqmx.parameters import DaqmxParameters, TransducerWiring
-from hardware_drivers.daqmx.translation import metadata, vendor_call
+from hardware_drivers.daqmx.translation import read_metadata, translate_errors
 from hardware_drivers.errors import ConnectionLostError, InstrumentError
-from hardware_drivers.kinds import Finding, State, Value, finding_of_error
+from hardware_drivers.kinds import Finding, State, Value, build_error_finding
 
 if TYPE_CHECKING:
     from nidaqmx.system import Device
@@ -64,7 +64,7 @@ def survey_boards(transport: Literal["library", "grpc"] = "library", grpc_addres
     no_wiring = {"": TransducerWiring(board_serial="0")}
     survey = Survey(DaqmxParameters(transducers=no_wiring, transport=transport, grpc_address=grpc_address))
     with ExitStack() as stack:
-        if (connection := survey.reach(stack)) is not None:
+        if (connection := survey.connect_driver(stack)) is not None:
             survey.list_boards(connection)
     return survey
 
@@ -73,7 +73,7 @@ def survey_rig(parameters: DaqmxParameters) -> Survey:
     """Survey driver, boards and every transducer's wiring without a strike; errors become findings."""
     survey = Survey(parameters)
     with ExitStack() as stack:
-        if (connection := survey.reach(stack)) is not None:
+        if (connection := survey.connect_driver(stack)) is not None:
             survey.check_boards(connection)
             for position in parameters.transducers:
                 survey.check_transducer(connection, position)
@@ -108,7 +108,7 @@ class Survey:
         """Return the facts of each board that responds."""
         return tuple(self.facts_by_serial.values())
 
-    def reach(self, stack: ExitStack) -> Connection | None:
+    def connect_driver(self, stack: ExitStack) -> Connection | None:
         """Connect to the driver, on a server under this rig's own name, until the stack is left."""
         parameters = self.parameters
         reached: list[Connection] = []
@@ -116,7 +116,7 @@ class Survey:
         def connect() -> str:
             """Take the client name, connect, and clear leftover tasks; return the connection in words."""
             if parameters.transport == "grpc":
-                stack.callback(ClientLock(parameters.grpc_address, client_name(parameters)).release)
+                stack.callback(ClientLock(parameters.grpc_address, build_client_name(parameters)).release)
             connection = Connection(parameters)
             stack.callback(connection.close)
             connection.clear_leftovers(ROLES)
@@ -124,7 +124,7 @@ class Survey:
             reached.append(connection)
             return f"NI-DAQmx {self.driver_version} by {parameters.transport}"
 
-        self._check("driver", "reachable", connect)
+        self._run_check("driver", "reachable", connect)
         return reached[0] if reached else None
 
     def list_boards(self, connection: Connection, ours: Collection[str] | None = None) -> Collection[str]:
@@ -137,19 +137,19 @@ class Survey:
             is configured yet.
         """
         listed: dict[str, Device] = {}
-        self._check("driver", "lists its boards", lambda: listed.update(installed(connection)))
+        self._run_check("driver", "lists its boards", lambda: listed.update(list_boards(connection)))
         for serial, device in listed.items():
             failed: State = "fail" if ours is None or serial in ours else "warn"
             work = partial(self._describe, serial, device, ours=serial in (ours or ()))
-            self._check(f"board {serial}", "answers", work, failed=failed)
+            self._run_check(f"board {serial}", "answers", work, failed=failed)
         return listed
 
     def check_boards(self, connection: Connection) -> None:
         """Survey all boards, the configured ones in detail."""
-        ours = set(map(normalized_serial, serials_of(self.parameters)))
+        ours = set(map(normalize_serial, list_serials(self.parameters)))
         listed = self.list_boards(connection, ours)
         for serial in sorted(ours - set(listed)):
-            self._add(
+            self._add_result(
                 f"board {serial}",
                 "present",
                 "fail",
@@ -158,7 +158,7 @@ class Survey:
             )
         for facts in self.boards:
             if facts.ours and facts.simulated:
-                self._add(
+                self._add_result(
                     f"board {facts.serial}",
                     "real",
                     "warn" if self._rehearsal else "fail",
@@ -166,12 +166,12 @@ class Survey:
                     "use it for a rehearsal only: dry_run = true in [rig.daqmx]",
                 )
             if facts.ours:
-                self._add(f"board {facts.serial}", "calibrated", *_rate_calibration(facts))
+                self._add_result(f"board {facts.serial}", "calibrated", *_rate_calibration(facts))
 
     def _describe(self, serial: str, device: Device, *, ours: bool) -> str:
         """Read the facts of a board; return them in words."""
-        board = describe(serial, device)
-        with vendor_call(f"reading what {board.label} can do"):
+        board = describe_board(serial, device)
+        with translate_errors(f"reading what {board.label} can do"):
             ends_v = [float(value) for value in device.ai_voltage_rngs]
             facts = BoardFacts(
                 **{item.name: getattr(board, item.name) for item in fields(board)},
@@ -182,7 +182,7 @@ class Survey:
                 analog_trigger=bool(device.anlg_trig_supported),
                 terminals=tuple(device.terminals),
                 counters=tuple(channel.name for channel in device.co_physical_chans),
-                temperature_c=metadata(
+                temperature_c=read_metadata(
                     lambda: float(device.cal_dev_temp), math.nan, f"how warm {board.label} is"
                 ),
             )
@@ -192,8 +192,8 @@ class Survey:
     def check_transducer(self, connection: Connection, position: str) -> None:
         """Survey input, trigger, coil and noise of one transducer."""
         parameters, wiring = self.parameters, self.parameters.transducers[position]
-        board = self.facts_by_serial.get(normalized_serial(wiring.board_serial))
-        coil_board = self.facts_by_serial.get(normalized_serial(wiring.coil_serial))
+        board = self.facts_by_serial.get(normalize_serial(wiring.board_serial))
+        coil_board = self.facts_by_serial.get(normalize_serial(wiring.coil_serial))
         if board is None or coil_board is None:
             return  # its board has a failed finding
         subject = f"transducer {position}"
@@ -205,33 +205,33 @@ class Survey:
         def check_limits() -> str:
             """Check that the board can take the record."""
             check_board(board, wiring, parameters)
-            return f"as asked: {_input_text(parameters, wiring)}"
+            return f"as asked: {_format_input(parameters, wiring)}"
 
         def check_trigger() -> str:
             """Commit the triggered acquisition and release it."""
-            return f"{_released(commit('shot'))}: {trigger_text(parameters, wiring)}"
+            return f"{_release_task(commit('shot'))}: {format_trigger(parameters, wiring)}"
 
         def check_counter() -> str:
             """Commit the coil's counter and release it."""
             # Committed, the output is connected and low; the counter is not started.
             coil = commit_coil(connection, parameters, position, coil_board)
-            return f"{_released(coil)}: {_counter_text(parameters, wiring)}"
+            return f"{_release_task(coil)}: {_format_counter(parameters, wiring)}"
 
         if wiring.digitizes:
-            self._check(subject, "board can do it", check_limits)
-            self._check(subject, "trigger", check_trigger)
+            self._run_check(subject, "board can do it", check_limits)
+            self._run_check(subject, "trigger", check_trigger)
         if wiring.strikes:
             self._check_terminal(subject, wiring, coil_board)
-            self._check(subject, "coil's counter", check_counter)
+            self._run_check(subject, "coil's counter", check_counter)
         if wiring.digitizes:
-            self._check(subject, "input read", lambda: self._measure_noise(position, commit("noise")))
+            self._run_check(subject, "input read", lambda: self._measure_noise(position, commit("noise")))
             self._rate_noise(position, board)
 
     def _check_terminal(self, subject: str, wiring: TransducerWiring, board: BoardFacts) -> None:
         """Check that the coil's terminal exists on its board."""
         terminal = f"/{board.name}/{wiring.output_terminal}"
         known = terminal in board.terminals
-        self._add(
+        self._add_result(
             subject,
             "coil's terminal",
             "ok" if known else "fail",
@@ -261,9 +261,9 @@ class Survey:
         if board.simulated:
             state, detail, remedy = "warn", f"{noise_v:.3g} V rms, made up by NI's driver", LOOK_UP
         values: dict[str, Value] = {"noise_rms_v": noise_v, "trigger_level_v": level_v}
-        self._add(f"transducer {position}", "noise", state, detail, remedy, values)
+        self._add_result(f"transducer {position}", "noise", state, detail, remedy, values)
 
-    def _check(
+    def _run_check(
         self, subject: str, check: str, work: Callable[[], str | None], *, failed: State = "fail"
     ) -> None:
         """Run a check; an error becomes a finding, its message names the remedy."""
@@ -271,11 +271,11 @@ class Survey:
             detail = work()
         except InstrumentError as error:
             log.info("%s, %s: %s", subject, check, str(error))
-            self._add_finding(replace(finding_of_error(subject, check, error, LOOK_UP), state=failed))
+            self._add_finding(replace(build_error_finding(subject, check, error, LOOK_UP), state=failed))
         else:
-            self._add(subject, check, "ok", detail or "as asked")
+            self._add_result(subject, check, "ok", detail or "as asked")
 
-    def _add(
+    def _add_result(
         self,
         subject: str,
         check: str,
@@ -326,12 +326,12 @@ def _rate_calibration(facts: BoardFacts) -> tuple[State, str, str]:
     return state, detail, "warm the chassis up for half an hour, then self-calibrate"
 
 
-def _input_text(parameters: DaqmxParameters, wiring: TransducerWiring) -> str:
+def _format_input(parameters: DaqmxParameters, wiring: TransducerWiring) -> str:
     """Return in words the input, range and rate that the board accepted."""
     return f"{wiring.input}, +-{wiring.range_v:g} V, {parameters.sample_rate_hz / 1e6:g} MS/s"
 
 
-def trigger_text(parameters: DaqmxParameters, wiring: TransducerWiring) -> str:
+def format_trigger(parameters: DaqmxParameters, wiring: TransducerWiring) -> str:
     """Return in words the trigger that the board accepted."""
     held = "" if parameters.holdoff_s is None else f", held off for {parameters.holdoff_s * 1e3:g} ms"
     return (
@@ -340,12 +340,12 @@ def trigger_text(parameters: DaqmxParameters, wiring: TransducerWiring) -> str:
     )
 
 
-def _counter_text(parameters: DaqmxParameters, wiring: TransducerWiring) -> str:
+def _format_counter(parameters: DaqmxParameters, wiring: TransducerWiring) -> str:
     """Return in words the pulse that the board accepted."""
     return f"{wiring.counter} to {wiring.output_terminal}, {parameters.pulse_s:g} s, low when idle"
 
 
-def _released(committed: Acquisition | Coil) -> str:
+def _release_task(committed: Acquisition | Coil) -> str:
     """Release a committed task and return the result in words; raise if the driver does not confirm it."""
     if not committed.close():
         raise ConnectionLostError(

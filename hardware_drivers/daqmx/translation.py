@@ -51,14 +51,14 @@ _OWNING_TASK = re.compile(r"in use by\s+task name:\s*([^\n]+)", re.IGNORECASE)
 _NOISE = re.compile(r"status code: ?-?\d+\.?", re.IGNORECASE)
 
 
-def owner_in(text: str) -> str:
+def find_owner(text: str) -> str:
     """Return the owner of a resource if the driver's text names one, else empty."""
     named = _OWNING_TASK.findall(text) or _OWNER.findall(text)
     # The driver's own sentence ("reserved by another process") is the shorter one.
     return max((owner.strip(" .'\"") for owner in named), key=len, default="")
 
 
-def translated(error: Exception, doing: str) -> InstrumentError:
+def translate_error(error: Exception, doing: str) -> InstrumentError:
     """Translate a vendor's exception to an instrument error.
 
     Parameters
@@ -71,11 +71,11 @@ def translated(error: Exception, doing: str) -> InstrumentError:
     if isinstance(error, InstrumentError):
         return error
     if isinstance(error, vendor.DaqError):
-        return _from_status(error, doing)
+        return _build_status_error(error, doing)
     if isinstance(error, vendor.RpcError):
         code = getattr(error.rpc_code, "name", str(error.rpc_code))
-        texts = (str(error.description), _grpc_reason(error.__context__))
-        return _from_rpc(code, ": ".join(filter(None, dict.fromkeys(texts))), doing)
+        texts = (str(error.description), _find_reason(error.__context__))
+        return _map_rpc(code, ": ".join(filter(None, dict.fromkeys(texts))), doing)
     if isinstance(error, vendor.DaqNotFoundError):
         return ConfigurationError(
             f"{doing}: NI-DAQmx is not installed on this computer; install NI's driver, or use a chassis "
@@ -87,21 +87,21 @@ def translated(error: Exception, doing: str) -> InstrumentError:
             "a chassis elsewhere with transport = 'grpc'"
         )
     if isinstance(error, vendor.DaqFunctionNotSupportedError):
-        return ConfigurationError(f"{doing}: {_one_line(str(error))}; install a newer NI-DAQmx driver")
+        return ConfigurationError(f"{doing}: {_join_lines(str(error))}; install a newer NI-DAQmx driver")
     if isinstance(error, vendor.Error | vendor.FeatureNotSupportedError):
-        return ConfigurationError(f"{doing}: {_one_line(str(error))}; {_REMEDIES[ConfigurationError]}")
+        return ConfigurationError(f"{doing}: {_join_lines(str(error))}; {_REMEDIES[ConfigurationError]}")
     if _is_bare_rpc_error(error):
         code = error.code() if hasattr(error, "code") else None
-        return _from_rpc(getattr(code, "name", "UNKNOWN"), _grpc_reason(error) or str(error), doing)
+        return _map_rpc(getattr(code, "name", "UNKNOWN"), _find_reason(error) or str(error), doing)
     # nidaqmx turns codes into enumerations and texts as it reads them: an answer it cannot is nonsense.
     return ConnectionLostError(
-        f"{doing}: the driver's answer makes no sense ({type(error).__name__}: {_one_line(str(error))}); "
+        f"{doing}: the driver's answer makes no sense ({type(error).__name__}: {_join_lines(str(error))}); "
         f"{_REMEDIES[ConnectionLostError]}"
     )
 
 
 @contextmanager
-def vendor_call(doing: str) -> Iterator[None]:
+def translate_errors(doing: str) -> Iterator[None]:
     """Translate what a vendor's call raises; log the driver's warnings instead of printing them."""
     caught: list[warnings.WarningMessage]
     try:
@@ -111,12 +111,12 @@ def vendor_call(doing: str) -> Iterator[None]:
     except InstrumentError:
         raise
     except Exception as error:
-        raise translated(error, doing) from error
+        raise translate_error(error, doing) from error
     for warning in caught:
-        log.warning("%s: %s", doing, _one_line(str(warning.message)))
+        log.warning("%s: %s", doing, _join_lines(str(warning.message)))
 
 
-def metadata(read: Callable[[], T], unknown: T, subject: str) -> T:
+def read_metadata(read: Callable[[], T], unknown: T, subject: str) -> T:
     """Read optional metadata (date, temperature, version); unknown, with a warning, is enough.
 
     Raises
@@ -127,7 +127,7 @@ def metadata(read: Callable[[], T], unknown: T, subject: str) -> T:
     from nidaqmx.errors import Error
 
     try:
-        with vendor_call(f"reading {subject}"):
+        with translate_errors(f"reading {subject}"):
             return read()
     except InstrumentError as error:
         if isinstance(error, ConnectionLostError) and isinstance(error.__cause__, Error):
@@ -136,24 +136,24 @@ def metadata(read: Callable[[], T], unknown: T, subject: str) -> T:
         return unknown
 
 
-def _from_status(error: Exception, doing: str) -> InstrumentError:
+def _build_status_error(error: Exception, doing: str) -> InstrumentError:
     """Return the error of a DAQmx status, with the driver's text, the owner if busy, and the remedy."""
     status = int(getattr(error, "error_code", 0))
     kind = CLASS_OF_STATUS.get(status, UnknownStatusError)
     name = getattr(getattr(error, "error_type", None), "name", "UNKNOWN")
     text = str(error)
-    message = f"{doing}: {_one_line(text)} (DAQmx {status}, {name})"
+    message = f"{doing}: {_join_lines(text)} (DAQmx {status}, {name})"
     if kind is BusyError:
-        message += f"; owner: {owner_in(text) or 'not named by the driver'}"
+        message += f"; owner: {find_owner(text) or 'not named by the driver'}"
     return kind(f"{message}; {_REMEDIES[kind]}")
 
 
-def _grpc_reason(error: BaseException | None) -> str:
+def _find_reason(error: BaseException | None) -> str:
     """Return gRPC's own words, which NI's package hides behind "Failed to connect to server"."""
     return str(getattr(error, "details", str)() or "")
 
 
-def _from_rpc(code: str, text: str, doing: str) -> InstrumentError:
+def _map_rpc(code: str, text: str, doing: str) -> InstrumentError:
     """Return the error of a gRPC code, with its reason and remedy."""
     kind = ConfigurationError if code in RPC_CONFIGURATION else ConnectionLostError
     remedy = (
@@ -161,7 +161,7 @@ def _from_rpc(code: str, text: str, doing: str) -> InstrumentError:
         if kind is ConfigurationError
         else "check that the chassis computer and its gRPC device server run and are reachable"
     )
-    return kind(f"{doing}: gRPC {code}: {_one_line(text)}; {remedy}")
+    return kind(f"{doing}: gRPC {code}: {_join_lines(text)}; {remedy}")
 
 
 def _is_bare_rpc_error(error: Exception) -> bool:
@@ -170,6 +170,6 @@ def _is_bare_rpc_error(error: Exception) -> bool:
     return grpc is not None and isinstance(error, grpc.RpcError)
 
 
-def _one_line(text: str) -> str:
+def _join_lines(text: str) -> str:
     """Return text without line breaks, status line (reported apart) and the full stop at its end."""
     return " ".join(_NOISE.sub("", text).split()).rstrip(". ")

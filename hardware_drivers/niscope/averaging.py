@@ -43,7 +43,7 @@ class Codes:
         return (1 << (self.width_bits - 1)) - self.step
 
 
-def codes_of(*, gain_v: float, range_v: float, resolution_bits: int) -> Codes:
+def compute_code_scale(*, gain_v: float, range_v: float, resolution_bits: int) -> Codes:
     """Return the scale of the codes from the driver's gain, which alone shows their padding.
 
     Parameters
@@ -91,7 +91,7 @@ class AveragedRecord:
     clipped_records: int
 
 
-def average(
+def sum_records(
     records: NDArray[np.int16] | NDArray[np.int32],
     *,
     gain_v: float,
@@ -121,7 +121,7 @@ def average(
         counts=records.sum(axis=0, dtype=np.int32),
         calibration=Calibration(
             coefficients_v=np.array([offset_v, gain_v / n_records]),
-            resolution_bits=_sum_bits(n_records, codes.width_bits),
+            resolution_bits=_count_sum_bits(n_records, codes.width_bits),
             range_v=range_v,
             date=calibration_date,
         ),
@@ -129,14 +129,14 @@ def average(
     )
 
 
-def _sum_bits(n_records: int, width_bits: int) -> int:
+def _count_sum_bits(n_records: int, width_bits: int) -> int:
     """Return the bits that a sum of so many counts may need."""
     return width_bits + math.ceil(math.log2(n_records))
 
 
 def check_sum_fits(n_records: int, width_bits: int) -> None:
     """Raise ConfigurationError if a sum of that many records may leave 32 bits."""
-    if _sum_bits(n_records, width_bits) > 32:
+    if _count_sum_bits(n_records, width_bits) > 32:
         raise ConfigurationError(
             f"averages is {n_records}; with counts of {width_bits} bits it must be at most "
             f"{1 << (32 - width_bits)}, or their sum leaves 32 bits"

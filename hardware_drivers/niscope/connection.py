@@ -26,12 +26,12 @@ from hardware_drivers.niscope.session import (
     Fetched,
     Setup,
     close_session,
-    configure,
-    describe,
-    fetch,
+    configure_board,
+    describe_board,
+    fetch_records,
     open_session,
 )
-from hardware_drivers.niscope.vendor_errors import BoardAbsentError, vendor_calls
+from hardware_drivers.niscope.vendor_errors import BoardAbsentError, translate_errors
 
 RESET_RUNG = 2
 SEARCH_RUNG = 3
@@ -72,8 +72,8 @@ class BoardConnection:
         InstrumentError
             One of the four classes; after `ConnectionLostError` the next call climbs a rung.
         """
-        with self._ladder():
-            return self._prepare(position, wiring)
+        with self._count_loss():
+            return self._open_and_configure(position, wiring)
 
     def acquire(
         self, position: str, wiring: ProbeWiring, timeout_s: float
@@ -85,19 +85,19 @@ class BoardConnection:
         InstrumentError
             As for `prepare`.
         """
-        with self._ladder():
-            board, setup = self._prepare(position, wiring)
-            with vendor_calls(self._niscope, f"recording {position!r} on {board.resource!r}") as noted:
-                fetched = fetch(self._session, setup, wiring, timeout_s)
+        with self._count_loss():
+            board, setup = self._open_and_configure(position, wiring)
+            with translate_errors(self._niscope, f"recording {position!r} on {board.resource!r}") as noted:
+                fetched = fetch_records(self._session, setup, wiring, timeout_s)
             self._failures = 0
             return board, setup, fetched, "; ".join(noted)
 
     def self_calibrate(self) -> Board:
         """Run the board's self-calibration; it is configured again before the next record."""
-        with self._ladder():
+        with self._count_loss():
             board = self._open()
             self._position = None
-            with vendor_calls(self._niscope, f"calibrating {board.resource!r}"):
+            with translate_errors(self._niscope, f"calibrating {board.resource!r}"):
                 self._session.self_cal()
             return board
 
@@ -107,11 +107,11 @@ class BoardConnection:
         if session is None:
             return
         # What cannot be closed is lost already, and the next opening says so if that matters.
-        with contextlib.suppress(InstrumentError), vendor_calls(self._niscope, "closing"):
+        with contextlib.suppress(InstrumentError), translate_errors(self._niscope, "closing"):
             close_session(self._niscope, session)
 
     @contextlib.contextmanager
-    def _ladder(self) -> Iterator[None]:
+    def _count_loss(self) -> Iterator[None]:
         """Count a loss: the next call takes one more recovery step."""
         try:
             yield
@@ -128,13 +128,13 @@ class BoardConnection:
             self._position = None
             raise
 
-    def _prepare(self, position: str, wiring: ProbeWiring) -> tuple[Board, Setup]:
+    def _open_and_configure(self, position: str, wiring: ProbeWiring) -> tuple[Board, Setup]:
         """Open the board if necessary, and configure it unless it is configured for this probe."""
         board = self._open()
         if self._position != position or self._setup is None:
             self._position, self._setup = None, None
-            with vendor_calls(self._niscope, f"setting {board.resource!r} up for {position!r}"):
-                self._setup = configure(self._niscope, self._session, board, self._parameters, wiring)
+            with translate_errors(self._niscope, f"setting {board.resource!r} up for {position!r}"):
+                self._setup = configure_board(self._niscope, self._session, board, self._parameters, wiring)
             self._position = position
         return board, self._setup
 
@@ -163,12 +163,12 @@ class BoardConnection:
 
     def _open_named(self, name: str) -> Board:
         """Open the board of a name, verify its serial number, and reset it if recovery requires that."""
-        with vendor_calls(self._niscope, f"opening {name!r}"):
+        with translate_errors(self._niscope, f"opening {name!r}"):
             self._session = open_session(self._niscope, name)
         try:
-            with vendor_calls(self._niscope, f"asking {name!r} who it is"):
-                board = describe(self._session, name)
-                if self._serial_number and _normalized(board.serial_number) != _normalized(
+            with translate_errors(self._niscope, f"asking {name!r} who it is"):
+                board = describe_board(self._session, name)
+                if self._serial_number and _normalize_serial(board.serial_number) != _normalize_serial(
                     self._serial_number
                 ):
                     raise BoardAbsentError(
@@ -183,6 +183,6 @@ class BoardConnection:
         return board
 
 
-def _normalized(serial_number: str) -> str:
+def _normalize_serial(serial_number: str) -> str:
     """Remove the differences between a label and a driver: case and leading zeros."""
     return serial_number.strip().lstrip("0").casefold()

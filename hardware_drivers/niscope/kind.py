@@ -10,7 +10,7 @@ import numpy as np
 
 from hardware_drivers.errors import InstrumentError
 from hardware_drivers.instruments import Echo
-from hardware_drivers.kinds import Finding, Kind, Opened, Opening, Role, finding_of_error
+from hardware_drivers.kinds import Finding, Kind, Opened, Opening, Role, build_error_finding
 from hardware_drivers.measurement import ShotKey
 from hardware_drivers.niscope.parameters import REACHED_BY, NiscopeParameters
 
@@ -20,7 +20,7 @@ SAFE_PART = 0.9
 
 
 @contextmanager
-def _open(parameters: NiscopeParameters, opening: Opening) -> Iterator[Opened]:
+def _open_probes(parameters: NiscopeParameters, opening: Opening) -> Iterator[Opened]:
     """Open the boards of all probes."""
     from hardware_drivers.niscope.pulse_echo import open_niscope
 
@@ -48,12 +48,12 @@ def check_probes(parameters: NiscopeParameters, opening: Opening) -> Iterator[Fi
                 )
                 check = "record"
                 key = ShotKey(position=position, set_index=0, shot_index=0)
-                yield from _record(subject, unit.acquire(key, parameters.call_timeout_s))
+                yield from _check_record(subject, unit.acquire(key, parameters.call_timeout_s))
         except InstrumentError as error:
-            yield finding_of_error(subject, check, error, RUNTIME)
+            yield build_error_finding(subject, check, error, RUNTIME)
 
 
-def _record(subject: str, echo: Echo) -> Iterator[Finding]:
+def _check_record(subject: str, echo: Echo) -> Iterator[Finding]:
     """Yield findings on one record: its amplitude, and the self-calibration."""
     waveform, settings = echo.waveform, echo.settings
     peak_v = float(np.abs(waveform.volts() - echo.offset_v).max())
@@ -77,7 +77,7 @@ def _record(subject: str, echo: Echo) -> Iterator[Finding]:
     )
 
 
-def _require(parameters: NiscopeParameters, serves: Mapping[Role, tuple[str, ...]]) -> None:
+def _check_served_probes(parameters: NiscopeParameters, serves: Mapping[Role, tuple[str, ...]]) -> None:
     """Check that every served position has a probe, and every probe a position."""
     wanted = set(serves.get("pulse_echo", ()))
     if missing := sorted(wanted - set(parameters.probes)):
@@ -88,9 +88,9 @@ def _require(parameters: NiscopeParameters, serves: Mapping[Role, tuple[str, ...
 
 KIND = Kind(
     parameters=NiscopeParameters,
-    open=_open,
+    open=_open_probes,
     check=check_probes,
     packages=lambda parameters: ("niscope",),
     reached_by=REACHED_BY,
-    require=_require,
+    require=_check_served_probes,
 )

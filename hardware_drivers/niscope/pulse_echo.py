@@ -14,10 +14,10 @@ import numpy as np
 from hardware_drivers.errors import ConfigurationError
 from hardware_drivers.instruments import Echo, require_timeout
 from hardware_drivers.measurement import ShotKey, Waveform
-from hardware_drivers.niscope.averaging import AveragedRecord, average
+from hardware_drivers.niscope.averaging import AveragedRecord, sum_records
 from hardware_drivers.niscope.connection import BoardConnection
 from hardware_drivers.niscope.parameters import NiscopeParameters, ProbeWiring
-from hardware_drivers.niscope.session import Board, Fetched, Setup, package_version, vendor_package
+from hardware_drivers.niscope.session import Board, Fetched, Setup, import_vendor, read_version
 
 
 class NiscopePulseEchoUnit:
@@ -64,7 +64,7 @@ class NiscopePulseEchoUnit:
         board, setup, fetched, warned = self._connections[wiring.resource].acquire(
             key.position, wiring, min(timeout_s, self._parameters.call_timeout_s)
         )
-        averaged = average(
+        averaged = sum_records(
             fetched.records,
             gain_v=fetched.gain_v,
             offset_v=fetched.offset_v,
@@ -83,7 +83,7 @@ class NiscopePulseEchoUnit:
             gain_db=wiring.gain_db,
             offset_v=setup.offset_v,
             averages=setup.records,
-            settings=_stored_settings(wiring, board, setup, fetched, averaged, warned),
+            settings=_collect_settings(wiring, board, setup, fetched, averaged, warned),
         )
 
     def self_calibrate(self) -> Mapping[str, str]:
@@ -108,7 +108,7 @@ class NiscopePulseEchoUnit:
 
     def identity(self) -> Mapping[str, str]:
         """Return boards, serial numbers and versions, as stored with every set."""
-        named = {"niscope": package_version()}
+        named = {"niscope": read_version()}
         for position, wiring in self._parameters.probes.items():
             board = self._connections[wiring.resource].board
             if board is not None:
@@ -136,7 +136,7 @@ def open_niscope(parameters: NiscopeParameters) -> Iterator[NiscopePulseEchoUnit
     BusyError, ConnectionLostError
         Another program uses a board, or it does not answer.
     """
-    niscope = vendor_package()
+    niscope = import_vendor()
     with contextlib.ExitStack() as stack:
         connections: dict[str, BoardConnection] = {}
         for position, wiring in parameters.probes.items():
@@ -147,7 +147,7 @@ def open_niscope(parameters: NiscopeParameters) -> Iterator[NiscopePulseEchoUnit
         yield NiscopePulseEchoUnit(parameters, connections)
 
 
-def _stored_settings(
+def _collect_settings(
     wiring: ProbeWiring, board: Board, setup: Setup, fetched: Fetched, averaged: AveragedRecord, warned: str
 ) -> dict[str, float | str]:
     """Return all settings that a reader of the record may need, SI units in the names."""
@@ -157,7 +157,7 @@ def _stored_settings(
         "resource": board.resource,
         "channel": wiring.channel,
         "driver_version": board.driver_version,
-        "niscope_version": package_version(),
+        "niscope_version": read_version(),
         "range_v": setup.range_v,
         "resolution_bits": float(setup.resolution_bits),
         "input_impedance_ohm": float(wiring.input_impedance_ohm),

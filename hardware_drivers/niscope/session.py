@@ -17,9 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hardware_drivers.errors import ConfigurationError, ConnectionLostError
-from hardware_drivers.niscope.averaging import Codes, check_sum_fits, codes_of
+from hardware_drivers.niscope.averaging import Codes, check_sum_fits, compute_code_scale
 from hardware_drivers.niscope.parameters import NiscopeParameters, ProbeWiring
-from hardware_drivers.niscope.vendor_errors import metadata
+from hardware_drivers.niscope.vendor_errors import read_metadata
 
 if TYPE_CHECKING:
     from niscope import Session
@@ -34,7 +34,7 @@ RELATIVE_TOLERANCE = 1e-9
 """Asked and given are equal but for the rounding of a decimal number."""
 
 
-def vendor_package() -> ModuleType:
+def import_vendor() -> ModuleType:
     """Import `niscope` and check that both of its libraries load.
 
     Raises
@@ -103,7 +103,7 @@ class Board:
     channels: tuple[str, ...]
 
 
-def describe(session: Session, resource: str) -> Board:
+def describe_board(session: Session, resource: str) -> Board:
     """Read a board's description."""
     return Board(
         resource=resource,
@@ -129,7 +129,7 @@ class Setup:
     calibration_temperature_c: float
 
 
-def configure(
+def configure_board(
     niscope: ModuleType, session: Session, board: Board, parameters: NiscopeParameters, wiring: ProbeWiring
 ) -> Setup:
     """Configure the board for one probe and read back its settings.
@@ -162,18 +162,18 @@ def configure(
     )
     _configure_trigger(niscope, session, wiring)
     session.commit()
-    setup = _read_back(niscope, session, channel, board)
+    setup = _read_back_settings(niscope, session, channel, board)
     _reject_coerced(parameters, wiring, setup, channel, board)
-    if session.trigger_source != trigger_terminal(wiring):
+    if session.trigger_source != find_trigger_terminal(wiring):
         raise ConnectionLostError(
             f"the board at {board.resource!r} waits for a trigger at {session.trigger_source!r}, not at "
-            f"{trigger_terminal(wiring)!r} as it was told"
+            f"{find_trigger_terminal(wiring)!r} as it was told"
         )
     check_sum_fits(parameters.averages, max(setup.sample_bits, setup.resolution_bits))
     return setup
 
 
-def trigger_terminal(wiring: ProbeWiring) -> str:
+def find_trigger_terminal(wiring: ProbeWiring) -> str:
     """Return NI-SCOPE's name of the trigger source."""
     return TRIGGER_TERMINALS.get(wiring.trigger_source, wiring.channel)
 
@@ -181,7 +181,7 @@ def trigger_terminal(wiring: ProbeWiring) -> str:
 def _configure_trigger(niscope: ModuleType, session: Session, wiring: ProbeWiring) -> None:
     """Configure the trigger by the pulser's sync, delayed to the firing pulse."""
     slope = getattr(niscope.TriggerSlope, "POSITIVE" if wiring.trigger_slope == "rising" else "NEGATIVE")
-    terminal = trigger_terminal(wiring)
+    terminal = find_trigger_terminal(wiring)
     if wiring.trigger_source.startswith("pfi"):
         session.configure_trigger_digital(terminal, slope=slope, delay=wiring.firing_delay_s)
         return
@@ -194,9 +194,9 @@ def _configure_trigger(niscope: ModuleType, session: Session, wiring: ProbeWirin
     )
 
 
-def _read_back(niscope: ModuleType, session: Session, channel: Session, board: Board) -> Setup:
+def _read_back_settings(niscope: ModuleType, session: Session, channel: Session, board: Board) -> Setup:
     """Read the settings that the board committed, and its last self-calibration."""
-    last = metadata(
+    last = read_metadata(
         niscope,
         # A board that never calibrated itself says 0-0-0, which is no date.
         lambda: str(session.get_self_cal_last_date_and_time().date().isoformat()),
@@ -212,7 +212,7 @@ def _read_back(niscope: ModuleType, session: Session, channel: Session, board: B
         resolution_bits=session.resolution,
         sample_bits=session.binary_sample_width,
         calibration_date=last,
-        calibration_temperature_c=metadata(
+        calibration_temperature_c=read_metadata(
             niscope,
             lambda: float(session.get_self_cal_last_temp()),
             math.nan,
@@ -267,7 +267,7 @@ class Fetched:
     first_sample_s: NDArray[np.float64]
 
 
-def fetch(session: Session, setup: Setup, wiring: ProbeWiring, timeout_s: float) -> Fetched:
+def fetch_records(session: Session, setup: Setup, wiring: ProbeWiring, timeout_s: float) -> Fetched:
     """Acquire all records of one averaged record; the board is idle again on return.
 
     Raises
@@ -294,7 +294,7 @@ def fetch(session: Session, setup: Setup, wiring: ProbeWiring, timeout_s: float)
     if any(map(np.array_equal, records, untouched)):
         raise ConnectionLostError("the driver reports success but left the buffer as it was")
     first_sample_s = np.array([waveform.relative_initial_x for waveform in waveforms])
-    _check_time(waveforms, first_sample_s, setup, wiring)
+    _check_record_times(waveforms, first_sample_s, setup, wiring)
     gains = {(waveform.gain, waveform.offset) for waveform in waveforms}
     if len(gains) != 1:
         raise ConnectionLostError(f"gain and offset differ between the records of one acquisition: {gains}")
@@ -305,12 +305,12 @@ def fetch(session: Session, setup: Setup, wiring: ProbeWiring, timeout_s: float)
         records=records,
         gain_v=gain_v,
         offset_v=offset_v,
-        codes=codes_of(gain_v=gain_v, range_v=setup.range_v, resolution_bits=setup.resolution_bits),
+        codes=compute_code_scale(gain_v=gain_v, range_v=setup.range_v, resolution_bits=setup.resolution_bits),
         first_sample_s=first_sample_s,
     )
 
 
-def _check_time(
+def _check_record_times(
     waveforms: list[WaveformInfo], first_sample_s: NDArray[np.float64], setup: Setup, wiring: ProbeWiring
 ) -> None:
     """Check by the driver's times that time zero is the firing pulse, one firing per record."""
@@ -333,6 +333,6 @@ def _check_time(
         raise ConnectionLostError("two records have one time stamp; a record was handed over twice")
 
 
-def package_version() -> str:
+def read_version() -> str:
     """Return the version of the `niscope` package."""
     return version("niscope")

@@ -55,13 +55,13 @@ _REMEDY: Mapping[type[InstrumentError], str] = {
 }
 
 
-def class_of(code: int, description: str) -> type[InstrumentError]:
+def find_error_class(code: int, description: str) -> type[InstrumentError]:
     """Return the error class of a driver's error code."""
     codes = (code, *map(int, _WRAPPED.findall(description)))
     return next((CLASS_OF_CODE[number] for number in codes if number in CLASS_OF_CODE), UnknownStatusError)
 
 
-def translated(niscope: ModuleType, error: Exception, doing: str) -> InstrumentError:
+def translate_error(niscope: ModuleType, error: Exception, doing: str) -> InstrumentError:
     """Translate an exception of the `niscope` package.
 
     Parameters
@@ -70,7 +70,7 @@ def translated(niscope: ModuleType, error: Exception, doing: str) -> InstrumentE
         What was tried, beginning a sentence: "opening 'PXI1Slot4'".
     """
     if isinstance(error, niscope.errors.DriverError):
-        kind = class_of(error.code, error.description)
+        kind = find_error_class(error.code, error.description)
         detail = " ".join(error.description.split()) or "no description"
         remedy = next(text for base, text in _REMEDY.items() if issubclass(kind, base))
         return kind(f"{doing}: NI-SCOPE error {error.code}: {detail}; {remedy}")
@@ -84,7 +84,7 @@ def translated(niscope: ModuleType, error: Exception, doing: str) -> InstrumentE
 
 
 @contextmanager
-def vendor_calls(niscope: ModuleType, doing: str) -> Iterator[list[str]]:
+def translate_errors(niscope: ModuleType, doing: str) -> Iterator[list[str]]:
     """Translate errors of the calls inside; yield the list that receives the driver's warnings, each once.
 
     The warnings filter of the process is changed meanwhile: the driver is used by one thread.
@@ -102,7 +102,7 @@ def vendor_calls(niscope: ModuleType, doing: str) -> Iterator[list[str]]:
         except InstrumentError:
             raise
         except (niscope.errors.Error, *_NONSENSE) as error:
-            raise translated(niscope, error, doing) from error
+            raise translate_error(niscope, error, doing) from error
         finally:
             for warning in seen:
                 message = " ".join(str(warning.message).split())
@@ -116,7 +116,7 @@ def vendor_calls(niscope: ModuleType, doing: str) -> Iterator[list[str]]:
             warnings.warn_explicit(warning.message, warning.category, warning.filename, warning.lineno)
 
 
-def metadata(niscope: ModuleType, read: Callable[[], T], unknown: T, subject: str) -> T:
+def read_metadata(niscope: ModuleType, read: Callable[[], T], unknown: T, subject: str) -> T:
     """Read optional metadata (date, temperature); unknown, with a warning, is enough.
 
     Raises
@@ -125,7 +125,7 @@ def metadata(niscope: ModuleType, read: Callable[[], T], unknown: T, subject: st
         The driver says that the board is gone: that holds for every other call too.
     """
     try:
-        with vendor_calls(niscope, f"reading {subject}"):
+        with translate_errors(niscope, f"reading {subject}"):
             return read()
     except InstrumentError as error:
         if isinstance(error, ConnectionLostError) and isinstance(error.__cause__, niscope.errors.Error):

@@ -31,7 +31,7 @@ class ScalingError(ValueError):
     """Error: the scaling is no polynomial of the raw values, with the reason."""
 
 
-def raw_polynomial(properties: Mapping[str, Any]) -> Polynomial | None:
+def build_raw_polynomial(properties: Mapping[str, Any]) -> Polynomial | None:
     """Return the physical value as a polynomial of the raw one.
 
     Returns
@@ -45,7 +45,7 @@ def raw_polynomial(properties: Mapping[str, Any]) -> Polynomial | None:
     ScalingError
         A scale is no polynomial, lacks a property, or the chain leads nowhere.
     """
-    count = _number_of_scales(properties)
+    count = _count_scales(properties)
     if count == 0 or properties.get("NI_Scaling_Status", "unscaled") == "scaled":
         return None
     coefficients = _resolve(count - 1, properties, limit=count)
@@ -56,7 +56,7 @@ def raw_polynomial(properties: Mapping[str, Any]) -> Polynomial | None:
     return coefficients
 
 
-def _number_of_scales(properties: Mapping[str, Any]) -> int:
+def _count_scales(properties: Mapping[str, Any]) -> int:
     """Return the number of scales, from its property or the highest numbered scale."""
     if "NI_Number_Of_Scales" in properties:
         return int(properties["NI_Number_Of_Scales"])
@@ -86,12 +86,12 @@ def _resolve(source: int, properties: Mapping[str, Any], *, limit: int) -> Polyn
         own = np.array(
             [_number(properties, f"{prefix}Linear_Y_Intercept"), _number(properties, f"{prefix}Linear_Slope")]
         )
-        return _composed(own, input_of("Linear"))
+        return _compose_polynomials(own, input_of("Linear"))
     if kind == "Polynomial":
         size = int(properties.get(f"{prefix}Polynomial_Coefficients_Size", 4))
         names = [f"{prefix}Polynomial_Coefficients[{index}]" for index in range(size)]
         own = np.array([_number(properties, name) for name in names])
-        return _composed(own, input_of("Polynomial"))
+        return _compose_polynomials(own, input_of("Polynomial"))
     if kind == "AdvancedAPI":
         return input_of("AdvancedAPI")
     if kind in ("Add", "Subtract"):
@@ -102,7 +102,7 @@ def _resolve(source: int, properties: Mapping[str, Any], *, limit: int) -> Polyn
     raise ScalingError(f"scale {source} is of type {kind!r}, which is no polynomial")
 
 
-def _composed(outer: Polynomial, inner: Polynomial) -> Polynomial:
+def _compose_polynomials(outer: Polynomial, inner: Polynomial) -> Polynomial:
     """Compose two polynomials, outer of inner; the identity changes no bit."""
     if inner.tolist() == [0.0, 1.0]:
         return outer

@@ -90,7 +90,7 @@ class TdmsMapping:
             (f"{part}_property", {part}) for part in KEY_PARTS[:3] if getattr(self, f"{part}_property")
         ]
         for name in ("file_pattern", "group_pattern", "channel_pattern"):
-            sources.append((name, _named_groups(name, getattr(self, name))))
+            sources.append((name, _list_named_groups(name, getattr(self, name))))
         if self.position:
             sources.append(("position", {"position"}))
         for part in KEY_PARTS:
@@ -128,7 +128,7 @@ class PlaybackParameters:
             )
 
 
-def _named_groups(name: str, pattern: str) -> set[str]:
+def _list_named_groups(name: str, pattern: str) -> set[str]:
     """Return the named groups of a pattern; an unknown one is a ValueError."""
     try:
         parts = set(re.compile(pattern).groupindex)

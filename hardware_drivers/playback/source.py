@@ -38,7 +38,7 @@ class ShotSource(Protocol):
         """Return whether the recording has a shot, as a record or as missed."""
 
 
-def acquired_of(record: Record) -> Acquired:
+def convert_stored_record(record: Record) -> Acquired:
     """Convert a stored record into the form in which its instrument returned it; no value changes."""
     if isinstance(record, PulseEchoRecord):
         return Echo(
@@ -82,7 +82,7 @@ class ShotsBySet:
     def find(self, key: ShotKey) -> Acquired | None:
         """Return the record of a shot, None if it was not recorded."""
         record = self.records_of_set(key.set_key).get(key)
-        return None if record is None else acquired_of(record)
+        return None if record is None else convert_stored_record(record)
 
     def tried(self, key: ShotKey) -> bool:
         """Return whether the shot was recorded."""

@@ -23,17 +23,17 @@ from hardware_drivers.measurement import ShotKey, Waveform
 from hardware_drivers.methods import PULSE_ECHO, SOLITARY_WAVE
 from hardware_drivers.nanoseconds import NS_PER_S
 from hardware_drivers.playback.parameters import TdmsMapping
-from hardware_drivers.playback.tdms_by_name import is_by_name, shots_by_name
+from hardware_drivers.playback.tdms_by_name import find_shots_by_name, is_mapped_by_name
 from hardware_drivers.playback.tdms_channel import (
     Channel,
     Conversion,
-    conversion_of,
+    build_conversion,
     pretrigger_samples,
+    read_start_utc_ns,
     sample_rate_hz,
-    start_utc_ns,
 )
 from hardware_drivers.playback.tdms_file import ValuesReader, read_channels, require_nptdms
-from hardware_drivers.playback.tdms_key import samples_of_record, shot_key
+from hardware_drivers.playback.tdms_key import build_shot_key, count_record_samples
 
 _NAMES_SHOWN = 5
 """Of names that did not match, in the message that nothing matched."""
@@ -72,7 +72,7 @@ class TdmsShots:
     def __init__(self, places: Mapping[ShotKey, _RecordLocation], mapping: TdmsMapping) -> None:
         self.places = places
         self._mapping = mapping
-        self._positions = {key.position: _method(key.position, mapping) for key in places}
+        self._positions = {key.position: _find_method(key.position, mapping) for key in places}
         self._moments = sorted(place.utc_ns for place in places.values() if place.utc_ns is not None)
         self._reader = ValuesReader()
 
@@ -154,7 +154,7 @@ def open_tdms(
     """
     mapping = mapping or TdmsMapping()
     require_nptdms()
-    by_name = tuple(positions) if is_by_name(mapping) else ()
+    by_name = tuple(positions) if is_mapped_by_name(mapping) else ()
     if by_name and not mapping.pulse_echo_positions:
         probes = tuple(name for name, method in positions.items() if method == PULSE_ECHO)
         mapping = replace(mapping, pulse_echo_positions=probes)
@@ -163,8 +163,8 @@ def open_tdms(
     places: dict[ShotKey, _RecordLocation] = {}
     shared: dict[tuple[object, ...], Conversion] = {}
     others: list[str] = []
-    for path, name in _files(source, mapping):
-        for key, place in _records_of_file(path, name, mapping, shared, others, by_name):
+    for path, name in _find_files(source, mapping):
+        for key, place in _find_file_records(path, name, mapping, shared, others, by_name):
             if key in places:
                 raise ConfigurationError(
                     f"{place} and {places[key]} are both shot {key.shot_index} of set {key.set_index} at "
@@ -181,7 +181,7 @@ def open_tdms(
     return TdmsShots(places, mapping)
 
 
-def _files(source: Path, mapping: TdmsMapping) -> list[tuple[Path, str]]:
+def _find_files(source: Path, mapping: TdmsMapping) -> list[tuple[Path, str]]:
     """Return the files, and the names that are matched."""
     if source.is_file():
         return [(source, source.name)]
@@ -193,7 +193,7 @@ def _files(source: Path, mapping: TdmsMapping) -> list[tuple[Path, str]]:
     return [(path, path.relative_to(source).as_posix()) for path in found]
 
 
-def _records_of_file(
+def _find_file_records(
     path: Path,
     name: str,
     mapping: TdmsMapping,
@@ -225,19 +225,19 @@ def _records_of_file(
 
     channels = read_channels(path, wanted)
     if not matched and by_name:
-        named = shots_by_name(unmatched, by_name, mapping, name)
+        named = find_shots_by_name(unmatched, by_name, mapping, name)
         matched |= {place: {**from_file.groupdict(), **parts} for place, parts in named.items()}
         channels = read_channels(path, lambda group, channel: (group, channel) in matched)
     others += [f"{name}/{group}/{channel}" for group, channel in unmatched if (group, channel) not in matched]
     for channel in channels:
-        key = shot_key(channel, matched[channel.group, channel.name], mapping)
-        place = _first_location(
+        key = build_shot_key(channel, matched[channel.group, channel.name], mapping)
+        place = _find_first_location(
             channel, f"{name}/{channel.group}/{channel.name}", key.position, mapping, shared
         )
-        yield from _appended_records(key, place, channel.n_samples, mapping)
+        yield from _yield_appended_records(key, place, channel.n_samples, mapping)
 
 
-def _first_location(
+def _find_first_location(
     channel: Channel,
     name: str,
     position: str,
@@ -245,9 +245,9 @@ def _first_location(
     shared: dict[tuple[object, ...], Conversion],
 ) -> _RecordLocation:
     """Return the first record of a channel."""
-    n_samples = samples_of_record(channel, mapping)
+    n_samples = count_record_samples(channel, mapping)
     rate_hz = sample_rate_hz(channel, mapping)
-    conversion = _shared(conversion_of(channel, mapping), shared)
+    conversion = _share_conversion(build_conversion(channel, mapping), shared)
     return _RecordLocation(
         path=channel.path,
         group=channel.group,
@@ -260,15 +260,15 @@ def _first_location(
             mapping,
             rate_hz=rate_hz,
             record_samples=n_samples,
-            method=_method(position, mapping),
+            method=_find_method(position, mapping),
         ),
         conversion=conversion,
-        settings=_settings(channel, name, mapping, conversion),
-        utc_ns=start_utc_ns(channel, mapping),
+        settings=_collect_settings(channel, name, mapping, conversion),
+        utc_ns=read_start_utc_ns(channel, mapping),
     )
 
 
-def _appended_records(
+def _yield_appended_records(
     key: ShotKey, place: _RecordLocation, n_samples: int, mapping: TdmsMapping
 ) -> Iterator[tuple[ShotKey, _RecordLocation]]:
     """Yield the first record of a channel and those appended to it."""
@@ -284,7 +284,7 @@ def _appended_records(
         )
 
 
-def _shared(conversion: Conversion, known: dict[tuple[object, ...], Conversion]) -> Conversion:
+def _share_conversion(conversion: Conversion, known: dict[tuple[object, ...], Conversion]) -> Conversion:
     """Return one object for all channels with equal conversion: a recording has thousands of them."""
     calibration = conversion.calibration
     polynomial = None if conversion.polynomial is None else conversion.polynomial.tobytes()
@@ -297,7 +297,7 @@ def _shared(conversion: Conversion, known: dict[tuple[object, ...], Conversion])
     return known.setdefault(key, conversion)
 
 
-def _settings(
+def _collect_settings(
     channel: Channel, name: str, mapping: TdmsMapping, conversion: Conversion
 ) -> Mapping[str, float | str]:
     """Return the settings that are stored with each shot of a channel."""
@@ -316,6 +316,6 @@ def _settings(
     return settings
 
 
-def _method(position: str, mapping: TdmsMapping) -> str:
+def _find_method(position: str, mapping: TdmsMapping) -> str:
     """Return the measuring method of a position."""
     return PULSE_ECHO if position in mapping.pulse_echo_positions else SOLITARY_WAVE

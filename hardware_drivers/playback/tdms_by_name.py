@@ -14,7 +14,7 @@ from hardware_drivers.playback.parameters import TdmsMapping
 _NUMBER = r"[ _.-]*(?:shot)?[ _.-]*(?P<shot>\d+)"
 
 
-def is_by_name(mapping: TdmsMapping) -> bool:
+def is_mapped_by_name(mapping: TdmsMapping) -> bool:
     """Return whether the mapping leaves the shots to the names of channels."""
     defaults = TdmsMapping()
     keys = (
@@ -28,7 +28,7 @@ def is_by_name(mapping: TdmsMapping) -> bool:
     return all(getattr(mapping, key) == getattr(defaults, key) for key in keys)
 
 
-def shots_by_name(
+def find_shots_by_name(
     channels: Collection[tuple[str, str]], positions: Collection[str], mapping: TdmsMapping, file: str
 ) -> dict[tuple[str, str], Mapping[str, str | None]]:
     """Return position and shot of the channels named after a position; other channels are not read.
@@ -48,7 +48,7 @@ def shots_by_name(
     found: dict[tuple[str, str], Mapping[str, str | None]] = {}
     of_shot: dict[tuple[str, int], str] = {}
     for group, name in channels:
-        fits = _possible_shots(mapping.rename.get(name, name), positions)
+        fits = _list_possible_shots(mapping.rename.get(name, name), positions)
         if not fits:
             continue
         (position, shot), *others = fits
@@ -69,7 +69,7 @@ def shots_by_name(
     return found
 
 
-def _possible_shots(name: str, positions: Collection[str]) -> list[tuple[str, str | None]]:
+def _list_possible_shots(name: str, positions: Collection[str]) -> list[tuple[str, str | None]]:
     """Return each position and shot that a channel's name may mean, the exact one first."""
     if name in positions:
         return [(name, None)]

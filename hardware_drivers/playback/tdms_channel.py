@@ -19,7 +19,7 @@ from hardware_drivers.errors import ConfigurationError
 from hardware_drivers.measurement import Calibration, Counts
 from hardware_drivers.methods import PULSE_ECHO
 from hardware_drivers.nanoseconds import NS_PER_S
-from hardware_drivers.playback.ni_scaling import ScalingError, raw_polynomial
+from hardware_drivers.playback.ni_scaling import ScalingError, build_raw_polynomial
 from hardware_drivers.playback.parameters import TdmsMapping
 
 QUANTISED_RANGE_V = 10.0
@@ -106,10 +106,10 @@ class Conversion:
         if self.polynomial is None:
             # Whatever byte order the file has; 8-bit codes fit 16 bits.
             return values.astype(np.int32) if values.dtype.itemsize == 4 else values.astype(np.int16)
-        return _quantised(values, self.polynomial, self.calibration, where)
+        return _quantise(values, self.polynomial, self.calibration, where)
 
 
-def _quantised(
+def _quantise(
     values: NDArray[np.generic], polynomial: NDArray[np.float64], calibration: Calibration, where: str
 ) -> NDArray[np.int32]:
     """Return the nearest code of each value; the end of the range is the highest code, so it is clipped."""
@@ -127,7 +127,7 @@ def _quantised(
     return codes.clip(low, high).astype(np.int32)
 
 
-def conversion_of(channel: Channel, mapping: TdmsMapping) -> Conversion:
+def build_conversion(channel: Channel, mapping: TdmsMapping) -> Conversion:
     """Return the conversion of the channel's values to counts and volts.
 
     Raises
@@ -142,25 +142,25 @@ def conversion_of(channel: Channel, mapping: TdmsMapping) -> Conversion:
             calibration=Calibration(
                 coefficients_v=np.array([0.0, step_v]), resolution_bits=QUANTISED_BITS, range_v=range_v
             ),
-            polynomial=_volts_polynomial(channel, mapping, default=np.array([0.0, 1.0])),
+            polynomial=_build_volts_polynomial(channel, mapping, default=np.array([0.0, 1.0])),
         )
     if channel.dtype not in _RAW_TYPES:
         raise channel.error(
             f"values of type {channel.dtype} are neither counts nor volts",
             "write I16, I32, SGL or DBL, or leave the channel out of channel_pattern",
         )
-    bits = _resolution_bits(channel, mapping)
-    coefficients_v = _volts_polynomial(channel, mapping, default=None)
+    bits = _find_resolution_bits(channel, mapping)
+    coefficients_v = _build_volts_polynomial(channel, mapping, default=None)
     return Conversion(
         calibration=Calibration(
             coefficients_v=coefficients_v,
             resolution_bits=bits,
-            range_v=mapping.range_v or _range_v(channel, coefficients_v, bits),
+            range_v=mapping.range_v or _compute_range_v(channel, coefficients_v, bits),
         )
     )
 
 
-def _resolution_bits(channel: Channel, mapping: TdmsMapping) -> int:
+def _find_resolution_bits(channel: Channel, mapping: TdmsMapping) -> int:
     """Return the ADC resolution; it must be given for 32-bit codes, and fit the stored codes."""
     stored_bits = _RAW_TYPES[channel.dtype]
     if mapping.resolution_bits is None and stored_bits == 32:
@@ -176,7 +176,7 @@ def _resolution_bits(channel: Channel, mapping: TdmsMapping) -> int:
     return bits
 
 
-def _range_v(channel: Channel, coefficients_v: NDArray[np.float64], bits: int) -> float:
+def _compute_range_v(channel: Channel, coefficients_v: NDArray[np.float64], bits: int) -> float:
     """Return the volts at the extreme codes, the larger of both."""
     codes = np.array([-(2.0 ** (bits - 1)), 2.0 ** (bits - 1) - 1.0])
     range_v = float(np.abs(np.polynomial.polynomial.polyval(codes, coefficients_v)).max())
@@ -187,13 +187,13 @@ def _range_v(channel: Channel, coefficients_v: NDArray[np.float64], bits: int) -
     return range_v
 
 
-def _volts_polynomial(
+def _build_volts_polynomial(
     channel: Channel, mapping: TdmsMapping, *, default: NDArray[np.float64] | None
 ) -> NDArray[np.float64]:
     """Return volts as a polynomial of the values in the file; ``default`` where the file has no scales."""
     if mapping.coefficients_v:
         return np.array(mapping.coefficients_v)
-    scaling = _scaling_of(channel)
+    scaling = _read_scaling(channel)
     unit = str(channel.properties.get(mapping.unit_property, "")).strip()
     if scaling is None:
         scaling = default
@@ -212,11 +212,11 @@ def _volts_polynomial(
     return scaling * mapping.volts_per_unit
 
 
-def _scaling_of(channel: Channel) -> NDArray[np.float64] | None:
+def _read_scaling(channel: Channel) -> NDArray[np.float64] | None:
     """Return NI's scaling as a polynomial, from channel, else group, else file; None if absent."""
     for properties in (channel.own_properties, channel.group_properties, channel.file_properties):
         try:
-            polynomial = raw_polynomial(properties)
+            polynomial = build_raw_polynomial(properties)
         except ScalingError as error:
             raise channel.error(str(error), "give coefficients_v") from error
         if polynomial is not None:
@@ -284,7 +284,7 @@ def pretrigger_samples(
     return samples
 
 
-def start_utc_ns(channel: Channel, mapping: TdmsMapping) -> int | None:
+def read_start_utc_ns(channel: Channel, mapping: TdmsMapping) -> int | None:
     """Return UTC of the channel's first record, None if the file has none."""
     stamp = channel.properties.get(mapping.start_time_property)
     if stamp is None:

@@ -43,7 +43,7 @@ def read_channels(path: Path, wanted: Callable[[str, str], bool]) -> list[Channe
     ConfigurationError
         The file is damaged, or a wanted channel is cut short.
     """
-    with _translated(path), _opened(path) as file:
+    with _translate_errors(path), _open_file(path) as file:
         statuses = file.file_status.channel_statuses or {}
         found = []
         for group in file.groups():
@@ -51,7 +51,7 @@ def read_channels(path: Path, wanted: Callable[[str, str], bool]) -> list[Channe
                 if wanted(group.name, channel.name):
                     _require_complete_values(path, channel, statuses)
                     if len(channel):
-                        found.append(_describe(path, file, group, channel))
+                        found.append(_describe_channel(path, file, group, channel))
         _require_complete_end(path)
     return found
 
@@ -71,11 +71,11 @@ class ValuesReader:
         ConfigurationError
             The file is gone or damaged.
         """
-        with _translated(path):
+        with _translate_errors(path):
             if self._open is None or self._open[0] != path:
                 self.close()
-                self._open = (path, self._closing.enter_context(_opened(path)))
-            return _raw_values(self._open[1][group][name], first, n_samples)
+                self._open = (path, self._closing.enter_context(_open_file(path)))
+            return _read_raw_values(self._open[1][group][name], first, n_samples)
 
     def close(self) -> None:
         """Close the file; a later `read` opens it again."""
@@ -84,7 +84,7 @@ class ValuesReader:
 
 
 @contextmanager
-def _opened(path: Path) -> Iterator[TdmsFile]:
+def _open_file(path: Path) -> Iterator[TdmsFile]:
     """Open a file directly: npTDMS would leave a corrupt one open, and trust an index file next to it."""
     import nptdms
 
@@ -93,7 +93,7 @@ def _opened(path: Path) -> Iterator[TdmsFile]:
         yield nptdms.TdmsFile.open(file, raw_timestamps=True)
 
 
-def _describe(path: Path, file: TdmsFile, group: TdmsGroup, channel: TdmsChannel) -> Channel:
+def _describe_channel(path: Path, file: TdmsFile, group: TdmsGroup, channel: TdmsChannel) -> Channel:
     """Return the metadata of a channel and the type of its raw values."""
     return Channel(
         path=path,
@@ -103,12 +103,12 @@ def _describe(path: Path, file: TdmsFile, group: TdmsGroup, channel: TdmsChannel
         group_properties=group.properties,
         file_properties=file.properties,
         # One sample shows the type of DAQmx raw data too, which hide it in their scaler.
-        dtype=_raw_values(channel, 0, 1).dtype.newbyteorder("="),
+        dtype=_read_raw_values(channel, 0, 1).dtype.newbyteorder("="),
         n_samples=len(channel),
     )
 
 
-def _raw_values(channel: TdmsChannel, first: int, n_samples: int) -> NDArray[np.generic]:
+def _read_raw_values(channel: TdmsChannel, first: int, n_samples: int) -> NDArray[np.generic]:
     """Return the unscaled values of some samples."""
     values = channel.read_data(offset=first, length=n_samples, scaled=False)
     if isinstance(values, dict):
@@ -157,7 +157,7 @@ def _require_complete_end(path: Path) -> None:
 
 
 @contextmanager
-def _translated(path: Path) -> Iterator[None]:
+def _translate_errors(path: Path) -> Iterator[None]:
     """Translate any error of npTDMS on a corrupt file."""
     try:
         yield

@@ -10,7 +10,7 @@ from hardware_drivers.playback.parameters import KEY_PARTS, TdmsMapping
 from hardware_drivers.playback.tdms_channel import Channel
 
 
-def shot_key(channel: Channel, names: Mapping[str, str | None], mapping: TdmsMapping) -> ShotKey:
+def build_shot_key(channel: Channel, names: Mapping[str, str | None], mapping: TdmsMapping) -> ShotKey:
     """Return the shot of a channel's first record.
 
     Parameters
@@ -37,7 +37,7 @@ def shot_key(channel: Channel, names: Mapping[str, str | None], mapping: TdmsMap
     if not position:
         raise channel.error("nothing names the position", "correct the patterns")
     firsts = {"set": mapping.first_set, "shot": mapping.first_shot, "attempt": 0}
-    indices = {part: _index(channel, part, values[part], first) for part, first in firsts.items()}
+    indices = {part: _read_index(channel, part, values[part], first) for part, first in firsts.items()}
     return ShotKey(
         position=mapping.rename.get(position, position),
         set_index=indices["set"],
@@ -46,7 +46,7 @@ def shot_key(channel: Channel, names: Mapping[str, str | None], mapping: TdmsMap
     )
 
 
-def _index(channel: Channel, part: str, values: Any, first: int) -> int:
+def _read_index(channel: Channel, part: str, values: Any, first: int) -> int:
     """Return an index from 0; a missing one is 0."""
     if values is None:
         return 0
@@ -64,7 +64,7 @@ def _index(channel: Channel, part: str, values: Any, first: int) -> int:
     return number - first
 
 
-def samples_of_record(channel: Channel, mapping: TdmsMapping) -> int:
+def count_record_samples(channel: Channel, mapping: TdmsMapping) -> int:
     """Return the length of each record of a channel.
 
     Raises

@@ -15,12 +15,12 @@ from hardware_drivers.playback.parameters import TdmsMapping
 from hardware_drivers.playback.tdms_channel import (
     Channel,
     Conversion,
-    conversion_of,
+    build_conversion,
     pretrigger_samples,
     sample_rate_hz,
 )
 from hardware_drivers.playback.tdms_file import ValuesReader, read_channels, require_nptdms
-from hardware_drivers.playback.tdms_key import samples_of_record
+from hardware_drivers.playback.tdms_key import count_record_samples
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -60,7 +60,7 @@ class ChannelRecords:
         )
 
 
-def channel_records(
+def list_channel_records(
     path: Path,
     mapping: TdmsMapping,
     *,
@@ -102,7 +102,7 @@ def channel_records(
         rate_hz = sample_rate_hz(channel, own)
         if pretrigger_s is not None:
             own = replace(own, pretrigger_samples=round(pretrigger_s * rate_hz))
-        samples = samples_of_record(channel, own)
+        samples = count_record_samples(channel, own)
         found.append(
             ChannelRecords(
                 channel=channel,
@@ -112,7 +112,7 @@ def channel_records(
                 pretrigger_samples=pretrigger_samples(
                     channel, own, rate_hz=rate_hz, record_samples=samples, method=SOLITARY_WAVE
                 ),
-                conversion=conversion_of(channel, own),
+                conversion=build_conversion(channel, own),
             )
         )
     return found

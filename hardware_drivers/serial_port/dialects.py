@@ -110,7 +110,7 @@ class Dialect:
 
 
 @lru_cache
-def dialect_of_channel(name: str, channel: int) -> Dialect:
+def build_channel_dialect(name: str, channel: int) -> Dialect:
     """Return the commands of a dialect for one channel of the supply.
 
     Raises

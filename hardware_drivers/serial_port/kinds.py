@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import closing, contextmanager
 
 from hardware_drivers.errors import InstrumentError
-from hardware_drivers.kinds import Finding, Kind, Opened, Opening, finding_of_error
+from hardware_drivers.kinds import Finding, Kind, Opened, Opening, build_error_finding
 from hardware_drivers.serial_port.parameters import (
     CLIMATE_REACHED_BY,
     SUPPLY_REACHED_BY,
@@ -18,7 +18,7 @@ from hardware_drivers.serial_port.parameters import (
 CABLE = "check power, cable and the name in the configuration"
 
 
-def _packages(parameters: SupplyParameters | ClimateParameters) -> tuple[str, ...]:
+def _list_packages(parameters: SupplyParameters | ClimateParameters) -> tuple[str, ...]:
     """Return the distributions that the line needs."""
     over_visa = parameters.line.port.startswith(VISA_PREFIX)
     return ("pyserial", "pyvisa", "pyvisa-py") if over_visa else ("pyserial",)
@@ -45,7 +45,7 @@ def _open_climate(parameters: ClimateParameters, opening: Opening) -> Iterator[O
         yield Opened(climate=probe)
 
 
-def _identity_finding(subject: str, identity: Mapping[str, str]) -> Finding:
+def _build_identity_finding(subject: str, identity: Mapping[str, str]) -> Finding:
     """Return the finding on the identity that an instrument reports."""
     detail = ", ".join(identity.values())
     return Finding(subject=subject, check="identity", state="ok", detail=detail, values=dict(identity))
@@ -58,7 +58,7 @@ def check_supply(parameters: SupplyParameters, opening: Opening) -> Iterator[Fin
     subject, check = "supply", "identity"
     with closing(ScpiPowerSupply(parameters, stamp=opening.stamp)) as supply:
         try:
-            yield _identity_finding(subject, supply.identity())
+            yield _build_identity_finding(subject, supply.identity())
             check = "read-back"
             actual = supply.read_back(parameters.read_timeout_s)
             tripped, unknown = str(actual["tripped"]), str(actual["protection_unknown"])
@@ -88,7 +88,7 @@ def check_supply(parameters: SupplyParameters, opening: Opening) -> Iterator[Fin
                 values={name: getattr(reading, name) for name in ("output_on", "voltage_v", "current_a")},
             )
         except InstrumentError as error:
-            yield finding_of_error(subject, check, error, CABLE)
+            yield build_error_finding(subject, check, error, CABLE)
 
 
 def check_climate(parameters: ClimateParameters, opening: Opening) -> Iterator[Finding]:
@@ -98,7 +98,7 @@ def check_climate(parameters: ClimateParameters, opening: Opening) -> Iterator[F
     subject, check = "climate probe", "identity"
     with closing(ScpiClimateProbe(parameters, stamp=opening.stamp)) as probe:
         try:
-            yield _identity_finding(subject, probe.identity())
+            yield _build_identity_finding(subject, probe.identity())
             check = "reading"
             reading = probe.read(parameters.read_timeout_s)
             yield Finding(
@@ -109,20 +109,20 @@ def check_climate(parameters: ClimateParameters, opening: Opening) -> Iterator[F
                 values={name: getattr(reading, name) for name in ("temperature_c", "relative_humidity")},
             )
         except InstrumentError as error:
-            yield finding_of_error(subject, check, error, CABLE)
+            yield build_error_finding(subject, check, error, CABLE)
 
 
 SUPPLY = Kind(
     parameters=SupplyParameters,
     open=_open_supply,
     check=check_supply,
-    packages=_packages,
+    packages=_list_packages,
     reached_by=SUPPLY_REACHED_BY,
 )
 CLIMATE = Kind(
     parameters=ClimateParameters,
     open=_open_climate,
     check=check_climate,
-    packages=_packages,
+    packages=_list_packages,
     reached_by=CLIMATE_REACHED_BY,
 )

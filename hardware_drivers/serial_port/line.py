@@ -129,7 +129,7 @@ class SerialLine:
             kind, message = self._trouble
             raise kind(f"{message}; next attempt in {wait_s:.3g} s")
         try:
-            self.name = self._reach(deadline_s)
+            self.name = self._reach_instrument(deadline_s)
         except InstrumentError as error:
             self._attempts += 1
             if isinstance(error, ConfigurationError) or self._attempts % ATTEMPTS_PER_OPENING == 0:
@@ -143,11 +143,11 @@ class SerialLine:
             self._trouble = (type(error), f"{error} ({tries})")
             raise type(error)(self._trouble[1]) from error
         if self._trouble is not None:
-            log.warning("%s: back after %d failed attempts to reach it", self._where(), self._attempts)
+            log.warning("%s: back after %d failed attempts to reach it", self._locate(), self._attempts)
         self._attempts, self._trouble, self.in_step = 0, None, True
         return True
 
-    def _reach(self, deadline_s: float) -> str:
+    def _reach_instrument(self, deadline_s: float) -> str:
         """Return the identity behind the open port, else behind the port opened again."""
         if self._port is not None:
             try:
@@ -169,13 +169,13 @@ class SerialLine:
         for _ in range(LINES_BEFORE_NAME):
             if (raw := self._next_line(pending, deadline_s)) is None:
                 break
-            reply = _text(raw)
+            reply = _decode_response(raw)
             if reply == self._identity_query:
                 self._echoes = True  # as it does with every command
                 continue
             if reply is not None and self._identity.match(reply):
                 return reply
-            if reply is None or not _is_name(reply):
+            if reply is None or not _is_instrument_name(reply):
                 garbage.append(raw)
             else:
                 strangers.append(reply)
@@ -190,7 +190,7 @@ class SerialLine:
         garbage += [bytes(pending)] if pending else []
         if garbage:
             raise ConnectionLostError(
-                f"{subject} answered {_shown(garbage[-1])} to {self._identity_query}; check baud "
+                f"{subject} answered {_quote(garbage[-1])} to {self._identity_query}; check baud "
                 "rate, parity and terminator"
             )
         raise ConnectionLostError(
@@ -221,7 +221,7 @@ class SerialLine:
         """
         self._write(command)
         if not self.parameters.terminator:
-            with self._translated("be read"):
+            with self._translate_errors("be read"):
                 # Only a pause separates this command from the next; nothing is expected in it.
                 self._port.read(self.parameters.longest_reply_bytes)  # type: ignore[union-attr] # just written
         elif self._echoes:
@@ -238,9 +238,9 @@ class SerialLine:
             its step again at the next `connect`.
         """
         raw = self._query(question, deadline_s)
-        reply = _text(raw)
+        reply = _decode_response(raw)
         if reply is None:
-            raise self.lost(f"answered {_shown(raw)} to {question}: that is no text")
+            raise self.lost(f"answered {_quote(raw)} to {question}: that is no text")
         return reply
 
     def _query(self, question: str, deadline_s: float) -> bytes:
@@ -248,22 +248,22 @@ class SerialLine:
         now_s = self.monotonic_s()
         if now_s >= deadline_s:
             raise ConnectionLostError(
-                f"{self._where()}: no time left to ask {question}; it is too slow for the timeout given"
+                f"{self._locate()}: no time left to ask {question}; it is too slow for the timeout given"
             )
         self._write(question)
         reply_timeout_s = self.parameters.reply_timeout_s
         pending = bytearray()
         answered_by_s = min(deadline_s, now_s + reply_timeout_s)
         raw = self._next_line(pending, answered_by_s)
-        if self._echoes and raw is not None and _text(raw) == question:
+        if self._echoes and raw is not None and _decode_response(raw) == question:
             raw = self._next_line(pending, answered_by_s)
         if raw is None:
             raise self.lost(
                 f"did not answer {question} in time (at most {reply_timeout_s:g} s)"
-                + (f"; it sent only {_shown(bytes(pending))}" if pending else "")
+                + (f"; it sent only {_quote(bytes(pending))}" if pending else "")
             )
         if pending:
-            raise self.lost(f"answered {question} twice: {_shown(raw)} and {_shown(bytes(pending))}")
+            raise self.lost(f"answered {question} twice: {_quote(raw)} and {_quote(bytes(pending))}")
         return raw
 
     def query_number(
@@ -331,7 +331,7 @@ class SerialLine:
         if raw:
             byte = self._query(question, deadline_s)
             if len(byte) != 1:
-                raise self.lost(f"answered {_shown(byte)} to {question}: expected one byte")
+                raise self.lost(f"answered {_quote(byte)} to {question}: expected one byte")
             return bool(byte[0] & mask)
         reply = self.query(question, deadline_s)
         state_text = reply.upper().removeprefix(f"{question.rstrip('?').upper()} ")
@@ -364,8 +364,8 @@ class SerialLine:
     def _write(self, command: str) -> None:
         """Discard late responses, then send a command."""
         if self._port is None:
-            raise ConnectionLostError(f"{self._where()} is closed")
-        with self._translated(f"send {command}"):
+            raise ConnectionLostError(f"{self._locate()} is closed")
+        with self._translate_errors(f"send {command}"):
             # A reply that came too late must not answer this command.
             self._port.reset_input_buffer()
             self._port.write((command + self.parameters.terminator).encode("ascii"))
@@ -387,9 +387,9 @@ class SerialLine:
             if len(pending) > self.parameters.longest_reply_bytes:
                 raise self.lost(
                     f"sent more than {self.parameters.longest_reply_bytes} bytes without a terminator: "
-                    f"{_shown(bytes(pending))}; check baud rate and terminator"
+                    f"{_quote(bytes(pending))}; check baud rate and terminator"
                 )
-            with self._translated("be read"):
+            with self._translate_errors("be read"):
                 # A timeout of pyserial is a short read, here an empty one.
                 read = port.read(max(1, min(port.in_waiting, self.parameters.longest_reply_bytes)))
             if not read and pending and not terminator:  # silence ends it
@@ -400,7 +400,7 @@ class SerialLine:
             pending += read
 
     @contextlib.contextmanager
-    def _translated(self, doing: str) -> Iterator[None]:
+    def _translate_errors(self, doing: str) -> Iterator[None]:
         """Translate errors of the port; a port that is gone is closed."""
         try:
             yield
@@ -413,14 +413,14 @@ class SerialLine:
     def lost(self, message: str) -> ConnectionLostError:
         """Mark the line as out of step after an impossible response; return the error to raise."""
         self.in_step = False
-        return ConnectionLostError(f"{self._where()} {message}")
+        return ConnectionLostError(f"{self._locate()} {message}")
 
-    def _where(self) -> str:
+    def _locate(self) -> str:
         """Return name and port of the instrument, for messages."""
         return f"{self.name.rstrip() or 'the instrument'} at {self.parameters.port}"
 
 
-def _text(raw: bytes | bytearray) -> str | None:
+def _decode_response(raw: bytes | bytearray) -> str | None:
     """Return the printable ASCII of a response, or None, without outer spaces and a stray carriage return."""
     stripped = raw.strip(b" \t\r\n")
     if not stripped or not all(0x20 <= byte < 0x7F for byte in stripped):
@@ -428,7 +428,7 @@ def _text(raw: bytes | bytearray) -> str | None:
     return stripped.decode("ascii")
 
 
-def _is_name(reply: str) -> bool:
+def _is_instrument_name(reply: str) -> bool:
     """Distinguish another instrument's name from a late number or error of the right one."""
     if _ERROR_QUEUE_ENTRY.match(reply) or reply.upper() in {"ON", "OFF"}:
         return False
@@ -439,6 +439,6 @@ def _is_name(reply: str) -> bool:
     return False
 
 
-def _shown(raw: bytes) -> str:
+def _quote(raw: bytes) -> str:
     """Return the beginning of a response for a message."""
     return repr(raw[:SHOWN_BYTES]) + ("..." if len(raw) > SHOWN_BYTES else "")

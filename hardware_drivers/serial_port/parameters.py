@@ -9,7 +9,7 @@ from annotated_types import Ge, Gt, Le
 
 from hardware_drivers.bounds import bounded, check_pair
 from hardware_drivers.drive_parameters import CLIMATE_KEYS, WATCH_KEYS, DriveParameters, LogParameters
-from hardware_drivers.serial_port.dialects import dialect_of_channel
+from hardware_drivers.serial_port.dialects import build_channel_dialect
 
 POLL_S = 0.05
 """Granularity of a reply's deadline; a reply that has come is read at once."""
@@ -132,7 +132,7 @@ class SupplyParameters(DriveParameters):
                 raise ValueError(
                     f"setup_commands has {command!r}; only SYST, INST and DISP commands are sent"
                 )
-        dialect = dialect_of_channel(self.dialect, self.channel)
+        dialect = build_channel_dialect(self.dialect, self.channel)
         for name, level in (
             ("over_voltage_v", dialect.over_voltage),
             ("over_current_a", dialect.over_current),

@@ -79,7 +79,7 @@ class TcpPort:
         """Return the data received within `POLL_S`; a closed connection is an error."""
         self._socket.settimeout(POLL_S)
         try:
-            return self._received(size)
+            return self._receive(size)
         except TimeoutError:
             return b""
 
@@ -93,7 +93,7 @@ class TcpPort:
         self._socket.setblocking(False)
         with contextlib.suppress(BlockingIOError):
             while True:
-                self._received(self.in_waiting)
+                self._receive(self.in_waiting)
 
     def reset_output_buffer(self) -> None:
         """Do nothing: no data waits here."""
@@ -102,7 +102,7 @@ class TcpPort:
         """Close the connection."""
         self._socket.close()
 
-    def _received(self, size: int) -> bytes:
+    def _receive(self, size: int) -> bytes:
         """Receive up to so many bytes; a closed connection is an error."""
         if not (data := self._socket.recv(size)):
             raise ConnectionResetError(errno.ECONNRESET, "the instrument hung up")
@@ -148,7 +148,7 @@ def _open_serial(parameters: SerialLineParameters) -> Port:
     ConnectionLostError
         It is not there now.
     """
-    path = _path_of(parameters.port)
+    path = _find_port_path(parameters.port)
     try:
         port: Port = serial.Serial(
             port=path,
@@ -169,10 +169,10 @@ def _open_serial(parameters: SerialLineParameters) -> Port:
             f"{path} cannot be opened as configured: {error}; correct the line's parameters"
         ) from error
     except PORT_ERRORS as error:
-        raise _explain(path, error) from error
+        raise _explain_open_error(path, error) from error
 
 
-def serial_ports() -> dict[str, str]:
+def list_serial_ports() -> dict[str, str]:
     """Return the serial ports of this computer: a permanent name and a description of each."""
     ports = {}
     for info in sorted(list_ports.comports()):
@@ -181,7 +181,7 @@ def serial_ports() -> dict[str, str]:
     return ports
 
 
-def _path_of(port: str) -> str:
+def _find_port_path(port: str) -> str:
     """Return the path of a port; a port named by its adapter's serial number is searched every time."""
     if not port.startswith(USB_SERIAL_PREFIX):
         return port
@@ -200,7 +200,7 @@ def _path_of(port: str) -> str:
     return str(paths[0])
 
 
-def _explain(path: str, error: Exception) -> InstrumentError:
+def _explain_open_error(path: str, error: Exception) -> InstrumentError:
     """Return the reason why a port could not be opened; a temporary one is no configuration error."""
     code = getattr(error, "errno", None)
     if code is None and error.__context__ is not None and error.__context__.args:
@@ -208,7 +208,7 @@ def _explain(path: str, error: Exception) -> InstrumentError:
     reason = os.strerror(code) if isinstance(code, int) else str(error)
     # On Windows pyserial gives only the text of the system's error.
     if code in _BUSY or (sys.platform == "win32" and "PermissionError" in reason):
-        return BusyError(f"{path} is in use by {_owners(path)}; stop it, or give another port")
+        return BusyError(f"{path} is in use by {_find_owners(path)}; stop it, or give another port")
     if code in _FORBIDDEN:
         return ConfigurationError(
             f"no right to open {path} ({reason}); add this user to the group that owns it (often dialout), "
@@ -224,7 +224,7 @@ def _explain(path: str, error: Exception) -> InstrumentError:
     )
 
 
-def _owners(path: str) -> str:
+def _find_owners(path: str) -> str:
     """Return the programs that have the port open, if this system reports them."""
     owners = []
     device = os.path.realpath(path)

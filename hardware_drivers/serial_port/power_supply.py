@@ -13,7 +13,7 @@ from collections.abc import Mapping
 
 from hardware_drivers.errors import ConfigurationError, ConnectionLostError, InstrumentError
 from hardware_drivers.measurement import SupplyReading
-from hardware_drivers.serial_port.dialects import Dialect, Flag, Level, Number, dialect_of_channel
+from hardware_drivers.serial_port.dialects import Dialect, Flag, Level, Number, build_channel_dialect
 from hardware_drivers.serial_port.instrument import SerialInstrument
 from hardware_drivers.serial_port.parameters import ORDER_REPLIES, SupplyParameters
 
@@ -39,7 +39,7 @@ class ScpiPowerSupply(SerialInstrument[SupplyParameters]):
     @property
     def protection_unknown(self) -> str:
         """Return the reason why a trip may stay unreported; empty where the supply reports trips."""
-        if not (protections := self._protections()):
+        if not (protections := self._list_protections()):
             return f"dialect {self._parameters.dialect} asks no protection whether it has tripped"
         unknown = ", ".join(flag.ask for flag in protections if flag.ask in self._undefined)
         return f"the supply does not know {unknown}" if unknown else ""
@@ -72,11 +72,11 @@ class ScpiPowerSupply(SerialInstrument[SupplyParameters]):
         """
         deadline_s = self._deadline_s(timeout_s)
         self._connect(deadline_s)
-        self._tripped = self._ask_protections(deadline_s)
+        self._tripped = self._query_protections(deadline_s)
         return {
-            "set_voltage_v": self._number(self._dialect.voltage.read, deadline_s),
-            "set_current_limit_a": self._number(self._dialect.current.read, deadline_s),
-            "output": "on" if self._flag(self._dialect.output, deadline_s) else "off",
+            "set_voltage_v": self._query_number(self._dialect.voltage.read, deadline_s),
+            "set_current_limit_a": self._query_number(self._dialect.current.read, deadline_s),
+            "output": "on" if self._query_flag(self._dialect.output, deadline_s) else "off",
             "tripped": ", ".join(self._tripped),
             "protection_unknown": self.protection_unknown,
         }
@@ -109,7 +109,7 @@ class ScpiPowerSupply(SerialInstrument[SupplyParameters]):
                 log.warning("%s is switched on, though %s", self._line.name, self.protection_unknown)
             self._line.send(self._dialect.switch_on)
             self._require_no_error("switch its output on", deadline_s)
-            self._require_sound(voltage_v, current_limit_a, deadline_s)
+            self._check_output(voltage_v, current_limit_a, deadline_s)
         except InstrumentError as error:
             try:
                 self.make_safe()
@@ -146,34 +146,34 @@ class ScpiPowerSupply(SerialInstrument[SupplyParameters]):
     @property
     def _dialect(self) -> Dialect:
         """Return the commands of this supply."""
-        return dialect_of_channel(self._parameters.dialect, self._parameters.channel)
+        return build_channel_dialect(self._parameters.dialect, self._parameters.channel)
 
     @property
     def _name_pattern(self) -> str:
         """Return the pattern of the dialect's response to the identity query."""
         return self._dialect.name
 
-    def _protections(self) -> tuple[Flag, ...]:
+    def _list_protections(self) -> tuple[Flag, ...]:
         """Return the queries of tripped protections, the configured ones before those of the dialect."""
         given = self._parameters.protection_queries
         return self._dialect.protections if given is None else tuple(Flag(ask=query) for query in given)
 
-    def _number(self, number: Number, deadline_s: float) -> float:
+    def _query_number(self, number: Number, deadline_s: float) -> float:
         """Query a number."""
         return self._line.query_number(
             number.ask, deadline_s, units=(number.unit,), header=number.header, stray=number.stray
         )
 
-    def _flag(self, flag: Flag, deadline_s: float) -> bool:
+    def _query_flag(self, flag: Flag, deadline_s: float) -> bool:
         """Query a yes or no."""
         return self._line.query_flag(flag.ask, deadline_s, mask=flag.mask, raw=flag.raw)
 
     def _connect(self, deadline_s: float, *, at_once: bool = False) -> None:
         """Connect, send the setup commands if the line was opened, and log the errors that they cause."""
-        for entry in self._set_up(deadline_s, at_once=at_once):
+        for entry in self._connect_without_error(deadline_s, at_once=at_once):
             log.warning("%s after the setup commands: %s", self._line.name, entry)
 
-    def _set_up(self, deadline_s: float, *, at_once: bool) -> list[str]:
+    def _connect_without_error(self, deadline_s: float, *, at_once: bool) -> list[str]:
         """Connect, then raise for errors that the supply reports."""
         if not self._line.connect(deadline_s, at_once=at_once) or not self._parameters.setup_commands:
             return []
@@ -183,17 +183,17 @@ class ScpiPowerSupply(SerialInstrument[SupplyParameters]):
 
     def _measure(self, deadline_s: float) -> SupplyReading:
         """Measure voltage, current and output state; if the output is off, also the tripped protections."""
-        voltage_v = self._number(self._dialect.measured_voltage, deadline_s)
+        voltage_v = self._query_number(self._dialect.measured_voltage, deadline_s)
         stamp = self._stamp()
-        current_a = self._number(self._dialect.measured_current, deadline_s)
-        output_on = self._flag(self._dialect.output, deadline_s)
-        self._tripped = () if output_on else self._ask_protections(deadline_s)
+        current_a = self._query_number(self._dialect.measured_current, deadline_s)
+        output_on = self._query_flag(self._dialect.output, deadline_s)
+        self._tripped = () if output_on else self._query_protections(deadline_s)
         return SupplyReading(stamp=stamp, voltage_v=voltage_v, current_a=current_a, output_on=output_on)
 
     def _switch_off(self, deadline_s: float) -> None:
         """Switch the output off and read that back."""
         self._line.send(self._dialect.switch_off)
-        if self._flag(self._dialect.output, deadline_s):
+        if self._query_flag(self._dialect.output, deadline_s):
             raise self._line.lost("was told to switch its output off and says it is on")
 
     def _set(self, voltage_v: float, current_limit_a: float, deadline_s: float) -> None:
@@ -220,18 +220,18 @@ class ScpiPowerSupply(SerialInstrument[SupplyParameters]):
             if command:
                 self._line.send(command)
                 self._require_no_error(f"take {command}", deadline_s)
-        actual = self._number(level.read, deadline_s)
+        actual = self._query_number(level.read, deadline_s)
         if abs(actual - value) > tolerance:
             raise ConfigurationError(
                 f"{self._line.name} was set to {value:g} {unit} and reads back {actual:g} {unit}: more "
                 f"than {tolerance:g} {unit} off; check its range and its lock"
             )
-        if level.enabled is not None and not self._flag(level.enabled, deadline_s):
+        if level.enabled is not None and not self._query_flag(level.enabled, deadline_s):
             raise ConfigurationError(
                 f"{self._line.name} was told {level.enable} and says it is off; check its lock"
             )
 
-    def _require_sound(self, voltage_v: float, current_limit_a: float, deadline_s: float) -> None:
+    def _check_output(self, voltage_v: float, current_limit_a: float, deadline_s: float) -> None:
         """Check the output after switching on; a voltage drop in current limit is normal."""
         parameters = self._parameters
         reading = self._measure(deadline_s)
@@ -249,7 +249,7 @@ class ScpiPowerSupply(SerialInstrument[SupplyParameters]):
 
     def _require_no_protection_tripped(self, deadline_s: float) -> None:
         """Raise ConfigurationError if a protection has tripped."""
-        self._tripped = tripped = self._ask_protections(deadline_s)
+        self._tripped = tripped = self._query_protections(deadline_s)
         if tripped:
             if self._dialect.trips_are_events:
                 # Nothing will tell that it was cleared: the next order is the person's word.
@@ -259,14 +259,14 @@ class ScpiPowerSupply(SerialInstrument[SupplyParameters]):
                 "protection at the instrument, then order again"
             )
 
-    def _ask_protections(self, deadline_s: float) -> tuple[str, ...]:
+    def _query_protections(self, deadline_s: float) -> tuple[str, ...]:
         """Return the names of the tripped protections; an unknown query is remembered and left out."""
         tripped = list(self._tripped) if self._dialect.trips_are_events else []
-        for flag in self._protections():
+        for flag in self._list_protections():
             if flag.ask in self._undefined:
                 continue
             try:
-                has_tripped = self._flag(flag, deadline_s)
+                has_tripped = self._query_flag(flag, deadline_s)
             except ConnectionLostError as error:
                 # An instrument does not answer what it does not know. Only its own word separates that from a
                 # lost line, and then the protection is reported as unknown, never as sound.
@@ -281,7 +281,7 @@ class ScpiPowerSupply(SerialInstrument[SupplyParameters]):
 
     def _reports_undefined(self, deadline_s: float) -> bool:
         """Check whether the supply reports that it did not know the last query."""
-        entries = self._set_up(deadline_s, at_once=True) + self._drain_errors(deadline_s)
+        entries = self._connect_without_error(deadline_s, at_once=True) + self._drain_errors(deadline_s)
         return any(int(entry.partition(",")[0]) == UNDEFINED_HEADER for entry in entries)
 
     def _require_no_error(self, doing: str, deadline_s: float) -> None:

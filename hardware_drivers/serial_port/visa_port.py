@@ -79,21 +79,21 @@ class VisaPort:
 
     def read(self, size: int) -> bytes:
         """Return the data received within one poll."""
-        return self._read(size, self._wait_ms)
+        return self._read_bytes(size, self._wait_ms)
 
     def write(self, data: bytes) -> None:
         """Write all of the data."""
-        with _as_os_error():
+        with _translate_to_os_error():
             self._resource.timeout = self._write_ms
             self._resource.write_raw(data)
 
     def reset_input_buffer(self) -> None:
         """Discard the received data."""
         if self._streams:
-            while self._read(self.in_waiting, 0.0):
+            while self._read_bytes(self.in_waiting, 0.0):
                 pass
         elif self._owes_an_answer:
-            with _as_os_error():
+            with _translate_to_os_error():
                 self._resource.clear()
             self._owes_an_answer = False
 
@@ -102,12 +102,12 @@ class VisaPort:
 
     def close(self) -> None:
         """Close the resource."""
-        with _as_os_error():
+        with _translate_to_os_error():
             self._resource.close()
 
-    def _read(self, size: int, wait_ms: float) -> bytes:
+    def _read_bytes(self, size: int, wait_ms: float) -> bytes:
         """Read up to so many bytes within a time; none at its end."""
-        with _as_os_error():
+        with _translate_to_os_error():
             self._resource.timeout = wait_ms
             try:
                 return bytes(self._resource.visalib.read(self._resource.session, size)[0])
@@ -119,7 +119,7 @@ class VisaPort:
 
 
 @contextlib.contextmanager
-def _as_os_error() -> Iterator[None]:
+def _translate_to_os_error() -> Iterator[None]:
     """Translate pyvisa's errors, which are no OSError, into those that a line handles."""
     try:
         yield

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from simulator.numerics.arrays import FloatArray
-from simulator.numerics.keyed_random import Purpose, generator
+from simulator.numerics.keyed_random import Purpose, create_keyed_generator
 from simulator.parameters.echo import EchoParameters
 
 PLANE_WAVES = 512
@@ -78,7 +78,7 @@ def smooth_wall(thickness_m: float) -> FarWall:
 
 
 @functools.lru_cache(maxsize=16)
-def rough_spot(
+def draw_rough_spot(
     echo: EchoParameters, *, seed: int, position: str, facets_across: int = FACETS_ACROSS
 ) -> RoughSpot | None:
     """Draw the rough far wall under the probe of one position; None if it stays smooth.
@@ -91,8 +91,11 @@ def rough_spot(
         return None
     reach_m = SPOT_REACH_DIAMETERS * echo.beam_diameter_m
     across_m = np.linspace(-reach_m, reach_m, 2 * facets_across + 1)[1::2]
-    field = gaussian_field(
-        across_m, across_m, echo.correlation_length_m, generator(seed, Purpose.FAR_WALL, position=position)
+    field = draw_gaussian_field(
+        across_m,
+        across_m,
+        echo.correlation_length_m,
+        create_keyed_generator(seed, Purpose.FAR_WALL, position=position),
     )
     distance_m = np.hypot(*np.meshgrid(across_m, across_m, indexing="ij"))
     seen = distance_m <= reach_m
@@ -102,7 +105,7 @@ def rough_spot(
     return RoughSpot(relative_loss=loss / (weights @ loss), weights=weights)
 
 
-def gaussian_field(
+def draw_gaussian_field(
     x_m: FloatArray, y_m: FloatArray, correlation_length_m: float, random: np.random.Generator
 ) -> FloatArray:
     """Draw a stationary Gaussian field of mean 0 and variance 1, shape (n_x, n_y).

@@ -36,17 +36,17 @@ STEEL_REFLECTION = 0.94
 """Reflection of a wave in steel at water, (46 - 1.5) / (46 + 1.5) by the handbook's impedances in MRayl."""
 
 
-def path_m(thickness_m: float, echo: EchoParameters, times: int = 1) -> float:
+def sound_path_m(thickness_m: float, echo: EchoParameters, times: int = 1) -> float:
     """Return the length of the sound path in the wall in m, ``times`` up and down."""
     return math.hypot(2.0 * times * thickness_m, echo.element_separation_m)
 
 
 def travel_time_s(thickness_m: float, echo: EchoParameters) -> float:
     """Return the time from firing to the first back-wall echo's envelope peak in a smooth wall, in s."""
-    return echo.delay_s + path_m(thickness_m, echo) / echo.velocity_m_per_s
+    return echo.delay_s + sound_path_m(thickness_m, echo) / echo.velocity_m_per_s
 
 
-def at_temperature(echo: EchoParameters, warmer_k: float) -> EchoParameters:
+def warm_probe_and_wall(echo: EchoParameters, warmer_k: float) -> EchoParameters:
     """Return the echo parameters of probe and wall ``warmer_k`` above their reference temperature."""
     return replace(
         echo,
@@ -55,7 +55,7 @@ def at_temperature(echo: EchoParameters, warmer_k: float) -> EchoParameters:
     )
 
 
-def echo_volts(wall: float | FarWall, echo: EchoParameters) -> FloatArray:
+def compute_echo_volts(wall: float | FarWall, echo: EchoParameters) -> FloatArray:
     """Simulate a noise-free record, shape (record_samples,); time zero is the firing pulse.
 
     Parameters
@@ -69,33 +69,33 @@ def echo_volts(wall: float | FarWall, echo: EchoParameters) -> FloatArray:
         No wall: the thickness is not positive.
     """
     if isinstance(wall, FarWall):
-        volts = _rough_wall_volts(wall, echo)
+        volts = _compute_rough_wall_volts(wall, echo)
     elif not wall > 0.0:
         raise ValueError(f"thickness_m is {wall} m; an echo needs a positive thickness")
     elif echo.attenuation_exponent > 0.0:
-        volts = _rough_wall_volts(smooth_wall(wall), echo)
+        volts = _compute_rough_wall_volts(smooth_wall(wall), echo)
     else:
-        volts = _smooth_wall_volts(wall, echo)
+        volts = _compute_smooth_wall_volts(wall, echo)
     # Cross-talk from the front wall has the opposite sign of the reflections at the free back wall.
     _add_pulse(volts, echo.delay_s, -echo.front_wall_v, echo)
     return volts
 
 
-def _smooth_wall_volts(thickness_m: float, echo: EchoParameters) -> FloatArray:
+def _compute_smooth_wall_volts(thickness_m: float, echo: EchoParameters) -> FloatArray:
     """Simulate the back-wall echoes of a smooth wall in closed form; the pulse keeps its shape."""
     volts = np.zeros(echo.record_samples)
     end_s = echo.record_samples / echo.sample_rate_hz
     for times in range(1, echo.record_samples):
-        way_m = path_m(thickness_m, echo, times)
+        way_m = sound_path_m(thickness_m, echo, times)
         arrival_s = echo.delay_s + way_m / echo.velocity_m_per_s
-        fraction = echo.multiple_ratio ** (times - 1) * _loss(way_m, echo)
+        fraction = echo.multiple_ratio ** (times - 1) * _remaining_amplitude(way_m, echo)
         if fraction < SMALLEST_FRACTION or arrival_s >= end_s:
             break
         _add_pulse(volts, arrival_s, echo.back_wall_v * fraction, echo)
     return volts
 
 
-def _rough_wall_volts(wall: FarWall, echo: EchoParameters) -> FloatArray:
+def _compute_rough_wall_volts(wall: FarWall, echo: EchoParameters) -> FloatArray:
     """Simulate the back-wall echoes of all facets of a rough wall.
 
     Their arrivals, weighted, convolved with the pulse by its spectrum.
@@ -105,7 +105,7 @@ def _rough_wall_volts(wall: FarWall, echo: EchoParameters) -> FloatArray:
     """
     reaches = wall.thickness_m > 0.0
     thickness_m, weights = wall.thickness_m[reaches], wall.weights[reaches]
-    spread_s = _spread_s(echo)
+    spread_s = _envelope_sd_s(echo)
     # Long enough that what would run over the record's end does not come back at its beginning.
     n = next_fast_len(
         echo.record_samples + 2 * math.ceil(PULSE_HALF_LENGTH * spread_s * echo.sample_rate_hz), real=True
@@ -124,11 +124,11 @@ def _rough_wall_volts(wall: FarWall, echo: EchoParameters) -> FloatArray:
         inside = arrival_s < end_s
         if not inside.any() or height.sum() < SMALLEST_FRACTION:
             break
-        _share(arrivals, arrival_s[inside] * (echo.sample_rate_hz * fineness), height[inside])
+        _add_heights_to_grid(arrivals, arrival_s[inside] * (echo.sample_rate_hz * fineness), height[inside])
         if echo.attenuation_exponent > 0.0:
             mean_m = float(way_m @ height / height.sum())
             lines = rfft(arrivals)[: spectrum.size]
-            spectrum += lines * _attenuation_filter(frequency_hz, mean_m, echo)
+            spectrum += lines * _attenuation_by_frequency(frequency_hz, mean_m, echo)
             arrivals[:] = 0.0
     if echo.attenuation_exponent == 0.0:
         spectrum = rfft(arrivals)[: spectrum.size]
@@ -137,7 +137,7 @@ def _rough_wall_volts(wall: FarWall, echo: EchoParameters) -> FloatArray:
     return np.ascontiguousarray(volts)
 
 
-def _share(grid: FloatArray, place: FloatArray, height: FloatArray) -> None:
+def _add_heights_to_grid(grid: FloatArray, place: FloatArray, height: FloatArray) -> None:
     """Add heights to a grid in place, each shared by the two points around its position."""
     index = place.astype(np.intp)
     later = place - index
@@ -147,12 +147,12 @@ def _share(grid: FloatArray, place: FloatArray, height: FloatArray) -> None:
     grid[first : first + count] += np.bincount(index + 1 - first, weights=height * later, minlength=count)
 
 
-def _loss(way_m: float, echo: EchoParameters) -> float:
+def _remaining_amplitude(way_m: float, echo: EchoParameters) -> float:
     """Return the fraction of the amplitude left after a path in the wall, at the centre frequency."""
     return float(10.0 ** (-echo.attenuation_db_per_m * way_m / 20.0))
 
 
-def _attenuation_filter(frequency_hz: FloatArray, way_m: float, echo: EchoParameters) -> FloatArray:
+def _attenuation_by_frequency(frequency_hz: FloatArray, way_m: float, echo: EchoParameters) -> FloatArray:
     """Return the amplitude left at each frequency, relative to that at the centre frequency."""
     relative = (frequency_hz / echo.centre_frequency_hz) ** echo.attenuation_exponent - 1.0
     filtered: FloatArray = 10.0 ** (-echo.attenuation_db_per_m * relative * way_m / 20.0)
@@ -161,7 +161,7 @@ def _attenuation_filter(frequency_hz: FloatArray, way_m: float, echo: EchoParame
 
 def _pulse_spectrum(frequency_hz: FloatArray, echo: EchoParameters) -> FloatArray:
     """Return the Fourier transform of `_add_pulse`'s burst around its peak, in seconds."""
-    spread_s = _spread_s(echo)
+    spread_s = _envelope_sd_s(echo)
     lines = [
         np.exp(-0.5 * (2.0 * np.pi * (frequency_hz - sign * echo.centre_frequency_hz) * spread_s) ** 2)
         for sign in (1.0, -1.0)
@@ -170,7 +170,7 @@ def _pulse_spectrum(frequency_hz: FloatArray, echo: EchoParameters) -> FloatArra
     return spectrum
 
 
-def _spread_s(echo: EchoParameters) -> float:
+def _envelope_sd_s(echo: EchoParameters) -> float:
     """Return the SD of the pulse's Gaussian envelope in s.
 
     Its spectrum is one half (-6 dB) at half the bandwidth.
@@ -181,7 +181,7 @@ def _spread_s(echo: EchoParameters) -> float:
 
 def _add_pulse(volts: FloatArray, arrival_s: float, amplitude_v: float, echo: EchoParameters) -> None:
     """Add a tone burst with a Gaussian envelope to volts in place, its peak at the arrival."""
-    spread_s = _spread_s(echo)
+    spread_s = _envelope_sd_s(echo)
     first = max(0, math.ceil((arrival_s - PULSE_HALF_LENGTH * spread_s) * echo.sample_rate_hz))
     last = min(volts.size, math.floor((arrival_s + PULSE_HALF_LENGTH * spread_s) * echo.sample_rate_hz) + 1)
     t = np.arange(first, last) / echo.sample_rate_hz - arrival_s
@@ -189,7 +189,7 @@ def _add_pulse(volts: FloatArray, arrival_s: float, amplitude_v: float, echo: Ec
     volts[first:last] += amplitude_v * envelope * np.cos(2.0 * np.pi * echo.centre_frequency_hz * t)
 
 
-def bubble_volts(
+def compute_bubble_volts(
     thickness_m: float, echo: EchoParameters, random: np.random.Generator, records: int
 ) -> FloatArray:
     """Simulate echoes of bubbles in the liquid behind the wall, shape (records, record_samples).
@@ -203,10 +203,15 @@ def bubble_volts(
     volts = np.zeros((records, echo.record_samples))
     spot_m2 = math.pi * echo.beam_diameter_m**2 / (4.0 * math.log(2.0))
     wave_m = SALT_WATER_VELOCITY_M_PER_S / echo.centre_frequency_hz
-    way_m = path_m(thickness_m, echo)
+    way_m = sound_path_m(thickness_m, echo)
     through = (1.0 - STEEL_REFLECTION**2) / STEEL_REFLECTION
     strongest_v = (
-        echo.back_wall_v * _loss(way_m, echo) * through * echo.bubble_radius_m * wave_m / (2.0 * spot_m2)
+        echo.back_wall_v
+        * _remaining_amplitude(way_m, echo)
+        * through
+        * echo.bubble_radius_m
+        * wave_m
+        / (2.0 * spot_m2)
     )
     for record in volts:
         count = int(random.poisson(echo.bubbles_per_beam))

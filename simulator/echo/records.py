@@ -13,10 +13,10 @@ import numpy as np
 
 from hardware_drivers.measurement import Calibration, ShotKey
 from simulator.echo.far_wall import FarWall, RoughSpot
-from simulator.echo.pulse import at_temperature, bubble_volts, echo_volts, travel_time_s
-from simulator.electronics.transduction import counts_of
+from simulator.echo.pulse import compute_bubble_volts, compute_echo_volts, travel_time_s, warm_probe_and_wall
+from simulator.electronics.transduction import quantise_volts
 from simulator.numerics.arrays import FloatArray
-from simulator.numerics.keyed_random import Purpose, generator
+from simulator.numerics.keyed_random import Purpose, create_keyed_generator
 from simulator.parameters.echo import EchoParameters
 
 RECORDS_AT_ONCE = 64
@@ -45,8 +45,8 @@ class ProbedWall:
 
     def volts(self, echo: EchoParameters) -> FloatArray:
         """Simulate the noise-free record of this wall, shape (record_samples,)."""
-        return echo_volts(
-            self.thickness_m if self.facets is None else self.facets, at_temperature(echo, self.warmer_k)
+        return compute_echo_volts(
+            self.thickness_m if self.facets is None else self.facets, warm_probe_and_wall(echo, self.warmer_k)
         )
 
     def truth(self, echo: EchoParameters) -> dict[str, float]:
@@ -56,14 +56,14 @@ class ProbedWall:
         """
         known = {
             "thickness_m": self.thickness_m,
-            "travel_time_s": travel_time_s(self.thickness_m, at_temperature(echo, self.warmer_k)),
+            "travel_time_s": travel_time_s(self.thickness_m, warm_probe_and_wall(echo, self.warmer_k)),
         }
         if self.facets is not None:
             known |= {"thickness_least_m": self.facets.least_m, "roughness_rms_m": self.facets.rms_m}
         return known
 
 
-def probed_wall(
+def make_probed_wall(
     pristine_m: float, depth_fraction: float, spot: RoughSpot | None, warmer_k: float
 ) -> ProbedWall:
     """Build the wall under a probe at one depth; a wall without loss is smooth."""
@@ -90,31 +90,39 @@ class Disturbance:
     bubbles: bool = False
 
 
-def disturbance(echo: EchoParameters, *, seed: int, key: ShotKey) -> tuple[Disturbance, dict[str, float]]:
+def draw_disturbance(
+    echo: EchoParameters, *, seed: int, key: ShotKey
+) -> tuple[Disturbance, dict[str, float]]:
     """Draw couplant and bubbles of one acquisition; return also the true values of the active ones."""
     gain, bubbles, truth = 1.0, False, {}
     if echo.coupling_sd_db > 0.0:
-        level_db = echo.coupling_sd_db * generator(seed, Purpose.COUPLING, key=key).standard_normal()
+        level_db = (
+            echo.coupling_sd_db * create_keyed_generator(seed, Purpose.COUPLING, key=key).standard_normal()
+        )
         gain = truth["coupling_gain"] = float(10.0 ** (level_db / 20.0))
     if echo.bubble_probability > 0.0:
-        bubbles = bool(generator(seed, Purpose.BUBBLES, key=key).random() < echo.bubble_probability)
+        bubbles = bool(
+            create_keyed_generator(seed, Purpose.BUBBLES, key=key).random() < echo.bubble_probability
+        )
         truth["bubbles"] = float(bubbles)
     return Disturbance(gain=gain, bubbles=bubbles), truth
 
 
-def disturbed_records(
+def simulate_disturbed_records(
     wall: ProbedWall, echo: EchoParameters, found: Disturbance, *, seed: int, key: ShotKey, records: int
 ) -> FloatArray:
     """Simulate single records in volts before their noise, shape (records, record_samples)."""
     volts = np.tile(wall.volts(echo), (records, 1))
     if found.bubbles:
-        random = generator(seed, Purpose.BUBBLES, key=key)
+        random = create_keyed_generator(seed, Purpose.BUBBLES, key=key)
         random.random()  # what `disturbance` has drawn
-        volts += bubble_volts(wall.thickness_m, at_temperature(echo, wall.warmer_k), random, records)
+        volts += compute_bubble_volts(
+            wall.thickness_m, warm_probe_and_wall(echo, wall.warmer_k), random, records
+        )
     return found.gain * volts
 
 
-def averaged_record(
+def simulate_averaged_record(
     wall: ProbedWall,
     echo: EchoParameters,
     calibration: Calibration,
@@ -132,10 +140,12 @@ def averaged_record(
     low, high = calibration.full_scale_counts
     noise_v = echo.noise_rms_v if noisy else 0.0
     if found.bubbles:
-        mean_v = disturbed_records(wall, echo, found, seed=seed, key=key, records=echo.averages).mean(axis=0)
+        mean_v = simulate_disturbed_records(
+            wall, echo, found, seed=seed, key=key, records=echo.averages
+        ).mean(axis=0)
     else:
         mean_v = found.gain * wall.volts(echo)
-    random = generator(seed, Purpose.ECHO_NOISE, key=key)
+    random = create_keyed_generator(seed, Purpose.ECHO_NOISE, key=key)
     reach_v = float(np.abs(mean_v).max()) + CLIPPING_SDS * noise_v
     if reach_v < calibration.volts(np.array([high - 1], dtype=np.int32))[0]:
         if noisy:
@@ -144,15 +154,15 @@ def averaged_record(
         return mean_v, 0
     ends_v = calibration.volts(np.array([low, high], dtype=np.int32))
     total_v, clipped = np.zeros_like(mean_v), 0
-    for records in _batch_sizes(echo.averages):
+    for records in _split_into_batches(echo.averages):
         volts = mean_v + noise_v * random.standard_normal((records, mean_v.size))
-        counts = counts_of(volts, calibration)
+        counts = quantise_volts(volts, calibration)
         clipped += int(np.count_nonzero((counts <= low + 1).any(axis=1) | (counts >= high).any(axis=1)))
         total_v += np.clip(volts, *ends_v).sum(axis=0)
     return total_v / echo.averages, clipped
 
 
-def _batch_sizes(records: int) -> Iterator[int]:
+def _split_into_batches(records: int) -> Iterator[int]:
     """Split a number of records into parts of at most `RECORDS_AT_ONCE`."""
     for first in range(0, records, RECORDS_AT_ONCE):
         yield min(RECORDS_AT_ONCE, records - first)

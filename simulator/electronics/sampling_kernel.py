@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from simulator.numerics.arrays import FloatArray
 from simulator.numerics.lanes import load, positive, store
-from simulator.numerics.machine_code import compiled
+from simulator.numerics.machine_code import compile_with_numba
 
 AT_ONCE = 8
 """Samples that are computed at a time: a register of 512 bits, or two of 256."""
@@ -24,8 +24,8 @@ BLOCK = 256
 """Samples whose intermediate results stay in the processor's first cache."""
 
 
-@compiled(error_model="numpy")
-def cubic_samples(
+@compile_with_numba(error_model="numpy")
+def interpolate_cubic(
     volts: FloatArray, step_s: float, start_s: float, rate_hz: float, n_samples: int
 ) -> FloatArray:
     """Interpolate volts at the sample clock by Lagrange's cubic through the four nearest points.
@@ -73,8 +73,8 @@ def cubic_samples(
     return sampled[:n_samples]
 
 
-@compiled(error_model="numpy")
-def first_crossing_s(volts: FloatArray, step_s: float, level_v: float) -> Any:
+@compile_with_numba(error_model="numpy")
+def find_first_crossing_s(volts: FloatArray, step_s: float, level_v: float) -> Any:
     """Return the time in s of the first crossing of the level; if there is none, of the maximum."""
     highest = 0
     for k in range(volts.shape[0]):
@@ -88,8 +88,8 @@ def first_crossing_s(volts: FloatArray, step_s: float, level_v: float) -> Any:
     return highest * step_s
 
 
-@compiled(error_model="numpy")
-def rising_edge(volts: FloatArray, level_v: float, first: int, n_samples: int) -> int:
+@compile_with_numba(error_model="numpy")
+def find_rising_edge(volts: FloatArray, level_v: float, first: int, n_samples: int) -> int:
     """Find the first sample from ``first`` on that reaches the level after one below it; else -1."""
     for k in range(first, min(first + n_samples, volts.shape[0])):
         if volts[k] >= level_v and not volts[k - 1] >= level_v:
@@ -97,7 +97,7 @@ def rising_edge(volts: FloatArray, level_v: float, first: int, n_samples: int) -
     return -1
 
 
-@compiled(error_model="numpy")
+@compile_with_numba(error_model="numpy")
 def add_noise(
     volts: FloatArray,
     white: NDArray[np.float32],
@@ -128,8 +128,8 @@ def add_noise(
             here[k] += noise[k] * white_rms + slow_rms * slow
 
 
-@compiled(error_model="numpy")
-def inverted_codes(
+@compile_with_numba(error_model="numpy")
+def invert_scaling(
     volts: FloatArray,
     offset_v: float,
     slope_v: float,

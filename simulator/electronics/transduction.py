@@ -17,13 +17,13 @@ from hardware_drivers.measurement import Calibration, Counts
 from simulator.electronics.interference import Interference
 from simulator.electronics.sampling_kernel import (
     add_noise,
-    cubic_samples,
-    first_crossing_s,
-    inverted_codes,
-    rising_edge,
+    find_first_crossing_s,
+    find_rising_edge,
+    interpolate_cubic,
+    invert_scaling,
 )
 from simulator.numerics.arrays import FloatArray
-from simulator.numerics.normal_numbers import standard_normals
+from simulator.numerics.normal_numbers import draw_standard_normals
 from simulator.parameters.electronics import AdcParameters, NoiseParameters
 
 EARLY_TRIGGER_S = 30e-6
@@ -33,7 +33,7 @@ INVERSE_TOLERANCE_COUNTS = 1e-6
 """Accuracy of the inverted polynomial before rounding."""
 
 
-def adc_calibration(adc: AdcParameters) -> Calibration:
+def make_adc_calibration(adc: AdcParameters) -> Calibration:
     """Build the board's scaling polynomial; ideal codes reach `over_range_fraction` beyond the range."""
     half = float(1 << (adc.resolution_bits - 1))
     full_scale_v = adc.range_v * (1.0 + adc.over_range_fraction)
@@ -51,7 +51,7 @@ def adc_calibration(adc: AdcParameters) -> Calibration:
     )
 
 
-def counts_of(volts: FloatArray, calibration: Calibration) -> Counts:
+def quantise_volts(volts: FloatArray, calibration: Calibration) -> Counts:
     """Quantise voltages to the nearest code by the inverse scaling, clipped to the codes.
 
     Parameters
@@ -67,7 +67,7 @@ def counts_of(volts: FloatArray, calibration: Calibration) -> Counts:
         int16 up to 16 bits, else int32, of the same shape.
     """
     low, high = calibration.full_scale_counts
-    curved, passes = _inversion(calibration)
+    curved, passes = _prepare_inversion(calibration)
     flat = np.ascontiguousarray(volts, dtype=np.float64).reshape(-1)
     codes: Counts
     if calibration.resolution_bits <= 16:
@@ -75,12 +75,12 @@ def counts_of(volts: FloatArray, calibration: Calibration) -> Counts:
     else:
         codes = np.empty(flat.size, dtype=np.int32)
     offset_v, slope_v = calibration.coefficients_v[:2]
-    inverted_codes(flat, offset_v, slope_v, curved, passes, low, high, codes)
+    invert_scaling(flat, offset_v, slope_v, curved, passes, low, high, codes)
     return codes.reshape(np.shape(volts))
 
 
 @lru_cache(maxsize=64)
-def _inversion(calibration: Calibration) -> tuple[FloatArray, int]:
+def _prepare_inversion(calibration: Calibration) -> tuple[FloatArray, int]:
     """Prepare `inverted_codes`: return the polynomial's curvature over its slope, and the passes.
 
     Raise ValueError for a scaling whose slope varies by more than half.
@@ -118,7 +118,7 @@ class TriggeredRecord:
     trigger_time_s: float
 
 
-def triggered_record(
+def simulate_triggered_record(
     *,
     force_step_s: float,
     dynamic_force_n: FloatArray,
@@ -160,7 +160,7 @@ def triggered_record(
         The force ends before the record does.
     """
     volts = sensor_gain_v_per_n * dynamic_force_n
-    crossing_s: float = first_crossing_s(volts, force_step_s, adc.trigger_level_v)
+    crossing_s: float = find_first_crossing_s(volts, force_step_s, adc.trigger_level_v)
     margin = round(EARLY_TRIGGER_S * adc.sample_rate_hz)
     expected_s = [crossing_s]
     if interference is not None:
@@ -169,7 +169,7 @@ def triggered_record(
         start_s = edge_s - (adc.pretrigger_samples + margin + sampling_phase) / adc.sample_rate_hz
         # With a force step of 0.5 us and pulses 100 us wide a chord would leave the curve by 4e-5 of the
         # peak, half a 16-bit code; the cubic stays within 1e-8 but where a contact opens or closes.
-        sampled: FloatArray = cubic_samples(
+        sampled: FloatArray = interpolate_cubic(
             volts, force_step_s, start_s, adc.sample_rate_hz, adc.record_samples + 2 * margin
         )
         if interference is not None:
@@ -178,7 +178,7 @@ def triggered_record(
             sampled += stray(start_s, adc.sample_rate_hz, sampled.size)
         if noise.enabled:
             add_noise_volts(sampled, adc.sample_rate_hz, noise, random)
-        trigger: int = rising_edge(sampled, adc.trigger_level_v, adc.pretrigger_samples, 2 * margin + 1)
+        trigger: int = find_rising_edge(sampled, adc.trigger_level_v, adc.pretrigger_samples, 2 * margin + 1)
         if trigger >= 0:
             break
     else:
@@ -192,7 +192,7 @@ def triggered_record(
             "compute the force for longer or shorten the record"
         )
     return TriggeredRecord(
-        counts=counts_of(sampled[first : first + adc.record_samples], calibration),
+        counts=quantise_volts(sampled[first : first + adc.record_samples], calibration),
         trigger_time_s=start_s + trigger / adc.sample_rate_hz,
     )
 
@@ -202,21 +202,23 @@ def add_noise_volts(
 ) -> None:
     """Add white and slow noise to volts, shape (n_samples,), in place."""
     # The grain of float32, 1e-7 of the noise, is far below a code.
-    white = standard_normals(random, volts.size)
+    white = draw_standard_normals(random, volts.size)
     if noise.slow_rms_v == 0.0:
         volts += white.astype(np.float64) * noise.rms_v
         return
-    per_step, n_coarse, n_lines = _slow_grid(volts.size, sample_rate_hz / noise.slow_bandwidth_hz)
+    per_step, n_coarse, n_lines = _prepare_slow_noise_grid(
+        volts.size, sample_rate_hz / noise.slow_bandwidth_hz
+    )
     spectrum = np.zeros(n_coarse // 2 + 1, dtype=np.complex128)
     parts = random.standard_normal((2, n_lines))
     # A line of real and imaginary variance v adds 4 v / n_coarse^2 to the variance of the noise.
     spectrum[1 : n_lines + 1] = (parts[0] + 1j * parts[1]) * (n_coarse / np.sqrt(4.0 * n_lines))
     coarse = np.fft.irfft(spectrum, n_coarse)
-    add_noise(volts, white, noise.rms_v, coarse, _cubic_weights(per_step), noise.slow_rms_v)
+    add_noise(volts, white, noise.rms_v, coarse, _lagrange_cubic_weights(per_step), noise.slow_rms_v)
 
 
 @lru_cache(maxsize=64)
-def _slow_grid(n_samples: int, shortest_period: float) -> tuple[int, int, int]:
+def _prepare_slow_noise_grid(n_samples: int, shortest_period: float) -> tuple[int, int, int]:
     """Choose the slow noise's grid: samples per step, length in steps, lines of its spectrum.
 
     The spectrum is even up to the shortest period, given in samples; the grid is ten times finer than that,
@@ -230,7 +232,7 @@ def _slow_grid(n_samples: int, shortest_period: float) -> tuple[int, int, int]:
 
 
 @lru_cache(maxsize=64)
-def _cubic_weights(per_step: int) -> FloatArray:
+def _lagrange_cubic_weights(per_step: int) -> FloatArray:
     """Return weights of Lagrange's cubic through -1, 0, 1, 2 for samples between 0 and 1.
 
     The shape is (4, per_step).

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from hardware_drivers.nanoseconds import NS_PER_S
 from simulator.errors import SpecimenError
 from simulator.numerics.arrays import FloatArray
-from simulator.numerics.keyed_random import Purpose, generator
+from simulator.numerics.keyed_random import Purpose, create_keyed_generator
 from simulator.parameters.experiment import ThinningParameters, TwinParameters
 from simulator.parameters.plate import DEEPEST_PATCH_FRACTION, CorrosionParameters, PatchParameters
 
@@ -82,7 +82,7 @@ class WallHistory:
 
     def at(self, hour_h: float) -> Wall:
         """Return the state of the wall at an hour of the test."""
-        return _wall(self, hour_h)
+        return _cached_wall_state(self, hour_h)
 
     def mean_at(self, hour_h: float) -> float:
         """Return the mean depth at an hour of the test, as a fraction of the thickness."""
@@ -91,9 +91,9 @@ class WallHistory:
             hours, depths = zip(*self.thinning.history, strict=True)
             return float(np.interp(hour_h, hours, depths))
         u = max(hour_h - onset_h, 0.0) / (reference_h - onset_h)
-        return min(self.thinning.depth_fraction * self._progress(u), DEEPEST_PATCH_FRACTION)
+        return min(self.thinning.depth_fraction * self._integrate_rate(u), DEEPEST_PATCH_FRACTION)
 
-    def _progress(self, u: float) -> float:
+    def _integrate_rate(self, u: float) -> float:
         """Integrate the uneven rate of thinning, relative to its mean, up to ``u``.
 
         1 at u = 1 for any phases, since each term is periodic.
@@ -104,7 +104,7 @@ class WallHistory:
 
 
 @lru_cache(maxsize=256)
-def _wall(history: WallHistory, hour_h: float) -> Wall:
+def _cached_wall_state(history: WallHistory, hour_h: float) -> Wall:
     """Return the state of a wall at an hour, cached, because all shots of a set need it."""
     mean = history.mean_at(hour_h)
     pit, onset_h = mean, history.thinning.onset_h
@@ -121,9 +121,9 @@ def _wall(history: WallHistory, hour_h: float) -> Wall:
     return Wall(depth_fraction=mean, pit_depth_fraction=pit, is_pitted=is_pitted)
 
 
-def wall_history(thinning: ThinningParameters, *, seed: int, position: str) -> WallHistory:
+def draw_wall_history(thinning: ThinningParameters, *, seed: int, position: str) -> WallHistory:
     """Draw the uneven corrosion rate of one position, and its pits if it has any."""
-    random = generator(seed, Purpose.THINNING, position=position)
+    random = create_keyed_generator(seed, Purpose.THINNING, position=position)
     shares = random.dirichlet(np.ones(HARMONICS))
     flat = WallHistory(
         thinning=thinning,
@@ -131,17 +131,17 @@ def wall_history(thinning: ThinningParameters, *, seed: int, position: str) -> W
         phases_rad=random.uniform(0.0, 2.0 * np.pi, HARMONICS),
         pits=np.empty((0, 0)),
     )
-    return replace(flat, pits=_pits(flat, seed, position)) if thinning.pits_per_edge else flat
+    return replace(flat, pits=_draw_pit_depths(flat, seed, position)) if thinning.pits_per_edge else flat
 
 
-def _pits(flat: WallHistory, seed: int, position: str) -> FloatArray:
+def _draw_pit_depths(flat: WallHistory, seed: int, position: str) -> FloatArray:
     """Draw a Weibull spectrum of pit depths relative to the deepest, which is in the middle.
 
     Where the hour of the hole is given the spectrum is stretched, as a power, until its mean is that of the
     law over `DEEPEST_PATCH_FRACTION` at that hour, so that the deepest pit goes through then.
     """
     count, hole_h = flat.thinning.pits_per_edge, flat.thinning.hole_h
-    drawn = generator(seed, Purpose.PITS, position=position).weibull(PIT_SHAPE, (count, count))
+    drawn = create_keyed_generator(seed, Purpose.PITS, position=position).weibull(PIT_SHAPE, (count, count))
     deepest, middle = np.unravel_index(int(drawn.argmax()), drawn.shape), (count // 2, count // 2)
     drawn[deepest], drawn[middle] = drawn[middle], drawn[deepest]
     pits = np.maximum(drawn / drawn[middle], SHALLOWEST_PIT)
@@ -159,7 +159,7 @@ def _pits(flat: WallHistory, seed: int, position: str) -> FloatArray:
     return np.asarray(np.maximum(pits**power, 1e-6))
 
 
-def patch_of(twin: TwinParameters, position: str, corrosion: CorrosionParameters) -> CorrosionParameters:
+def make_patch(twin: TwinParameters, position: str, corrosion: CorrosionParameters) -> CorrosionParameters:
     """Return the patch of a position for its plate model: a mosaic if it has pits.
 
     Raises
@@ -168,10 +168,10 @@ def patch_of(twin: TwinParameters, position: str, corrosion: CorrosionParameters
         The patch cannot be divided, or the law of thinning leaves no room for the pits.
     """
     thinning = twin.thinning.get(position, ThinningParameters())
-    return pitted(corrosion, wall_history(thinning, seed=twin.seed, position=position))
+    return divide_into_pits(corrosion, draw_wall_history(thinning, seed=twin.seed, position=position))
 
 
-def pitted(corrosion: CorrosionParameters, history: WallHistory) -> CorrosionParameters:
+def divide_into_pits(corrosion: CorrosionParameters, history: WallHistory) -> CorrosionParameters:
     """Divide a patch into pits; return `corrosion` itself if there are none.
 
     Raises
@@ -210,7 +210,7 @@ def pitted(corrosion: CorrosionParameters, history: WallHistory) -> CorrosionPar
     )
 
 
-def held_hour_h(elapsed_ns: int, update_interval_s: float) -> float:
+def round_down_to_update_h(elapsed_ns: int, update_interval_s: float) -> float:
     """Return the hour of the test rounded down to the update interval.
 
     Rounded in integer nanoseconds: a due time that is a multiple of the interval belongs to the

@@ -17,11 +17,11 @@ import numpy as np
 from hardware_drivers.measurement import ShotKey
 from simulator.chain.spheres import Contacts
 from simulator.electronics.interference import Ringing
-from simulator.experiment.processes import unit_t
+from simulator.experiment.processes import draw_unit_student_t
 from simulator.experiment.scatter import HIGHEST_DROP_M, LOWEST_DROP_FRACTION, STEEPEST_TILT_RAD, Strike
-from simulator.experiment.seating import Climate, Seat, seat_of_set
+from simulator.experiment.seating import Climate, Seat, draw_seat_of_set
 from simulator.numerics.arrays import FloatArray
-from simulator.numerics.keyed_random import Purpose, generator
+from simulator.numerics.keyed_random import Purpose, create_keyed_generator
 from simulator.parameters.chain import ChainParameters
 from simulator.parameters.electronics import NoiseParameters, SensorParameters
 from simulator.parameters.environmental_variability import NUISANCE
@@ -107,11 +107,11 @@ class ShotNuisance:
             *contacts.stiffness_factor.tolist(),
             *contacts.damping_factor.tolist(),
         )
-        return dict(zip(_columns(contacts.stiffness_factor.size), values, strict=True))
+        return dict(zip(_truth_column_names(contacts.stiffness_factor.size), values, strict=True))
 
 
 @lru_cache(maxsize=16)
-def _columns(bodies: int) -> tuple[str, ...]:
+def _truth_column_names(bodies: int) -> tuple[str, ...]:
     """Return the names of the variability's true values for a chain, in their order."""
     alone = (
         *("reseats", "rogue", "wear_radius_factor", "drop_factor", "gain_factor", "noise_factor", "tilt_rad"),
@@ -141,7 +141,7 @@ class _Block:
 
 
 @lru_cache(maxsize=64)
-def _block(
+def _draw_block(
     level: str,
     seed: int,
     chain: ChainParameters,
@@ -152,7 +152,7 @@ def _block(
 ) -> _Block:
     """Draw the shots of a set from `first` on; its index counts blocks."""
     parameters, n = NUISANCE[level], chain.bodies
-    seat = seat_of_set(
+    seat = draw_seat_of_set(
         level,
         seed,
         first.position,
@@ -162,8 +162,8 @@ def _block(
         hour_h=hour_h,
         warmer_k=warmer_k,
     )
-    random = generator(seed, Purpose.SEATING_OF_SHOT, key=first)
-    drawn = unit_t(random, parameters.tail_dof, (SHOTS_A_BLOCK, 1, seat.shot_effect.shape[1]))
+    random = create_keyed_generator(seed, Purpose.SEATING_OF_SHOT, key=first)
+    drawn = draw_unit_student_t(random, parameters.tail_dof, (SHOTS_A_BLOCK, 1, seat.shot_effect.shape[1]))
     # As many numbers for every shot, so that no nuisance moves the digits of another.
     even, normal = random.random((SHOTS_A_BLOCK, 11)), random.standard_normal((SHOTS_A_BLOCK, 4))
     # Not a product of matrices: BLAS would round as the machine likes.
@@ -205,7 +205,7 @@ class TransducerNuisance:
         parameters, n = NUISANCE[self.level], self.chain.bodies
         block, row = divmod(key.shot_index, SHOTS_A_BLOCK)
         first = replace(key, shot_index=block)
-        shots = _block(self.level, self.seed, self.chain, self.climate, first, hour_h, warmer_k)
+        shots = _draw_block(self.level, self.seed, self.chain, self.climate, first, hour_h, warmer_k)
         seat, even, normal = shots.seat, shots.even[row], shots.normal[row]
         factors = shots.factors[row]
         knocked = even[3] < parameters.knock_probability
@@ -223,16 +223,16 @@ class TransducerNuisance:
             contacts=Contacts(stiffness_factor=factors[:n], damping_factor=factors[n : 2 * n]),
             plate_modulus_factor=seat.plate_modulus_factor,
             liquid_factor=seat.liquid_factor,
-            knock=_ring(parameters.knock_v * normal[2], KNOCK_HZ, KNOCK_DECAY_S, even[4:7])
+            knock=_draw_ringing(parameters.knock_v * normal[2], KNOCK_HZ, KNOCK_DECAY_S, even[4:7])
             if knocked
             else None,
-            burst=_ring(parameters.burst_v * normal[3], BURST_HZ, BURST_DECAY_S, even[8:11])
+            burst=_draw_ringing(parameters.burst_v * normal[3], BURST_HZ, BURST_DECAY_S, even[8:11])
             if burst
             else None,
         )
 
 
-def _ring(
+def _draw_ringing(
     height_v: float, range_hz: tuple[float, float], decay_s: tuple[float, float], even: FloatArray
 ) -> Ringing:
     """Create a ringing from uniform numbers, log-uniform in frequency and decay."""
@@ -244,7 +244,7 @@ def _ring(
     )
 
 
-def disturbed_strike(
+def disturb_strike(
     strike: Strike, found: ShotNuisance, chain: ChainParameters, sensor: SensorParameters
 ) -> Strike:
     """Apply the variability to a strike: drop height, tilt with its loss of gain, and gain."""
@@ -260,7 +260,7 @@ def disturbed_strike(
 
 
 @lru_cache(maxsize=16)
-def disturbed_noise(noise: NoiseParameters, factor: float) -> NoiseParameters:
+def disturb_noise(noise: NoiseParameters, factor: float) -> NoiseParameters:
     """Scale the noise by the factor of an hour; disabled noise stays disabled."""
     if factor == 1.0:
         return noise

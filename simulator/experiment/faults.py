@@ -17,7 +17,7 @@ from hardware_drivers.measurement import ShotKey
 from simulator.electronics.interference import Interference
 from simulator.experiment.scatter import STEEPEST_TILT_RAD, Strike
 from simulator.numerics.arrays import FloatArray
-from simulator.numerics.keyed_random import Purpose, generator
+from simulator.numerics.keyed_random import Purpose, create_keyed_generator
 from simulator.parameters.chain import ChainParameters
 from simulator.parameters.electronics import AdcParameters, SensorParameters
 from simulator.parameters.faults import FaultParameters, MainsHumFault, SpikesFault
@@ -61,7 +61,7 @@ SOUND = FaultParameters()
 """A position without faults."""
 
 
-def faults_of_shot(faults: FaultParameters, *, seed: int, key: ShotKey, hour_h: float) -> ShotFaults:
+def draw_faults_of_shot(faults: FaultParameters, *, seed: int, key: ShotKey, hour_h: float) -> ShotFaults:
     """Draw the faults of a strike, of its chain and of its sensor at an hour of the test.
 
     Hum and spikes are drawn by `interference_of_shot`, since they need the record's length.
@@ -70,20 +70,22 @@ def faults_of_shot(faults: FaultParameters, *, seed: int, key: ShotKey, hour_h: 
     missed, gain_factor = False, 1.0
     if faults.missed.probability > 0.0:
         missed = hour_h >= faults.missed.onset_h and bool(
-            generator(seed, Purpose.MISSED_STRIKE, key=key).random() < faults.missed.probability
+            create_keyed_generator(seed, Purpose.MISSED_STRIKE, key=key).random() < faults.missed.probability
         )
         truth["fault_missed"] = float(missed)
     delay_s, height_fraction = None, 1.0
     if faults.double.probability > 0.0:
         if hour_h >= faults.double.onset_h:
-            delay_s, height_fraction = _second_strike(faults, seed, key)
+            delay_s, height_fraction = _draw_second_strike(faults, seed, key)
         truth["fault_double_delay_s"] = math.nan if delay_s is None else delay_s
         truth["fault_double_height_fraction"] = math.nan if delay_s is None else height_fraction
-    tilt_rad = faults.tilt.tilt_rad * _grown_fraction(faults.tilt.onset_h, faults.tilt.ramp_h, hour_h)
+    tilt_rad = faults.tilt.tilt_rad * _fault_size_fraction(faults.tilt.onset_h, faults.tilt.ramp_h, hour_h)
     if faults.tilt.tilt_rad > 0.0:
         truth["fault_tilt_rad"] = tilt_rad
     wear = faults.bead_wear
-    radius_factor = 1.0 + wear.radius_growth_fraction * _grown_fraction(wear.onset_h, wear.ramp_h, hour_h)
+    radius_factor = 1.0 + wear.radius_growth_fraction * _fault_size_fraction(
+        wear.onset_h, wear.ramp_h, hour_h
+    )
     if wear.radius_growth_fraction > 0.0:
         truth["fault_bead_wear_radius_factor"] = radius_factor
     if faults.pzt_ageing.loss_fraction_per_year > 0.0:
@@ -93,14 +95,15 @@ def faults_of_shot(faults: FaultParameters, *, seed: int, key: ShotKey, hour_h: 
     damping_factor = 1.0
     if faults.loose_contact.probability > 0.0:
         loose = hour_h >= faults.loose_contact.onset_h and bool(
-            generator(seed, Purpose.LOOSE_CONTACT, key=key).random() < faults.loose_contact.probability
+            create_keyed_generator(seed, Purpose.LOOSE_CONTACT, key=key).random()
+            < faults.loose_contact.probability
         )
         damping_factor = faults.loose_contact.damping_factor if loose else 1.0
         truth["fault_loose_contact_gain_factor"] = faults.loose_contact.gain_factor if loose else 1.0
         truth["fault_loose_contact_damping_factor"] = damping_factor
         gain_factor *= truth["fault_loose_contact_gain_factor"]
     warmer = faults.temperature
-    temperature_k = warmer.change_k * _grown_fraction(warmer.onset_h, warmer.ramp_h, hour_h)
+    temperature_k = warmer.change_k * _fault_size_fraction(warmer.onset_h, warmer.ramp_h, hour_h)
     if warmer.change_k != 0.0:
         truth["fault_temperature_k"] = temperature_k
     if faults.clipping.gain_factor > 1.0:
@@ -120,23 +123,23 @@ def faults_of_shot(faults: FaultParameters, *, seed: int, key: ShotKey, hour_h: 
     )
 
 
-def _grown_fraction(onset_h: float, ramp_h: float, hour_h: float) -> float:
+def _fault_size_fraction(onset_h: float, ramp_h: float, hour_h: float) -> float:
     """Return the fraction of a gradual fault's full size: 0 before its onset, 1 after its ramp."""
     if hour_h < onset_h:
         return 0.0
     return min((hour_h - onset_h) / ramp_h, 1.0) if ramp_h > 0.0 else 1.0
 
 
-def _second_strike(faults: FaultParameters, seed: int, key: ShotKey) -> tuple[float | None, float]:
+def _draw_second_strike(faults: FaultParameters, seed: int, key: ShotKey) -> tuple[float | None, float]:
     """Draw delay in s and relative height of the striker's second impact; ``(None, 1.0)`` without one."""
-    random = generator(seed, Purpose.DOUBLE_STRIKE, key=key)
+    random = create_keyed_generator(seed, Purpose.DOUBLE_STRIKE, key=key)
     if random.random() >= faults.double.probability:
         return None, 1.0
     delay_s = float(random.uniform(faults.double.shortest_delay_s, faults.double.longest_delay_s))
     return delay_s, float(random.uniform(faults.double.lowest_height_fraction, 1.0))
 
 
-def faulty_strike(strike: Strike, faults: ShotFaults, sensor: SensorParameters) -> Strike:
+def apply_strike_faults(strike: Strike, faults: ShotFaults, sensor: SensorParameters) -> Strike:
     """Apply faults to a strike: tilt with its loss of gain, and gain."""
     tilt_rad = min(strike.tilt_rad + faults.tilt_rad, STEEPEST_TILT_RAD)
     tilt_loss = math.exp(-sensor.tilt_loss_per_rad * (tilt_rad - strike.tilt_rad))
@@ -147,7 +150,7 @@ def faulty_strike(strike: Strike, faults: ShotFaults, sensor: SensorParameters) 
     )
 
 
-def faulty_chain(chain: ChainParameters, faults: ShotFaults) -> ChainParameters:
+def apply_chain_faults(chain: ChainParameters, faults: ShotFaults) -> ChainParameters:
     """Apply faults to a chain: worn contacts, and another dashpot to the plate.
 
     Masses and geometry stay.
@@ -158,7 +161,7 @@ def faulty_chain(chain: ChainParameters, faults: ShotFaults) -> ChainParameters:
     )
 
 
-def interference_of_shot(
+def draw_interference(
     faults: FaultParameters, *, seed: int, key: ShotKey, hour_h: float, adc: AdcParameters
 ) -> tuple[Interference | None, dict[str, float]]:
     """Draw hum and spikes around one strike, with their true values; None where a position has neither.
@@ -170,11 +173,11 @@ def interference_of_shot(
     hum, spikes = faults.mains_hum, faults.spikes
     if hum.amplitude_v == 0.0 and spikes.rate_hz == 0.0:
         return None, truth
-    phase_rad = _hum_phase_rad(hum, seed, key)
+    phase_rad = _draw_hum_phase_rad(hum, seed, key)
     hum_v = hum.amplitude_v if hour_h >= hum.onset_h else 0.0
     if hum.amplitude_v > 0.0:
         truth |= {"fault_mains_hum_v": hum_v, "fault_mains_hum_phase_rad": phase_rad}
-    time_s, height_v = _spikes(spikes, seed, key, hour_h, adc)
+    time_s, height_v = _draw_spikes(spikes, seed, key, hour_h, adc)
     found = Interference(
         hum_v=hum_v,
         hum_frequency_hz=hum.frequency_hz,
@@ -191,14 +194,14 @@ def interference_of_shot(
     return found, truth
 
 
-def _hum_phase_rad(hum: MainsHumFault, seed: int, key: ShotKey) -> float:
+def _draw_hum_phase_rad(hum: MainsHumFault, seed: int, key: ShotKey) -> float:
     """Draw the phase of the mains hum at a strike in rad; 0 without hum."""
     if hum.amplitude_v == 0.0:
         return 0.0
-    return float(generator(seed, Purpose.MAINS_HUM, key=key).uniform(0.0, 2.0 * math.pi))
+    return float(create_keyed_generator(seed, Purpose.MAINS_HUM, key=key).uniform(0.0, 2.0 * math.pi))
 
 
-def _spikes(
+def _draw_spikes(
     spikes: SpikesFault, seed: int, key: ShotKey, hour_h: float, adc: AdcParameters
 ) -> tuple[FloatArray, FloatArray]:
     """Draw times in s and heights in V of random spikes from arming to the record's end.
@@ -207,7 +210,7 @@ def _spikes(
     """
     if spikes.rate_hz == 0.0 or hour_h < spikes.onset_h:
         return np.empty(0), np.empty(0)
-    random = generator(seed, Purpose.SPIKES, key=key)
+    random = create_keyed_generator(seed, Purpose.SPIKES, key=key)
     before_s = max(spikes.armed_s, adc.pretrigger_samples / adc.sample_rate_hz)
     after_s = (adc.record_samples - adc.pretrigger_samples) / adc.sample_rate_hz
     count = int(random.poisson(spikes.rate_hz * (before_s + after_s)))

@@ -13,7 +13,7 @@ import numpy as np
 
 from hardware_drivers.measurement import SetKey, ShotKey
 from simulator.numerics.arrays import FloatArray
-from simulator.numerics.keyed_random import Purpose, generator
+from simulator.numerics.keyed_random import Purpose, create_keyed_generator
 
 LAGS = 64
 """Innovations in a value of an AR(1) process, and their number in a block: what is left out of the sum is
@@ -26,18 +26,18 @@ RESEAT_BLOCK_H = 1_000.0
 """Re-seats are drawn for so many hours at a time."""
 
 
-def _read_only(drawn: FloatArray) -> FloatArray:
+def _make_read_only(drawn: FloatArray) -> FloatArray:
     """Make an array read-only in place and return it."""
     drawn.flags.writeable = False
     return drawn
 
 
-def unit_t(random: np.random.Generator, dof: float, size: int | tuple[int, ...]) -> FloatArray:
+def draw_unit_student_t(random: np.random.Generator, dof: float, size: int | tuple[int, ...]) -> FloatArray:
     """Draw numbers of Student's t distribution, scaled to variance 1."""
     return np.asarray(random.standard_t(dof, size) * np.sqrt((dof - 2.0) / dof))
 
 
-def memory_weights(memory: FloatArray) -> FloatArray:
+def compute_ar1_weights(memory: FloatArray) -> FloatArray:
     """Compute the weights of the last `LAGS` innovations in AR(1) processes, shape (LAGS, n).
 
     Parameters
@@ -48,7 +48,7 @@ def memory_weights(memory: FloatArray) -> FloatArray:
     return np.asarray(np.sqrt(1.0 - memory**2) * memory ** np.arange(LAGS - 1, -1, -1.0)[:, None])
 
 
-def autocorrelated_values(
+def draw_autocorrelated_values(
     weights: FloatArray, dof: float, *, seed: int, position: str, set_key: SetKey
 ) -> FloatArray:
     """Compute stationary autocorrelated processes of variance 1 at a set, shape (n,).
@@ -66,22 +66,26 @@ def autocorrelated_values(
     planned, unscheduled = set_key
     block, first = divmod(planned + bool(unscheduled), LAGS)
     recent = np.concatenate(
-        [_innovations(seed, position, number, weights.shape[1], dof) for number in (block, block + 1)]
+        [_draw_innovations(seed, position, number, weights.shape[1], dof) for number in (block, block + 1)]
     )[first + 1 : first + 1 + LAGS]
     if unscheduled:
         key = ShotKey.in_set(set_key, position, 0)
-        recent[-1] = unit_t(generator(seed, Purpose.SEATING_MEMORY, key=key), dof, (weights.shape[1],))
+        recent[-1] = draw_unit_student_t(
+            create_keyed_generator(seed, Purpose.SEATING_MEMORY, key=key), dof, (weights.shape[1],)
+        )
     return np.asarray((weights * recent).sum(axis=0))
 
 
 @lru_cache(maxsize=256)
-def _innovations(seed: int, position: str, block: int, size: int, dof: float) -> FloatArray:
+def _draw_innovations(seed: int, position: str, block: int, size: int, dof: float) -> FloatArray:
     """Draw the innovations of a block of `LAGS` sets, shape (LAGS, size).
 
     Block 0 holds those before the test.
     """
     key = ShotKey(position=position, set_index=block, shot_index=0)
-    return _read_only(unit_t(generator(seed, Purpose.SEATING_MEMORY, key=key), dof, (LAGS, size)))
+    return _make_read_only(
+        draw_unit_student_t(create_keyed_generator(seed, Purpose.SEATING_MEMORY, key=key), dof, (LAGS, size))
+    )
 
 
 @lru_cache(maxsize=256)
@@ -92,13 +96,13 @@ def draw_slow_drift(
 
     One period lies in each of equal steps of ln(period): slow and less slow parts are always there.
     """
-    random = generator(seed, purpose, position=position)
+    random = create_keyed_generator(seed, purpose, position=position)
     steps = (np.arange(WANDER_TERMS) + random.uniform(0.0, 1.0, (size, WANDER_TERMS))) / WANDER_TERMS
     phases = random.uniform(0.0, 2.0 * np.pi, (size, WANDER_TERMS))
-    return _read_only(shortest_h * (longest_h / shortest_h) ** steps), _read_only(phases)
+    return _make_read_only(shortest_h * (longest_h / shortest_h) ** steps), _make_read_only(phases)
 
 
-def slow_drift(hour_h: float, drawn: tuple[FloatArray, FloatArray]) -> FloatArray:
+def evaluate_slow_drift(hour_h: float, drawn: tuple[FloatArray, FloatArray]) -> FloatArray:
     """Evaluate the slow drifts of `draw_slow_drift`, of variance 1, at an hour, shape (size,).
 
     n equal sinusoids of amplitude a with random phases have the variance n a^2 / 2.
@@ -108,7 +112,7 @@ def slow_drift(hour_h: float, drawn: tuple[FloatArray, FloatArray]) -> FloatArra
     return np.asarray(np.sqrt(2.0 / WANDER_TERMS) * turns.sum(axis=-1))
 
 
-def values_after_reseats(
+def draw_values_after_reseats(
     hour_h: float, rate_per_h: float, *, seed: int, position: str, size: int
 ) -> tuple[int, FloatArray]:
     """Count the re-seats up to an hour; return also each source's value after the last one.
@@ -117,7 +121,7 @@ def values_after_reseats(
     that a step is as often up as down; before the first re-seat they are 0.
     """
     last = int(hour_h // RESEAT_BLOCK_H)
-    blocks = [_reseats(seed, position, block, rate_per_h, size) for block in range(last + 1)]
+    blocks = [_draw_reseats(seed, position, block, rate_per_h, size) for block in range(last + 1)]
     counts = [int(np.searchsorted(hours_h, hour_h, side="right")) for hours_h, _ in blocks]
     for count, (_, places) in zip(reversed(counts), reversed(blocks), strict=True):
         if count:
@@ -126,19 +130,19 @@ def values_after_reseats(
 
 
 @lru_cache(maxsize=256)
-def _reseats(
+def _draw_reseats(
     seed: int, position: str, block: int, rate_per_h: float, size: int
 ) -> tuple[FloatArray, FloatArray]:
     """Draw the re-seats of a block: hours, rising, and values after each, shape (count, size)."""
     key = ShotKey(position=position, set_index=block, shot_index=0)
-    random = generator(seed, Purpose.RESEATS, key=key)
+    random = create_keyed_generator(seed, Purpose.RESEATS, key=key)
     count = int(random.poisson(rate_per_h * RESEAT_BLOCK_H))
     hours_h = RESEAT_BLOCK_H * (block + np.sort(random.uniform(0.0, 1.0, count)))
-    return _read_only(hours_h), _read_only(random.standard_normal((count, size)))
+    return _make_read_only(hours_h), _make_read_only(random.standard_normal((count, size)))
 
 
 @lru_cache(maxsize=256)
 def is_noisy_hour(seed: int, hour: int, probability: float) -> bool:
     """Draw whether an hour of the test is noisy, the same for all positions."""
     key = ShotKey(position="", set_index=hour, shot_index=0)
-    return bool(generator(seed, Purpose.NOISY_HOURS, key=key).random() < probability)
+    return bool(create_keyed_generator(seed, Purpose.NOISY_HOURS, key=key).random() < probability)

@@ -8,9 +8,9 @@ from functools import lru_cache
 import numpy as np
 
 from hardware_drivers.measurement import ShotKey
-from simulator.experiment.processes import draw_slow_drift, slow_drift
+from simulator.experiment.processes import draw_slow_drift, evaluate_slow_drift
 from simulator.numerics.arrays import FloatArray
-from simulator.numerics.keyed_random import Purpose, generator
+from simulator.numerics.keyed_random import Purpose, create_keyed_generator
 from simulator.parameters.chain import ChainParameters
 from simulator.parameters.electronics import SensorParameters
 from simulator.parameters.experiment import DriftParameters, ScatterParameters
@@ -32,19 +32,19 @@ class Temperature:
 
     def at(self, hour_h: float) -> float:
         """Return the temperature in degrees Celsius at an hour of the test."""
-        return _temperature_c(self, hour_h) if self.drift.enabled else self.drift.mean_temperature_c
+        return _cached_temperature_c(self, hour_h) if self.drift.enabled else self.drift.mean_temperature_c
 
 
 @lru_cache(maxsize=256)
-def _temperature_c(room: Temperature, hour_h: float) -> float:
+def _cached_temperature_c(room: Temperature, hour_h: float) -> float:
     """Compute the temperature of a drifting room, cached, because all shots of an hour need it."""
     drift = room.drift
     day = drift.diurnal_amplitude_k * np.cos(2.0 * np.pi * (hour_h - drift.warmest_hour_h) / 24.0)
-    wander_k = drift.wander_sd_k * slow_drift(hour_h, room.drawn)[0]
+    wander_k = drift.wander_sd_k * evaluate_slow_drift(hour_h, room.drawn)[0]
     return float(drift.mean_temperature_c + day + wander_k)
 
 
-def temperature(drift: DriftParameters, *, seed: int) -> Temperature:
+def draw_room_temperature(drift: DriftParameters, *, seed: int) -> Temperature:
     """Draw the slow temperature drift of the room, the same for all positions."""
     drawn = draw_slow_drift(Purpose.TEMPERATURE, seed, "", 1, drift.shortest_wander_h, drift.longest_wander_h)
     return Temperature(drift=drift, drawn=drawn)
@@ -59,7 +59,7 @@ class Strike:
     sensor_gain_v_per_n: float
 
 
-def scattered_strike(
+def draw_scattered_strike(
     key: ShotKey,
     *,
     seed: int,
@@ -76,8 +76,8 @@ def scattered_strike(
     of its guide, and there is nothing beyond. The set's part is drawn from the set alone, so all its
     shots share it.
     """
-    set_part = _set_draws(seed, ShotKey.in_set(key.set_key, key.position, 0))
-    shot_part = _unit_draws(generator(seed, Purpose.SHOT_SCATTER, key=key))
+    set_part = _draw_set_numbers(seed, ShotKey.in_set(key.set_key, key.position, 0))
+    shot_part = _draw_unit_numbers(create_keyed_generator(seed, Purpose.SHOT_SCATTER, key=key))
     warmer_k = temperature_c - drift.mean_temperature_c
 
     log_drop = scatter.scale * float(
@@ -107,12 +107,12 @@ def scattered_strike(
 
 
 @lru_cache(maxsize=256)
-def _set_draws(seed: int, set_key: ShotKey) -> tuple[float, float]:
+def _draw_set_numbers(seed: int, set_key: ShotKey) -> tuple[float, float]:
     """Draw the two numbers that all shots of a set share."""
-    return _unit_draws(generator(seed, Purpose.SET_SCATTER, key=set_key))
+    return _draw_unit_numbers(create_keyed_generator(seed, Purpose.SET_SCATTER, key=set_key))
 
 
-def _unit_draws(random: np.random.Generator) -> tuple[float, float]:
+def _draw_unit_numbers(random: np.random.Generator) -> tuple[float, float]:
     """Draw a normal and a uniform number, of mean 0 and variance 1, for drop height and tilt."""
     half_width = np.sqrt(3.0)
     return float(random.standard_normal()), float(random.uniform(-half_width, half_width))

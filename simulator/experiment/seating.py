@@ -14,15 +14,15 @@ import numpy as np
 from hardware_drivers.measurement import SetKey
 from simulator.experiment.faults import HOURS_PER_YEAR
 from simulator.experiment.processes import (
-    autocorrelated_values,
+    compute_ar1_weights,
+    draw_autocorrelated_values,
     draw_slow_drift,
+    draw_values_after_reseats,
+    evaluate_slow_drift,
     is_noisy_hour,
-    memory_weights,
-    slow_drift,
-    values_after_reseats,
 )
 from simulator.numerics.arrays import FloatArray
-from simulator.numerics.keyed_random import Purpose, generator
+from simulator.numerics.keyed_random import Purpose, create_keyed_generator
 from simulator.parameters.chain import ChainParameters
 from simulator.parameters.environmental_variability import NUISANCE, NuisanceParameters
 
@@ -48,7 +48,7 @@ class Climate:
 
     def process_k(self, hour_h: float) -> float:
         """Return the temperature of the plate relative to the room at an hour, in K."""
-        return self.parameters.process_sd_k * float(slow_drift(hour_h, self.process)[0])
+        return self.parameters.process_sd_k * float(evaluate_slow_drift(hour_h, self.process)[0])
 
     def liquid_factor(self, hour_h: float) -> float:
         """Return the liquid's depth at an hour relative to the full one.
@@ -56,26 +56,26 @@ class Climate:
         It falls step by step and is refilled at once.
         """
         part = (hour_h / self.parameters.refill_h + self.refilled) % 1.0
-        return liquid_factors(self.parameters)[int(LIQUID_LEVELS * part)]
+        return list_liquid_factors(self.parameters)[int(LIQUID_LEVELS * part)]
 
 
-def liquid_factors(parameters: NuisanceParameters) -> tuple[float, ...]:
+def list_liquid_factors(parameters: NuisanceParameters) -> tuple[float, ...]:
     """List all depths that the liquid can have, relative to the full one."""
     steps = [level / (LIQUID_LEVELS - 1) for level in range(LIQUID_LEVELS)]
     return tuple(1.0 - parameters.liquid_loss_fraction * step for step in steps)
 
 
-def climate(level: str, *, seed: int, warmest_hour_h: float) -> Climate:
+def draw_climate(level: str, *, seed: int, warmest_hour_h: float) -> Climate:
     """Draw season, process temperature and refill times of a test."""
     parameters = NUISANCE[level]
     return Climate(
         parameters=parameters,
         warmest_hour_h=warmest_hour_h,
-        season_rad=float(generator(seed, Purpose.SEASON).uniform(0.0, 2.0 * math.pi)),
+        season_rad=float(create_keyed_generator(seed, Purpose.SEASON).uniform(0.0, 2.0 * math.pi)),
         process=draw_slow_drift(
             Purpose.PROCESS, seed, "", 1, parameters.shortest_process_h, parameters.longest_process_h
         ),
-        refilled=float(generator(seed, Purpose.REFILLS).random()),
+        refilled=float(create_keyed_generator(seed, Purpose.REFILLS).random()),
     )
 
 
@@ -106,11 +106,11 @@ class _Sources:
 
 
 @lru_cache(maxsize=64)
-def _sources(level: str, chain: ChainParameters) -> _Sources:
+def _effects_of_sources(level: str, chain: ChainParameters) -> _Sources:
     """Compute the effects of each source of variation on the parameters of a chain, cached."""
     n = chain.bodies
     of_stiffness, of_damping, last = np.eye(n), np.zeros((n, n)), np.eye(2 * n + 3)[:, 2 * n :]
-    curvature = _curvature(chain)
+    curvature = _contact_radius_exponent(chain)
     effects = {
         "contact_stiffness": np.vstack([of_stiffness, of_damping])[:, :-1],
         "plate_stiffness": np.vstack([of_stiffness, of_damping])[:, -1:],
@@ -131,7 +131,7 @@ def _sources(level: str, chain: ChainParameters) -> _Sources:
 
     return _Sources(
         set_sd=column("set_sd"),
-        memory=memory_weights(column("memory")),
+        memory=compute_ar1_weights(column("memory")),
         shot_sd=column("shot_sd"),
         wander_sd=column("wander_sd"),
         reseat_sd=column("reseat_sd"),
@@ -140,7 +140,7 @@ def _sources(level: str, chain: ChainParameters) -> _Sources:
     )
 
 
-def _curvature(chain: ChainParameters) -> FloatArray:
+def _contact_radius_exponent(chain: ChainParameters) -> FloatArray:
     """Compute how each radius of curvature changes the contact stiffness A, in logarithms.
 
     A goes with the root of the joint radius.
@@ -176,7 +176,7 @@ class Seat:
     noisy: bool
 
 
-def seat_of_set(
+def draw_seat_of_set(
     level: str,
     seed: int,
     position: str,
@@ -194,7 +194,7 @@ def seat_of_set(
     warmer_k
         Temperature of the transducer over the mean one without the climate, K.
     """
-    parameters, sources = NUISANCE[level], _sources(level, chain)
+    parameters, sources = NUISANCE[level], _effects_of_sources(level, chain)
     size, n = sources.set_sd.size, chain.bodies
     slow = draw_slow_drift(
         Purpose.SEATING_WANDER,
@@ -204,16 +204,16 @@ def seat_of_set(
         parameters.shortest_wander_h,
         parameters.longest_wander_h,
     )
-    reseats, place = values_after_reseats(
+    reseats, place = draw_values_after_reseats(
         hour_h, parameters.reseats_per_1000_h / 1_000.0, seed=seed, position=position, size=size
     )
-    moved = autocorrelated_values(
+    moved = draw_autocorrelated_values(
         sources.memory, parameters.tail_dof, seed=seed, position=position, set_key=set_key
     )
     thousands = hour_h / 1_000.0
     growth = 1.0 + parameters.scatter_growth_per_1000_h * thousands
     stands = growth * sources.set_sd * moved
-    stands = stands + sources.wander_sd * slow_drift(hour_h, slow) + sources.reseat_sd * place
+    stands = stands + sources.wander_sd * evaluate_slow_drift(hour_h, slow) + sources.reseat_sd * place
     logs = (sources.effect * stands).sum(axis=1)  # BLAS would round as the machine likes
 
     wear = math.log1p(parameters.wear_per_1000_h * thousands)

@@ -27,8 +27,8 @@ import numpy as np
 import platformdirs
 
 from simulator.numerics.arrays import FloatArray
-from simulator.numerics.one_thread import blas_libraries
-from simulator.numerics.source import source_digest
+from simulator.numerics.one_thread import describe_blas_libraries
+from simulator.numerics.source import hash_source
 
 log = logging.getLogger(__name__)
 
@@ -49,7 +49,7 @@ FOLDER_LIMIT_BYTES: Final = 500_000_000
 """Beyond this the oldest files are removed: several hundred plates."""
 
 
-def cached_arrays(
+def read_or_compute_arrays(
     folder: Path | None, key: str, compute: Callable[[], Mapping[str, FloatArray]]
 ) -> dict[str, FloatArray]:
     """Read the arrays stored in `folder` under `key`, or compute and store them.
@@ -66,7 +66,7 @@ def cached_arrays(
     if folder is None:
         return _as_float64(compute())
     path = folder / f"{key}{SUFFIX}"
-    _sweep_unfinished(folder)
+    _remove_unfinished_files(folder)
     found = read_arrays(path)
     if found is None:
         found = _as_float64(compute())
@@ -74,7 +74,7 @@ def cached_arrays(
     return found
 
 
-def content_key(described: Mapping[str, object]) -> str:
+def hash_content(described: Mapping[str, object]) -> str:
     """Hash a description together with the simulator's code and the numerical libraries.
 
     Parameters
@@ -82,15 +82,15 @@ def content_key(described: Mapping[str, object]) -> str:
     described
         The name of the computation and everything that goes in, for `json.dumps`.
     """
-    text = json.dumps({"described": described, "made_with": _environment()}, sort_keys=True)
+    text = json.dumps({"described": described, "made_with": _describe_environment()}, sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()
 
 
 @cache
-def _environment() -> dict[str, object]:
+def _describe_environment() -> dict[str, object]:
     """Describe the code, libraries and BLAS kernels that determine the last digits of results."""
     libraries = {name: version(name) for name in ("numpy", "scipy", "numba")}
-    return {"code": source_digest(), "libraries": libraries, "blas": blas_libraries()}
+    return {"code": hash_source(), "libraries": libraries, "blas": describe_blas_libraries()}
 
 
 def read_arrays(path: Path) -> dict[str, FloatArray] | None:
@@ -125,7 +125,7 @@ def write_arrays(
 
     Beyond `limit_bytes` the folder loses its oldest files.
     """
-    content = _encoded(arrays)
+    content = _encode_arrays(arrays)
     unfinished = None
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -135,13 +135,13 @@ def write_arrays(
             file.write(MAGIC + hashlib.sha256(content).digest())
             file.write(content)
         unfinished.replace(path)
-        _keep_within(path.parent, limit_bytes)
+        _limit_folder_size(path.parent, limit_bytes)
     except OSError as error:
         # Windows lets no one replace a file that another process is reading: then it is there already.
         level = logging.DEBUG if path.is_file() else logging.WARNING
         log.log(level, "cannot keep the arrays in %s (%s); going on without", path.parent, error)
         if unfinished is not None:
-            _discard(unfinished)
+            _remove_file(unfinished)
 
 
 def _as_float64(arrays: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
@@ -149,7 +149,7 @@ def _as_float64(arrays: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
     return {name: np.asarray(values, dtype=np.float64, order="C") for name, values in arrays.items()}
 
 
-def _encoded(arrays: Mapping[str, FloatArray]) -> bytes:
+def _encode_arrays(arrays: Mapping[str, FloatArray]) -> bytes:
     """Encode arrays as bytes, after a header of names and shapes."""
     header = json.dumps([[name, values.shape] for name, values in arrays.items()]).encode()
     before = len(MAGIC) + DIGEST_BYTES + 4
@@ -158,28 +158,30 @@ def _encoded(arrays: Mapping[str, FloatArray]) -> bytes:
     return b"".join((len(header).to_bytes(4, "little"), header, *blocks))
 
 
-def _sweep_unfinished(folder: Path) -> None:
+def _remove_unfinished_files(folder: Path) -> None:
     """Remove stale unfinished files of killed writers; on Windows a file still open stays."""
     now = time.time()
-    for entry in _entries(folder):
+    for entry in _list_cache_files(folder):
         if entry.name.endswith(UNFINISHED_SUFFIX):
-            status = _status(entry)
+            status = _file_status(entry)
             if status is not None and now - status.st_mtime > STALE_S:
-                _discard(Path(entry.path))
+                _remove_file(Path(entry.path))
 
 
-def _keep_within(folder: Path, limit_bytes: int) -> None:
+def _limit_folder_size(folder: Path, limit_bytes: int) -> None:
     """Remove the oldest cache files until the folder is within the limit in bytes."""
-    files = [(entry, _status(entry)) for entry in _entries(folder) if entry.name.endswith(SUFFIX)]
+    files = [
+        (entry, _file_status(entry)) for entry in _list_cache_files(folder) if entry.name.endswith(SUFFIX)
+    ]
     oldest = sorted(((s.st_mtime_ns, s.st_size, e.path) for e, s in files if s is not None), reverse=True)
     total = sum(size for _, size, _ in oldest)
     while total > limit_bytes and len(oldest) > 1:
         _, size, path = oldest.pop()
         total -= size
-        _discard(Path(path))
+        _remove_file(Path(path))
 
 
-def _entries(folder: Path) -> list[os.DirEntry[str]]:
+def _list_cache_files(folder: Path) -> list[os.DirEntry[str]]:
     """List the files of a cache folder; return an empty list if it cannot be read."""
     try:
         with os.scandir(folder) as found:
@@ -189,7 +191,7 @@ def _entries(folder: Path) -> list[os.DirEntry[str]]:
         return []
 
 
-def _status(entry: os.DirEntry[str]) -> os.stat_result | None:
+def _file_status(entry: os.DirEntry[str]) -> os.stat_result | None:
     """Return the status of a file; None if it cannot be read, such as after another process removed it."""
     try:
         return entry.stat()
@@ -198,7 +200,7 @@ def _status(entry: os.DirEntry[str]) -> os.stat_result | None:
         return None
 
 
-def _discard(path: Path) -> None:
+def _remove_file(path: Path) -> None:
     """Remove a file; log a failure instead of raising an error."""
     try:
         path.unlink(missing_ok=True)

@@ -16,7 +16,7 @@ from scipy.linalg import lapack
 from simulator.numerics.arrays import FloatArray, IntArray
 
 
-def band_factor(band: FloatArray) -> FloatArray:
+def factorize_band(band: FloatArray) -> FloatArray:
     """Compute the Cholesky factor of a positive definite band matrix in place (LAPACK's lower storage).
 
     Raises
@@ -30,13 +30,13 @@ def band_factor(band: FloatArray) -> FloatArray:
     return np.asarray(factor)
 
 
-def band_solve(factor: FloatArray, right: FloatArray) -> FloatArray:
+def solve_band(factor: FloatArray, right: FloatArray) -> FloatArray:
     """Solve a linear system with a factor of `band_factor`; `right` has the shape (n,)."""
     solution, _ = lapack.dpbtrs(factor, right, lower=1)
     return np.asarray(solution)
 
 
-def lower_band(matrix: sparse.spmatrix) -> FloatArray:
+def to_lower_band(matrix: sparse.spmatrix) -> FloatArray:
     """Convert a symmetric matrix to LAPACK's lower band storage, ``band[i - j, j] = matrix[i, j]``."""
     entries = _LowerEntries.of(matrix, np.arange(matrix.shape[0]))
     band = np.zeros((int(entries.below.max()) + 1, matrix.shape[0]), order="F")
@@ -92,11 +92,11 @@ class FactorFamily:
         window = min(self._bandwidth, n - self._fixed)  # what the first columns reach into
         self._factor = np.empty((self._bandwidth + 1, n), order="F")
         end = self._fixed + window
-        head = self._band([one.within(0, end) for one in entries], 1.0, end)
-        before = _lower_corner(head[:, self._fixed :])
-        head = band_factor(head)
+        head = self._band_at_parameter([one.within(0, end) for one in entries], 1.0, end)
+        before = _extract_lower_corner(head[:, self._fixed :])
+        head = factorize_band(head)
         self._factor[:, : self._fixed] = head[:, : self._fixed]
-        corner = _lower_corner(head[:, self._fixed :])
+        corner = _extract_lower_corner(head[:, self._fixed :])
         self._taken = before - np.tril(corner @ corner.T)
 
     def factor(self, s: float) -> FloatArray:
@@ -107,10 +107,10 @@ class FactorFamily:
         numpy.linalg.LinAlgError
             A(s) is not positive definite.
         """
-        rest = self._band(self._rest, s, len(self._order) - self._fixed)
+        rest = self._band_at_parameter(self._rest, s, len(self._order) - self._fixed)
         for column in range(len(self._taken)):
             rest[: len(self._taken) - column, column] -= self._taken[column:, column]
-        self._factor[:, self._fixed :] = band_factor(rest)
+        self._factor[:, self._fixed :] = factorize_band(rest)
         return self._factor
 
     def solve(self, factor: FloatArray, right: FloatArray) -> FloatArray:
@@ -118,9 +118,9 @@ class FactorFamily:
 
         `right` and the result have the matrices' own order.
         """
-        return np.asarray(band_solve(factor, right[self._order])[self._place])
+        return np.asarray(solve_band(factor, right[self._order])[self._place])
 
-    def _band(self, entries: list[_LowerEntries], s: float, size: int) -> FloatArray:
+    def _band_at_parameter(self, entries: list[_LowerEntries], s: float, size: int) -> FloatArray:
         """Assemble the band matrix at parameter s from the entries of each power of s."""
         band = np.zeros((self._bandwidth + 1, size), order="F")
         for power, one in enumerate(entries):
@@ -128,7 +128,7 @@ class FactorFamily:
         return band
 
 
-def _lower_corner(band: FloatArray) -> FloatArray:
+def _extract_lower_corner(band: FloatArray) -> FloatArray:
     """Return the lower triangle of a band matrix's last columns as a square matrix."""
     size = band.shape[1]
     corner = np.zeros((size, size))

@@ -19,7 +19,7 @@ import numpy as np
 from scipy.linalg import lapack
 
 from simulator.numerics.arrays import FloatArray
-from simulator.numerics.machine_code import compiled
+from simulator.numerics.machine_code import compile_with_numba
 
 ROUNDING = 1e-14
 """Eigenvalues below this part of the largest are rounding; such modes are static."""
@@ -28,7 +28,7 @@ SWEEPS = 60
 """More than enough for an eigenvalue; two are usual."""
 
 
-def driven_modes(
+def compute_driven_modes(
     stiffness: FloatArray, mass: FloatArray, load: float, steps: int
 ) -> tuple[FloatArray, FloatArray, float]:
     """Compute the modes of a linear system that is driven at its last unknown.
@@ -69,7 +69,7 @@ def driven_modes(
     off_diagonal = np.append(off_diagonal[size - steps :] / scale, 0.0)
     along = np.zeros(steps)
     along[-1] = 1.0
-    if not (math.isfinite(scale) and _tridiagonal_ql(eigenvalues, off_diagonal, along)):
+    if not (math.isfinite(scale) and _solve_tridiagonal_ql(eigenvalues, off_diagonal, along)):
         raise np.linalg.LinAlgError("an eigenvalue of the reduced plate was not found")
     seen = eigenvalues > ROUNDING
     if not seen.any() or eigenvalues.min() < -ROUNDING:
@@ -80,8 +80,8 @@ def driven_modes(
     return omega, omega * np.sqrt(flexibility[seen][order]), float(flexibility[~seen].sum())
 
 
-@compiled(nogil=True)
-def _tridiagonal_ql(d: FloatArray, e: FloatArray, z: FloatArray) -> bool:
+@compile_with_numba(nogil=True)
+def _solve_tridiagonal_ql(d: FloatArray, e: FloatArray, z: FloatArray) -> bool:
     """Compute eigenvalues of a symmetric tridiagonal matrix in place, and one row of eigenvectors.
 
     Implicit QL with Wilkinson's shift (Bowdler, Martin, Reinsch and Wilkinson 1968,

@@ -42,55 +42,59 @@ class Lanes(types.Type):
 
 class _LanesModel(models.PrimitiveModel):  # type: ignore[misc]
     def __init__(self, manager: Any, lanes: Lanes) -> None:
-        super().__init__(manager, lanes, _vector(lanes))
+        super().__init__(manager, lanes, _vector_type(lanes))
 
 
 register_model(Lanes)(_LanesModel)
 
 
-def _vector(lanes: Lanes) -> ir.VectorType:
+def _vector_type(lanes: Lanes) -> ir.VectorType:
     """Return the LLVM type of a vector of double lanes."""
     return ir.VectorType(ir.DoubleType(), lanes.width)
 
 
-def _intrinsic(function: Callable[..., Any]) -> Callable[..., Any]:
+def _make_intrinsic(function: Callable[..., Any]) -> Callable[..., Any]:
     """Turn a function into a Numba intrinsic that prefers literal arguments."""
     intrinsic: Callable[..., Any] = numba_intrinsic(prefer_literal=True)(function)
     return intrinsic
 
 
-def _pointer(context: Any, builder: Any, array_type: Any, array: Any, start: Any, lanes: Lanes) -> Any:
+def _address_of_lanes(
+    context: Any, builder: Any, array_type: Any, array: Any, start: Any, lanes: Lanes
+) -> Any:
     """Emit the address of the lanes that begin at ``start`` in an array."""
     data = context.make_array(array_type)(context, builder, array).data
-    return builder.bitcast(cgutils.gep_inbounds(builder, data, start), _vector(lanes).as_pointer())
+    return builder.bitcast(cgutils.gep_inbounds(builder, data, start), _vector_type(lanes).as_pointer())
 
 
-@_intrinsic
+@_make_intrinsic
 def load(typing: Any, array: Any, start: Any, width: Any) -> Any:
     """Load a vector of `width` numbers from a contiguous array, from index `start` on."""
     lanes = Lanes(width.literal_value)
 
     def codegen(context: Any, builder: Any, signature: Any, values: Any) -> Any:
         """Emit the load of the lanes."""
-        pointer = _pointer(context, builder, array, values[0], values[1], lanes)
+        pointer = _address_of_lanes(context, builder, array, values[0], values[1], lanes)
         return builder.load(pointer, align=8)
 
     return lanes(array, types.intp, width), codegen
 
 
-@_intrinsic
+@_make_intrinsic
 def store(typing: Any, array: Any, start: Any, lanes: Any) -> Any:
     """Store all lanes of a vector in a contiguous array, from index `start` on."""
 
     def codegen(context: Any, builder: Any, signature: Any, values: Any) -> Any:
         """Emit the store of the lanes."""
-        builder.store(values[2], _pointer(context, builder, array, values[0], values[1], lanes), align=8)
+        builder.store(
+            values[2], _address_of_lanes(context, builder, array, values[0], values[1], lanes), align=8
+        )
         return context.get_dummy_value()
 
     return types.void(array, types.intp, lanes), codegen
 
 
-@_intrinsic
+@_make_intrinsic
 def broadcast(typing: Any, number: Any, width: Any) -> Any:
     """Copy a number into every lane of a vector of `width` lanes."""
     lanes = Lanes(width.literal_value)
@@ -104,23 +108,23 @@ def broadcast(typing: Any, number: Any, width: Any) -> Any:
 
 def _splat(builder: Any, number: Any, lanes: Lanes) -> Any:
     """Emit a vector with the number in each lane."""
-    vector = builder.insert_element(ir.Constant(_vector(lanes), ir.Undefined), number, ir.IntType(32)(0))
+    vector = builder.insert_element(ir.Constant(_vector_type(lanes), ir.Undefined), number, ir.IntType(32)(0))
     mask = ir.Constant(ir.VectorType(ir.IntType(32), lanes.width), [0] * lanes.width)
-    return builder.shuffle_vector(vector, ir.Constant(_vector(lanes), ir.Undefined), mask)
+    return builder.shuffle_vector(vector, ir.Constant(_vector_type(lanes), ir.Undefined), mask)
 
 
-def _one_width(given: Sequence[Any]) -> Lanes | None:
+def _common_vector_type(given: Sequence[Any]) -> Lanes | None:
     """Return the common vector type of the arguments; None if there is none or they differ."""
     lanes = [one for one in given if isinstance(one, Lanes)]
     return lanes[0] if lanes and all(one == lanes[0] for one in lanes) else None
 
 
-def _lane_intrinsic(operands: int, emit: Callable[[Any, Any], Any]) -> Callable[..., Any]:
+def _make_lane_intrinsic(operands: int, emit: Callable[[Any, Any], Any]) -> Callable[..., Any]:
     """Create an intrinsic of vectors and numbers, at least one a vector; numbers are broadcast."""
 
     def typed(*given: Any) -> Any:
         """Return signature and code generator for the given types; None if they do not match."""
-        lanes = _one_width(given)
+        lanes = _common_vector_type(given)
         if lanes is None:
             return None
         arguments = [one if isinstance(one, Lanes) else types.float64 for one in given]
@@ -137,15 +141,15 @@ def _lane_intrinsic(operands: int, emit: Callable[[Any, Any], Any]) -> Callable[
 
     # numba reads the number of arguments off the function.
     if operands == 1:
-        return _intrinsic(lambda typing, a: typed(a))
+        return _make_intrinsic(lambda typing, a: typed(a))
     if operands == 2:
-        return _intrinsic(lambda typing, a, b: typed(a, b))
+        return _make_intrinsic(lambda typing, a, b: typed(a, b))
     if operands == 3:
-        return _intrinsic(lambda typing, a, b, c: typed(a, b, c))
-    return _intrinsic(lambda typing, a, b, c, d: typed(a, b, c, d))
+        return _make_intrinsic(lambda typing, a, b, c: typed(a, b, c))
+    return _make_intrinsic(lambda typing, a, b, c, d: typed(a, b, c, d))
 
 
-def _call_of(name: str) -> Callable[[Any, Any], Any]:
+def _make_call_emitter(name: str) -> Callable[[Any, Any], Any]:
     """Create a function that emits the call of an LLVM vector function."""
 
     def emit(builder: Any, values: Any) -> Any:
@@ -158,10 +162,10 @@ def _call_of(name: str) -> Callable[[Any, Any], Any]:
     return emit
 
 
-fma = _lane_intrinsic(3, _call_of("llvm.fma"))
+fma = _make_lane_intrinsic(3, _make_call_emitter("llvm.fma"))
 """``a b + c``, rounded once."""
-sqrt = _lane_intrinsic(1, _call_of("llvm.sqrt"))
-absolute = _lane_intrinsic(1, _call_of("llvm.fabs"))
+sqrt = _make_lane_intrinsic(1, _make_call_emitter("llvm.sqrt"))
+absolute = _make_lane_intrinsic(1, _make_call_emitter("llvm.fabs"))
 
 
 def _positive(builder: Any, values: Any) -> Any:
@@ -180,15 +184,15 @@ def _where_not_less_or_equal(builder: Any, values: Any) -> Any:
     return builder.select(builder.fcmp_unordered(">", values[0], values[1]), values[2], values[3])
 
 
-positive = _lane_intrinsic(1, _positive)
+positive = _make_lane_intrinsic(1, _positive)
 """``max(a, 0)``; 0 for what is not a number."""
-where_greater = _lane_intrinsic(4, _where_greater)
+where_greater = _make_lane_intrinsic(4, _where_greater)
 """c in the lanes with a > b, d in the others."""
-unless_within = _lane_intrinsic(4, _where_not_less_or_equal)
+unless_within = _make_lane_intrinsic(4, _where_not_less_or_equal)
 """d in the lanes with a <= b, c in the others, also where one of them is not a number."""
 
 
-@_intrinsic
+@_make_intrinsic
 def all_positive(typing: Any, lanes: Any) -> Any:
     """Check whether every lane of a vector is greater than zero."""
 
@@ -202,7 +206,7 @@ def all_positive(typing: Any, lanes: Any) -> Any:
     return types.boolean(lanes), codegen
 
 
-@_intrinsic
+@_make_intrinsic
 def lane(typing: Any, lanes: Any, index: Any) -> Any:
     """Extract one lane of a vector; its index is a constant."""
 
@@ -213,13 +217,13 @@ def lane(typing: Any, lanes: Any, index: Any) -> Any:
     return types.float64(lanes, index), codegen
 
 
-def _operator(symbol: Any, method: str) -> None:
+def _register_operator(symbol: Any, method: str) -> None:
     """Register an arithmetic operator for vectors, with a vector or number on the other side."""
 
     class _Template(templates.AbstractTemplate):  # type: ignore[misc]
         def generic(self, arguments: Any, keywords: Any) -> Any:
             """Return the signature for the given types; None if there is no vector or they do not match."""
-            lanes = _one_width(arguments)
+            lanes = _common_vector_type(arguments)
             if lanes is None:
                 return None
             return templates.signature(
@@ -240,7 +244,7 @@ def _operator(symbol: Any, method: str) -> None:
         lower_builtin(symbol, *pair)(lowered)
 
 
-_operator(operator.add, "fadd")
-_operator(operator.sub, "fsub")
-_operator(operator.mul, "fmul")
-_operator(operator.truediv, "fdiv")
+_register_operator(operator.add, "fadd")
+_register_operator(operator.sub, "fsub")
+_register_operator(operator.mul, "fmul")
+_register_operator(operator.truediv, "fdiv")

@@ -14,7 +14,7 @@ import numba
 from numba.core import event
 
 
-def compiled(**options: Any) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
+def compile_with_numba(**options: Any) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
     """Create a decorator that compiles a function by ``numba.njit(**options)``, cached if possible."""
 
     def decorate(function: Callable[..., Any]) -> Callable[..., Any]:
@@ -48,7 +48,7 @@ class _Compilations(event.Listener):
 
 
 @contextmanager
-def compilation_reported(report: Callable[[bool], None]) -> Iterator[None]:
+def report_compilation(report: Callable[[bool], None]) -> Iterator[None]:
     """Call ``report`` with True when a compilation starts, with False when it ends.
 
     It is called by the thread that compiles: one at a time, numba holds a lock meanwhile.

@@ -44,7 +44,7 @@ class Front:
     own: tuple[IntArray, IntArray]
 
 
-def dissect(cells: IntArray, unknowns: Sequence[IntArray]) -> list[Front]:
+def order_elimination(cells: IntArray, unknowns: Sequence[IntArray]) -> list[Front]:
     """Order the elimination of unknowns by nested dissection; each front comes after its children.
 
     Parameters
@@ -65,7 +65,7 @@ def dissect(cells: IntArray, unknowns: Sequence[IntArray]) -> list[Front]:
             here = unknowns[chosen[0]]
             count = np.ones(len(here), dtype=np.int64)
         else:
-            halves = [order(half) for half in _halves(cells, chosen)]
+            halves = [order(half) for half in _cut_in_halves(cells, chosen)]
             here = np.union1d(halves[0][1], halves[1][1])
             count = np.zeros(len(here), dtype=np.int64)
             children = halves[0][0], halves[1][0]
@@ -89,7 +89,7 @@ def dissect(cells: IntArray, unknowns: Sequence[IntArray]) -> list[Front]:
     return fronts
 
 
-def _halves(cells: IntArray, chosen: IntArray) -> tuple[IntArray, IntArray]:
+def _cut_in_halves(cells: IntArray, chosen: IntArray) -> tuple[IntArray, IntArray]:
     """Split cells across their longer side into the most equal halves."""
     places = cells[chosen]
     extent = places.max(axis=0) - places.min(axis=0)

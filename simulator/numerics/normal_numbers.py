@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from simulator.numerics.machine_code import compiled
+from simulator.numerics.machine_code import compile_with_numba
 
 LAYERS = 256
 LAST_EDGE = 3.6541528853610088
@@ -26,7 +26,7 @@ Table = NDArray[np.float32]
 Words = NDArray[np.uint64]
 
 
-def standard_normals(random: np.random.Generator, n: int) -> Table:
+def draw_standard_normals(random: np.random.Generator, n: int) -> Table:
     """Draw n standard normal float32 numbers, as NumPy's generator does; fast from an SFC64."""
     bits = random.bit_generator
     if not isinstance(bits, np.random.SFC64):
@@ -35,14 +35,14 @@ def standard_normals(random: np.random.Generator, n: int) -> Table:
     words = np.empty(6, dtype=np.uint64)
     words[:4], words[4], words[5] = state["state"]["state"], state["has_uint32"], state["uinteger"]
     drawn = np.empty(n, dtype=np.float32)
-    _draw(words, *_layers(), drawn)
+    _fill_with_normals(words, *_ziggurat_layers(), drawn)
     state["state"]["state"], state["has_uint32"], state["uinteger"] = words[:4], int(words[4]), int(words[5])
     bits.state = state
     return drawn
 
 
 @cache
-def _layers() -> tuple[NDArray[np.uint32], Table, Table]:
+def _ziggurat_layers() -> tuple[NDArray[np.uint32], Table, Table]:
     """Compute the ziggurat's tables, one row per layer.
 
     Steps fully under the curve, a step's signed width, and the curve's height.
@@ -63,7 +63,7 @@ def _layers() -> tuple[NDArray[np.uint32], Table, Table]:
     return inside.astype(np.uint32), widths.astype(np.float32), heights.astype(np.float32)
 
 
-@compiled(error_model="numpy")
+@compile_with_numba(error_model="numpy")
 def _next_uint32(words: Words) -> Any:
     """Return the next 32 bits of an SFC64: the lower half first, the upper one is kept."""
     if words[4]:
@@ -78,8 +78,8 @@ def _next_uint32(words: Words) -> Any:
     return np.uint32(given & np.uint64(0xFFFFFFFF))
 
 
-@compiled(error_model="numpy")
-def _tail(words: Words, bits: np.uint32) -> Any:
+@compile_with_numba(error_model="numpy")
+def _draw_from_tail(words: Words, bits: np.uint32) -> Any:
     """Draw a normal number beyond the last edge (Marsaglia 1964); one of the bits is the sign."""
     while True:
         first = np.float32(_next_uint32(words) >> np.uint32(8)) * np.float32(2.0**-24)
@@ -91,8 +91,10 @@ def _tail(words: Words, bits: np.uint32) -> Any:
             return -x if (bits >> np.uint32(17)) & np.uint32(1) else x
 
 
-@compiled(error_model="numpy")
-def _draw(words: Words, inside: NDArray[np.uint32], widths: Table, heights: Table, drawn: Table) -> None:
+@compile_with_numba(error_model="numpy")
+def _fill_with_normals(
+    words: Words, inside: NDArray[np.uint32], widths: Table, heights: Table, drawn: Table
+) -> None:
     """Fill `drawn` with normal numbers.
 
     `words` holds SFC64's four, whether half of a fifth is kept, and that half.
@@ -135,7 +137,7 @@ def _draw(words: Words, inside: NDArray[np.uint32], widths: Table, heights: Tabl
             done += 2
 
 
-@compiled(error_model="numpy")
+@compile_with_numba(error_model="numpy")
 def _number_in_layer(bits: np.uint32, inside: NDArray[np.uint32], widths: Table) -> Any:
     """Convert 32 bits to a number; return also whether it is under the curve in all of its layer."""
     layer = bits & np.uint32(LAYERS - 1)
@@ -143,7 +145,7 @@ def _number_in_layer(bits: np.uint32, inside: NDArray[np.uint32], widths: Table)
     return np.float32(place) * widths[bits & np.uint32(2 * LAYERS - 1)], place < inside[layer]
 
 
-@compiled(error_model="numpy")
+@compile_with_numba(error_model="numpy")
 def _next_number(
     words: Words, bits: np.uint32, inside: NDArray[np.uint32], widths: Table, heights: Table
 ) -> Any:
@@ -154,7 +156,7 @@ def _next_number(
             return x
         layer = bits & np.uint32(LAYERS - 1)
         if layer == 0:
-            return _tail(words, bits)
+            return _draw_from_tail(words, bits)
         even = np.float32(_next_uint32(words) >> np.uint32(8)) * np.float32(2.0**-24)
         height = (heights[layer - 1] - heights[layer]) * even + heights[layer]
         if height < math.exp(-0.5 * np.float64(x) * np.float64(x)):

@@ -13,23 +13,23 @@ from threadpoolctl import ThreadpoolController
 
 
 @cache
-def _controller() -> ThreadpoolController:
+def _find_blas_libraries() -> ThreadpoolController:
     """Find the numerical libraries once, because the search takes longer than a new depth."""
     import scipy.linalg  # noqa: F401 its library must be loaded before we look
 
     return ThreadpoolController()
 
 
-def one_blas_thread() -> AbstractContextManager[object]:
+def use_one_blas_thread() -> AbstractContextManager[object]:
     """Limit BLAS to one thread within this context."""
-    limiter: AbstractContextManager[object] = _controller().limit(limits=1, user_api="blas")
+    limiter: AbstractContextManager[object] = _find_blas_libraries().limit(limits=1, user_api="blas")
     return limiter
 
 
 @cache
-def blas_libraries() -> tuple[str, ...]:
+def describe_blas_libraries() -> tuple[str, ...]:
     """List every BLAS in use by library, version and processor kind, which determine the last digits."""
-    found = _controller().select(user_api="blas").info()
+    found = _find_blas_libraries().select(user_api="blas").info()
     return tuple(
         sorted(
             f"{library['internal_api']} {library['version']} {library.get('architecture')}"

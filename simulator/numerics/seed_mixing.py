@@ -12,7 +12,7 @@ import numpy as np
 from numpy.random.bit_generator import ISeedSequence
 from numpy.typing import NDArray
 
-from simulator.numerics.machine_code import compiled
+from simulator.numerics.machine_code import compile_with_numba
 
 Words = NDArray[np.uint32]
 
@@ -37,31 +37,31 @@ class SeedWords(ISeedSequence):
     def generate_state(self, n_words: int, dtype: Any = np.uint32) -> NDArray[Any]:
         """Return ``n_words`` seed words of 32 or 64 bits, as NumPy's `SeedSequence` does."""
         per_word = np.dtype(dtype).itemsize // 4
-        return np.asarray(_mixed(self._words, n_words * per_word).view(dtype))
+        return np.asarray(_mix_seed_words(self._words, n_words * per_word).view(dtype))
 
 
-@compiled(error_model="numpy")
-def _hashed(value: np.uint32, before: np.uint32, after: np.uint32) -> Any:
+@compile_with_numba(error_model="numpy")
+def _mix_value(value: np.uint32, before: np.uint32, after: np.uint32) -> Any:
     """Hash a 32-bit value as NumPy's `SeedSequence` does."""
     value = np.uint32((value ^ before) * after)
     return value ^ (value >> np.uint32(16))
 
 
-@compiled(error_model="numpy")
-def _mixed(words: Words, n_out: int) -> Words:
+@compile_with_numba(error_model="numpy")
+def _mix_seed_words(words: Words, n_out: int) -> Words:
     """Mix the words of a seed as NumPy's `SeedSequence` does; return ``n_out`` words."""
     n, pool = words.shape[0], np.empty(POOL, np.uint32)
     constant = FIRST_HASH
     for k in range(POOL):
         following = np.uint32(constant * HASH)
-        pool[k] = _hashed(words[k] if k < n else np.uint32(0), constant, following)
+        pool[k] = _mix_value(words[k] if k < n else np.uint32(0), constant, following)
         constant = following
     # Each word of the pool is mixed into the others, then each word that the pool did not hold into all.
     for source in range(max(POOL, n)):
         for k in range(POOL):
             if k != source:
                 following = np.uint32(constant * HASH)
-                value = _hashed(pool[source] if source < POOL else words[source], constant, following)
+                value = _mix_value(pool[source] if source < POOL else words[source], constant, following)
                 constant = following
                 value = np.uint32(np.uint32(pool[k] * KEPT) - np.uint32(value * MIXED_IN))
                 pool[k] = value ^ (value >> np.uint32(16))
@@ -69,6 +69,6 @@ def _mixed(words: Words, n_out: int) -> Words:
     constant = FIRST_OUT
     for k in range(n_out):
         following = np.uint32(constant * OUT)
-        out[k] = _hashed(pool[k % POOL], constant, following)
+        out[k] = _mix_value(pool[k % POOL], constant, following)
         constant = following
     return out

@@ -8,7 +8,7 @@ from pathlib import Path
 
 
 @cache
-def source_digest() -> str:
+def hash_source() -> str:
     """Compute the SHA-256 of every module of the simulator except the doubles, which compute no shot.
 
     Line ends do not count: an installed wheel and a checkout on Windows have the same digest.

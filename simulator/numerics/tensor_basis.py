@@ -56,7 +56,7 @@ class Axis:
     def interval_matrices(self, interval: int) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Compute ``int N_i N_j``, ``int N_i' N_j``, ``int N_i' N_j'`` over one interval."""
         length = float(self.breaks_m[interval + 1] - self.breaks_m[interval])
-        mass, slope, stiffness = _reference_matrices(self.degrees[interval])
+        mass, slope, stiffness = _reference_element_matrices(self.degrees[interval])
         return mass * (0.5 * length), slope, stiffness * (2.0 / length)
 
     def matrices(self, intervals: Iterable[int]) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -101,7 +101,7 @@ def lagrange(degree: int, at: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 @cache
-def _reference_matrices(degree: int) -> tuple[FloatArray, FloatArray, FloatArray]:
+def _reference_element_matrices(degree: int) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Compute mass, coupling and stiffness matrices of an element of this degree on [-1, 1]."""
     points, weights = legendre.leggauss(degree + 1)
     value, slope = lagrange(degree, points)
@@ -109,7 +109,7 @@ def _reference_matrices(degree: int) -> tuple[FloatArray, FloatArray, FloatArray
     return value.T @ weighted_value, slope.T @ weighted_value, slope.T @ weighted_slope
 
 
-def graded_breaks_m(
+def make_graded_breaks_m(
     length_m: float,
     *,
     features: Sequence[tuple[float, float]],

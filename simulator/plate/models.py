@@ -8,15 +8,15 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Protocol
 
-from simulator.numerics.array_cache import cached_arrays, content_key
+from simulator.numerics.array_cache import hash_content, read_or_compute_arrays
 from simulator.numerics.arrays import FloatArray
-from simulator.numerics.one_thread import one_blas_thread
+from simulator.numerics.one_thread import use_one_blas_thread
 from simulator.parameters.plate import CorrosionParameters, PlateParameters
-from simulator.plate.mindlin.cache import reduced_plate
+from simulator.plate.mindlin.cache import load_reduced_plate
 from simulator.plate.reduced import PlateModes
-from simulator.plate.solid.family import SolidFamily, family_of, solid_family
+from simulator.plate.solid.family import SolidFamily, build_solid_family, restore_family
 from simulator.plate.solid.plate import check_solid
-from simulator.plate.solid.reduction import SHALLOWEST_FRACTION, solid_modes
+from simulator.plate.solid.reduction import SHALLOWEST_FRACTION, compute_solid_modes
 
 DEPTHS_KNOWN = 256
 """Depths whose modes a solid plate remembers, the first ones forgotten first."""
@@ -30,7 +30,7 @@ class ModalPlate(Protocol):
         ...
 
 
-def modal_plate(
+def prepare_modal_plate(
     plate: PlateParameters, corrosion: CorrosionParameters, cache_folder: Path | None
 ) -> ModalPlate | None:
     """Prepare the plate of `plate.model` for modes; None for an analytic reference, which has none.
@@ -48,7 +48,7 @@ def modal_plate(
         The patch does not fit the plate, or the model does not know it.
     """
     if plate.model == "mindlin":
-        return reduced_plate(plate, corrosion, cache_folder)
+        return load_reduced_plate(plate, corrosion, cache_folder)
     if plate.model == "solid":
         return CachedSolid(plate, corrosion, cache_folder)
     return None
@@ -86,44 +86,44 @@ class CachedSolid:
         with self._lock:  # two threads must not compute the same depth
             found = self._known.get(depth_fraction)
             if found is None:
-                found = self._found(replace(self._corrosion, depth_fraction=depth_fraction))
+                found = self._find_modes(replace(self._corrosion, depth_fraction=depth_fraction))
                 self._known[depth_fraction] = found
                 if len(self._known) > DEPTHS_KNOWN:
                     self._known.popitem(last=False)
             return found
 
-    def _found(self, corrosion: CorrosionParameters) -> PlateModes:
+    def _find_modes(self, corrosion: CorrosionParameters) -> PlateModes:
         """Compute the modes of a thinned plate, from the family of bases if that is exact enough."""
         check_solid(self._plate, corrosion)
         lost = corrosion.depth_fraction * corrosion.depth_factor
         if not self._plate.solid.one_basis or lost < SHALLOWEST_FRACTION:
-            return self._kept_modes(corrosion)
+            return self._cached_modes(corrosion)
         if self._family is None:
-            self._family = self._kept_family()
-        with one_blas_thread():
+            self._family = self._cached_family()
+        with use_one_blas_thread():
             return self._family.modes(1.0 - lost)
 
-    def _kept_modes(self, corrosion: CorrosionParameters) -> PlateModes:
+    def _cached_modes(self, corrosion: CorrosionParameters) -> PlateModes:
         """Read the modes of a thinned plate from the disk cache, or compute and store them."""
 
         def compute() -> dict[str, FloatArray]:
             """Compute the modes in one BLAS thread; return their arrays by name."""
-            with one_blas_thread():
-                return asdict(solid_modes(self._plate, corrosion))
+            with use_one_blas_thread():
+                return asdict(compute_solid_modes(self._plate, corrosion))
 
         described = {"modes": "solid", "plate": asdict(self._plate), "patch": asdict(corrosion)}
-        found = cached_arrays(self._folder, content_key(described), compute)
+        found = read_or_compute_arrays(self._folder, hash_content(described), compute)
         residual_m_per_n = float(found.pop("residual_compliance_m_per_n"))
         return PlateModes(**found, residual_compliance_m_per_n=residual_m_per_n)
 
-    def _kept_family(self) -> SolidFamily:
+    def _cached_family(self) -> SolidFamily:
         """Read the family of modes from the disk cache, or compute and store it."""
 
         def compute() -> dict[str, FloatArray]:
             """Compute the family in one BLAS thread; return its arrays by name."""
-            with one_blas_thread():
-                return solid_family(self._plate, self._corrosion).arrays()
+            with use_one_blas_thread():
+                return build_solid_family(self._plate, self._corrosion).arrays()
 
         footprint = asdict(replace(self._corrosion, depth_fraction=0.0))
         described = {"basis": "solid", "plate": asdict(self._plate), "patch": footprint}
-        return family_of(cached_arrays(self._folder, content_key(described), compute))
+        return restore_family(read_or_compute_arrays(self._folder, hash_content(described), compute))

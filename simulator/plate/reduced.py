@@ -9,7 +9,7 @@ import numpy as np
 from scipy import linalg
 
 from simulator.numerics.arrays import FloatArray
-from simulator.numerics.driven_modes import driven_modes
+from simulator.numerics.driven_modes import compute_driven_modes
 
 MERGE_TOLERANCE = 5e-7
 """Directions weaker than this part of the strongest are left out of the merged basis."""
@@ -45,7 +45,7 @@ class PlateModes:
         modal = np.sum((self.participation / self.omega_rad_per_s) ** 2)
         return float(modal) + self.residual_compliance_m_per_n
 
-    def of_modulus(self, factor: float) -> PlateModes:
+    def with_scaled_modulus(self, factor: float) -> PlateModes:
         """Return the modes for `factor` times the Young's modulus, to which stiffness is proportional."""
         return PlateModes(
             omega_rad_per_s=self.omega_rad_per_s * math.sqrt(factor),
@@ -98,7 +98,7 @@ class ReducedPlate:
         size = self.stiffness.shape[1]
         powers = (1.0 - depth_fraction) ** np.arange(4.0)
         k, m = ((powers @ terms.reshape(4, -1)).reshape(size, size) for terms in (self.stiffness, self.mass))
-        omega, participation, residual = driven_modes(
+        omega, participation, residual = compute_driven_modes(
             k, m, float(self.load[0]), math.ceil(MODES_PER_DIRECTION * size)
         )
         return PlateModes(
@@ -106,7 +106,7 @@ class ReducedPlate:
         )
 
 
-def merge(vectors: FloatArray, weight: FloatArray, strengths: list[FloatArray]) -> FloatArray:
+def merge_vectors(vectors: FloatArray, weight: FloatArray, strengths: list[FloatArray]) -> FloatArray:
     """Build a basis of the span of `vectors`' rows without the weakest directions.
 
     Parameters

@@ -61,7 +61,7 @@ from simulator.numerics.lanes import (
     unless_within,
     where_greater,
 )
-from simulator.numerics.machine_code import compiled
+from simulator.numerics.machine_code import compile_with_numba
 from simulator.shot.registers import Bodies, Chains, Contact, LastBody, Propagator, Results, Strikes
 
 FloatArray = NDArray[np.float64]
@@ -92,7 +92,7 @@ BANK_ROWS = 16
 """Numbers of a mode, see `simulator.shot.modal_weights`."""
 
 # No fast mathematics: each lane is rounded as if it were alone.
-_compiled = compiled(nogil=True, error_model="numpy")
+_compiled = compile_with_numba(nogil=True, error_model="numpy")
 
 
 @_compiled
@@ -122,11 +122,11 @@ def _slope_of_power(overlap: Any, law: int) -> Any:
 
 
 # A step is pasted into the time loop before types are known: the loop is compiled as one.
-_step = compiled(inline="always", nogil=True, error_model="numpy")
+_step = compile_with_numba(inline="always", nogil=True, error_model="numpy")
 
 
 @_step
-def _bodies_at_rest(chains: Chains, speed: Any, step: float, width: int) -> Bodies:
+def _set_bodies_at_rest(chains: Chains, speed: Any, step: float, width: int) -> Bodies:
     """Create all bodies at rest except the striker, whose past free fall is exact."""
     last = chains.mass.shape[0] - 1
     row = -(-last * width // BLOCK) * BLOCK + width + BLOCK
@@ -169,7 +169,7 @@ def _bodies_at_rest(chains: Chains, speed: Any, step: float, width: int) -> Bodi
 
 
 @_step
-def _contact(
+def _contact_weights(
     chains: Chains, specimen: Propagator, step: float, width: int, law: int, linear: bool
 ) -> Contact:
     """Compute the weights of everything that acts on the plate's contact within a step."""
@@ -229,7 +229,7 @@ def _contact(
 
 
 @_step
-def _last_at_rest(chains: Chains, contact: Contact, zero: Any, width: int) -> LastBody:
+def _set_last_body_at_rest(chains: Chains, contact: Contact, zero: Any, width: int) -> LastBody:
     """Create the last body under its static load."""
     held = np.empty(width)
     row = (chains.mass.shape[0] - 1) * width
@@ -253,7 +253,7 @@ def _last_at_rest(chains: Chains, contact: Contact, zero: Any, width: int) -> La
 
 
 @_step
-def _energy_at_first(chains: Chains, strikes: Strikes, compliance: float, width: int) -> FloatArray:
+def _compute_initial_energy(chains: Chains, strikes: Strikes, compliance: float, width: int) -> FloatArray:
     """Compute the initial energy of all contacts and of the striker for each shot, in J."""
     last = chains.mass.shape[0] - 1
     energy = np.empty(width)
@@ -267,7 +267,7 @@ def _energy_at_first(chains: Chains, strikes: Strikes, compliance: float, width:
 
 
 @_step
-def _strike_twice(
+def _apply_second_strike(
     bodies: Bodies,
     chains: Chains,
     launch_speed: FloatArray,
@@ -336,11 +336,11 @@ def _advance_modes_of_two(y: FloatArray, sums: FloatArray, bank: FloatArray, las
         other = other + seen
         store(y, m + 2 * BLOCK, bent)
         store(y, m + 3 * BLOCK, gain)
-    _put_sums_of_two(sums, total, other)
+    _store_sums_of_two(sums, total, other)
 
 
 @_step
-def _put_sums_of_two(sums: FloatArray, total: Any, other: Any) -> None:
+def _store_sums_of_two(sums: FloatArray, total: Any, other: Any) -> None:
     """Store the sums of two shots so that `_sum_of_eight` adds nothing to them."""
     n = 2 * BLOCK
     store(sums, n, total)
@@ -422,7 +422,7 @@ def _predict_impulses(bodies: Bodies, striker: Any, size: int, width: int, h24: 
 
 
 @_step
-def _move(bodies: Bodies, size: int, width: int, h24: float) -> None:
+def _move_bodies(bodies: Bodies, size: int, width: int, h24: float) -> None:
     """Correct velocities and displacements of all bodies but the last by an Adams-Moulton step."""
     for k in range(0, size, BLOCK):
         v = load(bodies.given, k, BLOCK) - load(bodies.given, k + width, BLOCK)
@@ -437,7 +437,9 @@ def _move(bodies: Bodies, size: int, width: int, h24: float) -> None:
 
 
 @_step
-def _root_of_overlap(d_free: Any, last: LastBody, contact: Contact, zero: Any, law: int, linear: bool) -> Any:
+def _solve_overlap_root(
+    d_free: Any, last: LastBody, contact: Contact, zero: Any, law: int, linear: bool
+) -> Any:
     """Solve ``p + (..) p^q + (..) p^(3/2) = d_free`` for sqrt(p); return 0 if d_free is negative.
 
     Two steps with the slope where the last three overlaps point; that slope waits for nothing.
@@ -499,7 +501,7 @@ def _press_plate(
     w_known = w_known + contact.compliance * (past_rate - (contact.rate0 * s_plate + n_plate))
     u_known = fma(fma((above - known + s_plate) * per_mass, 9.0, past_v), h24, last.u)
     d_free = u_known - w_known + contact.static_overlap
-    root = _root_of_overlap(d_free, last, contact, zero, law, linear)
+    root = _solve_overlap_root(d_free, last, contact, zero, law, linear)
     p = root * root
     hertz = contact.stiffness * p * root
     d = where_greater(d_free, zero, p, d_free)
@@ -511,7 +513,7 @@ def _press_plate(
     stored = 0.4 * hertz * p + 0.5 * contact.compliance * force * force
     stored = where_greater(p, zero, stored, zero)
     stretch = d + contact.compliance * force
-    dissipated = _dissipated_at_plate(last, contact, p, s, total, stretch, stored, zero)
+    dissipated = _add_plate_losses(last, contact, p, s, total, stretch, stored, zero)
     return LastBody(
         u=fma(fma(v, 9.0, past_v), h24, last.u),
         v=(v, last.v[0], last.v[1], last.v[2]),
@@ -528,7 +530,7 @@ def _press_plate(
 
 
 @_step
-def _dissipated_at_plate(
+def _add_plate_losses(
     last: LastBody, contact: Contact, p: Any, s: Any, total: Any, stretch: Any, stored: Any, zero: Any
 ) -> Any:
     """Add a step's losses in the plate's contact and, at its release, in the cut modes."""
@@ -568,7 +570,7 @@ def _correct_forces(bodies: Bodies, size: int, width: int, h24: float, law: int)
 
 
 @_step
-def _force(
+def _contact_force(
     i: int,
     bodies: Bodies,
     last: LastBody,
@@ -643,7 +645,7 @@ def _energy_of_modes_of_two(y: FloatArray, sums: FloatArray, bank: FloatArray, l
         total = total + _energy_of_mode(bent, gain, of_first, bending, moving)
         bent, gain = load(y, m + 2 * BLOCK, BLOCK), load(y, m + 3 * BLOCK, BLOCK)
         other = other + _energy_of_mode(bent, gain, of_second, bending, moving)
-    _put_sums_of_two(sums, total, other)
+    _store_sums_of_two(sums, total, other)
 
 
 @_step
@@ -688,7 +690,7 @@ def _energy_of_mode(bent: Any, gain: Any, acting: Any, bending: Any, moving: Any
 
 
 @cache
-def kernel(width: int, linear: bool) -> Callable[..., None]:
+def compile_time_loop(width: int, linear: bool) -> Callable[..., None]:
     """Compile the time loop for `width` shots side by side, with linear dashpots or with any.
 
     The function returned fills the arrays of `found`::
@@ -702,11 +704,11 @@ def kernel(width: int, linear: bool) -> Callable[..., None]:
     interval
         The energy balance is drawn up every so many steps and at the end.
     """
-    time_loop: Callable[..., None] = _compiled(_time_loop(width, linear))
+    time_loop: Callable[..., None] = _compiled(_make_time_loop(width, linear))
     return time_loop
 
 
-def _time_loop(W: int, LINEAR: bool) -> Callable[..., None]:
+def _make_time_loop(W: int, LINEAR: bool) -> Callable[..., None]:
     """Create the time integration of ``W`` shots at once, with or without linear contacts."""
 
     def integrate(
@@ -727,12 +729,12 @@ def _time_loop(W: int, LINEAR: bool) -> Callable[..., None]:
         h24 = step / 24.0
         zero = broadcast(0.0, W)
         speed = load(strikes.speed, 0, W)
-        bodies = _bodies_at_rest(chains, speed, step, W)
-        contact = _contact(chains, specimen, step, W, law, LINEAR)
-        last = _last_at_rest(chains, contact, zero, W)
+        bodies = _set_bodies_at_rest(chains, speed, step, W)
+        contact = _contact_weights(chains, specimen, step, W, law, LINEAR)
+        last = _set_last_body_at_rest(chains, contact, zero, W)
         y = np.zeros(bank.shape[0] // (BANK_ROWS * BLOCK) * 2 * BLOCK * W)  # two numbers a mode
         sums = np.zeros(BLOCK * (W + NARROWEST))
-        given_energy = _energy_at_first(chains, strikes, contact.compliance, W)  # with the strikes
+        given_energy = _compute_initial_energy(chains, strikes, contact.compliance, W)  # with the strikes
         launch_speed = strikes.speed.copy()
         worst = largest = turn = zero
         for i in range(last_body + 1):
@@ -745,7 +747,9 @@ def _time_loop(W: int, LINEAR: bool) -> Callable[..., None]:
             for k in range(W):
                 if n - 1 == strikes.second_step[k]:
                     second_speed = strikes.second_speed[k]
-                    gained = _strike_twice(bodies, chains, launch_speed, n - 1, k, W, step, second_speed)
+                    gained = _apply_second_strike(
+                        bodies, chains, launch_speed, n - 1, k, W, step, second_speed
+                    )
                     given_energy[k] += gained
 
             if W == NARROWEST:
@@ -759,7 +763,7 @@ def _time_loop(W: int, LINEAR: bool) -> Callable[..., None]:
             striker = chains.mass[0] * (load(launch_speed, 0, W) + chains.gravity * (n * step))
             _predict_impulses(bodies, striker, size, W, h24, law)
             above = load(bodies.given, last_body * W, W)
-            _move(bodies, size, W, h24)
+            _move_bodies(bodies, size, W, h24)
 
             before = last
             last = _press_plate(before, contact, above, w_free, zero, law, LINEAR)
@@ -772,12 +776,12 @@ def _time_loop(W: int, LINEAR: bool) -> Callable[..., None]:
             # The plate's speed is not known: its contact closes at the rate of the last four d.
             closing = 11.0 * last.d[0] - 18.0 * last.d[1] + 9.0 * last.d[2] - 2.0 * before.d[2]
             closing = closing * (1.0 / (6.0 * step))
-            over = _force(chains.sensor - 1, bodies, last, contact, chains, closing, W, law)
-            under = _force(chains.sensor, bodies, last, contact, chains, closing, W, law)
+            over = _contact_force(chains.sensor - 1, bodies, last, contact, chains, closing, W, law)
+            under = _contact_force(chains.sensor, bodies, last, contact, chains, closing, W, law)
             store(found.sensor_force, n * W, 0.5 * (over + under))
             if found.contact_force.shape[0]:
                 for i in range(last_body + 1):
-                    force = _force(i, bodies, last, contact, chains, closing, W, law)
+                    force = _contact_force(i, bodies, last, contact, chains, closing, W, law)
                     store(found.contact_force, (i * n_steps + n) * W, force)
 
             if n % interval == 0 or n == n_steps - 1:

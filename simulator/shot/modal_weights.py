@@ -14,7 +14,9 @@ MANY_POINTS = 24
 """Gauss points that integrate `modal_weights` to rounding: few up to this omega h, many up to 10."""
 
 
-def modal_weights(omega_rad_per_s: FloatArray, participation: FloatArray, step_s: float) -> FloatArray:
+def compute_modal_weights(
+    omega_rad_per_s: FloatArray, participation: FloatArray, step_s: float
+) -> FloatArray:
     """Compute weights of a plate's modes for a step, shape (n_blocks * BANK_ROWS * BLOCK,).
 
     A step turns ``y = phi z / omega``, whose real parts add up to the deflection under the chain, by
@@ -37,7 +39,7 @@ def modal_weights(omega_rad_per_s: FloatArray, participation: FloatArray, step_s
     """
     turned = omega_rad_per_s * step_s
     few = turned.max(initial=0.0) <= FEW_POINTS_PHASE_RAD
-    to_end, shares = _gauss_rule(FEW_POINTS if few else MANY_POINTS)
+    to_end, shares = _gauss_rule_of_step(FEW_POINTS if few else MANY_POINTS)
     phase = np.multiply.outer(turned, to_end)
     own = (np.cos(phase) @ shares - 1j * (np.sin(phase) @ shares)) * (participation**2 * step_s)[:, None]
     turn = np.cos(turned) - 1j * np.sin(turned)
@@ -58,7 +60,7 @@ def modal_weights(omega_rad_per_s: FloatArray, participation: FloatArray, step_s
 
 
 @cache
-def _gauss_rule(points: int) -> tuple[FloatArray, FloatArray]:
+def _gauss_rule_of_step(points: int) -> tuple[FloatArray, FloatArray]:
     """Return each Gauss point's distance from the step's end, and its weights of the six values.
 
     These are of the cubic through I at tau = 1, 0, -1 and -2 and of the line through S at 1 and 0, with

@@ -28,16 +28,20 @@ from simulator.chain.spheres import Chain, Contacts, build_chain, impact_speed_m
 from simulator.errors import IntegrationError, SpecimenError
 from simulator.materials import thin_plate_impedance_n_s_per_m
 from simulator.numerics.arrays import FloatArray
-from simulator.numerics.one_thread import one_blas_thread
+from simulator.numerics.one_thread import use_one_blas_thread
 from simulator.parameters.chain import ChainParameters
 from simulator.parameters.plate import CorrosionParameters, PlateParameters
 from simulator.plate.mindlin.cache import DEFAULT_CACHE_FOLDER
-from simulator.plate.models import ModalPlate, modal_plate
+from simulator.plate.models import ModalPlate, prepare_modal_plate
 from simulator.plate.reduced import PlateModes
-from simulator.shot.modal_weights import modal_weights
+from simulator.shot.modal_weights import compute_modal_weights
 from simulator.shot.registers import Propagator
-from simulator.shot.side_by_side import UNMOVED, integrate
-from simulator.shot.time_step import record_duration_s, resolving_step_s, stiffest_contact_n_per_m
+from simulator.shot.side_by_side import UNMOVED, integrate_chains
+from simulator.shot.time_step import (
+    choose_record_duration_s,
+    choose_step_s,
+    estimate_stiffest_contact_n_per_m,
+)
 
 ENERGY_TOLERANCE = 1e-4
 """Largest defect of the energy balance, relative to the impact energy."""
@@ -191,16 +195,16 @@ class ShotModel:
         for name, value in (("duration_s", duration_s), ("step_s", step_s)):
             if value is not None and not (math.isfinite(value) and value > 0.0):
                 raise SpecimenError(f"{name} is {value}; it must be positive and finite")
-        self._step_s = resolving_step_s(nominal) if step_s is None else step_s
-        self._contact_stiffness_n_per_m = stiffest_contact_n_per_m(nominal)
+        self._step_s = choose_step_s(nominal) if step_s is None else step_s
+        self._contact_stiffness_n_per_m = estimate_stiffest_contact_n_per_m(nominal)
         self._chosen_duration_s = duration_s
-        self._shortest_record_s = record_duration_s(nominal) if duration_s is None else duration_s
-        self._modal_plate = prepared_plate or modal_plate(plate, corrosion, cache_folder)
+        self._shortest_record_s = choose_record_duration_s(nominal) if duration_s is None else duration_s
+        self._modal_plate = prepared_plate or prepare_modal_plate(plate, corrosion, cache_folder)
         if self._modal_plate is None and corrosion.depth_fraction > 0.0:
-            raise SpecimenError(_no_patch(plate.model, corrosion.depth_fraction))
+            raise SpecimenError(_no_patch_message(plate.model, corrosion.depth_fraction))
         self._prepared: OrderedDict[tuple[float, float, bool, float], Propagator] = OrderedDict()
         # The plate warms and cools with every set, also where its depth stays.
-        self._modes = lru_cache(maxsize=DEPTHS_KEPT)(partial(_modes_in_one_thread, self._modal_plate))
+        self._modes = lru_cache(maxsize=DEPTHS_KEPT)(partial(_compute_modes, self._modal_plate))
         self._checked_depths = {corrosion.depth_fraction}
         self._lock = threading.Lock()
 
@@ -211,7 +215,7 @@ class ShotModel:
         set. It has a step of its own where that must be less than 0.4 of this model's.
         """
         nominal = build_chain(chain, self._plate)
-        if resolving_step_s(nominal) < 0.4 * self._step_s and not self._chosen_step:
+        if choose_step_s(nominal) < 0.4 * self._step_s and not self._chosen_step:
             return ShotModel(
                 chain,
                 self._plate,
@@ -225,7 +229,7 @@ class ShotModel:
         other._chain = chain
         other._nominal = nominal
         if self._chosen_duration_s is None:
-            other._shortest_record_s = record_duration_s(nominal)
+            other._shortest_record_s = choose_record_duration_s(nominal)
         return other
 
     def with_liquid(self, depth_factor: float) -> ShotModel | None:
@@ -286,21 +290,21 @@ class ShotModel:
         by_wall: dict[tuple[float, float, bool], list[tuple[int, Chain]]] = {}
         count = 0
         for count, impact in enumerate(impacts, start=1):
-            depth = 0.0 if impact.through_hole else self._depth(impact)
+            depth = 0.0 if impact.through_hole else self._depth_of_wall(impact)
             wall = depth, impact.plate_modulus_factor, impact.through_hole
-            by_wall.setdefault(wall, []).append((count - 1, self._struck(impact)))
+            by_wall.setdefault(wall, []).append((count - 1, self._chain_as_struck(impact)))
         forces: dict[int, ShotForce] = {}
         for (depth, modulus, is_hole), struck in by_wall.items():
             chains = [chain for _, chain in struck]
             found = (
-                self._over_hole(chains, contact_forces)
+                self._integrate_over_hole(chains, contact_forces)
                 if is_hole
-                else self._over_wall(chains, depth, modulus, contact_forces)
+                else self._integrate_over_wall(chains, depth, modulus, contact_forces)
             )
             forces.update(zip((order for order, _ in struck), found, strict=True))
         return [forces[order] for order in range(count)]
 
-    def _depth(self, impact: Impact) -> float:
+    def _depth_of_wall(self, impact: Impact) -> float:
         """Return the depth fraction of an impact; raise SpecimenError above 0 without a patch."""
         if impact.depth_fraction is None:
             return self._corrosion.depth_fraction
@@ -309,10 +313,10 @@ class ShotModel:
             replace(self._corrosion, depth_fraction=depth)  # checks the bounds
             self._checked_depths = {self._corrosion.depth_fraction, depth}  # most shots repeat the last one
         if self._modal_plate is None and depth > 0.0:
-            raise SpecimenError(_no_patch(self._plate.model, depth))
+            raise SpecimenError(_no_patch_message(self._plate.model, depth))
         return depth
 
-    def _struck(self, impact: Impact) -> Chain:
+    def _chain_as_struck(self, impact: Impact) -> Chain:
         """Return the chain of an impact, with its drop height, tilt and contacts."""
         chain, height_m, tilt_rad = self._chain, impact.drop_height_m, impact.tilt_rad
         struck = self._nominal
@@ -329,37 +333,41 @@ class ShotModel:
             second_speed = impact_speed_m_per_s(float(impact.second_drop_height_m))
         return replace(struck, second_delay_s=impact.second_delay_s, second_speed_m_per_s=second_speed)
 
-    def _over_wall(
+    def _integrate_over_wall(
         self, chains: list[Chain], depth: float, modulus: float, contact_forces: bool
     ) -> list[ShotForce]:
         """Simulate chains over a wall of one depth and modulus; extend records that end too soon."""
 
         def specimen(step: float, wide: bool) -> Propagator:
-            return self._propagator(depth, step, wide, modulus)
+            return self._prepare_propagator(depth, step, wide, modulus)
 
-        forces = self._converged(chains, specimen, self._shortest_record_s, contact_forces=contact_forces)
+        forces = self._integrate_until_converged(
+            chains, specimen, self._shortest_record_s, contact_forces=contact_forces
+        )
         if self._chosen_duration_s is None:
             for k, chain in enumerate(chains):
                 for _ in range(EXTENSIONS):
                     needed = TURN_TO_END * (forces[k].reflection_time_s or 0.0)
                     if forces[k].time_s[-1] >= needed:
                         break
-                    forces[k] = self._converged([chain], specimen, needed, contact_forces=contact_forces)[0]
+                    forces[k] = self._integrate_until_converged(
+                        [chain], specimen, needed, contact_forces=contact_forces
+                    )[0]
         return forces
 
-    def _over_hole(self, chains: list[Chain], contact_forces: bool) -> list[ShotForce]:
+    def _integrate_over_hole(self, chains: list[Chain], contact_forces: bool) -> list[ShotForce]:
         """Simulate chains above a through hole, where nothing is reflected."""
         free_ends = [
             replace(
                 chain,
-                stiffness_n_per_m15=_without_last(chain.stiffness_n_per_m15),
-                damping_n_s_per_m=_without_last(chain.damping_n_s_per_m),
-                static_force_n=_without_last(chain.static_force_n),
-                static_overlap_m=_without_last(chain.static_overlap_m),
+                stiffness_n_per_m15=_clear_last(chain.stiffness_n_per_m15),
+                damping_n_s_per_m=_clear_last(chain.damping_n_s_per_m),
+                static_force_n=_clear_last(chain.static_force_n),
+                static_overlap_m=_clear_last(chain.static_overlap_m),
             )
             for chain in chains
         ]
-        forces = self._converged(
+        forces = self._integrate_until_converged(
             free_ends,
             lambda step, wide: UNMOVED,
             self._shortest_record_s,
@@ -368,7 +376,7 @@ class ShotModel:
         )
         return [replace(force, reflection_time_s=None) for force in forces]
 
-    def _converged(
+    def _integrate_until_converged(
         self,
         chains: list[Chain],
         specimen: Callable[[float, bool], Propagator],
@@ -382,10 +390,10 @@ class ShotModel:
         time_s = self._step_s * np.arange(samples, dtype=np.float64)
         forces: dict[int, ShotForce] = {}
         pending = list(range(len(chains)))
-        for halving, wide in _attempts(modal=self._modal_plate is not None):
+        for halving, wide in _list_attempts(modal=self._modal_plate is not None):
             every = 2**halving
             step = self._step_s / every
-            records = integrate(
+            records = integrate_chains(
                 [chains[k] for k in pending],
                 specimen(step, wide),
                 step,
@@ -418,10 +426,10 @@ class ShotModel:
             "stiffness or damping"
         )
 
-    def _propagator(self, depth: float, step: float, wide: bool, modulus: float) -> Propagator:
+    def _prepare_propagator(self, depth: float, step: float, wide: bool, modulus: float) -> Propagator:
         """Return the prepared modes of a thinned wall for a time step."""
         if self._modal_plate is None:
-            still = _specimen_without_modes(self._plate)
+            still = _make_specimen_without_modes(self._plate)
             return still._replace(mobility_m_per_n_s=still.mobility_m_per_n_s / math.sqrt(modulus))
         key = depth, step, wide, modulus
         with self._lock:
@@ -433,10 +441,10 @@ class ShotModel:
             phase, yielding = WIDE_CUT_PHASE_RAD, math.inf
         every_mode = self._modes(depth)
         if modulus != 1.0:
-            every_mode = every_mode.of_modulus(modulus)
+            every_mode = every_mode.with_scaled_modulus(modulus)
         modes = every_mode.cut_above(phase / step, yielding)
         propagator = Propagator(
-            bank=modal_weights(modes.omega_rad_per_s, modes.participation, step),
+            bank=compute_modal_weights(modes.omega_rad_per_s, modes.participation, step),
             residual_compliance_m_per_n=modes.residual_compliance_m_per_n,
         )
         with self._lock:
@@ -446,14 +454,14 @@ class ShotModel:
         return propagator
 
 
-def _modes_in_one_thread(plate: ModalPlate | None, depth: float) -> PlateModes:
+def _compute_modes(plate: ModalPlate | None, depth: float) -> PlateModes:
     """Compute the modes of a plate at a depth in one BLAS thread."""
     assert plate is not None, "an analytic anchor has no modes"
-    with one_blas_thread():
+    with use_one_blas_thread():
         return plate.modes(depth)
 
 
-def _specimen_without_modes(plate: PlateParameters) -> Propagator:
+def _make_specimen_without_modes(plate: PlateParameters) -> Propagator:
     """Return the response of a model without modes: a rigid wall or an infinite thin plate."""
     if plate.model == "rigid_wall":
         return UNMOVED
@@ -463,14 +471,14 @@ def _specimen_without_modes(plate: PlateParameters) -> Propagator:
     return UNMOVED._replace(mobility_m_per_n_s=1.0 / impedance)
 
 
-def _without_last(values: FloatArray) -> FloatArray:
+def _clear_last(values: FloatArray) -> FloatArray:
     """Copy an array with zero as its last value."""
     changed = values.copy()
     changed[-1] = 0.0
     return changed
 
 
-def _no_patch(model: str, depth: float) -> str:
+def _no_patch_message(model: str, depth: float) -> str:
     """Return the error message for a depth in a plate model without a patch."""
     return (
         f"depth_fraction is {depth}, but a plate of model {model} has no patch; "
@@ -478,7 +486,7 @@ def _no_patch(model: str, depth: float) -> str:
     )
 
 
-def _attempts(*, modal: bool) -> Iterator[tuple[int, bool]]:
+def _list_attempts(*, modal: bool) -> Iterator[tuple[int, bool]]:
     """Yield the attempts of an integration: halvings of the step, and whether to keep more modes.
 
     More modes are those up to `WIDE_CUT_PHASE_RAD`.

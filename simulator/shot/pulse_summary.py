@@ -22,7 +22,7 @@ import numpy as np
 
 from simulator.errors import NoSolitaryWaveError
 from simulator.numerics.arrays import FloatArray
-from simulator.numerics.machine_code import compiled
+from simulator.numerics.machine_code import compile_with_numba
 from simulator.shot.model import ShotForce
 
 LEADING_FRACTION = 0.5
@@ -50,7 +50,7 @@ class PulseSummary:
     amplitude_ratio: float | None
 
 
-def summarise(force: ShotForce) -> PulseSummary:
+def summarise_pulses(force: ShotForce) -> PulseSummary:
     """Measure ISW, PSW, time of flight and amplitude ratio of `force`.
 
     Raises
@@ -59,13 +59,13 @@ def summarise(force: ShotForce) -> PulseSummary:
         No incident wave has passed the sensor within the record.
     """
     turn_s = np.nan if force.reflection_time_s is None else force.reflection_time_s
-    isw, psw = _waves(force.force_n, force.time_s, force.preload_n, turn_s)
+    isw, psw = _find_waves(force.force_n, force.time_s, force.preload_n, turn_s)
     if isw < 0:
         raise NoSolitaryWaveError(
             f"no incident solitary wave passed the sensor within {1e6 * float(force.time_s[-1]):.0f} us; "
             f"lengthen the record (duration_s)"
         )
-    isw_time, isw_peak = _interpolated(force, isw)
+    isw_time, isw_peak = _interpolate_maximum(force, isw)
     if psw < 0:
         return PulseSummary(
             isw_peak_n=isw_peak,
@@ -75,7 +75,7 @@ def summarise(force: ShotForce) -> PulseSummary:
             tof_us=None,
             amplitude_ratio=None,
         )
-    psw_time, psw_peak = _interpolated(force, psw)
+    psw_time, psw_peak = _interpolate_maximum(force, psw)
     return PulseSummary(
         isw_peak_n=isw_peak,
         isw_time_us=1e6 * isw_time,
@@ -86,8 +86,8 @@ def summarise(force: ShotForce) -> PulseSummary:
     )
 
 
-@compiled(error_model="numpy")
-def _waves(force_n: FloatArray, time_s: FloatArray, preload_n: float, turn_s: float) -> tuple[int, int]:
+@compile_with_numba(error_model="numpy")
+def _find_waves(force_n: FloatArray, time_s: FloatArray, preload_n: float, turn_s: float) -> tuple[int, int]:
     """Find the samples of ISW and PSW in a force; -1 for one that is not there.
 
     ``turn_s`` is NaN if nothing is reflected.
@@ -122,13 +122,13 @@ def _waves(force_n: FloatArray, time_s: FloatArray, preload_n: float, turn_s: fl
     return isw, psw
 
 
-@compiled(error_model="numpy")
+@compile_with_numba(error_model="numpy")
 def _is_maximum(values: FloatArray, k: int) -> bool:
     """Check whether a sample is a local maximum; of a plateau, only the first sample is one."""
     return bool(values[k] > values[k - 1] and values[k] >= values[k + 1])
 
 
-def _interpolated(force: ShotForce, index: int) -> tuple[float, float]:
+def _interpolate_maximum(force: ShotForce, index: int) -> tuple[float, float]:
     """Interpolate a maximum by a parabola: return its time in s and height in N."""
     before, at, after = force.force_n[index - 1 : index + 2].tolist()
     spacing_s = float(force.time_s[1]) - float(force.time_s[0])

@@ -8,7 +8,7 @@ import numpy as np
 
 from simulator.chain.spheres import Chain
 from simulator.numerics.arrays import FloatArray
-from simulator.shot.kernel import ENERGY_INTERVAL_STEPS, LAWS_OF_DAMPING, NARROWEST, WIDEST, kernel
+from simulator.shot.kernel import ENERGY_INTERVAL_STEPS, LAWS_OF_DAMPING, NARROWEST, WIDEST, compile_time_loop
 from simulator.shot.registers import Chains, Propagator, Results, Strikes
 
 WORTH_A_WIDE_PASS = 5
@@ -29,7 +29,7 @@ class Record:
     reflection_step: int
 
 
-def integrate(
+def integrate_chains(
     chains: list[Chain],
     specimen: Propagator,
     step: float,
@@ -44,12 +44,12 @@ def integrate(
         rest = len(chains) - len(records)
         width = WIDEST if rest >= WORTH_A_WIDE_PASS else NARROWEST
         together = chains[len(records) : len(records) + width]
-        found = _side_by_side(together, width, specimen, step, steps, retainer_force_n, contact_forces)
+        found = _run_kernel(together, width, specimen, step, steps, retainer_force_n, contact_forces)
         records += found
     return records
 
 
-def _side_by_side(
+def _run_kernel(
     chains: list[Chain],
     width: int,
     specimen: Propagator,
@@ -70,7 +70,7 @@ def _side_by_side(
     force = np.empty((steps, width))
     contacts = np.empty((bodies, steps, width) if contact_forces else (0, 0, width))
     found = Results(force.ravel(), contacts.ravel(), np.empty(width), np.empty(width))
-    kernel(width, chain.damping_exponent == 0.0)(
+    compile_time_loop(width, chain.damping_exponent == 0.0)(
         Chains(
             chain.mass_kg,
             of_all("stiffness_n_per_m15"),

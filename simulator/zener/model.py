@@ -103,8 +103,8 @@ def solve_impact(inelasticity: float, *, tolerance: float = TOLERANCE) -> ZenerI
     nothing is left to rebound and ``e = 0.679293 / lambda^5``.
     """
     _check_inelasticity(inelasticity, LARGEST_INELASTICITY, "make the plate thicker or the spheres smaller")
-    restitution, contact_time, residual = _integrate(inelasticity, tolerance)
-    coarse_restitution, coarse_contact_time, _ = _integrate(inelasticity, 100.0 * tolerance)
+    restitution, contact_time, residual = _integrate_impact(inelasticity, tolerance)
+    coarse_restitution, coarse_contact_time, _ = _integrate_impact(inelasticity, 100.0 * tolerance)
     difference = max(
         abs(coarse_restitution / restitution - 1.0),
         abs(coarse_contact_time / contact_time - 1.0),
@@ -125,7 +125,7 @@ def solve_impact(inelasticity: float, *, tolerance: float = TOLERANCE) -> ZenerI
     )
 
 
-def _integrate(inelasticity: float, tolerance: float) -> tuple[float, float, float]:
+def _integrate_impact(inelasticity: float, tolerance: float) -> tuple[float, float, float]:
     """Integrate eq. 8 at one tolerance; return restitution, contact time and energy residual."""
 
     def slope(_: float, state: Sequence[float]) -> list[float]:
@@ -280,7 +280,7 @@ def time_of_flight_s(
     return float((travel + stay) * mass_kg**0.4 * impact_speed_m_per_s**-0.2)
 
 
-def reflect(
+def compute_reflection(
     chain: ChainParameters, plate: PlateParameters, *, depth_fraction: float = 0.0, closed_form: bool = False
 ) -> ZenerReflection:
     """Compute time of flight and amplitude ratio of a transducer on a plate thinned under it.

@@ -37,7 +37,7 @@ class Table2Row:
     tof_us: int
 
 
-def table_2() -> tuple[Table2Row, ...]:
+def compute_table_2() -> tuple[Table2Row, ...]:
     """Compute Table 2 of the paper, cases 1 to 5, with the roundings that give its digits.
 
     The striker's speed is rounded to 2 decimals and used so from there on. Lambda takes spheres and plate
@@ -47,10 +47,10 @@ def table_2() -> tuple[Table2Row, ...]:
     microseconds. Row 5 of the print slips twice: lambda .273 for .272, and AR .585 from the rounded e
     (``.64^1.2``) for .582; here it is computed like the others.
     """
-    return tuple(_row(height) for height in DROP_HEIGHTS_M)
+    return tuple(_compute_table_row(height) for height in DROP_HEIGHTS_M)
 
 
-def _row(drop_height_m: float) -> Table2Row:
+def _compute_table_row(drop_height_m: float) -> Table2Row:
     """Compute one row of Table 2 for a drop height in m."""
     chain = ChainParameters(poisson_ratio=0.28)
     plate = PlateParameters()

@@ -16,7 +16,7 @@ from support.waiting import until
 
 from daq_service.catalogue import SetCommit
 from daq_service.corrosion_drive.charge import DriveState
-from daq_service.corrosion_drive.supply_state import stored_state_now, write_stored_state
+from daq_service.corrosion_drive.supply_state import stamp_state, write_stored_state
 from daq_service.processes.data_folder import DRIVE_FILE, own_data_folder
 from daq_service.settings.tree import Settings
 from daq_service.web.app import create_app
@@ -139,7 +139,7 @@ def see_the_supply_and_climate(filled, page):
     expect(climate).to_contain_text("Stale")
     expect(climate).to_contain_text("Relative humidity\N{EN DASH}")
     off = DriveState(tripped="no recorder was heard for 600 s", must_switch_off=True)
-    write_stored_state(filled.folder, stored_state_now(off, output="off", age_s=2.0))
+    write_stored_state(filled.folder, stamp_state(off, output="off", age_s=2.0))
     filled.add_environment(N_SETS)
     now = strip.locator('[data-quality="no_communication"]')
     expect(now).to_contain_text("Supply now")
@@ -210,7 +210,7 @@ def test_an_alarm_appears_and_its_acknowledgement_becomes_a_command(filled, serv
     alarms.get_by_role("button", name="Acknowledge:").click()
     acknowledging = alarms.locator('[data-focus^="ack-"]')
     expect(acknowledging).to_have_text(SENT)
-    (command,) = filled.catalogue.open_commands()
+    (command,) = filled.catalogue.list_open_commands()
     assert (command.kind, command.arguments["alarm_id"]) == ("acknowledge_alarm", alarm_id)
     filled.acknowledge(alarm_id, command)
     expect(alarms).to_contain_text("damage alarm, acknowledged by dashboard")
@@ -253,7 +253,7 @@ def test_finish_now_becomes_a_command_or_expires_on_the_page(filled, service, op
     order()
     expect(page.locator("#finish")).to_have_text(SENT)
     # No recorder has closed the one before.
-    assert [row.kind for row in filled.catalogue.open_commands()] == ["finish_now"] * 2
+    assert [row.kind for row in filled.catalogue.list_open_commands()] == ["finish_now"] * 2
     filled.say("schedule_done", filled.due[-1].due_utc_ns)
     expect(page.locator("#connection")).to_have_text("Test finished")
     expect(page.locator("#finish")).to_be_hidden()
@@ -261,7 +261,7 @@ def test_finish_now_becomes_a_command_or_expires_on_the_page(filled, service, op
 
 def answer(filled, kind, arguments, state="done", result=""):
     """Answer the one waiting command as the recorder does."""
-    (command,) = filled.catalogue.open_commands()
+    (command,) = filled.catalogue.list_open_commands()
     assert (command.kind, command.author, command.arguments) == (kind, "dashboard", arguments)
     filled.catalogue.finish_command(command.id, state, result)
 
@@ -277,7 +277,7 @@ def test_a_pause_needs_a_reason_can_be_cancelled_or_rejected_and_stays_visible(o
     page.get_by_label("Reason").fill("  ")
     page.get_by_role("button", name="Pause test").click()
     expect(page.get_by_role("dialog", name="Pause the test")).to_be_visible()
-    assert filled.catalogue.open_commands() == []
+    assert filled.catalogue.list_open_commands() == []
     page.get_by_label("Reason").fill("once more")
     page.get_by_role("button", name="Pause test").click()
     expect(page.locator("#pause")).to_have_text(SENT)
@@ -336,7 +336,7 @@ def test_a_disabled_transducer_is_shown_with_its_reason_and_enabled(ordering):
     page.get_by_role("button", name="Enable: position C").click()
     expect(page.get_by_role("dialog", name="Enable position C")).to_contain_text("hands out of the rig")
     page.keyboard.press("Escape")
-    assert filled.catalogue.open_commands() == []
+    assert filled.catalogue.list_open_commands() == []
     page.get_by_role("button", name="Enable: position C").click()
     page.get_by_role("button", name="Enable C").click()
     expect(page.locator("#disabled button")).to_have_text(SENT)

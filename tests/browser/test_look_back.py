@@ -15,7 +15,7 @@ from daq_service.assessment.baseline_lifecycle import renew
 from daq_service.catalogue import SetCommit
 from daq_service.catalogue.rows import SetRow
 from daq_service.corrosion_drive.charge import DriveState
-from daq_service.corrosion_drive.supply_state import stored_state_now, write_stored_state
+from daq_service.corrosion_drive.supply_state import stamp_state, write_stored_state
 from daq_service.settings.tree import Settings
 
 pytestmark = pytest.mark.browser
@@ -293,7 +293,7 @@ def test_every_state_is_accessible_in_both_themes_and_fits_every_width(filled, s
         assert 0 <= box["x"] <= PHONE["width"] - box["width"]
     page.set_viewport_size(DESK)
     off = DriveState(tripped="no recorder was heard")
-    write_stored_state(filled.folder, stored_state_now(off, output="off", age_s=2.0))
+    write_stored_state(filled.folder, stamp_state(off, output="off", age_s=2.0))
     page.reload()
     expect(page.locator("#set")).to_have_attribute("data-waveforms", str(SHOTS))
     expect(page.locator('#environment [data-quality="no_communication"]')).to_be_visible()

@@ -142,7 +142,7 @@ def test_another_test_that_cannot_be_shown_is_reported_in_the_list(service, open
 
 
 def test_a_hidden_page_leaves_its_connection_to_others_and_misses_nothing(tests, service, open_page):
-    filled, streams = tests["Plate 7"], service.app.state.tests.streams
+    filled, streams = tests["Plate 7"], service.app.state.tests.count_streams
     page = open_page(f"{service.url}tests/plate-7/?position=B")
     drawn(page)
 

@@ -4,10 +4,10 @@ import pytest
 from axe_playwright_python.sync_playwright import Axe
 from support.browser_pages import DESK, PHONE
 
-from daq_service.cli.reproduce.comparison import NOT_AVAILABLE, compare
+from daq_service.cli.reproduce.comparison import NOT_AVAILABLE, compare_item
 from daq_service.cli.reproduce.items import ITEMS
 from daq_service.cli.reproduce.outcome import Section
-from daq_service.web.templates import render
+from daq_service.web.templates import render_template
 
 pytestmark = pytest.mark.browser
 
@@ -18,12 +18,14 @@ A4_PX = 688
 def test_the_page_of_a_reproduction_is_cut_nowhere(open_page, tmp_path):
     file = tmp_path / "report.html"
     file.write_bytes(
-        render(
+        render_template(
             "reproduction.html.j2",
             title="Reproduction",
             run_facts={"configuration": "0123456789abcdef" * 4},
             remarks=["Left the paper, right ours."],
-            sections=[Section(item=item, rows=compare(item.name, {}, origin="shipped")) for item in ITEMS],
+            sections=[
+                Section(item=item, rows=compare_item(item.name, {}, origin="shipped")) for item in ITEMS
+            ],
             not_available=NOT_AVAILABLE,
         )
     )

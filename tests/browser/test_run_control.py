@@ -59,7 +59,7 @@ def shared(service, browser):
 
 def answered(filled, author="ann"):
     """Take the one waiting command as the recorder does; return its kind and arguments."""
-    (command,) = filled.catalogue.open_commands()
+    (command,) = filled.catalogue.list_open_commands()
     assert command.author == author
     filled.catalogue.finish_command(command.id, "done", "done")
     return command.kind, command.arguments
@@ -116,7 +116,7 @@ def test_a_command_states_its_consequence_and_needs_a_second_step(
     page.keyboard.press("Enter")
     page.keyboard.press("Enter")  # on what has the focus: the safe choice
     expect(dialog).to_have_count(0)
-    assert filled.catalogue.open_commands() == []
+    assert filled.catalogue.list_open_commands() == []
     asked.click()
     dialog.get_by_role("button", name=confirm).click()
     expect(control.get_by_role("button", name="Sent, expires")).to_be_visible()
@@ -152,7 +152,7 @@ def test_a_baseline_shows_its_quality_and_is_approved_or_renewed(filled, shared)
     expect(dialog).to_contain_text("until it is complete nothing judges the wall at B")
     dialog.get_by_role("button", name="Retire B-baseline-2").click()
     expect(dialog).to_be_visible()
-    assert filled.catalogue.open_commands() == [], "it needs a reason"
+    assert filled.catalogue.list_open_commands() == [], "it needs a reason"
     dialog.get_by_label("Reason").fill("a new sensor")
     dialog.get_by_role("button", name="Retire B-baseline-2").click()
     expect(card.get_by_role("button", name="Sent, expires")).to_be_visible()
@@ -197,7 +197,7 @@ def test_the_supply_values_are_limited_by_the_caps_and_shown_on_the_button(fille
     dialog.get_by_label("Voltage in V").fill("12")
     dialog.get_by_role("button", name="Switch on: 12 V, at most 1 A").click()
     expect(dialog).to_be_visible()
-    assert filled.catalogue.open_commands() == []
+    assert filled.catalogue.list_open_commands() == []
     for scheme in ("light", "dark"):
         page.emulate_media(color_scheme=scheme)
         found = Axe().run(page, context="#control, dialog[open]")
@@ -222,7 +222,7 @@ def test_a_name_is_requested_once_and_remembered(filled, service, open_page):
             expect(page.locator("#notice")).to_contain_text(
                 "a command bears the name of the person who gives it"
             )
-            assert filled.catalogue.open_commands() == []
+            assert filled.catalogue.list_open_commands() == []
         else:
             page.keyboard.type(name)
             page.keyboard.press("Enter")

@@ -25,8 +25,8 @@ from daq_service.archive import (
     SetReader,
     SetRecord,
     SetReference,
-    due_utc_ns,
-    waveform_crc32,
+    compute_crc32,
+    parse_due_utc_ns,
 )
 from hardware_drivers.measurement import SetKey
 
@@ -91,9 +91,9 @@ class ArchiveContract:
     def test_the_acknowledgement_names_set_size_and_checksums(self, archive):
         stored = archive.store_set(make_set())
         assert stored.file == "sets/set_000007_20240101T040000Z.h5"
-        assert due_utc_ns(stored.file) == DUE_UTC_NS // 10**9 * 10**9
+        assert parse_due_utc_ns(stored.file) == DUE_UTC_NS // 10**9 * 10**9
         assert stored.n_bytes == archive.n_bytes() > 0
-        assert stored.crc32 == {item.sequence: waveform_crc32(item.waveform) for item in make_set().records}
+        assert stored.crc32 == {item.sequence: compute_crc32(item.waveform) for item in make_set().records}
 
     def test_the_same_set_again_is_the_same_set(self, archive, reopened):
         stored = archive.store_set(make_set())
@@ -192,15 +192,15 @@ class ArchiveContract:
 
     def test_a_set_that_is_set_aside_is_no_set_and_still_there(self, archive, reader, reopened):
         stored = archive.store_set(make_set())
-        assert archive.quarantined() == []
+        assert archive.list_quarantined() == []
         archive.set_aside(stored.file)
         assert dict(reader.sets()) == dict(archive.sets()) == {}
-        (name,) = reopened().quarantined()
+        (name,) = reopened().list_quarantined()
         assert stored.file.rpartition("/")[2] in name
         again = archive.store_set(replace(make_set(), due_h=4.5))  # it may be taken once more
         assert archive.read_set(again.file).due_h == 4.5
         archive.set_aside(again.file)
-        assert len(archive.quarantined()) == 2, "nothing there is overwritten"
+        assert len(archive.list_quarantined()) == 2, "nothing there is overwritten"
 
     def test_a_corrupt_record_cannot_be_read_alone(self, archive, reader, damage):
         stored = archive.store_set(make_set())

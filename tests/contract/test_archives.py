@@ -10,7 +10,7 @@ from support.memory_archive import MemoryArchive
 
 from daq_service.archive import FolderArchive, FolderSetReader
 from daq_service.archive.journal import writer
-from daq_service.archive.journal.frames import frames
+from daq_service.archive.journal.frames import parse_frames
 
 
 class OnDisk:
@@ -97,7 +97,7 @@ class TestJournal(OnDisk, JournalContract):
         def flip(file, sequence):
             (path,) = (tmp_path / "journal").iterdir()
             content = bytearray(path.read_bytes())
-            (frame,) = [item for item in frames(bytes(content)) if item.sequence == sequence]
+            (frame,) = [item for item in parse_frames(bytes(content)) if item.sequence == sequence]
             content[content.find(frame.counts) + 40] ^= 0x10
             path.write_bytes(content)
 

@@ -13,7 +13,7 @@ from h5py import h5t
 from support.archived_sets import LINEAR, SET_INDEX, make_set, other_set
 from support.filed_archive import FiledArchive
 
-from daq_service.archive.consolidated import Facts, blocks_of, consolidated_image
+from daq_service.archive.consolidated import Facts, build_consolidated_image, list_blocks
 from daq_service.archive.layout import build_image
 
 SHOTS = [shot for shot in make_set().shots if shot.key.position == "B"]
@@ -51,7 +51,7 @@ def consolidated(tmp_path_factory):
     folder = tmp_path_factory.mktemp("consolidated")
     archive, blocks = FiledArchive(folder), {}
     for record in (make_set(), other_set(make_set(), SET_INDEX + 1)):
-        for sampling, block in blocks_of(folder, archive.store_set(record).file):
+        for sampling, block in list_blocks(folder, archive.store_set(record).file):
             blocks.setdefault(sampling, []).append(block)
     shots = {}
     for sampling, found in blocks.items():
@@ -68,7 +68,7 @@ def consolidated(tmp_path_factory):
         provenance={"configuration": {"name": "Ø"}},
     )
     path = folder / "all.h5"
-    path.write_bytes(consolidated_image(path, folder, facts, shots, sets))
+    path.write_bytes(build_consolidated_image(path, folder, facts, shots, sets))
     return path
 
 

@@ -25,7 +25,7 @@ from daq_service.web.app import RESOURCES, create_app
 from daq_service.web.multi_test.app import RESOURCES as OF_SEVERAL
 from daq_service.web.multi_test.app import create_app_of_many
 from daq_service.web.routes import health, metrics
-from daq_service.web.routes.description import examples, holds_numbers
+from daq_service.web.routes.description import is_numeric_schema, load_examples
 
 SNAPSHOT = Path(__file__).with_name("openapi.json")
 VERBS = ("get", "post", "put", "patch", "delete")
@@ -150,10 +150,10 @@ def test_every_name_is_described_and_every_number_has_its_unit(documents, which)
     for place, description, schema in described(documents[which]):
         if not description.get("description"):
             lacking.append(f"{place}: what is it? describe it")
-        if holds_numbers(schema) and "x-unit" not in description:
+        if is_numeric_schema(schema) and "x-unit" not in description:
             lacking.append(f"{place}: unit? end the name in it, or put the name into PURE of words.py")
         if (
-            holds_numbers(schema)
+            is_numeric_schema(schema)
             and description.get("x-unit") == "own"
             and "unit" not in description["description"]
         ):
@@ -208,9 +208,9 @@ def test_no_dependency_of_an_operation_stands_in_line_for_a_thread():
 
 def test_every_example_is_an_answer_of_its_operation():
     models = {route.name: route.response_model for route in api_routes()}
-    held = [name for name, model in models.items() if model is not None and name in examples()]
+    held = [name for name, model in models.items() if model is not None and name in load_examples()]
     for name in held:
-        models[name].model_validate(examples()[name]["answer"])
+        models[name].model_validate(load_examples()[name]["answer"])
     assert len(held) > 25
 
 
@@ -243,6 +243,6 @@ if __name__ == "__main__":
 
     with tempfile.TemporaryDirectory() as folder:
         write_examples(Path(folder), renew="--anew" in sys.argv)
-    examples.cache_clear()
+    load_examples.cache_clear()
     for which, snapshot in SNAPSHOTS.items():
         snapshot.write_text(as_text(DESCRIPTIONS[which](Path())), encoding="utf-8")

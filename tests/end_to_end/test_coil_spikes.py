@@ -24,7 +24,7 @@ from support.daqmx_rig import (
 from support.waiting import happened
 
 from analysis.waves.features import extract_features
-from daq_service.cli.doctor.spike import proposed_ringing_s, survey_coil
+from daq_service.cli.doctor.spike import propose_ringing_s, survey_coil
 from hardware_drivers.daqmx.instruments import open_daqmx
 from hardware_drivers.measurement import ShotKey
 from simulator.doubles.chassis.crosstalk import Crosstalk
@@ -106,7 +106,7 @@ def wrong_with(parameters, doubles, cases, shots, description=DESCRIPTION):
         if survey.holdoff_s is None:
             wrong.append(f"{case}: no holdoff is proposed ({survey})")
             continue
-        cured = replace(parameters, holdoff_s=survey.holdoff_s, ringing_s=proposed_ringing_s(survey))
+        cured = replace(parameters, holdoff_s=survey.holdoff_s, ringing_s=propose_ringing_s(survey))
         for key, acquired in shots_of(cured, doubles, range(shots), number):
             taken += 1
             without = replace(acquired.waveform, counts=counts_of_the_twin(description, parameters, key))

@@ -18,7 +18,7 @@ from support.stored_files import set_files
 from daq_service.alarms.guidance import GUIDANCE
 from daq_service.cli.groups.registry import find_command
 from daq_service.cli.main import cli
-from daq_service.processes.notifications.webhook import signature
+from daq_service.processes.notifications.webhook import sign_body
 from daq_service.settings.file import load_settings
 
 ROOT = Path(__file__).parents[2]
@@ -102,10 +102,10 @@ def test_the_receiver_s_check_of_get_notified_checks_what_is_sent(tmp_path):
     assert set(load_settings(given).notifications.receivers) == {"duty", "mail"}
     (check,), names, now_s = blocks(page, "python"), dict[str, Any](), int(time.time())
     exec(check, names)
-    sent = signature(b"a secret of the duty", now_s, b"{}")
+    sent = sign_body(b"a secret of the duty", now_s, b"{}")
     assert names["is_genuine"]("a secret of the duty", sent, b"{}")
     assert not names["is_genuine"]("a secret of the duty", sent, b"[]")
-    old = signature(b"a secret of the duty", now_s - 400, b"{}")
+    old = sign_body(b"a secret of the duty", now_s - 400, b"{}")
     assert not names["is_genuine"]("a secret of the duty", old, b"{}")
 
 

@@ -9,7 +9,7 @@ from support.small_experiment import SMALL, run, small_settings
 from support.stored_files import read_set, set_files
 
 from daq_service.catalogue import open_catalogue
-from daq_service.catalogue.earlier_names import derived_uuid
+from daq_service.catalogue.earlier_names import derive_uuid
 from daq_service.catalogue.rows import EventRow
 from daq_service.cli.maintenance.backup import back_up
 from daq_service.processes.data_folder import BACKUP_FILE
@@ -23,7 +23,7 @@ def until(end_h):
 def uuids(folder):
     """Return the UUIDs of catalogue and experiment file, and of the newest set."""
     with open_catalogue(folder) as catalogue:
-        row = catalogue.experiment_row()
+        row = catalogue.read_experiment()
     file = orjson.loads((folder / "experiment.json").read_bytes())["experiment"]
     files = set_files(folder)
     newest = read_set(files[max(files)]).provenance["experiment"]
@@ -54,13 +54,13 @@ def test_a_backup_of_an_earlier_version_is_recognised_without_a_uuid(tmp_path):
     folder, copy = tmp_path / "data", tmp_path / "copy"
     assert run(until(0.5), folder)
     with open_catalogue(folder) as catalogue:
-        row = catalogue.experiment_row()
+        row = catalogue.read_experiment()
     back_up(folder, copy)
     marker = json.loads((copy / BACKUP_FILE).read_text())
     del marker["uuid"]
     (copy / BACKUP_FILE).write_text(json.dumps(marker))
     with open_catalogue(copy, writer=True) as catalogue:
-        earlier = derived_uuid(row.configuration_hash, row.epoch_utc_ns)
-        catalogue.restore([replace(row, uuid=earlier)])
+        earlier = derive_uuid(row.configuration_hash, row.epoch_utc_ns)
+        catalogue.restore_rows([replace(row, uuid=earlier)])
     assert run(until(1.0), copy)
     assert uuids(copy)[0] not in {row.uuid, earlier}

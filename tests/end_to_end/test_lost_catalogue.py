@@ -59,7 +59,7 @@ def test_the_next_recorder_rebuilds_the_catalogue_and_continues_from_the_same_ho
     with open_catalogue(started_folder) as catalogue:
         states = [row.state for row in catalogue.rows(SetRow, position="B")]
         assert states == ["done", "done", "missed", "done", "done", "done"]
-        event = catalogue.last_service_event("catalogue_rebuilt")
+        event = catalogue.read_last_service_event("catalogue_rebuilt")
         assert (event.payload["sets"], event.payload["warnings"]) == (2, [])
         assert all(len(row.file_sha256) == 64 for row in catalogue.rows(SetRow) if row.file)
     whole = table_rows(started_folder)

@@ -18,9 +18,9 @@ from daq_service.cli.doctor.command import run_doctor
 from daq_service.clock import WallClock
 from daq_service.corrosion_drive.watch import DriveWatch
 from daq_service.processes.data_folder import own_data_folder, prepare_data_folder
-from daq_service.recording.session import longest_call_s, record
+from daq_service.recording.session import compute_longest_call_s, record_test
 from daq_service.rig.open_rig import open_rig, open_supply
-from daq_service.settings.instruments import with_defaults
+from daq_service.settings.instruments import fill_instrument_defaults
 from daq_service.settings.tree import Settings
 from hardware_drivers.daqmx.parameters import DaqmxParameters
 
@@ -55,7 +55,7 @@ def doubles(doubles, monkeypatch):
 def mixed(instruments, places, **rig):
     """Return settings of one set of a mixed rig; places name digitizer and striker."""
     served = {name: {"digitizer": one, "striker": other} for name, (one, other) in places.items()}
-    return with_defaults(
+    return fill_instrument_defaults(
         Settings(
             positions={name: {"method": "solitary_wave"} for name in places},
             clock={"kind": "wall"},
@@ -88,7 +88,7 @@ def set_rows(folder):
 
 def events_of(folder, *kinds):
     with open_catalogue(folder) as catalogue:
-        return [row for row in catalogue.events_after(0) if row.kind in kinds]
+        return [row for row in catalogue.read_events_after(0) if row.kind in kinds]
 
 
 @on_boards
@@ -127,7 +127,7 @@ def test_a_person_is_prompted_on_every_channel_until_the_strike_ends(script, fol
     settings = mixed({"hammer": HAMMER, "scope": SCOPE}, {"B": ("scope", "hammer")}, read_timeout_s=400.0)
     prepare_data_folder(folder)
     with own_data_folder(folder):
-        assert record(
+        assert record_test(
             settings,
             folder,
             open_rig,
@@ -147,7 +147,7 @@ def test_a_person_is_prompted_on_every_channel_until_the_strike_ends(script, fol
     # A beat lasts as long as the read may, or as the plug-in says that a call does, and the stall's margin.
     deadlines = {values["deadline_s"] for event, values in heard if event == "beat"}
     assert deadlines == {500.0 + settings.rig.stall_timeout_s}
-    assert longest_call_s(settings) == 500.0
+    assert compute_longest_call_s(settings) == 500.0
 
 
 def test_each_instrument_is_opened_once_with_the_positions_it_serves(script):
@@ -184,11 +184,11 @@ def test_supply_and_climate_of_other_packages_are_logged(script, folder):
     with open_supply(settings, clock) as supply:
         assert supply.identity() == {"maker": "nobody"}
     with open_catalogue(folder, writer=True) as catalogue, open_rig(settings, clock, 0) as rig:
-        catalogue.restore([replace(row, charge_coulomb=123.0)])
+        catalogue.restore_rows([replace(row, charge_coulomb=123.0)])
         restarted = DriveWatch(settings.rig, rig, catalogue, {}, lambda *_: None, lambda _: None)
         assert restarted.summary()["charge_coulomb"] == 123.0, "a restart goes on counting"
     # The recorder leaves a supply that has a process of its own to that process.
-    with open_rig(settings.model_copy(update={"rig": settings.rig.without_supply()}), clock, 0) as rig:
+    with open_rig(settings.model_copy(update={"rig": settings.rig.copy_without_supply()}), clock, 0) as rig:
         assert (rig.supply, rig.climate is None) == (None, False)
 
 

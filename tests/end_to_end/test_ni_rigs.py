@@ -13,8 +13,8 @@ from support.stored_files import read_set, set_files
 from daq_service.catalogue import open_catalogue
 from daq_service.catalogue.rows import FeatureRow, SetRow
 from daq_service.processes.data_folder import own_data_folder, prepare_data_folder
-from daq_service.recording.session import record
-from daq_service.rig.doubles import running_rig
+from daq_service.recording.session import record_test
+from daq_service.rig.doubles import run_rig_doubles
 from daq_service.rig.open_rig import CONTROL_VARIABLE, open_rig
 from simulator.doubles.transports.control import DoublesControl
 from simulator.doubles.transports.grpc_front import why_unavailable as why_no_grpc
@@ -41,7 +41,7 @@ def rig_here(rig):
     """Run a rig whose libraries this process loads; its double is forked."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("simulator.doubles.transports.control.running_doubles", running_brain)
-        with running_rig(rig, SMALL) as running:
+        with run_rig_doubles(rig, SMALL) as running:
             if rig == "daqmx-library":
                 preload("nidaqmx")
                 if find_spec("niscope") is not None:
@@ -55,7 +55,7 @@ def follow(running, folder):
     """Run the schedule in this process."""
     prepare_data_folder(folder)
     with own_data_folder(folder):
-        return record(
+        return record_test(
             running.settings, folder, open_rig, stop=threading.Event(), report=lambda event, **_: None
         )
 
@@ -89,7 +89,7 @@ def test_a_set_through_nidaqmx_equals_the_twin_and_stores_its_settings(rig, simu
         assert row.tof_mf_s == pytest.approx(expected[key].tof_mf_s, abs=0.02e-6), key
     with open_catalogue(tmp_path) as catalogue:
         assert {row.state for row in catalogue.rows(SetRow)} == {"done"}
-        events = catalogue.events_after(0, {"service"}, limit=None)
+        events = catalogue.read_events_after(0, {"service"}, limit=None)
     # Once at the start, not again within a day; what it says names each board.
     (calibrated,) = [row.payload for row in events if row.kind == "self_calibrated"]
     assert "01E16086" in calibrated

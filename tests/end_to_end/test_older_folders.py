@@ -13,7 +13,7 @@ from support.small_experiment import rows_of, run
 from support.stored_files import read_set, set_files
 
 from daq_service.catalogue import check_owner
-from daq_service.catalogue.earlier_names import current_row, derived_uuid
+from daq_service.catalogue.earlier_names import derive_uuid, to_current_row
 from daq_service.errors import StorageError
 from daq_service.settings.file import load_settings
 
@@ -78,7 +78,7 @@ def stored_rows(folder):
     database.row_factory = sqlite3.Row
     rows = {
         table: [
-            current_row(
+            to_current_row(
                 table, {name: parsed(name, value) for name, value in dict(row).items() if name != "row_crc32"}
             )
             for row in database.execute(f"SELECT * FROM {table} ORDER BY rowid")
@@ -121,7 +121,7 @@ def test_a_folder_of_an_earlier_version_goes_on_under_its_own_hash(unpack, commi
     folder = unpack(commit)
     rows = goes_on(folder, commit)
     (experiment,) = rows["experiment"]
-    assert experiment["uuid"] == derived_uuid(experiment["configuration_hash"], experiment["epoch_utc_ns"])
+    assert experiment["uuid"] == derive_uuid(experiment["configuration_hash"], experiment["epoch_utc_ns"])
     assert len({row["set_index"] for row in rows["sets"]}) == SETS
     # The keys that came later would give another hash; every file bears the one that began the folder.
     lacks_keys = commit != "9c4a9b9"

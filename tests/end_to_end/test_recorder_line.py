@@ -10,10 +10,10 @@ from support.small_experiment import small_settings as half_a_day
 from support.stored_files import read_set, set_files
 
 from analysis.waves.features import extract_from_average
-from daq_service.archive.waterfall.tiles import WIDTHS, n_bytes
+from daq_service.archive.waterfall.tiles import WIDTHS, count_tile_bytes
 from daq_service.catalogue.connection import FILE_NAME
-from daq_service.cli.forecast import CATALOGUE_BYTES_A_RECORD, built_set_bytes, tile_bytes
-from daq_service.cli.offline.twin_line import assessed_sets
+from daq_service.cli.forecast import CATALOGUE_BYTES_A_RECORD, predict_set_file_bytes, predict_tile_bytes
+from daq_service.cli.offline.twin_line import simulate_assessed_sets
 
 SETS = 19
 SHORT: dict[str, Any] = {
@@ -44,17 +44,19 @@ def test_the_forecast_is_the_folder_s_size(finished):
     settings = small_settings()
     files = sum(path.stat().st_size for path in (finished / "sets").iterdir())
     # 5 %: temperature, drop height and thinning wall make pulses, so also their bytes, differ by shot.
-    assert SETS * built_set_bytes(settings) == pytest.approx(files, rel=0.05)
+    assert SETS * predict_set_file_bytes(settings) == pytest.approx(files, rel=0.05)
     # Rows of incomplete blocks follow while no set is due; a pretrigger may take a cell more.
     rows, complete = sum(math.ceil(SETS / width) for width in WIDTHS), sum(SETS // width for width in WIDTHS)
-    assert tile_bytes(settings, SETS) * complete / rows == pytest.approx(n_bytes(finished), rel=0.01)
+    assert predict_tile_bytes(settings, SETS) * complete / rows == pytest.approx(
+        count_tile_bytes(finished), rel=0.01
+    )
     # Empty tables, 0.3 MB, and the newest states of the assessors, 0.4 MB, do not grow with the test.
     catalogue = (finished / FILE_NAME).stat().st_size
     assert pytest.approx(catalogue, abs=0.8e6) == CATALOGUE_BYTES_A_RECORD * SETS * 10
 
 
 def test_assessment_without_recorder_and_storage_gives_the_same_result(finished):
-    rows, assessed = rows_of(finished), list(assessed_sets(small_settings(), "B"))
+    rows, assessed = rows_of(finished), list(simulate_assessed_sets(small_settings(), "B"))
     of_sets = [found.position_result.features[-1] for found in assessed]
     stored = [row for row in rows["set_features"] if row.position == "B"]
     names = {"id": None, "sequence": None}
@@ -91,8 +93,8 @@ def test_disturbances_of_a_shot_are_stored_with_it_and_forecast(tmp_path):
     assert run(settings, tmp_path)
     sizes = [path.stat().st_size for path in (tmp_path / "sets").iterdir()]
     # As without nuisance.
-    assert built_set_bytes(settings) * len(sizes) == pytest.approx(sum(sizes), rel=0.05)
-    (struck,) = (found for found in assessed_sets(settings, "B") if found.due.set_index == 1)
+    assert predict_set_file_bytes(settings) * len(sizes) == pytest.approx(sum(sizes), rel=0.05)
+    (struck,) = (found for found in simulate_assessed_sets(settings, "B") if found.due.set_index == 1)
     stored = [shot for shot in read_set(set_files(tmp_path)[1]).shots if shot.key.position == "B"]
     assert [dict(shot.truth) for shot in stored] == [dict(shot.truth) for shot in struck.shots]
     assert sum(name.startswith("nuisance_") for name in stored[0].truth) == 12 + 2 * 9

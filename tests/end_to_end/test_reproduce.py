@@ -24,9 +24,9 @@ from daq_service.catalogue.rows import AssessmentRow, FeatureRow, ThicknessRow
 from daq_service.cli.reproduce.comparison import NOT_AVAILABLE
 from daq_service.cli.reproduce.diagnosis import cause_of
 from daq_service.cli.reproduce.item import Job
-from daq_service.cli.reproduce.items import ITEMS, chosen_items
-from daq_service.cli.reproduce.models import impact_over_inelasticity
-from daq_service.cli.reproduce.paper_values import PAPER_VALUES, of_paper, printed
+from daq_service.cli.reproduce.items import ITEMS, choose_items
+from daq_service.cli.reproduce.models import compute_impact_over_inelasticity
+from daq_service.cli.reproduce.paper_values import PAPER_VALUES, find_paper_value, printed_number
 from daq_service.cli.reproduce.run import reproduce, reproduce_into
 from daq_service.cli.reproduce.slips import SLIPS
 from daq_service.errors import StorageError, UsageError
@@ -80,7 +80,9 @@ def whole(small, executor, tmp_path_factory):
 @pytest.fixture
 def undrawn(monkeypatch):
     """Write figures without drawing them: one image takes a third of a second, and `whole` draws all."""
-    monkeypatch.setattr("daq_service.cli.reproduce.run.rendered", lambda figure: {"png": b"", "svg": b""})
+    monkeypatch.setattr(
+        "daq_service.cli.reproduce.run.render_figure", lambda figure: {"png": b"", "svg": b""}
+    )
 
 
 def assert_same_as_before(out, result, whole):
@@ -220,7 +222,7 @@ def test_waveforms_are_the_means_of_the_stored_records(whole, small):
 
 def test_the_models_match_the_figures_of_the_paper(whole):
     _, result = whole
-    assert ours(result, "fig5", "elements") == printed("fig5", "elements")
+    assert ours(result, "fig5", "elements") == printed_number("fig5", "elements")
     assert ours(result, "fig5", "contact_element") == pytest.approx(0.1, rel=1e-9)
     # Independent anchors: eq. 8, and the disk chain on the paper's mesh.
     assert ours(result, "fig10", "e_case_3") == pytest.approx(0.6491, abs=1e-4)
@@ -263,16 +265,16 @@ def test_the_tally_counts_every_value_once(whole):
     ],
 )
 def test_a_deviation_is_attributed_to_the_origin_of_its_measurements(item, quantity, origin, words):
-    assert words in cause_of(of_paper(item, quantity), origin=origin)
+    assert words in cause_of(find_paper_value(item, quantity), origin=origin)
 
 
 def test_slips_alone_take_the_limits_of_the_test_they_are_given(small, executor, tmp_path):
-    result, _ = made(tmp_path / "out", chosen_items("slips"), executor, small)
+    result, _ = made(tmp_path / "out", choose_items("slips"), executor, small)
     (finding,) = [slip["finding"] for slip in result["slips"] if slip["where"] == "figure 14"]
     with open_catalogue(small) as catalogue:
         for position in "BCD":
             assert f"{position}: {catalogue.baseline(position).limit_mean_3sd:.1f} (" in finding
-    without, _ = made(tmp_path / "without", chosen_items("slips"), executor)
+    without, _ = made(tmp_path / "without", choose_items("slips"), executor)
     (finding,) = [slip["finding"] for slip in without["slips"] if slip["where"] == "figure 14"]
     assert finding == "not available: no test was run or read"
     assert without["data_dir"] is None
@@ -289,7 +291,7 @@ def test_every_deviation_has_a_cause(whole):
 
 
 def test_option_only_makes_the_named_files_without_a_test_and_reproducibly(whole, executor, tmp_path):
-    result, finished = made(tmp_path / "out", chosen_items("table2,fig10"), executor)
+    result, finished = made(tmp_path / "out", choose_items("table2,fig10"), executor)
     assert finished
     assert list(result["items"]) == ["fig10", "table2"]
     assert result["data_dir"] is None
@@ -303,9 +305,9 @@ def test_option_only_makes_the_named_files_without_a_test_and_reproducibly(whole
     ]
     assert assert_same_as_before(tmp_path / "out", result, whole) == 4
     with pytest.raises(UsageError, match=r"fig99.*choose from .*fig12"):
-        chosen_items("fig99")
+        choose_items("fig99")
     with pytest.raises(UsageError, match="nothing"):
-        chosen_items(",")
+        choose_items(",")
 
 
 def test_other_positions_and_no_probe(executor, tmp_path):
@@ -338,14 +340,14 @@ def test_a_corrupt_set_is_left_out_and_named(small, executor, tmp_path):
     shutil.copytree(small, data)
     set_files(data)[0].write_bytes(b"not HDF5")
     set_files(data)[1].unlink()
-    result, _ = made(tmp_path / "out", chosen_items("fig7"), executor, data)
+    result, _ = made(tmp_path / "out", choose_items("fig7"), executor, data)
     assert result["items"]["fig7"]["not_available"] is None
     report = page_of(tmp_path / "out")
     assert "set 0 is left out of the waveforms" in report
     assert "set 1 is left out of the waveforms" in report
     # Without any waveform the other figures remain.
     shutil.rmtree(data / "sets")
-    result, _ = made(tmp_path / "out", chosen_items("fig7,fig8"), executor, data)
+    result, _ = made(tmp_path / "out", choose_items("fig7,fig8"), executor, data)
     assert "no readable waveform" in result["items"]["fig7"]["not_available"]
     assert result["items"]["fig8"]["not_available"] is None
 
@@ -354,19 +356,19 @@ def test_a_corrupt_set_is_left_out_and_named(small, executor, tmp_path):
 def test_a_folder_without_a_test_is_refused_before_anything_is_made(folder, executor, tmp_path):
     (tmp_path / "empty").mkdir()
     with pytest.raises(StorageError, match=r"holds no test.*leave --from out"):
-        made(tmp_path / "out", chosen_items("fig8"), executor, tmp_path / folder)
+        made(tmp_path / "out", choose_items("fig8"), executor, tmp_path / folder)
     assert not (tmp_path / "out").exists()
 
 
 def test_a_foreign_output_folder_is_refused_and_an_own_one_reused(executor, tmp_path):
     (tmp_path / "thesis.tex").write_text("precious", encoding="utf-8")
     with pytest.raises(StorageError, match=r"thesis\.tex.*--out"):
-        made(tmp_path, chosen_items("table2"), executor)
+        made(tmp_path, choose_items("table2"), executor)
     assert [path.name for path in tmp_path.iterdir()] == ["thesis.tex"]
     own = tmp_path / "own"
-    made(own, chosen_items("table2"), executor)
+    made(own, choose_items("table2"), executor)
     (own / "table2.csv").write_text("old", encoding="utf-8")
-    made(own, chosen_items("table2"), executor)
+    made(own, choose_items("table2"), executor)
     assert (own / "table2.csv").read_text(encoding="utf-8").startswith("case,drop_height_m")
 
 
@@ -380,7 +382,7 @@ def test_an_interruption_leaves_what_is_finished(executor, tmp_path):
 
     result, finished = reproduce_into(
         tmp_path / "out",
-        chosen_items("fig10,table2"),
+        choose_items("fig10,table2"),
         data_dir=None,
         seed=None,
         executor=executor,
@@ -395,10 +397,10 @@ def test_an_interruption_leaves_what_is_finished(executor, tmp_path):
 
 
 def test_a_model_that_fails_costs_its_figure_only(executor, tmp_path):
-    (fig10,) = chosen_items("fig10")
-    beyond = Job(function=impact_over_inelasticity, arguments=((1e6,),))
+    (fig10,) = choose_items("fig10")
+    beyond = Job(function=compute_impact_over_inelasticity, arguments=((1e6,),))
     broken = replace(fig10, jobs={**fig10.jobs, "curve": beyond})
-    result, finished = made(tmp_path / "out", (broken, *chosen_items("table2")), executor)
+    result, finished = made(tmp_path / "out", (broken, *choose_items("table2")), executor)
     assert finished
     assert "inelasticity is 1e+06" in result["items"]["fig10"]["not_available"]
     assert result["items"]["table2"]["not_available"] is None

@@ -12,7 +12,7 @@ from support.small_experiment import rows_of, run, small_settings
 
 from daq_service.errors import BusyError, RigError
 from daq_service.processes.heartbeat import read_heartbeat
-from daq_service.recording.session import longest_call_s
+from daq_service.recording.session import compute_longest_call_s
 from daq_service.rig.open_rig import open_rig
 from hardware_drivers import errors
 
@@ -114,7 +114,7 @@ def test_the_heartbeat_allows_for_the_longest_call_over_a_network():
             "daqmx": {"transducers": wiring, **boards},
             "niscope": {"probes": {"A": {"resource": "PXI1Slot5"}}},
         }
-        return longest_call_s(small_settings(clock={"kind": "wall"}, rig=rig))
+        return compute_longest_call_s(small_settings(clock={"kind": "wall"}, rig=rig))
 
     assert deadline_s() == 5.0
     assert deadline_s(transport="grpc", grpc_address="lab:31763", call_timeout_s=60.0) > 10 * 60.0

@@ -17,8 +17,8 @@ from support.waiting import happened
 from daq_service.catalogue import open_catalogue
 from daq_service.catalogue.rows import FeatureRow
 from daq_service.cli.set_up.dialogue import Dialogue
-from daq_service.cli.set_up.setup import look_around
-from daq_service.cli.set_up.wiring import wiring_of
+from daq_service.cli.set_up.setup import find_boards
+from daq_service.cli.set_up.wiring import parse_wiring
 from daq_service.errors import BusyError
 from daq_service.processes.data_folder import own_data_folder, prepare_data_folder
 from daq_service.settings.file import load_settings
@@ -165,9 +165,9 @@ def test_strikes_are_refused_in_the_folder_of_a_recorder(doubles, tmp_path):
 
 
 def test_strikes_stop_when_a_recorder_has_started_meanwhile(doubles, tmp_path):
-    bench = look_around(Dialogue(), tmp_path, "library", "")
+    bench = find_boards(Dialogue(), tmp_path, "library", "")
     try:
-        bench.wire("B", wiring_of(bench.boards, "01E16086/ai0/ctr0"))
+        bench.wire("B", parse_wiring(bench.boards, "01E16086/ai0/ctr0"))
         prepare_data_folder(tmp_path)
         with own_data_folder(tmp_path), pytest.raises(BusyError, match="strike is refused: another recorder"):
             bench.strike("B")

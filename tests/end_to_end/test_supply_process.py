@@ -17,7 +17,7 @@ from support.waiting import ended, until
 from daq_service.catalogue import open_catalogue
 from daq_service.catalogue.errors import NoDataYetError
 from daq_service.catalogue.rows import AlarmRow, EnvironmentRow, EventRow, SetRow
-from daq_service.cli.run import remote_drive
+from daq_service.cli.run import create_remote_drive
 from daq_service.cli.status.facts import describe_status
 from daq_service.clock import WallClock
 from daq_service.corrosion_drive.supply_state import read_supply_status
@@ -32,7 +32,7 @@ from daq_service.processes.data_folder import (
 )
 from daq_service.processes.heartbeat import read_heartbeat
 from daq_service.recording.resources import Host, SessionOptions
-from daq_service.recording.session import record
+from daq_service.recording.session import record_test
 from daq_service.rig.open_rig import open_rig
 from daq_service.settings.tree import Settings
 from simulator.doubles.serial.instruments import SerialInstruments
@@ -99,9 +99,9 @@ class Test:
                 (after or {}).get(values["done"], lambda: None)()
 
         assert settings.rig.supply is not None
-        near = remote_drive(settings, settings.rig.supply, self.folder)
+        near = create_remote_drive(settings, settings.rig.supply, self.folder)
         with own_data_folder(self.folder), near as drive:
-            return record(
+            return record_test(
                 settings,
                 self.folder,
                 rig,
@@ -112,7 +112,7 @@ class Test:
             )
 
     @contextmanager
-    def recording(self, settings):
+    def note_first_set(self, settings):
         """Record in real time next to the test, until the test stops it."""
         stop = threading.Event()
         recorder = threading.Thread(target=self.run, args=(settings,), kwargs={"stop": stop})
@@ -132,7 +132,7 @@ class Test:
 
     def run_switched_on(self, settings):
         """Record in real time until an operator has switched the supply on and its charge is stored."""
-        with self.recording(settings):
+        with self.note_first_set(settings):
             self.switch_on()
             until(self.has_charge, "a set with its charge")
 
@@ -209,7 +209,7 @@ def test_a_supply_left_on_at_the_end_is_switched_off_when_no_recorder_returns(te
     test.run_switched_on(settings)
     test.is_switched_off_unwatched()
     # The next recorder reports it, and energizes nothing.
-    with test.recording(settings):
+    with test.note_first_set(settings):
         found = until(lambda: test.alarms() if "supply_watchdog_trip" in test.alarms() else None, "the alarm")
         assert found["supply_watchdog_trip"].state == found["interlock_tripped"].state == "unacknowledged"
         assert "no recorder was heard" in found["supply_watchdog_trip"].message
@@ -243,7 +243,7 @@ def test_the_output_is_switched_off_after_the_final_end_of_a_recorder(test, erro
 
 def test_a_killed_supply_process_is_unknown_and_its_successor_energizes_nothing(test):
     settings = test.settings(off_at_end=False)
-    with test.recording(settings):
+    with test.note_first_set(settings):
         until(lambda: is_owned(test.folder, DRIVE_LOCK), "the drive")
         test.switch_on()
         first = test.drive()
@@ -356,7 +356,7 @@ def test_the_supply_process_runs_once_and_switches_off_when_it_is_stopped(test):
 @contextmanager
 def energised(test):
     """Yield a recorder in real time whose supply an operator has switched on."""
-    with test.recording(test.settings()):
+    with test.note_first_set(test.settings()):
         test.switch_on()
         yield
 

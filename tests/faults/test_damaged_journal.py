@@ -8,7 +8,7 @@ from support.crashed_recorders import crash_settings, outcome, record
 from support.memory_line import memory_settings
 
 from daq_service.archive import FolderSetReader
-from daq_service.archive.journal.frames import HEADER, Kind, frames
+from daq_service.archive.journal.frames import HEADER, Kind, parse_frames
 from daq_service.catalogue import open_catalogue
 from daq_service.catalogue.rows import AlarmRow, EventRow, SetRow
 from daq_service.cli.maintenance.verify import verify_folder
@@ -111,11 +111,11 @@ def test_corruption_in_an_open_set_is_reported_and_costs_only_its_shot(tmp_path,
     shot_ids = killed(folder, settings, KILLED_AFTER)
     segment = newest_segment(folder)
     content = bytearray(segment.read_bytes())
-    found = [frame for frame in frames(bytes(content)) if frame.set_key == (1, 0)]
+    found = [frame for frame in parse_frames(bytes(content)) if frame.set_key == (1, 0)]
     assert found[0].kind is Kind.BEGIN
     PLACES[place](content, found)
     segment.write_bytes(content)
-    sound = {frame.sequence for frame in frames(bytes(content)) if frame.sound} | set(shot_ids[:A_SET])
+    sound = {frame.sequence for frame in parse_frames(bytes(content)) if frame.sound} | set(shot_ids[:A_SET])
     assert [line.kind for line in verify_folder(folder).damage].count("frame") >= 1
 
     record(settings, folder)
@@ -144,7 +144,7 @@ def test_an_expired_set_names_the_corruption_as_its_cause(tmp_path, monkeypatch)
     killed(folder, settings, KILLED_AFTER)
     segment = newest_segment(folder)
     content = bytearray(segment.read_bytes())
-    begin = next(frame for frame in frames(bytes(content)) if frame.set_key == (1, 0))
+    begin = next(frame for frame in parse_frames(bytes(content)) if frame.set_key == (1, 0))
     content[begin.start] ^= 1
     segment.write_bytes(content)
 
@@ -180,7 +180,9 @@ def test_corruption_in_a_set_with_rows_leaves_a_file_of_the_sound_records(tmp_pa
     killed(folder, settings, KILLED_AFTER, worker=NoWorker)
     segment = newest_segment(folder)
     content = bytearray(segment.read_bytes())
-    frame = next(frame for frame in frames(bytes(content)) if (frame.set_key, frame.kind) == ((0, 0), kind))
+    frame = next(
+        frame for frame in parse_frames(bytes(content)) if (frame.set_key, frame.kind) == ((0, 0), kind)
+    )
     content[frame.start + HEADER.size + 3] ^= 1
     segment.write_bytes(content)
     with open_catalogue(folder) as catalogue:
@@ -202,7 +204,7 @@ def test_an_unscheduled_set_without_its_first_frame_goes_on(tmp_path):
     shot_ids = killed(folder, settings, struck + 2)
     segment = newest_segment(folder)
     content = bytearray(segment.read_bytes())
-    begin = [frame for frame in frames(bytes(content)) if frame.kind is Kind.BEGIN][-1]
+    begin = [frame for frame in parse_frames(bytes(content)) if frame.kind is Kind.BEGIN][-1]
     assert begin.set_key.unscheduled_index
     content[begin.start] ^= 1
     segment.write_bytes(content)

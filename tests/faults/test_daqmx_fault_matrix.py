@@ -300,10 +300,10 @@ def coil_wrongly(laboratory):
 
 def polynomial_v():
     mine = DESCRIPTION.boards[0]
-    from simulator.electronics.transduction import adc_calibration
+    from simulator.electronics.transduction import make_adc_calibration
     from simulator.parameters.electronics import AdcParameters
 
-    return adc_calibration(mine.adc(AdcParameters())).coefficients_v
+    return make_adc_calibration(mine.adc(AdcParameters())).coefficients_v
 
 
 def next_run_is_sound(laboratory, call):

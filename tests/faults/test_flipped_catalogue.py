@@ -13,13 +13,13 @@ from support.table_rows import table_rows
 
 from daq_service.catalogue import open_catalogue
 from daq_service.catalogue.connection import FILE_NAME
-from daq_service.catalogue.corruption import catalogue_corruption
+from daq_service.catalogue.corruption import find_catalogue_corruption
 from daq_service.catalogue.experiment_file import HISTORY_FILE
 from daq_service.catalogue.history import parse_lines
 from daq_service.catalogue.rows import Row
 from daq_service.catalogue.tables import KINDS
 from daq_service.errors import StorageError
-from daq_service.recording.reassessment.rebuild import rebuild
+from daq_service.recording.reassessment.rebuild import rebuild_folder_catalogue
 
 REBUILT_EVERY = 40
 """Of the damaged catalogues: making one again takes as long as fifty looks."""
@@ -61,7 +61,7 @@ def changed_unnamed(folder, content, whole):
     """Return rows of a corrupt file that differ and are not reported as corrupt."""
     path = folder / FILE_NAME
     path.write_bytes(content)  # a start may have repaired other files
-    named = {(damage.table, damage.row_id) for damage in catalogue_corruption(folder)}
+    named = {(damage.table, damage.row_id) for damage in find_catalogue_corruption(folder)}
     unnamed = []
     for table, rows in whole.items():
         if {(None, None), (table, None)} & named:
@@ -93,7 +93,7 @@ def test_no_other_value_is_read_in_silence_and_rebuild_restores_the_rows(life, t
         if is_reported and count % REBUILT_EVERY == 0:
             line = replace(life, folder=shutil.copytree(life.folder, tmp_path / f"rebuilt-{count}"))
             (line.folder / FILE_NAME).write_bytes(content)
-            rebuild(line.folder, features_of=line.features_of)
+            rebuild_folder_catalogue(line.folder, features_of=line.features_of)
             assert table_rows(line.folder) == rows, count
         shutil.rmtree(folder)
     assert reported > number / 2

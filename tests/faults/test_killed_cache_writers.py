@@ -15,7 +15,7 @@ import time
 import numpy as np
 import pytest
 
-from simulator.numerics.array_cache import STALE_S, cached_arrays, read_arrays
+from simulator.numerics.array_cache import STALE_S, read_arrays, read_or_compute_arrays
 
 PROCESSES = 3
 KILLS, KILLS_IN_WRITING = 6, 1
@@ -120,8 +120,8 @@ def test_killed_writers_leave_whole_files_and_right_answers(tmp_path):
     unfinished = [path for path in tmp_path.iterdir() if path not in kept]
     assert len(unfinished) >= KILLS_IN_WRITING
     assert {path.suffix for path in unfinished} == {".part"}
-    cached_arrays(tmp_path, "key0", lambda: pytest.fail("key0 was not kept"))
+    read_or_compute_arrays(tmp_path, "key0", lambda: pytest.fail("key0 was not kept"))
     assert all(path.exists() for path in unfinished)  # young: their writers might be at work
     age(tmp_path)
-    cached_arrays(tmp_path, "key0", lambda: pytest.fail("key0 was not kept"))
+    read_or_compute_arrays(tmp_path, "key0", lambda: pytest.fail("key0 was not kept"))
     assert sorted(tmp_path.iterdir()) == kept

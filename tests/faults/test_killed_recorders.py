@@ -16,7 +16,7 @@ from support.waiting import ended, until
 from daq_service.archive import FolderSetReader
 from daq_service.archive.journal.reader import read_journal
 from daq_service.cli.maintenance.verify import verify_folder
-from daq_service.cli.run import child_plans
+from daq_service.cli.run import plan_children
 from daq_service.processes.child import stop_on_signals
 from daq_service.processes.data_folder import LOCK_FILE, is_owned, lock_text, prepare_data_folder
 from daq_service.processes.supervisor import Supervisor
@@ -34,7 +34,7 @@ def schedule_for(kills):
 def supervise(config, folder, acknowledged):
     """Run the supervisor of ``solimon run`` in a child; send each acknowledged shot, None at the end."""
     prepare_data_folder(folder)
-    (plan,) = child_plans(config, folder, port=None, web=False, linger=False)
+    (plan,) = plan_children(config, folder, port=None, web=False, linger=False)
     plan = replace(plan, arguments=[*plan.arguments, "--log-json"])
 
     def on_message(child, message):

@@ -90,7 +90,7 @@ class Processes:
     def has_sets(self):
         try:
             with open_catalogue(self.data) as catalogue:
-                return catalogue.newest_recorded() is not None
+                return catalogue.read_newest_recorded() is not None
         except NoDataYetError:
             return False
 

@@ -13,7 +13,7 @@ import pytest
 
 from daq_service.clock import parse_utc
 from daq_service.rig.open_rig import open_rig
-from daq_service.rig.twin import _forward_messages, records, transducers_of, twin_executor
+from daq_service.rig.twin import _forward_messages, build_transducers, compute_records, start_twin_executor
 from daq_service.settings.tree import Settings
 from hardware_drivers.measurement import ShotKey
 from simulator.clock import SimulatedClock
@@ -56,11 +56,11 @@ def bench(executor=None):
         SETTINGS.twin,
         clock=SimulatedClock(EPOCH_NS),
         epoch_utc_ns=EPOCH_NS,
-        transducers=transducers_of(SETTINGS),
+        transducers=build_transducers(SETTINGS),
         probed_thickness_m={},
         strikes_after=next_shots,
         executor=executor,
-        compute=partial(records, SETTINGS.model_dump_json()),
+        compute=partial(compute_records, SETTINGS.model_dump_json()),
     )
 
 
@@ -73,7 +73,7 @@ def assert_same(first, second):
 @pytest.mark.skipif(sys.platform == "win32", reason="kills by signal")
 def test_records_are_the_same_and_a_killed_worker_costs_none(caplog):
     plain = bench()
-    executor = twin_executor(SETTINGS)
+    executor = start_twin_executor(SETTINGS)
     try:
         worker = executor.submit(os.getpid).result(TIMEOUT_S)
         assert worker != os.getpid()

@@ -22,7 +22,7 @@ import pytest
 from looped_coil import AFTER_S, LOOPBACK_PRETRIGGER, LOOPBACK_RATE_HZ, Loopback
 
 from daq_service.settings.file import load_settings
-from hardware_drivers.daqmx.boards import find_boards, normalized_serial
+from hardware_drivers.daqmx.boards import find_boards, normalize_serial
 from hardware_drivers.daqmx.connection import Connection
 
 RIG, STRIKE, LOOPBACK = "SOLIMON_TEST_HARDWARE", "SOLIMON_TEST_STRIKE", "SOLIMON_TEST_LOOPBACK"
@@ -117,7 +117,7 @@ def loopback(parameters):
     )
     connection = Connection(looped)
     try:
-        serial = normalized_serial(wiring.coil_serial)
+        serial = normalize_serial(wiring.coil_serial)
         yield Loopback(
             position=position,
             parameters=looped,

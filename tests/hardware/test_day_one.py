@@ -12,13 +12,13 @@ import pytest
 from looped_coil import AFTER_S, LOOPBACK_PRETRIGGER, LOOPBACK_RATE_HZ
 
 from analysis.waves.features import extract_features
-from daq_service.cli.doctor.spike import spike_check
+from daq_service.cli.doctor.spike import check_coil_spike
 from hardware_drivers.daqmx.acquisition import commit_acquisition
-from hardware_drivers.daqmx.boards import find_boards, normalized_serial
+from hardware_drivers.daqmx.boards import find_boards, normalize_serial
 from hardware_drivers.daqmx.coil import commit_coil
 from hardware_drivers.daqmx.connection import Connection
 from hardware_drivers.daqmx.instruments import open_daqmx
-from hardware_drivers.daqmx.look import digital_name
+from hardware_drivers.daqmx.look import find_digital_name
 from hardware_drivers.daqmx.survey import survey_rig
 from hardware_drivers.errors import AcquisitionTimeoutError
 from hardware_drivers.measurement import ShotKey
@@ -46,7 +46,7 @@ def test_the_coils_lines_power_up_low(parameters):
     if parameters.transport == "grpc":
         pytest.skip("power-up states are read at the chassis itself")
     lines = {
-        (normalized_serial(wiring.coil_serial), digital_name(wiring.output_terminal))
+        (normalize_serial(wiring.coil_serial), find_digital_name(wiring.output_terminal))
         for wiring in parameters.transducers.values()
     }
     if not all(line for _, line in lines):
@@ -94,7 +94,7 @@ def test_self_calibration_is_dated_today_and_leaves_the_scaling_sound(parameters
         position = next(iter(parameters.transducers))
         rig.digitizer.arm(ShotKey(position=position, set_index=0, shot_index=0))
         acquired = rig.digitizer.read(READ_TIMEOUT_S)
-    assert set(done) == {normalized_serial(wiring.board_serial) for wiring in parameters.transducers.values()}
+    assert set(done) == {normalize_serial(wiring.board_serial) for wiring in parameters.transducers.values()}
     calibration_date = str(acquired.settings["calibration_date"])
     if not calibration_date:
         pytest.skip(f"this board does not calibrate itself: {done}")
@@ -201,7 +201,7 @@ def test_a_holdoff_hides_the_pulse_from_the_trigger(loopback):
 def test_no_coil_takes_the_trigger_as_configured(parameters):
     """One strike each without a trigger: what the coil couples in has rung out when the trigger is armed."""
     for position in parameters.transducers:
-        check, _ = spike_check(parameters, position, READ_TIMEOUT_S)
+        check, _ = check_coil_spike(parameters, position, READ_TIMEOUT_S)
         assert check.state == "ok", f"{position}: {check.found}; {check.remedy}"
 
 
@@ -220,7 +220,7 @@ def test_no_other_coil_reaches_this_one(loopback, parameters):
     others = [
         name
         for name, wiring in parameters.transducers.items()
-        if name != loopback.position and normalized_serial(wiring.coil_serial) == serial
+        if name != loopback.position and normalize_serial(wiring.coil_serial) == serial
     ]
     if not others:
         pytest.skip("no other coil is driven by this board")
@@ -279,7 +279,7 @@ def test_the_watchdog_cuts_a_pulse_short(loopback):
     from nidaqmx.types import DOExpirationState
 
     parameters, board = loopback.parameters, loopback.board
-    line = digital_name(parameters.transducers[loopback.position].output_terminal)
+    line = find_digital_name(parameters.transducers[loopback.position].output_terminal)
     if not line:
         pytest.skip(
             "this board's coils leave it at terminals without a digital line: it has no such watchdog"

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 import pytest
 
-from daq_service.cli.doctor.check import stamp_now
+from daq_service.cli.doctor.check import read_time_stamp
 from daq_service.clock import WallClock
 from daq_service.corrosion_drive.charge import DriveState
 from daq_service.corrosion_drive.drive import SupplyLogger
@@ -52,7 +52,7 @@ class Load:
 @pytest.fixture
 def supply(supply_parameters):
     """Yield the supply; check that it is off before and after."""
-    opened = ScpiPowerSupply(supply_parameters, stamp=stamp_now)
+    opened = ScpiPowerSupply(supply_parameters, stamp=read_time_stamp)
     try:
         if opened.read(supply_parameters.read_timeout_s).output_on:
             pytest.fail(

@@ -25,8 +25,8 @@ from daq_service.corrosion_drive.channel import Server
 from daq_service.corrosion_drive.charge import DriveState
 from daq_service.corrosion_drive.drive import SWITCH_OFF_EVERY_S
 from daq_service.corrosion_drive.guard import DriveGuard
-from daq_service.corrosion_drive.own_process import SUCCEEDED_WITHIN_S, DriveProcess, fingerprint
-from daq_service.corrosion_drive.remote import RemoteDrive, answered_within_s
+from daq_service.corrosion_drive.own_process import SUCCEEDED_WITHIN_S, DriveProcess, hash_supply_settings
+from daq_service.corrosion_drive.remote import RemoteDrive, longest_answer_time_s
 from daq_service.corrosion_drive.supply_state import Address, hold_supply_lock
 from daq_service.errors import BusyError, RigError
 from daq_service.processes.data_folder import DRIVE_FILE, DRIVE_LOCK, is_owned
@@ -50,7 +50,7 @@ CONFIGURATIONS = {
 }
 ROUNDS_S = 3 * STEP_S
 """A message is taken up at the next step, and answered at the one after it."""
-REPLACED_WITHIN_S = answered_within_s(PLAIN) + SUCCEEDED_WITHIN_S + POLL_S
+REPLACED_WITHIN_S = longest_answer_time_s(PLAIN) + SUCCEEDED_WITHIN_S + POLL_S
 LONGEST_S = PLAIN.watchdog_timeout_s + POLL_S + REPLACED_WITHIN_S + ROUNDS_S
 """The unwatched limit and one poll; a process that hangs before it is found and replaced first."""
 
@@ -61,7 +61,7 @@ class Process:
     def __init__(self, world, parameters):
         self.world, self.stalled = world, False
         self.server = Server(KEY)
-        address = Address(port=self.server.port, key=KEY.hex(), fingerprint=fingerprint(parameters))
+        address = Address(port=self.server.port, key=KEY.hex(), fingerprint=hash_supply_settings(parameters))
         self.job: Callable[[], None] | None = None
         self.drive = DriveProcess(
             lambda: hold_supply_lock(world.folder, address),

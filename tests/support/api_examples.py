@@ -10,7 +10,7 @@ from typing import Any
 import httpx
 
 from daq_service.settings.tree import Settings
-from daq_service.web.answers.vocabulary import VOCABULARY, look_up
+from daq_service.web.answers.vocabulary import VOCABULARY, look_up_scoped_value
 from daq_service.web.app import create_app
 from daq_service.web.auth.tokens import create_token
 from daq_service.web.multi_test.app import create_app_of_many
@@ -51,9 +51,11 @@ def asked(client: httpx.Client, path: str, method: str, operation: dict[str, Any
     name = operation["operationId"]
     if name in BY_HAND:
         return {"status": "200", "answer": BY_HAND[name][1], "media_type": BY_HAND[name][0]}
-    place = re.sub(r"\{(\w+)\}", lambda part: str(look_up(VOCABULARY.examples, name, part[1])), path)
+    place = re.sub(
+        r"\{(\w+)\}", lambda part: str(look_up_scoped_value(VOCABULARY.examples, name, part[1])), path
+    )
     asked_for = {
-        part["name"]: look_up(VOCABULARY.examples, name, part["name"])
+        part["name"]: look_up_scoped_value(VOCABULARY.examples, name, part["name"])
         for part in operation.get("parameters", ())
         if part["in"] == "query" and (part["required"] or f"{name}.{part['name']}" in VOCABULARY.examples)
     }

@@ -36,11 +36,11 @@ from daq_service.catalogue.rows import (
     SetRow,
     ShotRow,
     ThicknessRow,
-    values,
+    to_columns,
 )
 from daq_service.clock import Before, parse_utc
-from daq_service.processes.data_folder import own_data_folder, prepare_data_folder, sweep
-from daq_service.processes.worker import one_worker
+from daq_service.processes.data_folder import own_data_folder, prepare_data_folder, remove_temporary_files
+from daq_service.processes.worker import start_one_worker
 from daq_service.recording import session
 from daq_service.recording.recorder import Recorder
 from daq_service.recording.resources import Host, SessionOptions
@@ -109,7 +109,7 @@ def in_memory(instruments: ScriptedInstruments) -> Iterator[session.RigOpener]:
         stack.enter_context(patch.object(session, "Recorder", partial(Recorder, features_of=features_by_key)))
         stack.enter_context(patch.dict(Journal.__init__.__kwdefaults__, segment_bytes=SEGMENT_BYTES))
         hour_0_ns = parse_utc("2026-01-01T00:00:00Z")
-        stack.enter_context(patch.object(session, "hour_0", lambda system_ns: hour_0_ns))
+        stack.enter_context(patch.object(session, "compute_hour_0_ns", lambda system_ns: hour_0_ns))
         yield opener
 
 
@@ -127,8 +127,8 @@ def record(
     with in_memory(instruments) as opener:
         prepare_data_folder(folder)
         with own_data_folder(folder):
-            sweep(folder)
-            finished = session.record(
+            remove_temporary_files(folder)
+            finished = session.record_test(
                 settings,
                 folder,
                 opener,
@@ -317,7 +317,7 @@ def _without_numbers(rows: dict[str, list[Any]]) -> dict[str, list[Any]]:
             if name not in depends and not name.endswith("_ns")
         }
 
-    return {table: sorted((bare(values(row)) for row in its), key=repr) for table, its in rows.items()}
+    return {table: sorted((bare(to_columns(row)) for row in its), key=repr) for table, its in rows.items()}
 
 
 def _differing(whole: dict[str, list[Any]], found: dict[str, list[Any]]) -> Iterator[str]:
@@ -419,7 +419,7 @@ DESIGNS: dict[str, Callable[[Path, Callable[[int], None]], object]] = {
     ),
     "wall": lambda folder, acknowledge: record(crash_settings("wall"), folder, acknowledged=acknowledge),
     "worker": lambda folder, acknowledge: record(
-        crash_settings("wall"), folder, acknowledged=acknowledge, worker=one_worker
+        crash_settings("wall"), folder, acknowledged=acknowledge, worker=start_one_worker
     ),
     "kept open": kept_open,
     "replaced": replaced,

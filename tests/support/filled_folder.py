@@ -14,8 +14,8 @@ import numpy as np
 
 from analysis.assessment.confirmation import STEP
 from analysis.waves.features import FEATURE_NAMES, extract_features
-from daq_service.acquisition.schedule import plan, unscheduled_set
-from daq_service.alarms.operator_actions import acknowledge, reset, shelve
+from daq_service.acquisition.schedule import plan_sets, unscheduled_set
+from daq_service.alarms.operator_actions import acknowledge_alarm, reset_alarm, shelve
 from daq_service.alarms.states import Change, Moment
 from daq_service.archive import PositionRecord, SetRecord
 from daq_service.assessment.confirmation import CONFIRMATION_ASKED, Confirmation
@@ -31,14 +31,14 @@ from daq_service.catalogue.rows import (
     FeatureRow,
     SetRow,
     ThicknessRow,
-    values,
+    to_columns,
 )
-from daq_service.catalogue.writer import payload_of
+from daq_service.catalogue.writer import build_event_payload
 from daq_service.clock import TimeLine, parse_utc
 from daq_service.processes.data_folder import own_data_folder
 from daq_service.processes.heartbeat import Heartbeat
 from daq_service.processes.recorder_state import FAREWELLS
-from daq_service.recording.set_assessor import shot_row
+from daq_service.recording.set_assessor import build_shot_row
 from daq_service.settings.tree import Settings
 from hardware_drivers.measurement import PulseEchoRecord, SetKey, Shot, ShotKey, Stamp
 from hardware_drivers.nanoseconds import NS_PER_H, NS_PER_S
@@ -90,7 +90,7 @@ class FilledFolder:
     ) -> None:
         self.folder, self.settings, self.shots_per_set = folder, settings, shots_per_set
         self.epoch_ns = parse_utc(settings.clock.epoch)
-        self.due = plan(settings.schedule.phases, self.epoch_ns, end_h=settings.schedule.end_h)
+        self.due = plan_sets(settings.schedule.phases, self.epoch_ns, end_h=settings.schedule.end_h)
         if not exists:
             (folder / "catalogue.sqlite").write_bytes(empty_catalogue())
         self.catalogue = open_catalogue(folder, writer=True)
@@ -187,7 +187,7 @@ class FilledFolder:
                     file=file,
                 )
             )
-            commit.shots += [shot_row(record, valid=True, flags=()) for record in its]
+            commit.shots += [build_shot_row(record, valid=True, flags=()) for record in its]
             common = {
                 "set_index": index,
                 "position": position,
@@ -332,7 +332,7 @@ class FilledFolder:
             kind="alarm_raised",
             position=position,
             set_index=index,
-            payload=payload_of(row),
+            payload=build_event_payload(row),
         )
         commit = SetCommit(alarms=[row], events=[event], alarm_of_event={0: 0})
         return self.catalogue.commit_set(commit).alarm_ids[0]
@@ -360,7 +360,7 @@ class FilledFolder:
             temperature_c=21.5,
             relative_humidity=None,
         )
-        payload = {name: value for name, value in values(row).items() if name != "id"}
+        payload = {name: value for name, value in to_columns(row).items() if name != "id"}
         event = EventRow(
             utc_ns=due.due_utc_ns,
             topic="environment",
@@ -424,15 +424,15 @@ class FilledFolder:
         alarms = self.catalogue.rows(AlarmRow, position=position, active=True)
         (row,) = [alarm for alarm in alarms if alarm.kind == "transducer_disabled"]
         moment = Moment(utc_ns=row.raised_utc_ns, due_h=row.raised_h, set_index=None)
-        self._change(reset(row, "ann", "put right", moment), moment)
+        self._apply_change(reset_alarm(row, "ann", "put right", moment), moment)
 
-    def _change(self, change: Change, moment: Moment) -> None:
+    def _apply_change(self, change: Change, moment: Moment) -> None:
         event = EventRow(
             utc_ns=moment.utc_ns,
             topic="alarms",
             kind=change.event_kind,
             position=change.row.position,
-            payload=payload_of(change.row, last="id"),
+            payload=build_event_payload(change.row, last="id"),
         )
         self.catalogue.commit_set(SetCommit(alarms=[change.row], events=[event], alarm_of_event={0: 0}))
 
@@ -440,13 +440,13 @@ class FilledFolder:
         """Shelve an alarm, as the recorder does, once when raised and once at the present time."""
         row = self.catalogue.alarm(alarm_id)
         moment = Moment(utc_ns=row.raised_utc_ns, due_h=row.raised_h, set_index=None)
-        self._change(shelve(row, "ann", reason, for_h, moment, time.time_ns()), moment)
+        self._apply_change(shelve(row, "ann", reason, for_h, moment, time.time_ns()), moment)
 
     def acknowledge(self, alarm_id: int, command) -> None:
         """Execute an acknowledgement as the recorder does."""
         row = self.catalogue.alarm(alarm_id)
         moment = Moment(utc_ns=row.raised_utc_ns, due_h=row.raised_h, set_index=None)
-        self._change(acknowledge(row, command.author, command.arguments["note"], moment), moment)
+        self._apply_change(acknowledge_alarm(row, command.author, command.arguments["note"], moment), moment)
         self.catalogue.finish_command(command.id, "done", "acknowledged")
 
     def records(self, index: int):

@@ -17,7 +17,7 @@ from typing import Any, cast
 
 import orjson
 
-from daq_service.acquisition.schedule import plan
+from daq_service.acquisition.schedule import plan_sets
 from daq_service.alarms.states import Moment
 from daq_service.archive import FolderArchive
 from daq_service.catalogue import RecorderCatalogue, SetCommit, open_catalogue
@@ -91,7 +91,7 @@ def recorder_on(folder: Path, catalogue: RecorderCatalogue) -> Callable[[], None
 
     Each call of what is returned carries out what waits, and lets the history follow.
     """
-    clock = SimulatedClock(catalogue.experiment_row().epoch_utc_ns)
+    clock = SimulatedClock(catalogue.read_experiment().epoch_utc_ns)
     rig = cast(Rig, SimpleNamespace(dry_run=False, supply=None, climate=None))
     ledger = SetAssessor(WAVES_ONLY, FolderArchive(folder), catalogue, rig)
 
@@ -100,7 +100,7 @@ def recorder_on(folder: Path, catalogue: RecorderCatalogue) -> Callable[[], None
 
     def confirmation(position: str, author: str, reason: str) -> SetCommit:
         transaction = SetCommit()
-        first = plan(WAVES_ONLY.schedule.phases, clock.utc_ns())[0]
+        first = plan_sets(WAVES_ONLY.schedule.phases, clock.utc_ns())[0]
         ledger.confirmations.add(reason, first, position, moment(), transaction, author)
         return transaction
 

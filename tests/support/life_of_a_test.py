@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from daq_service.archive.layout import build_image
-from daq_service.assessment.results_in_file import results_in
-from daq_service.catalogue.experiment_file import keep_experiment
+from daq_service.assessment.results_in_file import read_set_results
+from daq_service.catalogue.experiment_file import ensure_experiment_file
 from daq_service.catalogue.history import HistoryFollower
 from daq_service.catalogue.rows import EventRow, SetRow
 from hardware_drivers.measurement import ShotKey
@@ -41,11 +41,13 @@ def run(line: Line, **options: Any) -> None:
     line.run(archive=archive, **options)
     archive.close()
     with line.catalogue(writer=True) as catalogue:
-        for set_index, file in catalogue.without_digest().items():
+        for set_index, file in catalogue.list_sets_without_digest().items():
             path = line.folder / file  # with a copy of its results, as the recorder's worker makes it
-            path.write_bytes(build_image(replace(read_set(path), results=results_in(catalogue, set_index))))
-            catalogue.set_digest(set_index, file, archive.digest(file))
-        keep_experiment(line.folder, catalogue.experiment_row())
+            path.write_bytes(
+                build_image(replace(read_set(path), results=read_set_results(catalogue, set_index)))
+            )
+            catalogue.store_digest(set_index, file, archive.digest(file))
+        ensure_experiment_file(line.folder, catalogue.read_experiment())
         HistoryFollower(line.folder, catalogue).begin()
 
 

@@ -14,11 +14,11 @@ from typing import Any
 
 from distributed import LocalCluster
 
-from daq_service.cli.offline.evidence.replay import replayed
+from daq_service.cli.offline.evidence.replay import replay_test
 from daq_service.cli.sweep.plan import make_plan
 from daq_service.cli.sweep.run import SweepOptions, run_sweep
 from daq_service.cli.sweep.specification import parse_axis
-from daq_service.processes.executors import opened_executor, workers_of
+from daq_service.processes.executors import count_workers, open_executor
 from simulator.parameters.chain import ChainParameters
 from simulator.parameters.plate import CorrosionParameters, PlateParameters
 from support.drifting_wall import drifting_wall
@@ -40,17 +40,17 @@ def main(folder: Path) -> dict[str, Any]:
         n_workers=2, threads_per_worker=1, dashboard_address=None, silence_logs=logging.ERROR
     ) as cluster:
         name = cluster.scheduler_address.replace("tcp://", "dask://")
-        with opened_executor(name, 1) as executor:
+        with open_executor(name, 1) as executor:
             futures = [executor.submit(die_once, folder / "noted", number) for number in range(6)]
             results: dict[str, Any] = {
-                "workers": workers_of(executor, 1),
+                "workers": count_workers(executor, 1),
                 "done": [future.result() for future in futures],
                 "died": (folder / "noted").exists(),
             }
         results["sweep"] = {"cluster": _swept(name), "threads": _swept("threads")}
         results["replay"] = [
             {"sets": found.sets, "differences": found.differences, "kept": len(found.alarms.kept)}
-            for found in (replayed(line.folder, (), extract_by=by) for by in ((name, 1), ("processes", 2)))
+            for found in (replay_test(line.folder, (), extract_by=by) for by in ((name, 1), ("processes", 2)))
         ]
     return results
 

@@ -21,7 +21,7 @@ from daq_service.archive import (
     SetReference,
     StoredSet,
     StoreTimings,
-    waveform_crc32,
+    compute_crc32,
 )
 from daq_service.archive.records import SETS_FOLDER, JournalDamage
 from hardware_drivers.measurement import MissedShot, PulseEchoRecord, SetKey, Shot, Waveform
@@ -117,13 +117,13 @@ class MemoryArchive:
             raise ConflictingSetError(f"set {record.set_key} is stored already in {stored} and differs")
         self.shelf.sets[reference] = record
         self.settle(record.set_key)
-        crc32 = {item.sequence: waveform_crc32(item.waveform) for item in record.records}
+        crc32 = {item.sequence: compute_crc32(item.waveform) for item in record.records}
         return StoredSet(file=reference, n_bytes=_n_bytes(record), crc32=crc32, timings=NO_TIME)
 
     def set_aside(self, reference: SetReference) -> None:
         self.shelf.quarantine.append((reference, self.shelf.sets.pop(reference)))
 
-    def quarantined(self) -> list[str]:
+    def list_quarantined(self) -> list[str]:
         return [reference for reference, _ in self.shelf.quarantine]
 
     def sets(self) -> dict[SetKey, SetReference]:

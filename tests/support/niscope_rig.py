@@ -20,7 +20,7 @@ from simulator.doubles.chassis.scopes import ScopeParameters
 from simulator.doubles.device_model import Brain
 from simulator.doubles.transports.library import SONAMES, build_library, client_environment, why_unavailable
 from simulator.doubles.transports.server import WireServer
-from simulator.electronics.transduction import counts_of
+from simulator.electronics.transduction import quantise_volts
 from simulator.parameters.electronics import NoiseParameters
 from simulator.parameters.experiment import TwinParameters
 from simulator.specimen import build_specimen
@@ -121,7 +121,7 @@ def codes_of_the_twin(described: Description, shot: ShotKey) -> Counts:
     )
     board = described.all_scopes[0]
     volts = specimen.probed_wall(shot.position, HOUR_H).volts(described.twin.echo)
-    return counts_of(volts, board.calibration(1.0, 0.0))
+    return quantise_volts(volts, board.calibration(1.0, 0.0))
 
 
 def functions_of(record: dict[str, Any]) -> list[str]:

@@ -25,7 +25,7 @@ from typing import Any
 from unittest.mock import patch
 
 from daq_service import shared_file
-from daq_service.archive.records import set_reference
+from daq_service.archive.records import to_reference
 from daq_service.background.finalize_sets import SetFinalizer
 from daq_service.background.live_figure import LiveFigure
 from daq_service.catalogue import errors, open_catalogue
@@ -33,7 +33,7 @@ from daq_service.catalogue.rows import AlarmRow
 from daq_service.clock import MachineClock, WallClock, parse_utc
 from daq_service.errors import StorageError
 from daq_service.processes.child import log_to
-from daq_service.processes.data_folder import own_data_folder, prepare_data_folder, sweep
+from daq_service.processes.data_folder import own_data_folder, prepare_data_folder, remove_temporary_files
 from daq_service.processes.heartbeat import Heartbeat
 from daq_service.recording import session
 from daq_service.recording.resources import Host, SessionOptions
@@ -50,7 +50,7 @@ INTERVAL_S, FREED_AFTER_S, FREED_BEFORE_THE_START_S = 18.0, 25.0, 4.0
 """A disk that is freed only by a person takes nothing for longer than a set; one that keeps a recorder from
 starting only as long as no set is due."""
 TROUBLE_AFTER_S = 28.0
-DAMAGED = set_reference(SetKey(SETS - 1), parse_utc("2026-01-01T00:00:00Z"))
+DAMAGED = to_reference(SetKey(SETS - 1), parse_utc("2026-01-01T00:00:00Z"))
 """A set's file without rows, as a disk may leave one; a start sets it aside."""
 CALLS = "open,write,fsync,rename,unlink,truncate,allocate,mkdir"
 
@@ -106,7 +106,7 @@ def injected(clock: Time) -> Iterator[None]:
         SetFinalizer.__init__: {"machine": clock.machine},
         Heartbeat.__init__: {"machine": clock.machine},
         LiveFigure.__init__: {"machine": clock.machine},
-        shared_file.patiently: {"pause": clock.sleep},
+        shared_file.retry_call: {"pause": clock.sleep},
     }
     with ExitStack() as stack:
         for function, values in named.items():
@@ -131,8 +131,8 @@ def record(
         wall_clock = partial(WallClock, machine=clock.machine)
         prepare_data_folder(folder)
         with own_data_folder(folder):
-            sweep(folder)
-            return session.record(
+            remove_temporary_files(folder)
+            return session.record_test(
                 refusal_settings(),
                 folder,
                 opened_by(opener),

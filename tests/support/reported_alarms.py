@@ -7,11 +7,11 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from daq_service.alarms.operator_actions import reset
-from daq_service.alarms.states import Condition, Moment, update
+from daq_service.alarms.operator_actions import reset_alarm
+from daq_service.alarms.states import Condition, Moment, update_alarm
 from daq_service.catalogue import SetCommit
 from daq_service.catalogue.rows import AlarmRow, EventRow
-from daq_service.catalogue.writer import payload_of
+from daq_service.catalogue.writer import build_event_payload
 from daq_service.processes.notifications.delivery_log import DeliveryLog
 from daq_service.processes.notifications.messages import Message
 from daq_service.processes.notifications.receiver import ReceiverQueue
@@ -55,14 +55,14 @@ class Alarms:
         )
         rows = self.catalogue.rows(AlarmRow, position=condition.position, kind=kind)
         moment = Moment(utc_ns=36 * NS_PER_H, due_h=36.0, set_index=72)
-        change = update(rows[-1] if rows else None, condition, moment)
+        change = update_alarm(rows[-1] if rows else None, condition, moment)
         assert change is not None, "nothing changes"
         return self._commit(change.row, change.event_kind)
 
     def reset(self, kind: str) -> int:
         """Reset a latched alarm as an operator does."""
         (row,) = self.catalogue.rows(AlarmRow, kind=kind, active=True)
-        change = reset(row, "ann", "put right", Moment(utc_ns=0, due_h=0.0, set_index=None))
+        change = reset_alarm(row, "ann", "put right", Moment(utc_ns=0, due_h=0.0, set_index=None))
         return self._commit(change.row, change.event_kind)
 
     def _commit(self, row: AlarmRow, kind: str) -> int:
@@ -72,7 +72,7 @@ class Alarms:
             topic="alarms",
             kind=kind,
             position=row.position,
-            payload=payload_of(row, last="id"),
+            payload=build_event_payload(row, last="id"),
         )
         commit = SetCommit(alarms=[row], events=[event], alarm_of_event={0: 0})
         (event_id,) = self.catalogue.commit_set(commit).event_ids

@@ -24,7 +24,7 @@ from daq_service.catalogue.rows import (
 )
 from daq_service.processes.data_folder import own_data_folder, prepare_data_folder
 from daq_service.recording.resources import Host, SessionOptions
-from daq_service.recording.session import record
+from daq_service.recording.session import record_test
 from daq_service.rig.open_rig import open_rig
 from daq_service.settings.file import load_settings
 from daq_service.settings.tree import Settings
@@ -89,7 +89,7 @@ def run(
     if not (folder / FILE_NAME).exists():
         (folder / FILE_NAME).write_bytes(empty_catalogue())
     with own_data_folder(folder):
-        return record(
+        return record_test(
             settings,
             folder,
             rig,

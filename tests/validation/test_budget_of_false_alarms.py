@@ -6,14 +6,14 @@ from support.healthy_sequences import healthy
 
 from analysis.statistics.baseline import fit_baseline
 from analysis.statistics.default_limit import default_limit
-from analysis.statistics.sequence import assess
+from analysis.statistics.sequence import assess_sequence
 
 NEW_SETS = 3000
 
 
 def assessment_of(name, n, seed):
     x = healthy(name, n + NEW_SETS, np.random.default_rng([seed, n]))
-    return assess(x, np.arange(len(x)) < n, list("abcde"), textbooks=False)
+    return assess_sequence(x, np.arange(len(x)) < n, list("abcde"), textbooks=False)
 
 
 @pytest.mark.parametrize(

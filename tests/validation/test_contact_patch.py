@@ -12,7 +12,7 @@ from simulator.parameters.plate import CorrosionParameters, PlateParameters
 from simulator.plate.mindlin.element import SHEAR_CORRECTION
 from simulator.plate.mindlin.plate import build_plate
 from simulator.shot.model import ShotModel
-from simulator.shot.pulse_summary import summarise
+from simulator.shot.pulse_summary import summarise_pulses
 
 PLATE = PlateParameters(
     width_m=0.6,
@@ -116,6 +116,6 @@ def test_shot_on_a_circle_does_not_depend_on_the_mesh(reduction_folder):
         for size_m in (2.5e-4, 1e-4):
             plate = PlateParameters(contact=contact, contact_radius_m=5e-4, contact_element_m=size_m)
             model = ShotModel(ChainParameters(), plate, CorrosionParameters(), cache_folder=reduction_folder)
-            tof_us[contact, size_m] = summarise(model.shot(depth_fraction=0.5)).tof_us
+            tof_us[contact, size_m] = summarise_pulses(model.shot(depth_fraction=0.5)).tof_us
     moved = {c: tof_us[c, 1e-4] - tof_us[c, 2.5e-4] for c in ("patch", "node")}
     assert abs(moved["patch"]) < 0.05 * moved["node"]

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from daq_service.cli.offline.twin_line import assessed_sets
+from daq_service.cli.offline.twin_line import simulate_assessed_sets
 from daq_service.settings.file import load_settings
 
 SCRIPT = Path(__file__).parents[2] / "benchmarks" / "diagnoses.py"
@@ -56,7 +56,7 @@ def test_real_shots_separate_a_wall_change_from_worn_spheres(twin, named, never)
             "baseline": {"hours": BASELINE_H},
         },
     )
-    rows = [one.position_result.assessments[-1] for one in assessed_sets(settings, "D")]
+    rows = [one.position_result.assessments[-1] for one in simulate_assessed_sets(settings, "D")]
     called = Counter(row.diagnosis for row in rows if not row.in_baseline)
     assert called[named] > 0.3 * called.total()
     assert not never & called.keys()

@@ -16,7 +16,7 @@ from simulator.parameters.plate import (
 from simulator.plate.mindlin.plate import build_plate
 from simulator.plate.mindlin.reduction import reduce_plate
 from simulator.shot.model import ShotModel
-from simulator.shot.pulse_summary import summarise
+from simulator.shot.pulse_summary import summarise_pulses
 
 BASE = PlateParameters(elements_per_edge=32, contact_element_m=1e-3)
 PATCH = CorrosionParameters()
@@ -120,9 +120,9 @@ def test_an_eccentric_patch_and_a_smooth_one_change_less(reduction_folder):
     def tof_us(**changes):
         patch = CorrosionParameters(size_m=0.04, **changes)
         model = ShotModel(ChainParameters(), BASE, patch, cache_folder=reduction_folder)
-        return summarise(model.shot(depth_fraction=0.6)).tof_us
+        return summarise_pulses(model.shot(depth_fraction=0.6)).tof_us
 
-    pristine = summarise(
+    pristine = summarise_pulses(
         ShotModel(ChainParameters(), BASE, PATCH, cache_folder=reduction_folder).shot()
     ).tof_us
     below, next_to_it, far = tof_us(), tof_us(offset_x_m=0.03), tof_us(offset_x_m=0.15)

@@ -13,10 +13,10 @@ import pytest
 
 from simulator.parameters.chain import ChainParameters
 from simulator.parameters.plate import CorrosionParameters, PlateParameters, SolidMesh
-from simulator.plate.solid.contact import hertz_transform
-from simulator.plate.solid.reduction import passive_modes, solid_modes
+from simulator.plate.solid.contact import transform_hertz_pressure
+from simulator.plate.solid.reduction import compute_solid_modes, make_modes_passive
 from simulator.shot.model import ShotModel
-from simulator.shot.pulse_summary import summarise
+from simulator.shot.pulse_summary import summarise_pulses
 
 E_PA, NU, RADIUS_M, DENSITY = 200e9, 0.3, 9.525e-3, 7790.0
 SHEAR_PA = E_PA / (2.0 * (1.0 + NU))
@@ -44,7 +44,7 @@ def extra_compliance_m_per_n(contact_radius_m):
     flexibility[2:] = pole_flexibility(n[2:]) / SHEAR_PA
     half_space = 2.0 * (1.0 - NU**2) / E_PA / (n + 0.5)
     weight = (2.0 * n + 1.0) / (4.0 * np.pi * RADIUS_M)
-    spread = hertz_transform((n + 0.5) * contact_radius_m / RADIUS_M) ** 2
+    spread = transform_hertz_pressure((n + 0.5) * contact_radius_m / RADIUS_M) ** 2
     return float(np.sum(weight * (flexibility - half_space) * spread))
 
 
@@ -96,13 +96,13 @@ def test_what_the_rigid_mass_neglects(depth, shift_us):
     extra = extra_compliance_m_per_n(CONTACT_RADIUS_M)
     plate = PlateParameters(model="solid", solid=SolidMesh(edge_element=0.2, growth=3.0))
     patch = CorrosionParameters(depth_fraction=depth)
-    rigid = solid_modes(plate, patch)
-    both = passive_modes(
+    rigid = compute_solid_modes(plate, patch)
+    both = make_modes_passive(
         replace(rigid, residual_compliance_m_per_n=rigid.residual_compliance_m_per_n + extra)
     )
     found = []
     for modes in (rigid, both):
         model = ShotModel(ChainParameters(), plate, patch, prepared_plate=OneDepth(modes))
-        found.append(summarise(model.shot()))
+        found.append(summarise_pulses(model.shot()))
     assert found[1].tof_us - found[0].tof_us == pytest.approx(shift_us, abs=0.01)  # quoted in the docs
     assert abs(found[1].amplitude_ratio - found[0].amplitude_ratio) < 1.1e-3

@@ -10,11 +10,15 @@ from scipy import integrate, linalg
 from simulator.errors import SpecimenError
 from simulator.parameters.chain import ChainParameters
 from simulator.parameters.plate import CorrosionParameters, LiquidParameters, PlateParameters
-from simulator.plate.mindlin.liquid_layer import layer_mass, sine_integrals, sine_terms
-from simulator.plate.mindlin.plate import assemble, build_plate, plate_thinning
+from simulator.plate.mindlin.liquid_layer import (
+    choose_sine_terms,
+    compute_layer_mass,
+    integrate_hats_times_sines,
+)
+from simulator.plate.mindlin.plate import assemble_plate, build_plate, evaluate_thinning
 from simulator.plate.mindlin.reduction import reduce_plate
 from simulator.shot.model import ShotModel
-from simulator.shot.pulse_summary import summarise
+from simulator.shot.pulse_summary import summarise_pulses
 
 PATCH = CorrosionParameters(size_m=0.3)
 PATCH_ANYWHERE = CorrosionParameters(size_m=0.5)
@@ -27,7 +31,7 @@ PAPER_WET = PlateParameters(liquid=LiquidParameters(depth_m=0.1))
 def with_terms(plate, corrosion, highest):
     """The quarter plate with its liquid's sines up to `highest` along both edges."""
     parts = build_plate(plate, corrosion)
-    mass = layer_mass(
+    mass = compute_layer_mass(
         plate.liquid,
         plate,
         parts.x_m,
@@ -49,7 +53,7 @@ def shots(parts, depths):
 def test_integrals_of_hats_and_sines_are_exact():
     lines = np.array([0.0, 1e-4, 3e-4, 0.01, 0.05, 0.1])
     orders = np.array([1.0, 3.0, 40.0])
-    found = sine_integrals(lines, -0.02, 0.25, orders)
+    found = integrate_hats_times_sines(lines, -0.02, 0.25, orders)
     for row, m in enumerate(orders):
         for column in range(len(lines)):
             hat = np.eye(len(lines))[column]
@@ -77,7 +81,7 @@ def test_every_mode_of_a_simply_supported_plate_falls_by_the_closed_form(depth_m
     errors = []
     for elements in (6, 12):
         x, y = np.linspace(0.0, 0.3, elements + 1), np.linspace(0.0, 0.25, elements + 1)
-        parts = assemble(plate, x, y, plate_thinning(x, y, PATCH), symmetric=(True, True))
+        parts = assemble_plate(plate, x, y, evaluate_thinning(x, y, PATCH), symmetric=(True, True))
         stiffness, mass = (matrix.toarray() for matrix in parts.at_depth(0.0))
         wet_mass = mass + parts.added_mass @ np.eye(len(parts.load))
         dry, wet = (np.sqrt(linalg.eigh(stiffness, m, eigvals_only=True)[: len(k)]) for m in (mass, wet_mass))
@@ -95,7 +99,7 @@ def test_modes_do_not_depend_on_where_the_chain_stands():
     )
     x, y = np.linspace(-0.375, 0.225, 17), np.linspace(-0.1875, 0.3125, 17)
     x[np.argmin(np.abs(x))] = y[np.argmin(np.abs(y))] = 0.0
-    parts = assemble(plate, x, y, plate_thinning(x, y, PATCH_ANYWHERE), symmetric=(False, False))
+    parts = assemble_plate(plate, x, y, evaluate_thinning(x, y, PATCH_ANYWHERE), symmetric=(False, False))
     stiffness, mass = (matrix.toarray() for matrix in parts.at_depth(0.0))
     wet_mass = mass + parts.added_mass @ np.eye(len(parts.load))
     dry, wet = (
@@ -122,7 +126,7 @@ def test_added_mass_is_symmetric_and_positive(support, symmetric):
     x = np.linspace(0.0 if symmetric[0] else -0.35, 0.3 if symmetric[0] else 0.25, 9)
     y = np.linspace(0.0 if symmetric[1] else -0.2, 0.25 if symmetric[1] else 0.3, 8)
     x[np.argmin(np.abs(x))] = y[np.argmin(np.abs(y))] = 0.0
-    parts = assemble(plate, x, y, plate_thinning(x, y, PATCH_ANYWHERE), symmetric=symmetric)
+    parts = assemble_plate(plate, x, y, evaluate_thinning(x, y, PATCH_ANYWHERE), symmetric=symmetric)
     added = parts.added_mass @ np.eye(len(parts.load))
     assert np.max(np.abs(added - added.T)) <= 1e-14 * np.max(np.abs(added))  # rounding
     deflections = parts.free % 3 == 0
@@ -151,7 +155,7 @@ def test_shallow_layer_moves_with_the_plate_and_deep_ones_are_alike():
 
 
 def test_waveform_converges_in_the_number_of_sines():
-    assert sine_terms(PAPER_WET) == (256, 256)
+    assert choose_sine_terms(PAPER_WET) == (256, 256)
     coarse = replace(PAPER_WET, elements_per_edge=48)
     depths = (0.0, 0.8)
     reference = shots(with_terms(coarse, CorrosionParameters(), 768), depths)
@@ -176,13 +180,13 @@ def test_a_wet_shot_balances_its_energy_and_differs_from_a_dry_one(reduction_fol
     )
     for depth in (0.0, 0.95):
         assert wet.shot(depth_fraction=depth).energy_residual <= 1e-5  # a tenth of what is demanded
-    without, with_liquid = summarise(dry.shot()), summarise(wet.shot())
+    without, with_liquid = summarise_pulses(dry.shot()), summarise_pulses(wet.shot())
     # A heavier plate takes less energy and gives the wave back earlier.
     assert with_liquid.tof_us < without.tof_us - 1.0
     assert with_liquid.amplitude_ratio > 1.05 * without.amplitude_ratio
     deep = replace(PAPER_WET, liquid=LiquidParameters(depth_m=1.0))
     deeper = ShotModel(ChainParameters(), deep, CorrosionParameters(), cache_folder=reduction_folder)
-    assert summarise(deeper.shot()).tof_us == pytest.approx(with_liquid.tof_us, abs=0.1)
+    assert summarise_pulses(deeper.shot()).tof_us == pytest.approx(with_liquid.tof_us, abs=0.1)
 
 
 def test_infinite_wet_thin_plate_is_approached():
@@ -222,4 +226,4 @@ def test_a_plate_too_long_for_its_thickness_is_refused():
     with pytest.raises(
         SpecimenError, match=r"needs \d+ sines along an edge, at most 4096 .* at most 1.536 m"
     ):
-        sine_terms(replace(THIN, width_m=3.0))
+        choose_sine_terms(replace(THIN, width_m=3.0))

@@ -9,7 +9,7 @@ from scipy.sparse.linalg import eigsh, splu
 from simulator.materials import bending_stiffness_n_m, plane_modulus_pa, shear_modulus_pa
 from simulator.parameters.plate import CorrosionParameters, PlateParameters
 from simulator.plate.mindlin.element import SHEAR_CORRECTION
-from simulator.plate.mindlin.plate import assemble, build_plate, plate_thinning
+from simulator.plate.mindlin.plate import assemble_plate, build_plate, evaluate_thinning
 
 PAPER = PlateParameters()
 PATCH = CorrosionParameters()
@@ -26,7 +26,7 @@ def uniform_plate(elements, *, width_m=0.6, height_m=0.6, thickness_m=6e-3, supp
     )
     x = np.linspace(0.0, width_m / 2, elements // 2 + 1)
     y = np.linspace(0.0, height_m / 2, elements // 2 + 1)
-    return plate, assemble(plate, x, y, plate_thinning(x, y, PATCH), symmetric=(True, True))
+    return plate, assemble_plate(plate, x, y, evaluate_thinning(x, y, PATCH), symmetric=(True, True))
 
 
 def compliance(plate, depth=0.0):

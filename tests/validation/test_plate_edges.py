@@ -16,7 +16,7 @@ from simulator.parameters.chain import ChainParameters
 from simulator.parameters.plate import CorrosionParameters, PlateParameters
 from simulator.plate.mindlin.plate import build_plate
 from simulator.shot.model import ShotModel
-from simulator.shot.pulse_summary import summarise
+from simulator.shot.pulse_summary import summarise_pulses
 
 THIN = PlateParameters(thickness_m=1e-3, suspension_hz=1.0)
 PATCH = CorrosionParameters(size_m=0.3048)
@@ -97,6 +97,8 @@ def test_shot_does_not_feel_the_edges_nor_the_suspension(reduction_folder):
         # Measured: 2e-4 and 4e-6 up to the end of the reflected wave, 3e-2 and 2e-2 in the whole record.
         assert np.linalg.norm(difference[psw]) <= 5e-4 * np.linalg.norm(reference.force_n[psw])
         assert np.linalg.norm(difference) >= 5e-3 * np.linalg.norm(reference.force_n)
-        assert summarise(found[name]).tof_us == pytest.approx(summarise(reference).tof_us, abs=0.01)
+        assert summarise_pulses(found[name]).tof_us == pytest.approx(
+            summarise_pulses(reference).tof_us, abs=0.01
+        )
     softer = found["softer"].force_n - found["free"].force_n
     assert np.linalg.norm(softer) <= 1e-4 * np.linalg.norm(reference.force_n)

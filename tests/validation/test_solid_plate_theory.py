@@ -10,13 +10,13 @@ from simulator.materials import bending_stiffness_n_m, shear_modulus_pa
 from simulator.numerics.tensor_basis import Axis
 from simulator.parameters.plate import CorrosionParameters, PlateParameters, SolidMesh
 from simulator.plate.solid.contact import (
+    compute_surface_flexibility_m_per_pa,
     exact_contact_compliance_m_per_n,
     half_space_indentation_m_per_n,
-    hertz_transform,
-    surface_flexibility_m_per_pa,
+    transform_hertz_pressure,
 )
-from simulator.plate.solid.plate import assembled_solid, build_solid_plate
-from simulator.plate.solid.reduction import krylov_fields, project, shifted_solver
+from simulator.plate.solid.plate import assemble_solid, build_solid_plate
+from simulator.plate.solid.reduction import compute_krylov_fields, make_shifted_solver, project_layers
 
 THICK = PlateParameters(
     width_m=0.04,
@@ -38,12 +38,14 @@ def evenly_meshed(parameters, elements, degree):
     )
     z = Axis(breaks_m=np.linspace(0.0, parameters.thickness_m, 4), degrees=(parameters.solid.degree - 1,) * 3)
     patch = CorrosionParameters(size_m=parameters.width_m)
-    return assembled_solid(parameters, patch, x, y, z, "quarter")
+    return assemble_solid(parameters, patch, x, y, z, "quarter")
 
 
 def driven_frequency_hz(plate, expected_hz):
     """Frequency of the mode that the load drives nearest to the expected one."""
-    found = project(plate, krylov_fields(plate, 60)).modes(1.0, 0.0).omega_rad_per_s / (2.0 * np.pi)
+    found = project_layers(plate, compute_krylov_fields(plate, 60)).modes(1.0, 0.0).omega_rad_per_s / (
+        2.0 * np.pi
+    )
     return float(found[np.argmin(np.abs(found - expected_hz))])
 
 
@@ -86,8 +88,10 @@ def series_contact_compliance(plate, count):
     odd = np.arange(1, 2 * count, 2)
     m, n = np.meshgrid(odd, odd)
     k = np.hypot(m * np.pi / plate.width_m, n * np.pi / plate.height_m)
-    weight = 4.0 / (plate.width_m * plate.height_m) * hertz_transform(k * plate.contact_radius_m) ** 2
-    return float(np.sum(weight * surface_flexibility_m_per_pa(plate, plate.thickness_m, k)))
+    weight = (
+        4.0 / (plate.width_m * plate.height_m) * transform_hertz_pressure(k * plate.contact_radius_m) ** 2
+    )
+    return float(np.sum(weight * compute_surface_flexibility_m_per_pa(plate, plate.thickness_m, k)))
 
 
 def test_references_agree_with_thin_plate_theory():
@@ -95,7 +99,7 @@ def test_references_agree_with_thin_plate_theory():
     thin_hz = np.pi * np.sqrt(bending / (7800 * PAPER.thickness_m)) / PAPER.width_m**2
     # Shear and rotary inertia: of the order of (pi h / a)^2 = 1e-3.
     assert 0.999 * thin_hz < exact_frequency_hz(PAPER, 1, 1) < thin_hz
-    flexibility = surface_flexibility_m_per_pa(PAPER, PAPER.thickness_m, np.ones(1))[0]
+    flexibility = compute_surface_flexibility_m_per_pa(PAPER, PAPER.thickness_m, np.ones(1))[0]
     assert flexibility * bending == pytest.approx(1.0, rel=1e-4)
     thin = 0.0116008 * PAPER.width_m**2 / bending
     net = exact_contact_compliance_m_per_n(PAPER, PAPER.width_m, PAPER.height_m, PAPER.thickness_m)
@@ -137,7 +141,7 @@ def test_elements_do_not_lock_however_thin():
     exact = exact_contact_compliance_m_per_n(thin, 0.6096, 0.6096, 6e-4)
     for degree in (3, 4):
         plate = evenly_meshed(thin, 3, degree)
-        found = plate.load @ shifted_solver(plate, 0.0)(plate.load)
+        found = plate.load @ make_shifted_solver(plate, 0.0)(plate.load)
         # The point load's logarithmic curvature is not resolved; locked elements leave a tenth and less.
         assert found == pytest.approx(exact, rel=5e-3)
 
@@ -149,7 +153,7 @@ def test_contact_compliance_converges_to_exact_elasticity():
     errors = []
     for elements in (2, 4, 8):
         plate = evenly_meshed(block, elements, 3)
-        errors.append(plate.load @ shifted_solver(plate, 0.0)(plate.load) / exact - 1.0)
+        errors.append(plate.load @ make_shifted_solver(plate, 0.0)(plate.load) / exact - 1.0)
     # The square root at the circle's rim and three layers of cubics limit the speed.
     assert errors[0] < errors[1] < errors[2] < 0.0
     assert abs(errors[2]) < 3e-3
@@ -158,7 +162,7 @@ def test_contact_compliance_converges_to_exact_elasticity():
 def test_half_space_indentation_is_the_series_limit():
     """``int (1 - nu^2) / (pi E) H(k a)^2 dk`` over all waves of a half-space, H Hertz's transform."""
     q, weight = np.polynomial.legendre.leggauss(500)
-    integral = np.sum(100.0 * weight * hertz_transform(100.0 * (q + 1.0)) ** 2)
+    integral = np.sum(100.0 * weight * transform_hertz_pressure(100.0 * (q + 1.0)) ** 2)
     expected = integral * 0.91 / (np.pi * 200e9 * 1e-3)
     # What lies beyond q = 200 is 9 / (6 q^3) = 2e-7 of 0.6 pi.
     assert half_space_indentation_m_per_n(200e9, 0.3, 1e-3) == pytest.approx(expected, rel=3e-7)

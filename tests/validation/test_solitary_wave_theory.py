@@ -9,7 +9,7 @@ from simulator.chain.spheres import build_chain
 from simulator.parameters.chain import ChainParameters
 from simulator.parameters.plate import CorrosionParameters, PlateParameters
 from simulator.shot.model import ShotModel
-from simulator.shot.pulse_summary import summarise
+from simulator.shot.pulse_summary import summarise_pulses
 
 BODIES = 60
 WALL = PlateParameters(model="rigid_wall")
@@ -24,7 +24,7 @@ def chain_with_sensor_at(body, **changes):
 
 def isw(body, **changes):
     chain = chain_with_sensor_at(body, **changes)
-    return summarise(ShotModel(chain, WALL, CorrosionParameters(), step_s=5e-7).shot())
+    return summarise_pulses(ShotModel(chain, WALL, CorrosionParameters(), step_s=5e-7).shot())
 
 
 def contact_forces(first, last, duration_s):

@@ -12,7 +12,7 @@ from analysis.waves.features import extract_features
 from simulator.parameters.chain import ChainParameters
 from simulator.parameters.plate import CorrosionParameters, PlateParameters
 from simulator.shot.model import ShotModel
-from simulator.shot.pulse_summary import summarise
+from simulator.shot.pulse_summary import summarise_pulses
 
 GAIN_V_PER_N = 2.5 / 150.0
 ISW_AFTER_TRIGGER_S = 40e-6
@@ -30,7 +30,7 @@ def model():
 
 def record_of(force, noise_v=0.0, seed=0):
     """Volts of a shot, 100 us pre-trigger, and the time of the record's trigger in the force's time."""
-    trigger_s = summarise(force).isw_time_us * 1e-6 - ISW_AFTER_TRIGGER_S
+    trigger_s = summarise_pulses(force).isw_time_us * 1e-6 - ISW_AFTER_TRIGGER_S
     time_s = trigger_s + (np.arange(13_000) - 1000) / 1e7
     dynamic = force.force_n - force.preload_n
     volts = GAIN_V_PER_N * np.interp(time_s, force.time_s, dynamic, left=0.0)
@@ -39,7 +39,7 @@ def record_of(force, noise_v=0.0, seed=0):
 
 def truth_of(force):
     """Time of flight and amplitude ratio without preload, which a PZT does not see."""
-    pulses = summarise(force)
+    pulses = summarise_pulses(force)
     ratio = (pulses.psw_peak_n - force.preload_n) / (pulses.isw_peak_n - force.preload_n)
     return pulses.tof_us * 1e-6, ratio
 
@@ -86,7 +86,7 @@ def test_the_incident_wave_does_not_depend_on_the_wall(model):
 def test_secondary_wave_is_the_forces_next_maximum(model):
     force = model.shot(depth_fraction=0.0)
     shot = extract_features(record_of(force))
-    psw_s = summarise(force).psw_time_us * 1e-6
+    psw_s = summarise_pulses(force).psw_time_us * 1e-6
     later = [k for k in argrelmax(force.force_n)[0] if force.time_s[k] > psw_s + 90e-6]
     ssw = max(later, key=lambda k: force.force_n[k])
     expected_s = force.time_s[ssw] - psw_s

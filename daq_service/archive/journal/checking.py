@@ -8,9 +8,9 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from daq_service.archive.journal.frames import HEADER, Frame, frames
-from daq_service.archive.journal.reader import JournaledSet, contents, segment_path, strays
-from daq_service.archive.records import JOURNAL_FOLDER, SETS_FOLDER, Damage, referenced_sets
+from daq_service.archive.journal.frames import HEADER, Frame, parse_frames
+from daq_service.archive.journal.reader import JournaledSet, build_segment_path, list_strays, read_segments
+from daq_service.archive.records import JOURNAL_FOLDER, SETS_FOLDER, Damage, to_references
 from hardware_drivers.measurement import SetKey
 
 _PAGE_BYTES = 4096
@@ -46,7 +46,7 @@ class CheckedJournal:
     def take(self, number: int, name: str, content: bytes) -> None:
         """Add a segment: consecutive frames, then zeros to its end."""
         end_of_last, length, last_sets = 0, len(content.rstrip(b"\0")), set[SetKey]()
-        for frame in frames(content):
+        for frame in parse_frames(content):
             if frame.start > end_of_last:
                 self._add_gap(name, end_of_last, frame.start, last_sets | {frame.set_key})
             if not frame.sound and not _is_torn(frame, length, len(content)):
@@ -86,11 +86,11 @@ def check_journal(folder: Path) -> CheckedJournal:
         A segment cannot be read.
     """
     checked = CheckedJournal()
-    for number, content in contents(folder):
-        checked.take(number, _segment_name(folder, number), content)
-    filed = referenced_sets(path.name for path in (folder / SETS_FOLDER).glob("set_*.h5"))
+    for number, content in read_segments(folder):
+        checked.take(number, _name_segment(folder, number), content)
+    filed = to_references(path.name for path in (folder / SETS_FOLDER).glob("set_*.h5"))
     misnamed = Damage(reason="it holds frames, but its name is no segment's")
-    checked.damages += [(f"{JOURNAL_FOLDER}/{path.name}", misnamed) for path in strays(folder)]
+    checked.damages += [(f"{JOURNAL_FOLDER}/{path.name}", misnamed) for path in list_strays(folder)]
     reported: set[int] = set()
     for set_key, journaled in checked.sets.items():
         if journaled.end is not None and set_key not in filed:
@@ -99,7 +99,7 @@ def check_journal(folder: Path) -> CheckedJournal:
             segment_of = {frame.sequence: name for name, frame in set_frames}
             for damage in journaled.damages():
                 reported.add(damage.sequence or 0)
-                segment = segment_of.get(damage.sequence or 0, _segment_name(folder, min(journaled.segments)))
+                segment = segment_of.get(damage.sequence or 0, _name_segment(folder, min(journaled.segments)))
                 checked.damages.append((segment, damage))
     for name, frame in checked.unsound:
         journaled = checked.sets[frame.set_key]
@@ -119,6 +119,6 @@ def check_journal(folder: Path) -> CheckedJournal:
     return checked
 
 
-def _segment_name(folder: Path, number: int) -> str:
+def _name_segment(folder: Path, number: int) -> str:
     """Return the path of a segment relative to the data folder."""
-    return segment_path(folder, number).relative_to(folder).as_posix()
+    return build_segment_path(folder, number).relative_to(folder).as_posix()

@@ -27,7 +27,7 @@ from hardware_drivers.measurement import (
     ShotKey,
     Stamp,
     Waveform,
-    waveform_crc32,
+    compute_crc32,
 )
 
 MAGIC = b"SOLJ"
@@ -84,15 +84,15 @@ class Frame:
         return facts
 
 
-def begin_frame(
+def build_begin_frame(
     set_key: SetKey, *, due_utc_ns: int, started_utc_ns: int, disabled: Mapping[str, str]
 ) -> Buffers:
     """Return the frame for the start of a set."""
     facts = {"due_utc_ns": due_utc_ns, "disabled": dict(disabled)}
-    return _frame(Kind.BEGIN, set_key, facts, utc_ns=started_utc_ns)
+    return _build_frame(Kind.BEGIN, set_key, facts, utc_ns=started_utc_ns)
 
 
-def record_frame(record: Shot | PulseEchoRecord) -> Buffers:
+def build_record_frame(record: Shot | PulseEchoRecord) -> Buffers:
     """Return the frame of a record with everything that its file will hold."""
     waveform, calibration = record.waveform, record.waveform.calibration
     facts: dict[str, Any] = {
@@ -116,7 +116,7 @@ def record_frame(record: Shot | PulseEchoRecord) -> Buffers:
             "averages": record.averages,
         }
     counts = waveform.counts
-    return _frame(
+    return _build_frame(
         Kind.ECHO if isinstance(record, PulseEchoRecord) else Kind.SHOT,
         record.key.set_key,
         facts,
@@ -124,19 +124,19 @@ def record_frame(record: Shot | PulseEchoRecord) -> Buffers:
         utc_ns=record.stamp.utc_ns,
         mono_ns=record.stamp.mono_ns,
         counts=counts.astype(counts.dtype.newbyteorder("<"), copy=False).view(np.uint8).data,
-        counts_crc32=waveform_crc32(waveform),
+        counts_crc32=compute_crc32(waveform),
         width=counts.dtype.itemsize,
     )
 
 
-def missed_frame(missed: MissedShot, utc_ns: int) -> Buffers:
+def build_missed_frame(missed: MissedShot, utc_ns: int) -> Buffers:
     """Return the frame of a strike or echo that left no record."""
     key = {"key": [missed.key.position, missed.key.shot_index, missed.key.attempt]}
     facts = {**key, "cause": missed.cause, "reason": missed.reason}
-    return _frame(Kind.MISSED, missed.key.set_key, facts, utc_ns=utc_ns)
+    return _build_frame(Kind.MISSED, missed.key.set_key, facts, utc_ns=utc_ns)
 
 
-def end_frame(record: SetRecord) -> Buffers:
+def build_end_frame(record: SetRecord) -> Buffers:
     """Return the frame for the end of a complete set: everything but the records, and their ids.
 
     Raises
@@ -165,15 +165,15 @@ def end_frame(record: SetRecord) -> Buffers:
             for item in record.records
         ],
     }
-    return _frame(Kind.END, record.set_key, facts, utc_ns=record.ended_utc_ns)
+    return _build_frame(Kind.END, record.set_key, facts, utc_ns=record.ended_utc_ns)
 
 
-def aside_frame(set_key: SetKey) -> Buffers:
+def build_aside_frame(set_key: SetKey) -> Buffers:
     """Return the frame that discards the earlier frames of a set."""
-    return _frame(Kind.ASIDE, set_key, {}, utc_ns=0)
+    return _build_frame(Kind.ASIDE, set_key, {}, utc_ns=0)
 
 
-def _frame(
+def _build_frame(
     kind: Kind,
     set_key: SetKey,
     facts: Mapping[str, Any],
@@ -191,19 +191,19 @@ def _frame(
         # orjson writes NaN and infinities as null, json keeps them.
         text = json.dumps(facts).encode()
     lengths = (width, len(text), len(counts))
-    body = _body_crc32(text, counts_crc32)
+    body = _compute_body_crc32(text, counts_crc32)
     fields = (MAGIC, VERSION, kind, *lengths, set_key.number, sequence, utc_ns, mono_ns, body)
     head = HEADER.pack(*fields, 0)[: -_CRC.size]
     return head + _CRC.pack(zlib.crc32(head)) + text, counts
 
 
-def _body_crc32(facts: bytes, counts_crc32: int) -> int:
+def _compute_body_crc32(facts: bytes, counts_crc32: int) -> int:
     # File and catalogue use the CRC-32 of the counts, too: it is computed once.
     """Compute the CRC-32 of facts and of the CRC-32 of the counts."""
     return zlib.crc32(_CRC.pack(counts_crc32), zlib.crc32(facts))
 
 
-def frames(content: bytes, *, of_set: SetKey | None = None) -> Iterator[Frame]:
+def parse_frames(content: bytes, *, of_set: SetKey | None = None) -> Iterator[Frame]:
     """Yield every frame of a segment, or those of one set; skip bytes that are no frame."""
     view, offset = memoryview(content), 0
     # Searching one byte is far faster than four in the zeros at the end of a segment.
@@ -221,12 +221,12 @@ def frames(content: bytes, *, of_set: SetKey | None = None) -> Iterator[Frame]:
             offset = end
             continue
         facts, counts = bytes(view[start : start + n_facts]), bytes(view[start + n_facts : end])
-        sound = end <= len(content) and _body_crc32(facts, zlib.crc32(counts)) == body
+        sound = end <= len(content) and _compute_body_crc32(facts, zlib.crc32(counts)) == body
         yield Frame(
             start=offset,
             end=end,
             kind=Kind(kind),
-            set_key=SetKey.of_number(set_number),
+            set_key=SetKey.from_number(set_number),
             sequence=sequence,
             utc_ns=utc_ns,
             mono_ns=mono_ns,
@@ -239,7 +239,7 @@ def frames(content: bytes, *, of_set: SetKey | None = None) -> Iterator[Frame]:
         offset = end
 
 
-def record_of(frame: Frame) -> Shot | PulseEchoRecord:
+def decode_record(frame: Frame) -> Shot | PulseEchoRecord:
     """Return the record of a sound frame, bit for bit."""
     facts = frame.read_facts()
     position, shot_index, attempt = facts["key"]
@@ -262,7 +262,7 @@ def record_of(frame: Frame) -> Shot | PulseEchoRecord:
     return PulseEchoRecord(**common, **facts["receiver"]) if frame.kind is Kind.ECHO else Shot(**common)
 
 
-def missed_of(frame: Frame) -> MissedShot:
+def decode_missed(frame: Frame) -> MissedShot:
     """Return the missed record of a sound frame."""
     facts = frame.read_facts()
     position, shot_index, attempt = facts["key"]

@@ -8,8 +8,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from daq_service.archive.journal.frames import Frame, Kind, frames, missed_of, record_of
-from daq_service.archive.records import JOURNAL_FOLDER, Damage, OpenSet, Places, SetReference, set_reference
+from daq_service.archive.journal.frames import Frame, Kind, decode_missed, decode_record, parse_frames
+from daq_service.archive.records import JOURNAL_FOLDER, Damage, OpenSet, Places, SetReference, to_reference
 from daq_service.shared_file import read_shared
 from hardware_drivers.measurement import (
     MissedShot,
@@ -44,7 +44,7 @@ class JournaledSet:
     missed: dict[ShotKey, MissedShot] = field(default_factory=dict)
     end: Mapping[str, Any] | None = None
     last_utc_ns: int = 0
-    segments: set[int] = field(default_factory=set)
+    list_segments: set[int] = field(default_factory=set)
 
     def take(self, frame: Frame, segment: int) -> None:
         """Add a frame; a record that was written twice counts once."""
@@ -58,7 +58,7 @@ class JournaledSet:
             case Kind.SHOT | Kind.ECHO:
                 self.shots[frame.sequence] = frame
             case Kind.MISSED:
-                missed = missed_of(frame)
+                missed = decode_missed(frame)
                 self.missed[missed.key] = missed
             case Kind.ASIDE:
                 self.begin, self.end = None, None
@@ -70,7 +70,7 @@ class JournaledSet:
     @property
     def reference(self) -> SetReference | None:
         """Return the reference of its future file; None before its end."""
-        return None if self.end is None else set_reference(self.set_key, self.end["due_utc_ns"])
+        return None if self.end is None else to_reference(self.set_key, self.end["due_utc_ns"])
 
     @property
     def is_whole(self) -> bool:
@@ -87,7 +87,7 @@ class JournaledSet:
         """Return whether the set has an intact record."""
         return bool(self.shots)
 
-    def sequence_of(self, position: str, shot_index: int) -> int | None:
+    def find_sequence(self, position: str, shot_index: int) -> int | None:
         """Return the sequence of the accepted attempt at a shot; None if there was none."""
         assert self.end is not None, "only an ended set names its records"
         replaced = {sequence for sequence, _ in self.end["outcomes"]}
@@ -117,14 +117,14 @@ class JournaledSet:
         end = self.end
         assert end is not None, "a set that was not ended has no record"
         sequences = [sequence for sequence, *_ in end["records"] if sequence in self.shots]
-        records = [record_of(self.shots[sequence]) for sequence in sequences]
+        records = [decode_record(self.shots[sequence]) for sequence in sequences]
         return SetRecord(
             set_index=self.set_key.set_index,
             unscheduled_index=self.set_key.unscheduled_index,
             positions=[PositionRecord(**position) for position in end["positions"]],
             shots=[item for item in records if isinstance(item, Shot)],
             echoes=[item for item in records if isinstance(item, PulseEchoRecord)],
-            missed=[_missed_record(self.set_key, item) for item in end["missed"]],
+            missed=[_parse_missed(self.set_key, item) for item in end["missed"]],
             outcomes={sequence: text for sequence, text in end["outcomes"] if sequence in sequences},
             **{name: end[name] for name in _PLAIN},
         )
@@ -148,7 +148,7 @@ class JournaledSet:
             last_utc_ns=self.last_utc_ns,
             disabled=facts.get("disabled", facts.get("retired", {})),  # the latter by earlier versions
             is_dated=self.begin is not None or self.end is not None,
-            records=[record_of(frame) for _, frame in sorted(self.shots.items())],
+            records=[decode_record(frame) for _, frame in sorted(self.shots.items())],
             missed=list(self.missed.values()),
         )
 
@@ -159,30 +159,30 @@ _PLAIN = (
 )
 
 
-def _missed_record(set_key: SetKey, facts: Mapping[str, Any]) -> MissedShot:
+def _parse_missed(set_key: SetKey, facts: Mapping[str, Any]) -> MissedShot:
     """Return the missed record of an end frame's entry."""
     key = ShotKey.in_set(set_key, facts["position"], facts["shot_index"], facts["attempt"])
     return MissedShot(key=key, cause=facts["cause"], reason=facts["reason"])
 
 
-def segments(folder: Path) -> dict[int, Path]:
+def list_segments(folder: Path) -> dict[int, Path]:
     """Return the segments of a data folder by number, in order."""
     files = ((_NAME.fullmatch(path.name), path) for path in (folder / JOURNAL_FOLDER).glob("*.journal"))
     return dict(sorted((int(match[1]), path) for match, path in files if match))
 
 
-def number_of(file: str) -> int:
+def parse_segment_number(file: str) -> int:
     """Return the number in a segment's file name."""
     return int(Path(file).stem)
 
 
-def strays(folder: Path) -> list[Path]:
+def list_strays(folder: Path) -> list[Path]:
     """List the files of the journal's folder that hold frames but lack a segment's name."""
     others = (path for path in (folder / JOURNAL_FOLDER).glob("*") if not _NAME.fullmatch(path.name))
-    return [path for path in others if path.is_file() and any(frames(read_shared(path)))]
+    return [path for path in others if path.is_file() and any(parse_frames(read_shared(path)))]
 
 
-def segment_path(folder: Path, number: int) -> Path:
+def build_segment_path(folder: Path, number: int) -> Path:
     """Return the path of a segment."""
     return folder / JOURNAL_FOLDER / f"{number:06d}.journal"
 
@@ -207,15 +207,15 @@ def read_journal(
         A segment cannot be read.
     """
     journaled: dict[SetKey, JournaledSet] = {}
-    for number, content in contents(folder, places):
-        for frame in frames(content, of_set=of_set):
+    for number, content in read_segments(folder, places):
+        for frame in parse_frames(content, of_set=of_set):
             journaled.setdefault(frame.set_key, JournaledSet(set_key=frame.set_key)).take(frame, number)
     return dict(sorted(journaled.items()))
 
 
-def contents(folder: Path, places: Places | None = None) -> Iterator[tuple[int, bytes]]:
+def read_segments(folder: Path, places: Places | None = None) -> Iterator[tuple[int, bytes]]:
     """Yield number and bytes of each segment, or of a byte range of it, in order; skip vanished segments."""
-    for number, path in segments(folder).items():
+    for number, path in list_segments(folder).items():
         if places is not None and number not in places:
             continue
         first, last = (0, None) if places is None else places[number]

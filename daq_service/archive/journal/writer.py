@@ -11,21 +11,21 @@ from functools import partial
 from pathlib import Path
 
 from daq_service.archive.journal.checking import CheckedJournal, check_journal
-from daq_service.archive.journal.frames import Buffers, aside_frame, record_frame
+from daq_service.archive.journal.frames import Buffers, build_aside_frame, build_record_frame
 from daq_service.archive.journal.reader import (
     JournaledSet,
-    number_of,
+    build_segment_path,
+    list_segments,
+    list_strays,
+    parse_segment_number,
     read_journal,
-    segment_path,
-    segments,
-    strays,
 )
 from daq_service.archive.records import JOURNAL_FOLDER, QUARANTINE_FOLDER, JournalDamage, Places
 from daq_service.shared_file import (
     O_BINARY,
-    patiently,
     read_shared,
     remove_quietly,
+    retry_call,
     sync_folder,
     write_all,
     write_durably,
@@ -65,7 +65,7 @@ class Journal:
         self.left: dict[SetKey, JournaledSet] = checked.sets
         self.damage = self._copy_damaged(checked, renamed)
         self._sets_in: dict[int, dict[SetKey, tuple[int, int | None]]] = {
-            number: {} for number in segments(folder)
+            number: {} for number in list_segments(folder)
         }
         for item in self.left.values():
             for number in item.segments:
@@ -80,9 +80,9 @@ class Journal:
     def _rename_strays(self) -> dict[str, str]:
         """Rename files with corrupt names to segments; return the former name of each."""
         former_names = {}
-        for path in strays(self._folder):
-            new = segment_path(self._folder, max(segments(self._folder), default=0) + 1)
-            patiently(partial(os.rename, path, new))
+        for path in list_strays(self._folder):
+            new = build_segment_path(self._folder, max(list_segments(self._folder), default=0) + 1)
+            retry_call(partial(os.rename, path, new))
             former_names[f"{JOURNAL_FOLDER}/{new.name}"] = path.name
         return former_names
 
@@ -91,7 +91,9 @@ class Journal:
         reasons_of = {file: [f"its name was {name}"] for file, name in renamed.items()}
         for file, damage in checked.damages:
             reasons_of.setdefault(file, []).append(str(damage))
-        copies = {file: self._copy_aside(number_of(file), Path(file).name) for file in reasons_of}
+        copies = {
+            file: self._copy_to_quarantine(parse_segment_number(file), Path(file).name) for file in reasons_of
+        }
         for file, reasons in reasons_of.items():
             log.error("%s is damaged: %s; a copy is %s", file, "; ".join(reasons), copies[file])
         return JournalDamage(
@@ -103,9 +105,9 @@ class Journal:
             n_lost=checked.n_lost,
         )
 
-    def _copy_aside(self, number: int, name: str) -> str:
+    def _copy_to_quarantine(self, number: int, name: str) -> str:
         """Copy a segment to the quarantine, once; return its path there."""
-        content = read_shared(segment_path(self._folder, number)).rstrip(b"\0")
+        content = read_shared(build_segment_path(self._folder, number)).rstrip(b"\0")
         copy = self._folder / QUARANTINE_FOLDER / name
         copy.parent.mkdir(exist_ok=True)
         sync_folder(self._folder)
@@ -117,7 +119,7 @@ class Journal:
 
     def append(self, record: Shot | PulseEchoRecord) -> None:
         """Add a record; acknowledged by the next sync."""
-        self.add(record.key.set_key, record_frame(record))
+        self.add(record.key.set_key, build_record_frame(record))
         self._unacknowledged.append(record.sequence)
 
     def add(self, set_key: SetKey, frame: Buffers) -> None:
@@ -135,8 +137,8 @@ class Journal:
         """
         item = read_journal(self._folder, of_set=set_key)[set_key]
         for number in item.segments:
-            self._copy_aside(number, f"{name}.{number:06d}.journal")
-        self.add(set_key, aside_frame(set_key))
+            self._copy_to_quarantine(number, f"{name}.{number:06d}.journal")
+        self.add(set_key, build_aside_frame(set_key))
         self.sync()
         self.settle(set_key)
 
@@ -155,24 +157,24 @@ class Journal:
             return []
         content = [buffer for frame in self._pending for buffer in frame if len(buffer)]
         try:
-            self._write(content)
+            self._write_buffers(content)
         except OSError as error:
             log.warning("segment %06d of the journal takes no more: %s", self._number, error)
-            self._abandon()
+            self._close_segment()
             try:
-                self._write(content)
+                self._write_buffers(content)
             except OSError:
-                self._abandon()
+                self._close_segment()
                 raise
         acknowledged, self._unacknowledged = self._unacknowledged, []
         self._pending, self._pending_sets = [], set()
         return acknowledged
 
-    def _write(self, content: list[bytes | memoryview]) -> None:
+    def _write_buffers(self, content: list[bytes | memoryview]) -> None:
         """Write buffers to the present segment, or to a new one, and sync it."""
         n_bytes = sum(map(len, content))
         if self._descriptor is None or self._room < n_bytes:
-            self._abandon()
+            self._close_segment()
             self._open_segment(n_bytes)
         assert self._descriptor is not None, "just opened"
         write_all(self._descriptor, content)
@@ -186,9 +188,9 @@ class Journal:
     def _open_segment(self, n_bytes: int) -> None:
         """Open the next segment and allocate its space."""
         self._number += 1
-        path = segment_path(self._folder, self._number)
+        path = build_segment_path(self._folder, self._number)
         flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | O_BINARY
-        self._descriptor = patiently(lambda: os.open(path, flags, 0o644))
+        self._descriptor = retry_call(lambda: os.open(path, flags, 0o644))
         self._sets_in[self._number] = {}
         self._room, self._end = max(self._segment_bytes, n_bytes), 0
         if hasattr(os, "posix_fallocate"):
@@ -200,7 +202,7 @@ class Journal:
                     raise
         sync_folder(path.parent)
 
-    def _abandon(self) -> None:
+    def _close_segment(self) -> None:
         """Close the present segment; remove it if it holds no needed frame."""
         descriptor, self._descriptor = self._descriptor, None
         if descriptor is None:
@@ -208,7 +210,7 @@ class Journal:
         with contextlib.suppress(OSError):  # its last sync decided whether its frames are durable
             os.close(descriptor)
         if not self._sets_in[self._number]:  # else a failing disk would be filled with empty segments
-            self._drop(self._number)
+            self._remove_segment(self._number)
 
     def places(self, set_key: SetKey) -> Places:
         """Return the byte ranges of a set's durable frames by segment."""
@@ -220,18 +222,18 @@ class Journal:
         for number, indices in list(self._sets_in.items()):
             indices.pop(set_key, None)
             if not indices and (number != self._number or self._descriptor is None):
-                self._drop(number)
+                self._remove_segment(number)
 
-    def _drop(self, number: int) -> None:
+    def _remove_segment(self, number: int) -> None:
         """Remove a segment's file."""
-        path = segment_path(self._folder, number)
+        path = build_segment_path(self._folder, number)
         remove_quietly(path)
         if not path.exists():  # else the next call of `settle` tries again
             del self._sets_in[number]
 
     def close(self) -> None:
         """Close the present segment and remove segments without open sets; no frame is lost."""
-        self._abandon()
+        self._close_segment()
         for number, indices in list(self._sets_in.items()):
             if not indices:
-                self._drop(number)
+                self._remove_segment(number)

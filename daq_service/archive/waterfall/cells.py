@@ -70,7 +70,7 @@ class Frame:
         return replace(self, width=width, first=first, n_cells=max(0, -(-end // width) - first))
 
 
-def frame_of(waveform: Waveform, alignment: Alignment) -> Frame:
+def build_frame(waveform: Waveform, alignment: Alignment) -> Frame:
     """Return the frame of all records with this sampling.
 
     Aligned at the trigger it covers the complete record; at the first pulse it extends from half a record
@@ -92,7 +92,7 @@ def frame_of(waveform: Waveform, alignment: Alignment) -> Frame:
     )
 
 
-def anchors_of(results: Results) -> dict[int, float]:
+def extract_anchors(results: Results) -> dict[int, float]:
     """Return the time of the first pulse or echo after the trigger by shot id, if one was detected."""
     anchors: dict[int, float] = {}
     for table, column in (("features", "isw_time_s"), ("thickness", "travel_time_s")):
@@ -102,7 +102,7 @@ def anchors_of(results: Results) -> dict[int, float]:
     return anchors
 
 
-def empty_planes(frame: Frame) -> Planes:
+def new_planes(frame: Frame) -> Planes:
     """Return cells without a sample."""
     return np.full((2, frame.n_cells), np.nan, dtype=np.float32)
 
@@ -113,7 +113,7 @@ def merge_planes(rows: Iterable[Planes]) -> Planes:
     return np.stack([np.fmin.reduce(lows), np.fmax.reduce(highs)])
 
 
-def planes_of_records(placed: Iterable[tuple[Waveform, float]], frame: Frame) -> Planes:
+def compute_record_planes(placed: Iterable[tuple[Waveform, float]], frame: Frame) -> Planes:
     """Compute the cells of records, each with the time of its anchor in s, without those of another rate."""
     start, size = frame.first * frame.width, frame.n_cells * frame.width
     # Extremes of each sample of the frame first: far fewer cells remain to reduce.
@@ -133,19 +133,19 @@ def planes_of_records(placed: Iterable[tuple[Waveform, float]], frame: Frame) ->
     return planes
 
 
-def planes_of_set(
+def compute_planes(
     record: SetRecord, position: str, alignment: Alignment, anchors: Mapping[int, float], frame: Frame
 ) -> Planes:
     """Compute the cells of all accepted records of a set at a position that have an anchor."""
     placed = [
         (item.waveform, 0.0 if alignment == "trigger" else anchors[item.sequence])
-        for item in accepted_records(record, position)
+        for item in select_accepted_records(record, position)
         if alignment == "trigger" or item.sequence in anchors
     ]
-    return planes_of_records(placed, frame)
+    return compute_record_planes(placed, frame)
 
 
-def accepted_records(record: SetRecord, position: str) -> list[Shot | PulseEchoRecord]:
+def select_accepted_records(record: SetRecord, position: str) -> list[Shot | PulseEchoRecord]:
     """Return the accepted records of a position."""
     return [
         item

@@ -16,8 +16,8 @@ from analysis.statistics.levels import FACTOR, finer_blocks, sets_per_step
 from daq_service.archive.errors import ArchiveError
 from daq_service.archive.protocol import SetReader
 from daq_service.archive.records import SetReference
-from daq_service.archive.waterfall.cells import Alignment, Frame, Planes, coarsen, empty_planes, planes_of_set
-from daq_service.archive.waterfall.tile_files import row_of, tiles_of
+from daq_service.archive.waterfall.cells import Alignment, Frame, Planes, coarsen, compute_planes, new_planes
+from daq_service.archive.waterfall.tile_files import build_tile_row, build_tiles
 from daq_service.archive.waterfall.tiles import WIDTHS, TileRow, Tiles, join_rows
 
 log = logging.getLogger(__name__)
@@ -31,7 +31,7 @@ MEMORY_BYTES = 64 * 2**20
 class Index(Protocol):
     """Queries of a waterfall to the catalogue."""
 
-    def n_stored(self, first: int, last: int) -> int:
+    def count_stored_sets(self, first: int, last: int) -> int:
         """Count the sets of the position that have records, with indices from ``first`` to ``last``."""
         ...
 
@@ -39,7 +39,7 @@ class Index(Protocol):
         """Return the file with the records of a set; None if it has none."""
         ...
 
-    def anchors(self, set_index: int) -> Mapping[int, float]:
+    def read_anchors(self, set_index: int) -> Mapping[int, float]:
         """Return the time of the first pulse or echo by shot id."""
         ...
 
@@ -122,7 +122,7 @@ class WaterfallReader:
         key = position, alignment
         for file in files if key not in self._tiles else ():
             try:
-                tiles = tiles_of(
+                tiles = build_tiles(
                     folder, experiment, self._archive.read_set(file, skip_damaged=True), position, alignment
                 )
             except ArchiveError as error:
@@ -133,7 +133,7 @@ class WaterfallReader:
                 break
         return self._tiles.get(key)
 
-    def figure_of_sets(
+    def compute_figure(
         self, tiles: Tiles, index: Index, wanted: Wanted, reference: Planes | None = None
     ) -> Picture:
         """Compute the figure of the requested part.
@@ -144,7 +144,7 @@ class WaterfallReader:
             Planes that are subtracted from each set before extremes are taken over sets and times: `mean`.
         """
         row_sets = sets_per_step(wanted.first, wanted.last, wanted.rows)
-        frame = _columns_of(tiles.frame, wanted, may_be_finer=reference is None and row_sets == 1)
+        frame = _choose_columns(tiles.frame, wanted, may_be_finer=reference is None and row_sets == 1)
         if frame.width < tiles.frame.width:  # finer cells are computed from records, not stored
             tiles = replace(tiles, frame=frame)
         reading = _Reading(self, tiles, index)
@@ -172,14 +172,14 @@ class WaterfallReader:
         """Return the mean extremes of each cell over sets, the number of sets, and the number pending."""
         reading = _Reading(self, tiles, index)
         rows = [row.planes for set_index in sets for row in reading.rows(1, range(set_index, set_index + 1))]
-        stacked = np.stack(rows or [empty_planes(tiles.frame)])
+        stacked = np.stack(rows or [new_planes(tiles.frame)])
         is_finite = np.isfinite(stacked)
         total = np.where(is_finite, stacked, np.float32(0.0)).sum(axis=0, dtype=np.float64)
         count = is_finite.sum(axis=0)
         planes = np.divide(total, count, out=np.full(total.shape, np.nan), where=count > 0)
         return planes.astype(np.float32), len(rows), reading.pending
 
-    def row_from_records(self, tiles: Tiles, index: Index, set_index: int, file: SetReference) -> TileRow:
+    def compute_row(self, tiles: Tiles, index: Index, set_index: int, file: SetReference) -> TileRow:
         """Compute the row of a set from its records.
 
         Raises
@@ -188,10 +188,12 @@ class WaterfallReader:
             They cannot be read.
         """
         record = self._archive.read_set(file, skip_damaged=True)
-        planes = planes_of_set(record, tiles.position, tiles.alignment, index.anchors(set_index), tiles.frame)
-        return row_of(record, planes)
+        planes = compute_planes(
+            record, tiles.position, tiles.alignment, index.read_anchors(set_index), tiles.frame
+        )
+        return build_tile_row(record, planes)
 
-    def cached_row(self, tiles: Tiles, set_index: int) -> TileRow | None:
+    def find_cached_row(self, tiles: Tiles, set_index: int) -> TileRow | None:
         """Return a row from the cache; None if it is not there."""
         with self._lock:
             return self._memory.get((tiles.position, repr((tiles.alignment, tiles.frame)), set_index))
@@ -218,29 +220,29 @@ class _Reading:
     def rows(self, width: int, numbers: range) -> list[TileRow]:
         """Return the complete rows of a level: with all stored sets, as far as these could be read."""
         tile_rows = dict(self.tiles.rows(width, numbers))
-        rows = (self._row(width, number, tile_rows.get(number)) for number in numbers)
+        rows = (self._read_row(width, number, tile_rows.get(number)) for number in numbers)
         return [row for row in rows if row is not None]
 
-    def _row(self, width: int, number: int, tile_row: TileRow | None) -> TileRow | None:
+    def _read_row(self, width: int, number: int, tile_row: TileRow | None) -> TileRow | None:
         """Return a row from its tile, or from the rows of the next finer level."""
         if tile_row is not None and tile_row.n_sets == width:
             return tile_row
-        n_stored = self._index.n_stored(number * width, (number + 1) * width - 1)
+        n_stored = self._index.count_stored_sets(number * width, (number + 1) * width - 1)
         if tile_row is not None and tile_row.n_sets == n_stored:
             return tile_row
         if n_stored == 0:
             return None
         if width == 1:
-            return self._row_of_set(number)
+            return self._read_set_row(number)
         if self._left == 0:
             self.pending += n_stored
             return None
         finer_rows = self.rows(width // FACTOR, finer_blocks(number))
         return join_rows(finer_rows) if finer_rows else None
 
-    def _row_of_set(self, set_index: int) -> TileRow | None:
+    def _read_set_row(self, set_index: int) -> TileRow | None:
         """Return the row of a set from the cache or from its records."""
-        cached_row = self._reader.cached_row(self.tiles, set_index)
+        cached_row = self._reader.find_cached_row(self.tiles, set_index)
         if cached_row is not None:
             return cached_row
         if self._left == 0 or self._reader.closing:
@@ -251,7 +253,7 @@ class _Reading:
         if file is None:
             return None
         try:
-            row = self._reader.row_from_records(self.tiles, self._index, set_index, file)
+            row = self._reader.compute_row(self.tiles, self._index, set_index, file)
         except ArchiveError as error:
             log.warning("%s", error)
             self.unreadable.append(set_index)
@@ -260,7 +262,7 @@ class _Reading:
         return row
 
 
-def _columns_of(frame: Frame, wanted: Wanted, *, may_be_finer: bool) -> Frame:
+def _choose_columns(frame: Frame, wanted: Wanted, *, may_be_finer: bool) -> Frame:
     """Return the columns of a figure: the narrowest cells that do not exceed the requested number.
 
     At least two columns: before and after the anchor, independent of their width.

@@ -12,9 +12,9 @@ from daq_service.archive.waterfall.cells import (
     ALIGNMENTS,
     Alignment,
     Planes,
-    accepted_records,
-    frame_of,
-    planes_of_set,
+    build_frame,
+    compute_planes,
+    select_accepted_records,
 )
 from daq_service.archive.waterfall.tiles import TILES_FOLDER, TileRow, Tiles
 from hardware_drivers.measurement import SetRecord
@@ -46,11 +46,11 @@ def write_tiles_of_set(
     """
     for position in record.positions:
         for alignment in ALIGNMENTS:
-            tiles = tiles_of(folder, experiment, record, position.position, alignment)
+            tiles = build_tiles(folder, experiment, record, position.position, alignment)
             if tiles is None or tiles.has_set(record.set_index):
                 continue
-            planes = planes_of_set(record, position.position, alignment, anchors, tiles.frame)
-            tiles.write_row(row_of(record, planes), complete_blocks_only=complete_blocks_only)
+            planes = compute_planes(record, position.position, alignment, anchors, tiles.frame)
+            tiles.write_row(build_tile_row(record, planes), complete_blocks_only=complete_blocks_only)
 
 
 def write_tiles_of_file(
@@ -67,17 +67,17 @@ def write_tiles_of_file(
     write_tiles_of_set(folder, experiment, record, anchors)
 
 
-def row_of(record: SetRecord, planes: Planes) -> TileRow:
+def build_tile_row(record: SetRecord, planes: Planes) -> TileRow:
     """Return the row of a set."""
     index, hour = record.set_index, record.due_h
     return TileRow(n_sets=1, first_set=index, last_set=index, first_h=hour, last_h=hour, planes=planes)
 
 
-def tiles_of(
+def build_tiles(
     folder: Path, experiment: str, record: SetRecord, position: str, alignment: Alignment
 ) -> Tiles | None:
     """Return the tiles with the frame of a set's records; None if it has none of the position."""
-    records = accepted_records(record, position)
+    records = select_accepted_records(record, position)
     if not records:
         return None
     return Tiles(
@@ -85,11 +85,11 @@ def tiles_of(
         experiment=experiment,
         position=position,
         alignment=alignment,
-        frame=frame_of(records[0].waveform, alignment),
+        frame=build_frame(records[0].waveform, alignment),
     )
 
 
-def forget_tiles(folder: Path) -> None:
+def remove_tiles(folder: Path) -> None:
     """Remove all tiles of a data folder.
 
     Raises

@@ -91,13 +91,13 @@ class Tiles:
         for tile in sorted({number // ROWS_OF_A_TILE for number in numbers}):
             start = max(numbers.start, tile * ROWS_OF_A_TILE)
             end = min(numbers.stop, (tile + 1) * ROWS_OF_A_TILE)
-            yield from self._sound_rows(width, start, self._read(width, tile, start, end))
+            yield from self._decode_rows(width, start, self._read_slots(width, tile, start, end))
 
-    def _sound_rows(self, width: int, start: int, content: memoryview) -> Iterator[tuple[int, TileRow]]:
+    def _decode_rows(self, width: int, start: int, content: memoryview) -> Iterator[tuple[int, TileRow]]:
         """Return the sound rows in the bytes of slots from ``start`` on."""
         for offset in range(0, len(content), self._slot_bytes):
             number = start + offset // self._slot_bytes
-            row = self._row(content[offset : offset + self._slot_bytes])
+            row = self._decode_row(content[offset : offset + self._slot_bytes])
             if row is not None and row.first_set // width == number:
                 yield number, row
 
@@ -133,10 +133,10 @@ class Tiles:
         """
         for width in WIDTHS:
             number = row.first_set // width
-            neighbors = self._write(width, number, row)
+            neighbors = self._write_slot(width, number, row)
             if complete_blocks_only and number % FACTOR != FACTOR - 1:
                 return
-            finer_rows = dict(self._sound_rows(width, number - number % FACTOR, neighbors)) | {number: row}
+            finer_rows = dict(self._decode_rows(width, number - number % FACTOR, neighbors)) | {number: row}
             row = join_rows([finer_rows[index] for index in sorted(finer_rows)])
 
     # Files ----------------------------------------------------------------------------------------
@@ -144,20 +144,20 @@ class Tiles:
     @property
     def _slot_bytes(self) -> int:
         """Return the size of a row's slot in bytes."""
-        return slot_bytes(self.frame.n_cells)
+        return compute_slot_bytes(self.frame.n_cells)
 
-    def _path(self, width: int, tile: int) -> Path:
+    def _build_tile_path(self, width: int, tile: int) -> Path:
         """Return the path of a tile."""
-        return self.folder / TILES_FOLDER / self.position / self.alignment / _tile_name(width, tile)
+        return self.folder / TILES_FOLDER / self.position / self.alignment / _format_tile_name(width, tile)
 
-    def _read(self, width: int, tile: int, start: int, end: int) -> memoryview:
+    def _read_slots(self, width: int, tile: int, start: int, end: int) -> memoryview:
         """Return the bytes of slots, as many as exist; none of an invalid tile."""
-        path = self._path(width, tile)
+        path = self._build_tile_path(width, tile)
         try:
             with path.open("rb") as file:
-                if file.read(_HEADER_BYTES) != _header(self):
+                if file.read(_HEADER_BYTES) != _build_header(self):
                     return memoryview(b"")
-                file.seek(self._offset(start))
+                file.seek(self._compute_offset(start))
                 return memoryview(file.read((end - start) * self._slot_bytes))
         except FileNotFoundError:
             return memoryview(b"")
@@ -165,11 +165,11 @@ class Tiles:
             log.debug("%s cannot be read now: %s", path, error)
             return memoryview(b"")
 
-    def _offset(self, number: int) -> int:
+    def _compute_offset(self, number: int) -> int:
         """Return the position of a row's slot in its tile."""
         return _HEADER_BYTES + number % ROWS_OF_A_TILE * self._slot_bytes
 
-    def _row(self, slot: memoryview) -> TileRow | None:
+    def _decode_row(self, slot: memoryview) -> TileRow | None:
         """Decode the row of a slot; None if it is not sound."""
         if len(slot) < self._slot_bytes:
             return None
@@ -185,34 +185,34 @@ class Tiles:
             planes=np.frombuffer(slot, "<f4", offset=_FACTS.size).reshape(2, -1),
         )
 
-    def _write(self, width: int, number: int, row: TileRow) -> memoryview:
+    def _write_slot(self, width: int, number: int, row: TileRow) -> memoryview:
         """Write a row, with a new tile if necessary; return the slots to join with it, as they were."""
         facts = (0, 0, row.n_sets, row.first_set, row.last_set, row.first_h, row.last_h)
         slot = bytearray(_FACTS.pack(*facts) + row.planes.astype("<f4").tobytes())
         struct.pack_into("<I", slot, 0, zlib.crc32(memoryview(slot)[4:]))
-        path = self._path(width, number // ROWS_OF_A_TILE)
+        path = self._build_tile_path(width, number // ROWS_OF_A_TILE)
         if not path.parent.is_dir():
             path.parent.mkdir(parents=True, exist_ok=True)
         with path.open("r+b" if path.exists() else "x+b") as file:
-            if file.read(_HEADER_BYTES) != _header(self):
+            if file.read(_HEADER_BYTES) != _build_header(self):
                 # New, truncated, or not a tile of this test: start again.
                 file.truncate(0)
                 file.seek(0)
-                file.write(_header(self))
-            file.seek(self._offset(number - number % FACTOR))
+                file.write(_build_header(self))
+            file.seek(self._compute_offset(number - number % FACTOR))
             neighbors = file.read(FACTOR * self._slot_bytes)
-            file.seek(self._offset(number))
+            file.seek(self._compute_offset(number))
             file.write(slot)
         return memoryview(neighbors)
 
 
-def _tile_name(width: int, tile: int) -> str:
+def _format_tile_name(width: int, tile: int) -> str:
     """Return the file name of a tile."""
     return f"{width:04d}-{tile:06d}.tile"
 
 
 @lru_cache(maxsize=64)
-def _header(tiles: Tiles) -> bytes:
+def _build_header(tiles: Tiles) -> bytes:
     """Return the header of a position's tiles."""
     metadata = {
         "solimon_tiles": FORMAT,
@@ -224,21 +224,21 @@ def _header(tiles: Tiles) -> bytes:
     return json.dumps(metadata, separators=(",", ":")).encode().ljust(_HEADER_BYTES)
 
 
-def slot_bytes(n_cells: int) -> int:
+def compute_slot_bytes(n_cells: int) -> int:
     """Return the size of a row in bytes."""
     return _FACTS.size + 2 * 4 * n_cells
 
 
-def planned_bytes(n_cells: int, n_sets: int) -> int:
+def estimate_tile_bytes(n_cells: int, n_sets: int) -> int:
     """Return the size in bytes of the tiles of a position at one alignment after so many sets."""
     rows = [math.ceil(n_sets / width) for width in WIDTHS]
-    return sum(math.ceil(n / ROWS_OF_A_TILE) * _HEADER_BYTES + n * slot_bytes(n_cells) for n in rows)
+    return sum(math.ceil(n / ROWS_OF_A_TILE) * _HEADER_BYTES + n * compute_slot_bytes(n_cells) for n in rows)
 
 
-def kept_cells(folder: Path) -> list[int]:
+def list_tile_cells(folder: Path) -> list[int]:
     """Return the number of cells per row of each position and alignment with tiles; skip unreadable ones."""
     n_cells = []
-    for path in (folder / TILES_FOLDER).glob(f"*/*/{_tile_name(1, 0)}"):
+    for path in (folder / TILES_FOLDER).glob(f"*/*/{_format_tile_name(1, 0)}"):
         try:
             with path.open("rb") as file:
                 n_cells.append(int(json.loads(file.read(_HEADER_BYTES))["n_cells"]))
@@ -247,6 +247,6 @@ def kept_cells(folder: Path) -> list[int]:
     return n_cells
 
 
-def n_bytes(folder: Path) -> int:
+def count_tile_bytes(folder: Path) -> int:
     """Return the size of all tiles of a data folder in bytes."""
     return sum(path.stat().st_size for path in (folder / TILES_FOLDER).rglob("*.tile"))

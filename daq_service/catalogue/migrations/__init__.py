@@ -10,7 +10,7 @@ from sqlalchemy import Connection, Engine, bindparam, select, text, update
 
 from daq_service.catalogue.errors import SchemaVersionError
 from daq_service.catalogue.rows import CountsRow
-from daq_service.catalogue.stored_rows import insert_rows, row_crc32, writing
+from daq_service.catalogue.stored_rows import compute_row_crc32, insert_rows, open_write_transaction
 from daq_service.catalogue.tables import KINDS, ROW_CRC32, TABLES, metadata
 from daq_service.catalogue.trends import rebuild_trends
 
@@ -25,12 +25,12 @@ _VERSION_TABLE = (
 """As Alembic itself makes it."""
 
 
-def known_revisions() -> list[str]:
+def list_known_revisions() -> list[str]:
     """Return every revision from the first one on, oldest first."""
     return sorted(path.stem[9:13] for path in Path(__file__).parent.glob("versions/revision_*.py"))
 
 
-def migrate(engine: Engine, path: Path, found: str | None) -> None:
+def migrate_schema(engine: Engine, path: Path, found: str | None) -> None:
     """Bring a catalogue from revision ``found`` (None: empty) to the newest one, in one transaction.
 
     Raises
@@ -40,7 +40,7 @@ def migrate(engine: Engine, path: Path, found: str | None) -> None:
     """
     if found is None:
         # The tables as they are described: what the migrations make, step by step, is the same.
-        with writing(engine) as connection:
+        with open_write_transaction(engine) as connection:
             metadata.create_all(connection)
             connection.execute(text(_VERSION_TABLE))
             version = text("INSERT INTO alembic_version VALUES (:revision)")
@@ -63,14 +63,14 @@ def migrate(engine: Engine, path: Path, found: str | None) -> None:
             f"{path} has schema {found}; this version of solimon knows none newer than {SCHEMA_REVISION}: "
             "install the version that made it, or a newer one"
         ) from error
-    with writing(engine) as connection:
+    with open_write_transaction(engine) as connection:
         config.attributes["connection"] = connection
         command.upgrade(config, "head")
-        _seal_unsealed(connection)
+        _add_missing_checksums(connection)
         rebuild_trends(connection)
 
 
-def _seal_unsealed(connection: Connection) -> None:
+def _add_missing_checksums(connection: Connection) -> None:
     """Compute the checksums of rows without one."""
     for kind in KINDS:
         table = TABLES[kind]
@@ -78,7 +78,7 @@ def _seal_unsealed(connection: Connection) -> None:
         columns = [table.c[name] for name in kind.__slots__]
         rows_without: Iterable[Any] = connection.execute(select(*columns).where(table.c[ROW_CRC32].is_(None)))
         rows = (kind(**dict(zip(kind.__slots__, stored, strict=True))) for stored in rows_without)
-        checksums = [{"its_key": getattr(row, key.name), "its_crc32": row_crc32(row)} for row in rows]
+        checksums = [{"its_key": getattr(row, key.name), "its_crc32": compute_row_crc32(row)} for row in rows]
         if checksums:
             statement = update(table).where(key == bindparam("its_key"))
             connection.execute(statement.values({ROW_CRC32: bindparam("its_crc32")}), checksums)

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 from daq_service import errors
-from daq_service.clock import boot_id
+from daq_service.clock import read_boot_id
 from hardware_drivers.errors import BusyError, InstrumentError
 from hardware_drivers.kinds import Finding
 from hardware_drivers.measurement import Stamp
@@ -60,13 +60,13 @@ class Check:
             raise ValueError(f"the check {self.name!r} is {self.state!r} and needs a remedy")
 
 
-def exit_code(checks: Sequence[Check]) -> int:
+def exit_code_of_checks(checks: Sequence[Check]) -> int:
     """Return the exit code of a list of checks: 0 if none failed."""
     failed = {check.area for check in checks if check.state == "fail"}
     return next((code for area, code in EXIT_CODES.items() if area in failed), errors.EXIT_OK)
 
 
-def failure(name: str, error: InstrumentError, otherwise: str) -> Check:
+def failed_check_of_error(name: str, error: InstrumentError, otherwise: str) -> Check:
     """Return the failed check for an instrument's error, whose message may contain the remedy.
 
     Parameters
@@ -99,6 +99,6 @@ def check_of_finding(finding: Finding, instrument: str = "") -> Check:
     return Check("rig", name, finding.state, finding.detail, remedy, finding.values)
 
 
-def stamp_now() -> Stamp:
+def read_time_stamp() -> Stamp:
     """Return the time of this computer's own clocks."""
-    return Stamp(utc_ns=time.time_ns(), mono_ns=time.monotonic_ns(), boot_id=boot_id())
+    return Stamp(utc_ns=time.time_ns(), mono_ns=time.monotonic_ns(), boot_id=read_boot_id())

@@ -11,16 +11,16 @@ from pathlib import Path
 import click
 import orjson
 
-from daq_service.cli.doctor.check import Check, check_of_finding, exit_code, failure
-from daq_service.cli.doctor.machine import machine_checks
-from daq_service.cli.doctor.software import software_checks
-from daq_service.cli.doctor.storage import held_folder, owner_of, refuse_while_owned, storage_checks
+from daq_service.cli.doctor.check import Check, check_of_finding, exit_code_of_checks, failed_check_of_error
+from daq_service.cli.doctor.machine import check_machine
+from daq_service.cli.doctor.software import check_software
+from daq_service.cli.doctor.storage import check_storage, hold_folder, read_lock_owner, refuse_while_owned
 from daq_service.cli.doctor.trial import Trial, require_position, strike_transducer
 from daq_service.clock import WallClock
 from daq_service.processes.data_folder import DRIVE_LOCK, data_folder, is_owned
-from daq_service.rig.open_rig import opening_of
+from daq_service.rig.open_rig import build_opening
 from daq_service.settings.file import load_settings
-from daq_service.settings.instruments import Instrument, configured
+from daq_service.settings.instruments import Instrument, list_instruments
 from daq_service.settings.tree import Settings
 from hardware_drivers.errors import InstrumentError
 
@@ -36,23 +36,23 @@ def run_doctor(*, config: Path | None, data_dir: Path | None, strike: str | None
     folder = data_folder(settings.storage, config, data_dir)
     if strike is not None:
         require_position(settings, strike)
-    owner = owner_of(folder)
+    owner = read_lock_owner(folder)
     if strike is not None:
         refuse_while_owned("--strike", owner)
-    checks = list(checkup(settings, folder, owner, _progress))
+    checks = list(run_checks(settings, folder, owner, _print_step))
     trial: Trial | None = None
     if strike is not None and any(check.area == "software" and check.state == "fail" for check in checks):
         found = "not struck: a package is missing"
         remedy = "install what failed above, then strike"
-        checks.append(_skipped(f"strike {strike}: record", found, remedy))
+        checks.append(_skipped_check(f"strike {strike}: record", found, remedy))
     elif strike is not None:
         strikes = "two test strikes" if settings.rig.kind == "daqmx" else "one test strike"
-        _progress(f"{strikes} at {strike}")
-        with held_folder(folder) as owner:
+        _print_step(f"{strikes} at {strike}")
+        with hold_folder(folder) as owner:
             refuse_while_owned("--strike", owner)
             trial = strike_transducer(settings, strike)
         checks += trial.checks
-    code = exit_code(checks)
+    code = exit_code_of_checks(checks)
     if as_json:
         report = {
             "configuration_hash": settings.configuration_hash(),
@@ -68,7 +68,7 @@ def run_doctor(*, config: Path | None, data_dir: Path | None, strike: str | None
     return code
 
 
-def checkup(settings: Settings, folder: Path, owner: str, progress: Progress) -> Iterator[Check]:
+def run_checks(settings: Settings, folder: Path, owner: str, progress: Progress) -> Iterator[Check]:
     """Yield all checks except the test strike.
 
     Parameters
@@ -78,29 +78,29 @@ def checkup(settings: Settings, folder: Path, owner: str, progress: Progress) ->
     """
     started_wall_s, started_mono_s = time.time(), time.monotonic()
     progress("packages")
-    instruments = configured(settings)
+    instruments = list_instruments(settings)
     needed = [name for item in instruments for name in item.kind.packages(item.parameters)]
-    software = software_checks(needed)
+    software = check_software(needed)
     yield from software
     progress(f"data folder {folder}")
-    yield _recorder(owner)
-    yield from storage_checks(settings, folder)
+    yield _recorder_check(owner)
+    yield from check_storage(settings, folder)
     if owner:
         remedy = "stop the recorder first, or read `solimon status`"
         for name in (KNOWN_AS.get(item.name, item.name) for item in instruments):
-            yield _skipped(name, "not looked at: a recorder uses it", remedy)
+            yield _skipped_check(name, "not looked at: a recorder uses it", remedy)
     else:
         missing = {check.name for check in software if check.state == "fail"}
-        yield from rig_checks(
+        yield from run_rig_checks(
             settings, instruments, missing, progress, driven=bool(is_owned(folder, DRIVE_LOCK))
         )
     progress("clocks, sleep, updates and scanners")
-    yield from machine_checks(
+    yield from check_machine(
         settings.clock.kind, folder, started_wall_s=started_wall_s, started_mono_s=started_mono_s
     )
 
 
-def rig_checks(
+def run_rig_checks(
     settings: Settings,
     instruments: Sequence[Instrument],
     missing: set[str],
@@ -122,25 +122,25 @@ def rig_checks(
         name = KNOWN_AS.get(item.name, item.name)
         if set(item.kind.packages(item.parameters)) & missing:
             found = "not looked at: a package they need is missing"
-            yield _skipped(name, found, "install what failed above, then look again")
+            yield _skipped_check(name, found, "install what failed above, then look again")
         elif driven and "supply" in item.serves:
-            yield _skipped(name, "its own process has the port", "see `solimon status`")
+            yield _skipped_check(name, "its own process has the port", "see `solimon status`")
         else:
             progress(f"{name}; nothing strikes, nothing is switched")
             instrument = item.name if settings.rig.kind == "mixed" else ""
             try:
-                for finding in item.kind.check(item.parameters, opening_of(item, settings, clock)):
+                for finding in item.kind.check(item.parameters, build_opening(item, settings, clock)):
                     yield check_of_finding(finding, instrument)
             except InstrumentError as error:
-                yield failure(name, error, "see what its maker says of it")
+                yield failed_check_of_error(name, error, "see what its maker says of it")
 
 
-def _skipped(name: str, found: str, remedy: str) -> Check:
+def _skipped_check(name: str, found: str, remedy: str) -> Check:
     """Return a skipped check."""
     return Check("rig", name, "skipped", found, remedy)
 
 
-def _recorder(owner: str) -> Check:
+def _recorder_check(owner: str) -> Check:
     """Return the check for a recorder that owns the folder."""
     name = "recorder"
     if not owner:
@@ -152,7 +152,7 @@ def _recorder(owner: str) -> Check:
 # What a person or a program reads --------------------------------------------------------------------
 
 
-def _progress(text: str) -> None:
+def _print_step(text: str) -> None:
     """Print the current step."""
     click.echo(f"looking at: {text}", err=True)
 

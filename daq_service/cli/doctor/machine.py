@@ -9,17 +9,17 @@ from datetime import datetime
 from pathlib import Path
 
 from daq_service.cli.doctor.check import Check
-from daq_service.cli.doctor.unattended import Ask, ask_system, unattended_checks
+from daq_service.cli.doctor.unattended import Ask, check_unattended_settings, run_program
 
 LARGEST_STEP_S = 0.1
 """Maximum drift between wall and monotonic clock during the checks; more means the clock is being set."""
 
 
-def machine_checks(
+def check_machine(
     clock: str,
     folder: Path,
     *,
-    ask: Ask = ask_system,
+    ask: Ask = run_program,
     system: str = sys.platform,
     started_wall_s: float | None = None,
     started_mono_s: float | None = None,
@@ -37,14 +37,14 @@ def machine_checks(
     """
     wall_s, mono_s = time.time(), time.monotonic()
     checks = [
-        _monotonic(
+        _check_monotonic_clock(
             wall_s - (wall_s if started_wall_s is None else started_wall_s),
             mono_s - (mono_s if started_mono_s is None else started_mono_s),
         ),
-        _time_zone(),
+        _time_zone_check(),
     ]
     if clock == "wall":
-        return [*checks, _synchronised(ask, system), *unattended_checks(folder, ask, system)]
+        return [*checks, _check_synchronization(ask, system), *check_unattended_settings(folder, ask, system)]
     unneeded = "nothing to do: the experiment runs on simulated time"
     return checks + [
         Check("machine", name, "skipped", "not looked at", unneeded)
@@ -52,7 +52,7 @@ def machine_checks(
     ]
 
 
-def _monotonic(wall_elapsed_s: float, mono_elapsed_s: float) -> Check:
+def _check_monotonic_clock(wall_elapsed_s: float, mono_elapsed_s: float) -> Check:
     """Check the monotonic clock and its drift against the wall clock."""
     info = time.get_clock_info("monotonic")
     drift_s = wall_elapsed_s - mono_elapsed_s
@@ -75,7 +75,7 @@ def _monotonic(wall_elapsed_s: float, mono_elapsed_s: float) -> Check:
     )
 
 
-def _time_zone() -> Check:
+def _time_zone_check() -> Check:
     """Return the time zone as a check."""
     now = datetime.now().astimezone()
     offset = now.utcoffset()
@@ -87,9 +87,9 @@ def _time_zone() -> Check:
 # Synchronised to UTC --------------------------------------------------------------------------------
 
 
-def _synchronised(ask: Ask, system: str) -> Check:
+def _check_synchronization(ask: Ask, system: str) -> Check:
     """Check whether the clock is synchronized to UTC."""
-    source, answer = _clock_source(ask, system)
+    source, answer = _read_clock_source(ask, system)
     texts = {True: "synchronised", False: "not synchronised", None: "unknown whether it is synchronised"}
     command = {
         "win32": "w32tm /resync, and keep the service W32Time running",
@@ -99,7 +99,7 @@ def _synchronised(ask: Ask, system: str) -> Check:
     return Check("machine", "clock synchronised", "ok" if answer else "warn", found, command, values)
 
 
-def _clock_source(ask: Ask, system: str) -> tuple[str, bool | None]:
+def _read_clock_source(ask: Ask, system: str) -> tuple[str, bool | None]:
     """Return the source of the answer, and whether the clock is synchronized; None: unknown."""
     if system == "win32":
         # The words are the system's language, the leap indicator's digit is not: 3 is not synchronised.

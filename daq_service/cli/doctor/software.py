@@ -23,7 +23,7 @@ LOAD_ERRORS = (ImportError, OSError, ValueError, RuntimeError, AttributeError, S
 _MINIMUM = re.compile(r"^([A-Za-z0-9_.-]+)(?:\[[^\]]*\])?\s*>=\s*([0-9][0-9.]*)")
 
 
-def software_checks(
+def check_software(
     needed: Iterable[str],
     *,
     installed: Callable[[str], str] = installed_version,
@@ -40,16 +40,16 @@ def software_checks(
     """
     required = map(_MINIMUM.match, requires("solimon") or ())
     oldest = {match[1]: match[2] for match in required if match}
-    checks = [_python(), _package("solimon", "", installed)]
+    checks = [_check_python(), _check_package("solimon", "", installed)]
     names = dict.fromkeys((*ALWAYS, *needed))
-    checks += [_package(name, oldest.get(name, ""), installed) for name in names]
-    return [*checks, _binaries(load)]
+    checks += [_check_package(name, oldest.get(name, ""), installed) for name in names]
+    return [*checks, _check_binaries(load)]
 
 
 EXTRAS = {"grpcio": "grpc", "niscope": "niscope", "npTDMS": "tdms", "pyvisa": "visa", "pyvisa-py": "visa"}
 
 
-def _python() -> Check:
+def _check_python() -> Check:
     """Check version and word size of Python."""
     bits = 64 if sys.maxsize > 2**32 else 32
     fits = sys.version_info[:2] >= OLDEST_PYTHON and bits == 64
@@ -60,7 +60,7 @@ def _python() -> Check:
     return Check("software", "python", "ok" if fits else "fail", found, remedy, values)
 
 
-def _package(name: str, oldest: str, installed: Callable[[str], str]) -> Check:
+def _check_package(name: str, oldest: str, installed: Callable[[str], str]) -> Check:
     """Check the version of a package; what a kind of another package needs comes with nothing of ours."""
     requirement = f"solimon[{EXTRAS[name]}]" if name in EXTRAS else "solimon" if oldest else name
     remedy = f'install it: python -m pip install "{requirement}"'
@@ -68,12 +68,12 @@ def _package(name: str, oldest: str, installed: Callable[[str], str]) -> Check:
         found = installed(name)
     except PackageNotFoundError:
         return Check("software", name, "fail", "not installed", remedy)
-    state: State = "ok" if _numbers(found) >= _numbers(oldest) else "fail"
+    state: State = "ok" if _parse_version_numbers(found) >= _parse_version_numbers(oldest) else "fail"
     text = found + (f" (at least {oldest})" if oldest else "")
     return Check("software", name, state, text, remedy, {"version": found, "oldest": oldest or None})
 
 
-def _binaries(load: Callable[[str], object]) -> Check:
+def _check_binaries(load: Callable[[str], object]) -> Check:
     """Check that the compiled packages load."""
     broken = {}
     for name in COMPILED:
@@ -87,7 +87,7 @@ def _binaries(load: Callable[[str], object]) -> Check:
     return Check("software", "compiled packages", "fail" if broken else "ok", found, remedy)
 
 
-def _numbers(text: str) -> tuple[int, ...]:
+def _parse_version_numbers(text: str) -> tuple[int, ...]:
     """Return the leading numbers of a version: ``1.26.4rc1`` gives (1, 26, 4)."""
     match = re.match(r"\d+(?:\.\d+)*", text)
     return tuple(int(part) for part in match[0].split(".")) if match else ()

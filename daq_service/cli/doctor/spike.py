@@ -8,7 +8,7 @@ from dataclasses import replace
 
 from analysis.errors import AnalysisError
 from analysis.waves.coil_spike import EdgeSpike, SpikeSurvey, survey_spike
-from daq_service.cli.doctor.check import Check, failure
+from daq_service.cli.doctor.check import Check, failed_check_of_error
 from hardware_drivers.daqmx.parameters import DaqmxParameters
 from hardware_drivers.errors import ConfigurationError, InstrumentError
 
@@ -43,7 +43,7 @@ def survey_coil(parameters: DaqmxParameters, position: str, timeout_s: float) ->
     )
 
 
-def spike_check(
+def check_coil_spike(
     parameters: DaqmxParameters, position: str, timeout_s: float
 ) -> tuple[Check, SpikeSurvey | None]:
     """Survey the coil of a transducer; an error gives a failed check."""
@@ -51,7 +51,7 @@ def spike_check(
     try:
         survey = survey_coil(parameters, position, timeout_s)
     except InstrumentError as error:
-        check = failure(name, error, "mend what failed above, then strike")
+        check = failed_check_of_error(name, error, "mend what failed above, then strike")
         if isinstance(error, ConfigurationError) and parameters.holdoff_s is None:
             # A board that its counter cannot start takes shots all the same.
             check = replace(check, area="rig", state="warn")
@@ -69,18 +69,18 @@ def _check_of_survey(name: str, parameters: DaqmxParameters, survey: SpikeSurvey
     too_late = holdoff_s is not None and holdoff_s >= survey.latest_holdoff_s
     is_lost = armed_over or too_late
     wave_text = (
-        f"the wave came {_time(survey.wave_after_s)} after off with {survey.wave_v:.3g} V"
+        f"the wave came {_format_time(survey.wave_after_s)} after off with {survey.wave_v:.3g} V"
         if survey.wave_after_s is not None
         else "no wave stands out"
     )
-    holdoff_text = "no holdoff" if holdoff_s is None else f"held off for {_time(holdoff_s)}"
+    holdoff_text = "no holdoff" if holdoff_s is None else f"held off for {_format_time(holdoff_s)}"
     return Check(
         "rig",
         name,
         "fail" if is_lost else "warn" if survey.obstacle else "ok",
-        f"on: {edge_in_words(survey.on)}; off: {edge_in_words(off)}; {wave_text} (expected "
-        f"{_time(parameters.fall_s)}); trigger level {parameters.trigger_level_v:g} V, {holdoff_text}",
-        _remedy(parameters, survey),
+        f"on: {describe_edge(survey.on)}; off: {describe_edge(off)}; {wave_text} (expected "
+        f"{_format_time(parameters.fall_s)}); trigger level {parameters.trigger_level_v:g} V, {holdoff_text}",
+        _remedy_for_survey(parameters, survey),
         {
             "on_height_v": survey.on.height_v,
             "off_height_v": off.height_v,
@@ -89,7 +89,7 @@ def _check_of_survey(name: str, parameters: DaqmxParameters, survey: SpikeSurvey
             "holdoff_s": holdoff_s,
             "latest_holdoff_s": survey.latest_holdoff_s,
             "proposed_holdoff_s": survey.holdoff_s,
-            "proposed_ringing_s": None if survey.holdoff_s is None else proposed_ringing_s(survey),
+            "proposed_ringing_s": None if survey.holdoff_s is None else propose_ringing_s(survey),
             "proposed_trigger_level_v": survey.trigger_level_v,
             "wave_v": survey.wave_v,
             "wave_after_s": survey.wave_after_s,
@@ -98,16 +98,16 @@ def _check_of_survey(name: str, parameters: DaqmxParameters, survey: SpikeSurvey
     )
 
 
-def proposed_ringing_s(survey: SpikeSurvey) -> float:
+def propose_ringing_s(survey: SpikeSurvey) -> float:
     """Return the ringing in s, rounded up to 0.1 ms, for a configuration."""
     return math.ceil(survey.off.ringing_s * 1e4) / 1e4
 
 
-def _remedy(parameters: DaqmxParameters, survey: SpikeSurvey) -> str:
+def _remedy_for_survey(parameters: DaqmxParameters, survey: SpikeSurvey) -> str:
     """Return the remedy for the obstacle of a survey, or the proposed settings."""
     if survey.obstacle == "ringing":
         return (
-            f"it rings for {_time(survey.off.ringing_s)} and a holdoff ends {_time(survey.latest_holdoff_s)} "
+            f"it rings for {_format_time(survey.off.ringing_s)} and a holdoff ends {_format_time(survey.latest_holdoff_s)} "
             f"after the pulse at the latest: {HARDWARE_CURE}"
         )
     if survey.obstacle == "noise":
@@ -119,20 +119,20 @@ def _remedy(parameters: DaqmxParameters, survey: SpikeSurvey) -> str:
         return "see whether the striker lifts and falls, then the sensor's cable and trigger_slope"
     level_v = survey.trigger_level_v
     level = "" if level_v is None else f", trigger_level_v = {level_v:g}"
-    proposal = f"set holdoff_s = {survey.holdoff_s:g}, ringing_s = {proposed_ringing_s(survey):g}{level}"
+    proposal = f"set holdoff_s = {survey.holdoff_s:g}, ringing_s = {propose_ringing_s(survey):g}{level}"
     return f"{proposal} in [rig.daqmx] (the longest ringing of all transducers)"
 
 
-def edge_in_words(edge: EdgeSpike) -> str:
+def describe_edge(edge: EdgeSpike) -> str:
     """Describe what follows an edge of the coil's pulse."""
     if not edge.height_v:
         return "no spike"
     flyback = f", flyback {edge.flyback_v:.3g} V" if edge.flyback_v else ""
     takes = ", takes the trigger" if edge.triggers else ""
-    spike = f"spike {edge.height_v:.3g} V for {_time(edge.duration_s)}"
-    return f"{spike}, rings {_time(edge.ringing_s)}{flyback}{takes}"
+    spike = f"spike {edge.height_v:.3g} V for {_format_time(edge.duration_s)}"
+    return f"{spike}, rings {_format_time(edge.ringing_s)}{flyback}{takes}"
 
 
-def _time(time_s: float) -> str:
+def _format_time(time_s: float) -> str:
     """Format a time with its unit."""
     return f"{time_s * 1e6:.3g} us" if 0.0 < time_s < 1e-3 else f"{time_s * 1e3:.3g} ms"

@@ -14,18 +14,18 @@ from daq_service.alarms.data_trouble import SHOWN
 from daq_service.archive import FolderSetReader
 from daq_service.catalogue import check_owner, open_catalogue
 from daq_service.catalogue.errors import NoDataYetError, SchemaVersionError
-from daq_service.catalogue.network_folder import network_filesystem
+from daq_service.catalogue.network_folder import find_network_type
 from daq_service.catalogue.owner import refuse_other_experiment
 from daq_service.cli.doctor.check import Check, State
 from daq_service.cli.inspection import describe_plan
 from daq_service.errors import BusyError, StorageError
 from daq_service.processes.data_folder import OWN_NAMES, own_data_folder
 from daq_service.processes.disk_policy import disk_space
-from daq_service.processes.lost_catalogue import is_catalogue_lost, lost_reason, read_folder_history
-from daq_service.processes.lost_sets import lost_sets
-from daq_service.recording.experiment import kept_experiment
+from daq_service.processes.lost_catalogue import is_catalogue_lost, lost_catalogue_reason, read_folder_history
+from daq_service.processes.lost_sets import find_lost_sets
+from daq_service.recording.experiment import find_stored_experiment
 from daq_service.settings.tree import Settings
-from daq_service.shared_file import patiently
+from daq_service.shared_file import retry_call
 
 SLOW_WRITE_S = 1.0
 """If a small file takes longer to become durable, the disk will delay sets."""
@@ -36,7 +36,7 @@ COMFORTABLE = 2.0
 
 
 @contextmanager
-def held_folder(folder: Path) -> Iterator[str]:
+def hold_folder(folder: Path) -> Iterator[str]:
     """Hold the recorder's lock, so that no recorder starts meanwhile.
 
     Yields
@@ -60,13 +60,13 @@ def held_folder(folder: Path) -> Iterator[str]:
         yield owner
 
 
-def owner_of(folder: Path) -> str:
+def read_lock_owner(folder: Path) -> str:
     """Return the owner of the recorder's lock without keeping it.
 
      The lock is released at once: a recorder that restarts now would find it taken, and its supervisor would
     end the test. A recorder waits for boards that are being checked.
     """
-    with held_folder(folder) as owner:
+    with hold_folder(folder) as owner:
         return owner
 
 
@@ -76,26 +76,26 @@ def refuse_while_owned(what: str, owner: str) -> None:
         raise BusyError(f"{what} is refused: {owner}")
 
 
-def storage_checks(settings: Settings, folder: Path) -> list[Check]:
+def check_storage(settings: Settings, folder: Path) -> list[Check]:
     """Check the folder; only a probe file is written and removed."""
     return [
-        _file_system(folder),
-        _writable(folder),
-        _owner(settings, folder),
-        *_catalogue(folder),
-        *_stored(folder),
-        _space(settings, folder),
+        _check_file_system(folder),
+        _check_writable(folder),
+        _check_owner(settings, folder),
+        *_check_catalogue(folder),
+        *_check_stored_sets(folder),
+        _check_space(settings, folder),
     ]
 
 
-def _existing(folder: Path) -> Path:
+def _nearest_existing_folder(folder: Path) -> Path:
     """Return the folder, or its nearest parent that exists."""
     return next(path for path in (folder, *folder.parents) if path.exists())
 
 
-def _file_system(folder: Path) -> Check:
+def _check_file_system(folder: Path) -> Check:
     """Check that the folder is on a local file system."""
-    kind = network_filesystem(folder)
+    kind = find_network_type(folder)
     found, remedy = "on a local file system", ""
     if kind is not None:
         found, remedy = f"on a network file system ({kind})", "choose a local disk with --data-dir"
@@ -107,16 +107,16 @@ def _file_system(folder: Path) -> Check:
     return Check("folder", "data folder: place", state, text, remedy, values)
 
 
-def _writable(folder: Path) -> Check:
+def _check_writable(folder: Path) -> Check:
     """Check that a file can be written, synced and removed, as each set needs."""
-    name, existing = "data folder: writable", _existing(folder)
+    name, existing = "data folder: writable", _nearest_existing_folder(folder)
     if not existing.is_dir():
-        return _failed(name, f"{existing} is a file", "choose another folder with --data-dir")
+        return _failed_folder_check(name, f"{existing} is a file", "choose another folder with --data-dir")
     if existing == folder:
         names = {path.name for path in folder.iterdir()}
         if names and not names & OWN_NAMES:
             found = f"{folder} is not empty and no data folder of solimon (it holds {min(names)!r})"
-            return _failed(name, found, "choose a new or empty folder with --data-dir")
+            return _failed_folder_check(name, found, "choose a new or empty folder with --data-dir")
     probe = existing / f".write-test-{uuid.uuid4().hex}"
     started_s = time.monotonic()
     try:
@@ -124,10 +124,12 @@ def _writable(folder: Path) -> Check:
             file.write(b"solimon")
             file.flush()
             os.fsync(file.fileno())
-        patiently(probe.unlink)
+        retry_call(probe.unlink)
     except OSError as error:
         found = f"{existing} cannot be written: {error.strerror}"
-        return _failed(name, found, "correct its permissions or choose another folder with --data-dir")
+        return _failed_folder_check(
+            name, found, "correct its permissions or choose another folder with --data-dir"
+        )
     took_s = time.monotonic() - started_s
     found = f"{folder}{'' if existing == folder else ' (to be made)'}; a small file is durable after "
     found += f"{took_s * 1e3:.0f} ms"
@@ -136,46 +138,48 @@ def _writable(folder: Path) -> Check:
     return Check("folder", name, state, found, "use a faster disk, or find what keeps it busy", values)
 
 
-def _failed(name: str, found: str, remedy: str) -> Check:
+def _failed_folder_check(name: str, found: str, remedy: str) -> Check:
     """Return a failed check of the folder."""
     return Check("folder", name, "fail", found, remedy)
 
 
-def _owner(settings: Settings, folder: Path) -> Check:
+def _check_owner(settings: Settings, folder: Path) -> Check:
     """Check that the folder belongs to this configuration."""
     name, own_hash = "data folder: configuration", settings.configuration_hash()
     try:
         check_owner(settings, folder)
         if is_catalogue_lost(folder):  # then the sets identify the test
-            experiment = kept_experiment(folder, read_folder_history(folder), FolderSetReader(folder))
+            experiment = find_stored_experiment(folder, read_folder_history(folder), FolderSetReader(folder))
             if experiment is not None:
                 refuse_other_experiment(experiment, folder, settings)
     except StorageError as error:
-        return _failed(name, str(error), "use this test's own folder or configuration, or a new --data-dir")
+        return _failed_folder_check(
+            name, str(error), "use this test's own folder or configuration, or a new --data-dir"
+        )
     found = f"free for this configuration ({own_hash[:12]})"
     return Check("folder", name, "ok", found, values={"configuration_hash": own_hash})
 
 
-def _catalogue(folder: Path) -> list[Check]:
+def _check_catalogue(folder: Path) -> list[Check]:
     """Check that a started test has its catalogue; `_owner` reports an unreadable one."""
     try:
-        reason = lost_reason(folder)
+        reason = lost_catalogue_reason(folder)
     except StorageError:
         return []
     remedy = "look with solimon verify first; a backup of the folder has the catalogue, too"
-    return [_failed("data folder: catalogue", reason, remedy)] if reason else []
+    return [_failed_folder_check("data folder: catalogue", reason, remedy)] if reason else []
 
 
-def _stored(folder: Path) -> list[Check]:
+def _check_stored_sets(folder: Path) -> list[Check]:
     """Check that every set with rows exists; only `solimon verify` reads their contents."""
     name = "data folder: sets"
     try:
         with open_catalogue(folder) as catalogue:
-            lost = lost_sets(folder, catalogue)
+            lost = find_lost_sets(folder, catalogue)
     except (NoDataYetError, SchemaVersionError):
         return []  # not started, or an earlier version's: `_owner` reports that
     except (StorageError, OSError) as error:
-        return [_failed(name, str(error), "solimon verify says more")]
+        return [_failed_folder_check(name, str(error), "solimon verify says more")]
     values = {"lost_sets": len(lost)}
     if not lost:
         return [Check("folder", name, "ok", "every set that has rows is there", values=values)]
@@ -185,7 +189,7 @@ def _stored(folder: Path) -> list[Check]:
     return [Check("folder", name, "fail", f"{sentences}{rest}", remedy, values)]
 
 
-def _space(settings: Settings, folder: Path) -> Check:
+def _check_space(settings: Settings, folder: Path) -> Check:
     """Compare the free space with the data still to come."""
     facts = describe_plan(settings, folder)
     stored = FolderSetReader(folder).n_bytes()

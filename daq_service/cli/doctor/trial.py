@@ -14,15 +14,15 @@ from pydantic import TypeAdapter
 
 from analysis.waves.coil_spike import FITTING_LEVEL, SpikeSurvey
 from analysis.waves.features import ShotFeatures
-from daq_service.acquisition.shot_features import features_of
-from daq_service.cli.doctor.check import Check, failure
-from daq_service.cli.doctor.spike import spike_check
-from daq_service.clock import WallClock, boot_id, parse_utc
+from daq_service.acquisition.shot_features import extract_shot_features
+from daq_service.cli.doctor.check import Check, failed_check_of_error
+from daq_service.cli.doctor.spike import check_coil_spike
+from daq_service.clock import WallClock, parse_utc, read_boot_id
 from daq_service.errors import UsageError
 from daq_service.rig.open_rig import open_rig
 from daq_service.settings.rig import RigSettings
 from daq_service.settings.tree import Settings
-from daq_service.shared_file import packaged_table
+from daq_service.shared_file import load_table
 from hardware_drivers.daqmx.parameters import DaqmxParameters
 from hardware_drivers.errors import InstrumentError
 from hardware_drivers.measurement import DueSet, MissedShot, Shot, Waveform
@@ -31,7 +31,7 @@ from hardware_drivers.take_set import SetPlan, take_set
 from simulator.clock import SimulatedClock
 
 PRINT_REQUEST = partial(click.echo, err=True)
-REMEDIES = TypeAdapter(dict[str, str]).validate_python(packaged_table(__file__))
+REMEDIES = TypeAdapter(dict[str, str]).validate_python(load_table(__file__))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -77,7 +77,7 @@ def require_position(settings: Settings, position: str) -> None:
     UsageError
         No such transducer, a rehearsal, or a recording.
     """
-    names = settings.names_of(SOLITARY_WAVE)
+    names = settings.list_positions(SOLITARY_WAVE)
     if position not in names:
         raise UsageError(
             f"--strike is {position!r}; solitary-wave transducers are: {', '.join(names) or 'none'}"
@@ -103,16 +103,16 @@ def strike_transducer(
     report
         Shows the person at the rig what to do, if a person is the striker.
     """
-    settings = _this_transducer_only(settings, position)
+    settings = _restrict_settings(settings, position)
     boards = settings.rig.daqmx
     if settings.rig.kind != "daqmx" or boards is None:
-        return _shot(settings, position, None, report)
-    survey_check, spike = spike_check(boards, position, settings.rig.read_timeout_s)
-    trial = _shot(settings, position, spike, report)
+        return _take_shot(settings, position, None, report)
+    survey_check, spike = check_coil_spike(boards, position, settings.rig.read_timeout_s)
+    trial = _take_shot(settings, position, spike, report)
     return replace(trial, checks=(survey_check, *trial.checks), spike=spike)
 
 
-def _shot(
+def _take_shot(
     settings: Settings, position: str, spike: SpikeSurvey | None, report: Callable[[str], None]
 ) -> Trial:
     """Take one shot and return its checks and features."""
@@ -129,46 +129,53 @@ def _shot(
         with open_rig(settings, clock, clock.utc_ns()) as rig:
             # An empty text withdraws the request; the following check contains more.
             rig.asking.listen(lambda text, key: report(text) if text else None)
-            measurements = list(take_set(rig, plan, first_sequence=0, boot_id=boot_id(), idle=lambda: True))
+            measurements = list(
+                take_set(rig, plan, first_sequence=0, boot_id=read_boot_id(), idle=lambda: True)
+            )
     except InstrumentError as error:
-        failed_check = failure(f"strike {position}: record", error, "mend what failed above, then strike")
+        failed_check = failed_check_of_error(
+            f"strike {position}: record", error, "mend what failed above, then strike"
+        )
         return Trial(position=position, checks=(failed_check,))
     took_s = time.monotonic() - started_s
     (measurement,) = measurements
     if isinstance(measurement, MissedShot):
-        return Trial(position=position, checks=(_missed(measurement),))
+        return Trial(position=position, checks=(_missed_strike_check(measurement),))
     assert isinstance(measurement, Shot), "a solitary-wave position gives a shot or a miss"
-    features = features_of(measurement)
-    level_v = _trigger_level_v(settings.rig, settings.twin.adc.trigger_level_v, measurement)
+    features = extract_shot_features(measurement)
+    level_v = _read_trigger_level_v(settings.rig, settings.twin.adc.trigger_level_v, measurement)
     return Trial(
         position=position,
-        checks=(_record(measurement, features, took_s), _level(level_v, measurement, features, spike)),
+        checks=(
+            _check_record_flags(measurement, features, took_s),
+            _check_trigger_level(level_v, measurement, features, spike),
+        ),
         features=features,
         record=measurement.waveform,
         settings=measurement.settings,
     )
 
 
-def _this_transducer_only(settings: Settings, position: str) -> Settings:
+def _restrict_settings(settings: Settings, position: str) -> Settings:
     """Return settings without other instruments, whose faults must not prevent the strike."""
     used = settings.rig.positions.get(position)
     needed = {name: item for name, item in settings.rig.instruments.items() if used and name in used.names}
     unneeded = dict.fromkeys(("niscope", "supply", "drive", "climate", "air"))
     rig = settings.rig.model_copy(update={**unneeded, "instruments": needed})
     if rig.daqmx is not None:
-        rig = rig.model_copy(update={"daqmx": _wired_only(rig.daqmx, position)})
+        rig = rig.model_copy(update={"daqmx": _restrict_boards(rig.daqmx, position)})
     positions = {position: settings.positions[position]}
     return settings.model_copy(update={"rig": rig, "positions": positions})
 
 
-def _wired_only(boards: DaqmxParameters, position: str) -> DaqmxParameters:
+def _restrict_boards(boards: DaqmxParameters, position: str) -> DaqmxParameters:
     """Return the boards with one transducer only."""
     wiring = boards.transducers[position]
-    watchdog = boards.watchdog_of(wiring.coil_serial)
+    watchdog = boards.find_watchdog(wiring.coil_serial)
     return replace(boards, transducers={position: wiring}, watchdog=watchdog, watchdogs=None)
 
 
-def _missed(missed: MissedShot) -> Check:
+def _missed_strike_check(missed: MissedShot) -> Check:
     """Return the check of a strike without a record."""
     found = f"no record ({missed.reason}): {missed.cause}"
     remedy = (
@@ -179,7 +186,7 @@ def _missed(missed: MissedShot) -> Check:
     )
 
 
-def _record(shot: Shot, features: ShotFeatures, took_s: float) -> Check:
+def _check_record_flags(shot: Shot, features: ShotFeatures, took_s: float) -> Check:
     """Return the check of the record's flags."""
     flags = features.flags
     incident = "no incident wave, "
@@ -199,14 +206,16 @@ def _record(shot: Shot, features: ShotFeatures, took_s: float) -> Check:
     )
 
 
-def _trigger_level_v(rig: RigSettings, simulated_v: float, shot: Shot) -> float:
+def _read_trigger_level_v(rig: RigSettings, simulated_v: float, shot: Shot) -> float:
     """Return the trigger level of a shot in V; NaN if the instrument of a mixed rig does not report it."""
     if rig.kind == "mixed":
         return float(shot.settings.get("trigger_level_v", math.nan))
     return simulated_v if rig.daqmx is None else rig.daqmx.trigger_level_v
 
 
-def _level(level_v: float, shot: Shot, features: ShotFeatures, spike: SpikeSurvey | None) -> Check:
+def _check_trigger_level(
+    level_v: float, shot: Shot, features: ShotFeatures, spike: SpikeSurvey | None
+) -> Check:
     """Compare the trigger level with the incident wave of the shot, or of the survey before."""
     name = f"strike {shot.key.position}: trigger level"
     incident_v = features.isw_amplitude_v

@@ -10,7 +10,7 @@ from pathlib import Path, PureWindowsPath
 from pydantic import TypeAdapter
 
 from daq_service.cli.doctor.check import Check
-from daq_service.shared_file import packaged_table
+from daq_service.shared_file import load_table
 
 LONGEST_ANSWER_S = 10.0
 """Timeout for programs of the system."""
@@ -24,11 +24,11 @@ UPGRADE, REBOOT = "APT::Periodic::Unattended-Upgrade", "Unattended-Upgrade::Auto
 UPDATE_POLICY = r"HKLM\SOFTWARE\Policies\Microsoft\Windows\WindowsUpdate\AU"
 UPDATE_WAITS = r"HKLM\SOFTWARE\Microsoft\Windows\CurrentVersion\WindowsUpdate\Auto Update\RebootRequired"
 DEFENDER = "(Get-MpComputerStatus).RealTimeProtectionEnabled; (Get-MpPreference).ExclusionPath"
-SCANNERS = TypeAdapter(dict[str, str]).validate_python(packaged_table(__file__))
+SCANNERS = TypeAdapter(dict[str, str]).validate_python(load_table(__file__))
 """Programs of Linux that look into files as they are opened, by the name of their process."""
 
 
-def ask_system(command: Sequence[str]) -> str | None:
+def run_program(command: Sequence[str]) -> str | None:
     """Run a program without a shell and return its output; None if it fails."""
     try:
         done = subprocess.run(
@@ -41,12 +41,14 @@ def ask_system(command: Sequence[str]) -> str | None:
     return done.stdout.strip() or None
 
 
-def unattended_checks(folder: Path, ask: Ask, system: str) -> list[Check]:
+def check_unattended_settings(folder: Path, ask: Ask, system: str) -> list[Check]:
     """Check sleep, updates and scanners; unknown settings give a warning."""
-    return [_sleep(ask, system), _updates(ask, system), _antivirus(folder, ask, system)]
+    return [_check_sleep(ask, system), _check_updates(ask, system), _check_antivirus(folder, ask, system)]
 
 
-def _check(name: str, good: bool | None, found: str, remedy: str, **values: str | bool | None) -> Check:
+def _computer_check(
+    name: str, good: bool | None, found: str, remedy: str, **values: str | bool | None
+) -> Check:
     """Return a check of the computer."""
     return Check("machine", name, "ok" if good else "warn", found, remedy, values)
 
@@ -54,7 +56,7 @@ def _check(name: str, good: bool | None, found: str, remedy: str, **values: str 
 # Sleep ----------------------------------------------------------------------------------------------
 
 
-def _sleep(ask: Ask, system: str) -> Check:
+def _check_sleep(ask: Ask, system: str) -> Check:
     """Check that the computer never sleeps."""
     idle = None
     if system == "win32":
@@ -75,7 +77,7 @@ def _sleep(ask: Ask, system: str) -> Check:
         f"suspend is {texts[never]} ({source}{action}); a sleeping computer strikes nothing, "
         "its sets are missed"
     )
-    return _check("sleep", never, found, command, never_sleeps=never, idle_action=idle)
+    return _computer_check("sleep", never, found, command, never_sleeps=never, idle_action=idle)
 
 
 def _windows_never_sleeps(ask: Ask) -> bool | None:
@@ -93,15 +95,15 @@ def _windows_never_sleeps(ask: Ask) -> bool | None:
 # Updates that restart -------------------------------------------------------------------------------
 
 
-def _updates(ask: Ask, system: str) -> Check:
+def _check_updates(ask: Ask, system: str) -> Check:
     """Check that updates do not restart the computer."""
     waits, restarts, source = None, None, f"not asked on {system}"
     remedy = "let updates restart this computer only when a person says so"
     if system == "linux":
-        waits, restarts, source = _linux_updates(ask)
+        waits, restarts, source = _read_linux_updates(ask)
         remedy = f'set {REBOOT} "false"; in /etc/apt/apt.conf.d, or stop the timers of your updater'
     elif system == "win32":
-        waits, restarts, source = _windows_updates(ask)
+        waits, restarts, source = _read_windows_updates(ask)
         remedy = "in gpedit.msc set Configure Automatic Updates to 2 (notify), or pause updates for the test"
     if waits:
         remedy = f"restart it before the test begins; then {remedy}"
@@ -109,10 +111,12 @@ def _updates(ask: Ask, system: str) -> Check:
     waiting = "; one that is installed waits for a restart" if waits else ""
     found = f"updates {texts[restarts]} this computer by themselves ({source}){waiting}"
     good = restarts is False and not waits
-    return _check("updates", good, found, remedy, restart_by_themselves=restarts, restart_waits=waits)
+    return _computer_check(
+        "updates", good, found, remedy, restart_by_themselves=restarts, restart_waits=waits
+    )
 
 
-def _linux_updates(ask: Ask) -> tuple[bool | None, bool | None, str]:
+def _read_linux_updates(ask: Ask) -> tuple[bool | None, bool | None, str]:
     """Return whether a restart is pending, whether updates restart, and the source."""
     waits = ask(["ls", "/run/reboot-required"]) is not None
     # It prints what is set, and the root of an empty tree else.
@@ -126,7 +130,7 @@ def _linux_updates(ask: Ask) -> tuple[bool | None, bool | None, str]:
     return waits, None, "neither apt-config nor dnf-automatic here"
 
 
-def _windows_updates(ask: Ask) -> tuple[bool | None, bool | None, str]:
+def _read_windows_updates(ask: Ask) -> tuple[bool | None, bool | None, str]:
     """Return whether a restart is pending, whether updates restart, and the source."""
     waits = ask(["reg", "query", UPDATE_WAITS]) is not None
     text = ask(["reg", "query", UPDATE_POLICY]) or ""
@@ -139,7 +143,7 @@ def _windows_updates(ask: Ask) -> tuple[bool | None, bool | None, str]:
 # Scanners that hold files ---------------------------------------------------------------------------
 
 
-def _antivirus(folder: Path, ask: Ask, system: str) -> Check:
+def _check_antivirus(folder: Path, ask: Ask, system: str) -> Check:
     """Check that no scanner locks files of the folder."""
     is_excluded, finding, remedy = None, f"not asked on {system}", f"except {folder} from scanning on access"
     if system == "linux":
@@ -152,14 +156,14 @@ def _antivirus(folder: Path, ask: Ask, system: str) -> Check:
         else:
             finding = "unknown: no ps here"
     elif system == "win32":
-        is_excluded, finding = _defender(folder, ask)
+        is_excluded, finding = _read_defender_exclusion(folder, ask)
         remedy = f'as administrator in PowerShell: Add-MpPreference -ExclusionPath "{folder}"'
-    return _check(
+    return _computer_check(
         "antivirus", is_excluded, f"scanner on access: {finding}", remedy, data_folder_left_alone=is_excluded
     )
 
 
-def _defender(folder: Path, ask: Ask) -> tuple[bool | None, str]:
+def _read_defender_exclusion(folder: Path, ask: Ask) -> tuple[bool | None, str]:
     """Return whether Windows Defender excludes the folder, and a description."""
     text = ask(["powershell", "-NoProfile", "-NonInteractive", "-Command", DEFENDER])
     if text is None:

@@ -8,7 +8,7 @@ from importlib import import_module
 import click
 
 
-def send(*, kind: str, note: str, **given: object) -> int:
+def send_command(*, kind: str, note: str, **given: object) -> int:
     """Send the command."""
     code: int = import_module("daq_service.commands.send").send_command(kind, note=note, **given)
     return code
@@ -20,7 +20,7 @@ def send_with_reason(*, kind: str, note: str, question: str, without_reason: str
         if not sys.stdin.isatty():
             raise click.UsageError(without_reason)
         note = click.prompt(question, err=True)
-    return send(kind=kind, note=note, **given)
+    return send_command(kind=kind, note=note, **given)
 
 
 def switch_supply(
@@ -31,7 +31,7 @@ def switch_supply(
         raise click.UsageError("give --on or --off")
     values = {"voltage_v": voltage_v, "current_limit_a": current_limit_a}
     if on:
-        return send(kind="supply_on", note=note, **given | values)
+        return send_command(kind="supply_on", note=note, **given | values)
     if any(value is not None for value in values.values()):
         raise click.UsageError("--voltage-v and --current-limit-a belong to --on")
-    return send(kind="supply_off", note=note, **given)
+    return send_command(kind="supply_off", note=note, **given)

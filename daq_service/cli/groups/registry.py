@@ -54,10 +54,10 @@ _TYPES: Mapping[str, click.ParamType[Any]] = {
 def find_command(name: str) -> click.Command | None:
     """Build a command with its options; None if there is no such command."""
     table = next((commands[name] for commands in _SECTIONS.values() if name in commands), None)
-    return None if table is None else _command(name, table)
+    return None if table is None else _build_command(name, table)
 
 
-def call(target: str, starting: str = "", **options: Any) -> int:
+def call_function(target: str, starting: str = "", **options: Any) -> int:
     """Import the function ``MODULE:NAME`` of the command line and return its exit code.
 
     Parameters
@@ -73,26 +73,26 @@ def call(target: str, starting: str = "", **options: Any) -> int:
     return getattr(import_module(f"daq_service.cli.{module}"), function)(**options) or EXIT_OK
 
 
-def _command(name: str, table: Table) -> click.Command:
+def _build_command(name: str, table: Table) -> click.Command:
     """Return a command, or a group of commands, from its entry in the table."""
     text = f"{table['summary']}\n\n{table.get('details', '')}"
     if "commands" in table:
-        return click.Group(name, [_command(*item) for item in table["commands"].items()], help=text)
-    callback = partial(call, table["target"], table.get("starting", ""), **table.get("fixed", {}))
-    return click.Command(name, callback=callback, params=list(_parameters(table["options"])), help=text)
+        return click.Group(name, [_build_command(*item) for item in table["commands"].items()], help=text)
+    callback = partial(call_function, table["target"], table.get("starting", ""), **table.get("fixed", {}))
+    return click.Command(name, callback=callback, params=list(_build_parameters(table["options"])), help=text)
 
 
-def _parameters(options: Sequence[str | Table]) -> Iterator[click.Parameter]:
+def _build_parameters(options: Sequence[str | Table]) -> Iterator[click.Parameter]:
     """Yield the options of a command; a name is a shared option."""
     for option in options:
         if isinstance(option, str):
             shared: Table | Sequence[str] = _SHARED[option]
-            yield from _parameters([shared] if isinstance(shared, Mapping) else shared)
+            yield from _build_parameters([shared] if isinstance(shared, Mapping) else shared)
         else:
-            yield _parameter(**option)
+            yield _build_parameter(**option)
 
 
-def _parameter(
+def _build_parameter(
     *,
     option: str = "",
     argument: str = "",

@@ -16,37 +16,37 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from daq_service.archive.errors import BACK
-from daq_service.archive.journal.frames import frames
-from daq_service.archive.journal.reader import contents, read_journal, segment_path, segments
+from daq_service.archive.journal.frames import parse_frames
+from daq_service.archive.journal.reader import build_segment_path, list_segments, read_journal, read_segments
 from daq_service.archive.records import (
     JOURNAL_FOLDER,
     QUARANTINE_FOLDER,
     SETS_FOLDER,
     TEMPORARY_SUFFIX,
-    referenced_sets,
+    to_references,
 )
 from daq_service.archive.verification import check_file
 from daq_service.catalogue.connection import FILE_NAME
-from daq_service.catalogue.earlier_names import current_row
+from daq_service.catalogue.earlier_names import to_current_row
 from daq_service.catalogue.experiment_file import HISTORY_FILE
 from daq_service.catalogue.verification import UnchangedCatalogue
-from daq_service.cli.maintenance.verify import NOWHERE, Finding, expected_sha256
+from daq_service.cli.maintenance.verify import NOWHERE, Finding, stored_sha256
 from daq_service.errors import StorageError, StorageUnavailableError
 from daq_service.processes.data_folder import (
     BACKUP_FILE,
     DRIVE_LOCK,
     LOCK_FILE,
     OWN_NAMES,
-    backup_identity,
+    read_backup_identity,
 )
 from daq_service.processes.disk_policy import RESERVE_FILE
 from daq_service.processes.heartbeat import FILE_NAME as HEARTBEAT_FILE
 from daq_service.processes.heartbeat import WEB_FILE
 from daq_service.shared_file import (
     O_BINARY,
-    patiently,
     read_shared,
     remove_quietly,
+    retry_call,
     sync_folder,
     write_durably,
 )
@@ -115,21 +115,21 @@ def back_up(
     with UnchangedCatalogue(folder) as catalogue:
         copied, snapshot = Copied(), destination / f"{FILE_NAME}{TEMPORARY_SUFFIX}"
         try:
-            _claim(destination, catalogue.experiment())
+            _mark_destination(destination, catalogue.experiment())
             history = _read_history(folder)
             catalogue.copy_to(snapshot)
-            _sync(snapshot)
+            _sync_file(snapshot)
             segment_names = {path.name for path in _copy_journal(folder, destination, copied)}
             _copy_sets(folder, destination, catalogue, copied, progress)
-            copied.damage += _lost(folder, destination, catalogue, copied)
+            copied.damage += _list_lost_sets(folder, destination, catalogue, copied)
             _copy_others(folder, destination, copied)
             for suffix in ("-wal", "-shm"):  # of a program that wrote to the copy
                 remove_quietly(destination / f"{FILE_NAME}{suffix}")
-            patiently(lambda: os.replace(snapshot, destination / FILE_NAME))  # noqa: PTH105 - the seam is os
+            retry_call(lambda: os.replace(snapshot, destination / FILE_NAME))  # noqa: PTH105 - the seam is os
             sync_folder(destination)
-            _write(destination / HISTORY_FILE, history, copied)
+            _write_copy(destination / HISTORY_FILE, history, copied)
             if not copied.damage:  # else an older segment may have what the file has lost
-                for path in segments(destination).values():
+                for path in list_segments(destination).values():
                     if path.name not in segment_names:
                         remove_quietly(path)
         except OSError as error:
@@ -141,11 +141,11 @@ def back_up(
     return copied
 
 
-def _claim(destination: Path, experiment: dict[str, object] | None) -> None:
+def _mark_destination(destination: Path, experiment: dict[str, object] | None) -> None:
     """Mark a new destination for this test, and reject that of another test."""
     if experiment is None:
         raise StorageError("the test has not begun; there is nothing to copy")
-    experiment = current_row("experiment", experiment)
+    experiment = to_current_row("experiment", experiment)
     identity = {name: experiment[name] for name in NAMED_BY}
     destination.mkdir(parents=True, exist_ok=True)
     marker = destination / BACKUP_FILE
@@ -157,7 +157,7 @@ def _claim(destination: Path, experiment: dict[str, object] | None) -> None:
             )
         content = json.dumps(identity, indent=1).encode()
         write_durably(marker, content, temporary=destination / f"{BACKUP_FILE}{TEMPORARY_SUFFIX}")
-    found = backup_identity(destination) or {}
+    found = read_backup_identity(destination) or {}
     if found != identity:
         raise StorageError(
             f"{destination} holds a backup of another test ({found.get('name')!r}, configuration "
@@ -183,12 +183,12 @@ def _read_history(folder: Path) -> bytes:
 
 def _copy_journal(folder: Path, destination: Path, copied: Copied) -> Iterator[Path]:
     """Copy the used part of each segment."""
-    for number, content in contents(folder):
-        ends = [frame.end for frame in frames(content)]
+    for number, content in read_segments(folder):
+        ends = [frame.end for frame in parse_frames(content)]
         # Without the room for what is to come.
         used = content[: max([len(content.rstrip(b"\0")), *ends])]
-        path = segment_path(destination, number)
-        _write(path, used, copied)
+        path = build_segment_path(destination, number)
+        _write_copy(path, used, copied)
         yield path
 
 
@@ -200,25 +200,27 @@ def _copy_sets(
     progress: Callable[[int, int], None],
 ) -> None:
     """Copy new files of sets; corrupt ones go to the quarantine."""
-    files = referenced_sets(path.name for path in (folder / SETS_FOLDER).glob("*.h5"))
+    files = to_references(path.name for path in (folder / SETS_FOLDER).glob("*.h5"))
     for number, (set_key, file) in enumerate(files.items()):
         progress(number, len(files))
         source, target = folder / file, destination / file
         if target.exists() and target.stat().st_size == source.stat().st_size:
             copied.present += 1
             continue
-        checked = check_file(source, sha256=expected_sha256(catalogue.of_set("sets", set_key), file))
+        checked = check_file(source, sha256=stored_sha256(catalogue.of_set("sets", set_key), file))
         if checked.touched or checked.damages:
             description = f"{checked.damages[0] if checked.damages else 'its SHA-256 differs'}; {BACK}"
             copied.damage.append(Finding("set_unreadable", file, description))
             target = destination / QUARANTINE_FOLDER / target.name
             target.parent.mkdir(exist_ok=True)
         if checked.n_bytes:  # else nothing of it can be read
-            _write(target, read_shared(source), copied)
+            _write_copy(target, read_shared(source), copied)
     progress(len(files), len(files))
 
 
-def _lost(folder: Path, destination: Path, catalogue: UnchangedCatalogue, copied: Copied) -> list[Finding]:
+def _list_lost_sets(
+    folder: Path, destination: Path, catalogue: UnchangedCatalogue, copied: Copied
+) -> list[Finding]:
     """List sets with rows that have neither a file nor journal frames.
 
     Files first, in one listing: only for those that are not among them the journal is read.
@@ -246,10 +248,10 @@ def _copy_others(folder: Path, destination: Path, copied: Copied) -> None:
                 target = destination / path.relative_to(folder)
                 target.parent.mkdir(parents=True, exist_ok=True)
                 with suppress(FileNotFoundError):  # a log that was rotated meanwhile
-                    _write(target, read_shared(path), copied)
+                    _write_copy(target, read_shared(path), copied)
 
 
-def _write(target: Path, content: bytes, copied: Copied) -> None:
+def _write_copy(target: Path, content: bytes, copied: Copied) -> None:
     """Write a copy unless it exists, and read it back.
 
     Raises
@@ -260,7 +262,7 @@ def _write(target: Path, content: bytes, copied: Copied) -> None:
     if target.exists() and target.stat().st_size == len(content) and read_shared(target) == content:
         return
     write_durably(target, content, temporary=target.with_name(f"{target.name}{TEMPORARY_SUFFIX}"))
-    _forget(target)
+    _drop_from_cache(target)
     if read_shared(target) != content:
         remove_quietly(target)
         raise OSError(f"{target} does not read as it was written")
@@ -268,7 +270,7 @@ def _write(target: Path, content: bytes, copied: Copied) -> None:
     copied.n_bytes += len(content)
 
 
-def _forget(path: Path) -> None:
+def _drop_from_cache(path: Path) -> None:
     """Drop a file from the system's cache, so that it is read from the disk."""
     if hasattr(os, "posix_fadvise"):
         descriptor = os.open(path, os.O_RDONLY)
@@ -278,7 +280,7 @@ def _forget(path: Path) -> None:
             os.close(descriptor)
 
 
-def _sync(path: Path) -> None:
+def _sync_file(path: Path) -> None:
     """Sync a file to disk."""
     descriptor = os.open(path, os.O_RDWR | O_BINARY)
     try:

@@ -35,14 +35,14 @@ def run_verify(*, data_dir: Path, as_json: bool) -> int:
     """Check a folder; return 4 if something is corrupt."""
     from daq_service.cli.maintenance.verify import verify_folder
 
-    _give_way(data_dir)
-    report = verify_folder(data_dir, _progress("files"))
+    _lower_priority(data_dir)
+    report = verify_folder(data_dir, _make_progress_printer("files"))
     damage = [asdict(finding) for finding in report.damage]
     counts = {name: number for name, number in report.checked.items() if name != "bytes"}
     lines = [
-        *_damage_lines(report.damage),
+        *_format_findings(report.damage),
         *(f"note      {note}" for note in report.notes),
-        f"checked   {_listed(counts)}, {report.checked['bytes'] / 1e6:.1f} MB",
+        f"checked   {_join_counts(counts)}, {report.checked['bytes'] / 1e6:.1f} MB",
         f"damage    {len(damage)}, named above" if damage else "damage    none",
     ]
     result = {"ok": not damage, "checked": report.checked, "damage": damage}
@@ -52,19 +52,19 @@ def run_verify(*, data_dir: Path, as_json: bool) -> int:
 
 def run_repair(*, data_dir: Path, apply: bool, backup: Path | None, as_json: bool) -> int:
     """Repair a folder or list the steps; return 4 while something stays corrupt."""
-    from daq_service.cli.maintenance.repair import carry_out, planned
+    from daq_service.cli.maintenance.repair import execute_step, plan_repair
     from daq_service.cli.maintenance.verify import verify_folder
 
     with own_data_folder(data_dir) if apply else nullcontext():
-        report = verify_folder(data_dir, _progress("files"))
-        steps = planned(data_dir, report, backup)
+        report = verify_folder(data_dir, _make_progress_printer("files"))
+        steps = plan_repair(data_dir, report, backup)
         if apply:
             for step in steps:
                 try:
-                    carry_out(data_dir, step, backup)
+                    execute_step(data_dir, step, backup)
                 except OSError as error:
                     raise StorageError(f"{step.file}: {error}; mend the disk and start again") from error
-            report = verify_folder(data_dir, _progress("files"))
+            report = verify_folder(data_dir, _make_progress_printer("files"))
     damage = [asdict(item) for item in report.damage]
     lines = [f"{step.does:<13} {step.file}: {step.reason}" for step in steps]
     if any(step.does != "nothing" for step in steps) and not apply:
@@ -78,14 +78,14 @@ def run_backup(*, destination: Path, data_dir: Path, as_json: bool) -> int:
     """Copy a folder; return 4 if a file in it is corrupt or a set is lost."""
     from daq_service.cli.maintenance.backup import back_up
 
-    _give_way(data_dir)
-    copied = back_up(data_dir, destination, _progress("files"))
+    _lower_priority(data_dir)
+    copied = back_up(data_dir, destination, _make_progress_printer("files"))
     line = (
         f"{destination}: {copied.files} files copied ({copied.n_bytes / 1e6:.1f} MB), "
         f"{copied.present} sets were there already"
     )
     result = {"ok": not copied.damage, "destination": str(destination), **asdict(copied)}
-    print_result(result, [*_damage_lines(copied.damage), line], as_json=as_json)
+    print_result(result, [*_format_findings(copied.damage), line], as_json=as_json)
     return StorageError.exit_code if copied.damage else EXIT_OK
 
 
@@ -129,7 +129,7 @@ def run_export(
     from daq_service.cli.maintenance.export import export_hdf5
 
     assert hdf5 is not None, "one of the two is given"
-    file = export_hdf5(data_dir, hdf5, overwrite=overwrite, progress=_progress("sets"))
+    file = export_hdf5(data_dir, hdf5, overwrite=overwrite, progress=_make_progress_printer("sets"))
     lines = [f"left out  {sentence}" for sentence in file.left_out.values()]
     if file.waiting:
         lines.append(f"waiting   {file.waiting} sets have no file yet; export again later")
@@ -149,27 +149,27 @@ def run_acceptance_report(*, data_dir: Path, **options: Any) -> int:
     """Write an acceptance report; return 6 if it does not pass."""
     from daq_service.cli.maintenance.acceptance.command import write_acceptance_report
 
-    _give_way(data_dir)
-    return write_acceptance_report(data_dir=data_dir, progress=_progress("files"), **options)
+    _lower_priority(data_dir)
+    return write_acceptance_report(data_dir=data_dir, progress=_make_progress_printer("files"), **options)
 
 
-def _damage_lines(damage: Sequence[Finding]) -> list[str]:
+def _format_findings(damage: Sequence[Finding]) -> list[str]:
     """Return a line for each finding."""
     return [f"{finding.kind:<18} {finding.file}: {finding.description}" for finding in damage]
 
 
-def _listed(counts: dict[str, int]) -> str:
+def _join_counts(counts: dict[str, int]) -> str:
     """Join counts with their names."""
     return ", ".join(f"{number} {name.replace('_', ' ')}" for name, number in counts.items())
 
 
-def _give_way(folder: Path) -> None:
+def _lower_priority(folder: Path) -> None:
     """Lower the priority while a recorder runs."""
     if is_owned(folder) and hasattr(os, "nice"):
         os.nice(LOWEST_PRIORITY)
 
 
-def _progress(what: str) -> Callable[[int, int], None]:
+def _make_progress_printer(what: str) -> Callable[[int, int], None]:
     """Return a function that prints the progress to standard error."""
     terminal, printed_s = sys.stderr.isatty(), time.monotonic()
 

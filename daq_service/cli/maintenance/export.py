@@ -17,13 +17,13 @@ from daq_service.archive.consolidated import (
     Columns,
     Facts,
     Sampling,
-    blocks_of,
-    consolidated_image,
-    group_names_of,
+    build_consolidated_image,
+    list_blocks,
+    name_groups,
 )
 from daq_service.catalogue import Catalogue, open_catalogue
 from daq_service.catalogue.connection import FILE_NAME
-from daq_service.catalogue.published_columns import form_of
+from daq_service.catalogue.published_columns import choose_form
 from daq_service.catalogue.rows import (
     AssessmentRow,
     FeatureRow,
@@ -31,14 +31,14 @@ from daq_service.catalogue.rows import (
     SetRow,
     ShotRow,
     ThicknessRow,
-    columns_of,
+    list_columns,
 )
 from daq_service.clock import format_utc
 from daq_service.errors import StorageError, UsageError
 from daq_service.processes.data_folder import OWN_NAMES
-from daq_service.processes.lost_catalogue import lost_reason
+from daq_service.processes.lost_catalogue import lost_catalogue_reason
 from daq_service.shared_file import write_output
-from daq_service.web.tables.formats import as_array
+from daq_service.web.tables.formats import to_array
 from hardware_drivers.measurement import SetKey
 from hardware_drivers.methods import PULSE_ECHO
 
@@ -108,17 +108,17 @@ def export_hdf5(
     """
     refuse_target(folder, target, overwrite=overwrite)
     with open_catalogue(folder) as catalogue:
-        experiment = catalogue.experiment_row()
+        experiment = catalogue.read_experiment()
         positions = sorted(experiment.configuration["positions"])
         rows = {name: catalogue.rows(SetRow, position=name) for name in positions}
         files = {row.set_key: SetReference(row.file) for found in rows.values() for row in found if row.file}
-        blocks, waiting, left_out = _blocks(folder, files, progress)
+        blocks, waiting, left_out = _list_arrays(folder, files, progress)
         if not blocks:
             raise StorageError(
                 f"{folder}: no set has a file that can be read; wait for one, or solimon verify"
             )
         shots = {
-            sampling: (found, _shot_columns(catalogue, sampling, found, rows.get(sampling.position, [])))
+            sampling: (found, _read_shot_columns(catalogue, sampling, found, rows.get(sampling.position, [])))
             for sampling, found in blocks.items()
         }
         facts = Facts(
@@ -129,8 +129,8 @@ def export_hdf5(
             configuration_hash=experiment.configuration_hash,
             provenance={"configuration": experiment.configuration, "epoch_utc_ns": experiment.epoch_utc_ns},
         )
-        sets = {name: _set_columns(catalogue, name, found) for name, found in rows.items() if found}
-    image = consolidated_image(target, folder, facts, shots, sets)
+        sets = {name: _read_set_columns(catalogue, name, found) for name, found in rows.items() if found}
+    image = build_consolidated_image(target, folder, facts, shots, sets)
     write_output(target, image)
     return Exported(
         file=str(target),
@@ -139,7 +139,7 @@ def export_hdf5(
         shots=sum(len(block.shot_ids) for found in blocks.values() for block in found),
         arrays={
             name: (sum(len(block.shot_ids) for block in blocks[sampling]), sampling.n_samples)
-            for sampling, name in group_names_of(blocks).items()
+            for sampling, name in name_groups(blocks).items()
         },
         waiting=waiting,
         left_out=left_out,
@@ -157,7 +157,7 @@ def refuse_target(folder: Path, target: Path, *, overwrite: bool) -> None:
         The test's catalogue is lost.
     """
     if not (folder / FILE_NAME).is_file():
-        if reason := lost_reason(folder):
+        if reason := lost_catalogue_reason(folder):
             raise StorageError(reason)
         raise UsageError(
             f"{folder} holds no test of solimon (no {FILE_NAME}); choose its folder with --data-dir"
@@ -171,7 +171,7 @@ def refuse_target(folder: Path, target: Path, *, overwrite: bool) -> None:
         raise UsageError(f"{target} exists; choose another file, or replace it with --overwrite")
 
 
-def _blocks(
+def _list_arrays(
     folder: Path, files: Mapping[SetKey, SetReference], progress: Callable[[int, int], None]
 ) -> tuple[dict[Sampling, list[Block]], int, dict[str, str]]:
     """Return the arrays of all files, the number of sets without a file, and unreadable files."""
@@ -180,7 +180,7 @@ def _blocks(
     for number, (set_key, file) in enumerate(sorted(files.items())):
         progress(number, len(files))
         try:
-            for sampling, block in blocks_of(folder, file):
+            for sampling, block in list_blocks(folder, file):
                 blocks.setdefault(sampling, []).append(block)
         except SetNotFoundError as error:
             if set_key in journaled:
@@ -193,7 +193,7 @@ def _blocks(
     return blocks, waiting, left_out
 
 
-def _shot_columns(
+def _read_shot_columns(
     catalogue: Catalogue, sampling: Sampling, blocks: Sequence[Block], sets: Sequence[SetRow]
 ) -> Columns:
     """Return columns of shots and their results, in the order of the shots."""
@@ -211,21 +211,21 @@ def _shot_columns(
         ids = [shot_id for shot_id, _ in of_set]
         parts.append(
             {
-                **_columns([shots.get(shot_id) for shot_id in ids], ShotRow, _OF_A_SHOT),
+                **_to_columns([shots.get(shot_id) for shot_id in ids], ShotRow, _OF_A_SHOT),
                 "due_h": np.array([due_h.get(index, math.nan) for _, index in of_set]),
-                **_columns([results.get(shot_id) for shot_id in ids], kind, _results_of(kind)),
+                **_to_columns([results.get(shot_id) for shot_id in ids], kind, _select_result_columns(kind)),
             }
         )
-    return {name: _joined([part[name] for part in parts]) for name in parts[0]}
+    return {name: _concatenate_column([part[name] for part in parts]) for name in parts[0]}
 
 
-def _set_columns(catalogue: Catalogue, position: str, sets: Sequence[SetRow]) -> Columns:
+def _read_set_columns(catalogue: Catalogue, position: str, sets: Sequence[SetRow]) -> Columns:
     """Return columns of a position's sets and their results, in the order of the sets."""
     kinds: tuple[type[FeatureRow | AssessmentRow | ThicknessRow], ...] = (FeatureRow, AssessmentRow)
     if sets[0].method == PULSE_ECHO:
         kinds = (ThicknessRow,)
     columns: dict[str, Column] = {"set_index": np.array([row.set_index for row in sets])}
-    columns |= _columns(sets, SetRow, _OF_A_SET)
+    columns |= _to_columns(sets, SetRow, _OF_A_SET)
     for kind in kinds:
         parts = []
         for start in range(0, len(sets), _SETS_AT_ONCE):
@@ -238,31 +238,33 @@ def _set_columns(catalogue: Catalogue, position: str, sets: Sequence[SetRow]) ->
                 last_set=step[-1].set_index,
             )
             results = {row.set_index: row for row in found}
-            parts.append(_columns([results.get(row.set_index) for row in step], kind, _results_of(kind)))
-        columns |= {name: _joined([part[name] for part in parts]) for name in parts[0]}
+            parts.append(
+                _to_columns([results.get(row.set_index) for row in step], kind, _select_result_columns(kind))
+            )
+        columns |= {name: _concatenate_column([part[name] for part in parts]) for name in parts[0]}
     return columns
 
 
-def _results_of(kind: type[Row]) -> tuple[str, ...]:
+def _select_result_columns(kind: type[Row]) -> tuple[str, ...]:
     """Return the columns of results without keys and nested values."""
     nested = ("contributions", "statistics", "limits", "averages")
     return tuple(name for name in kind.__slots__ if name not in (*_NO_RESULT, *nested))
 
 
-def _columns(rows: Sequence[Row | None], kind: type[Row], names: Sequence[str]) -> dict[str, Column]:
+def _to_columns(rows: Sequence[Row | None], kind: type[Row], names: Sequence[str]) -> dict[str, Column]:
     """Return values by column; missing ones are NaN, -1, or an empty text."""
-    forms = {column.name: form_of(column.type) for column in columns_of(kind)}
+    forms = {column.name: choose_form(column.type) for column in list_columns(kind)}
     columns: dict[str, Column] = {}
     for name in names:
         values = [None if row is None else getattr(row, name) for row in rows]
         if forms[name] in ("number", "integer", "truth"):
-            columns[name] = as_array(forms[name], values)
+            columns[name] = to_array(forms[name], values)
         else:
             columns[name] = [" ".join(value) if isinstance(value, list) else value or "" for value in values]
     return columns
 
 
-def _joined(parts: Sequence[Column]) -> Column:
+def _concatenate_column(parts: Sequence[Column]) -> Column:
     """Concatenate parts of a column."""
     if isinstance(parts[0], list):
         return [value for part in parts for value in part]

@@ -13,11 +13,11 @@ from daq_service.errors import UsageError
 from daq_service.processes.freshness import Freshness
 from daq_service.shared_file import write_output
 from daq_service.web.tables.choice import Choice
-from daq_service.web.tables.export import exported
+from daq_service.web.tables.export import encode_table
 from daq_service.web.tables.formats import FORMATS
 from daq_service.web.tables.record_formats import NAME as RECORDS
-from daq_service.web.tables.record_formats import exported_records
-from daq_service.web.tables.records import RecordChoice, RecordSlice, read_slice
+from daq_service.web.tables.record_formats import encode_records
+from daq_service.web.tables.records import RecordChoice, RecordSlice, read_record_slice
 
 Parts = Iterator[bytes]
 Make = Callable[[Catalogue, Freshness, str], Parts]
@@ -47,10 +47,10 @@ def export_table(
     StorageError
         The catalogue cannot be read, or the disk does not take a file; one that was there stays.
     """
-    return _write(
+    return _write_targets(
         folder,
         *(choice.position, choice.table, targets),
-        lambda catalogue, fresh, form: exported(catalogue, fresh, choice, form),
+        lambda catalogue, fresh, form: encode_table(catalogue, fresh, choice, form),
         overwrite=overwrite,
     )
 
@@ -69,25 +69,25 @@ def export_records(
     """
     read: list[RecordSlice] = []
 
-    def make(catalogue: Catalogue, fresh: Freshness, form: str) -> Parts:
+    def make_file(catalogue: Catalogue, fresh: Freshness, form: str) -> Parts:
         if not read:
             archive = FolderSetReader(folder)
-            read.append(read_slice(catalogue, archive, choice, most_bytes=MOST_RECORD_BYTES))
-        return iter([exported_records(catalogue, fresh, choice, read[0], form)])
+            read.append(read_record_slice(catalogue, archive, choice, most_bytes=MOST_RECORD_BYTES))
+        return iter([encode_records(catalogue, fresh, choice, read[0], form)])
 
-    return _write(folder, choice.position, RECORDS, targets, make, overwrite=overwrite)
+    return _write_targets(folder, choice.position, RECORDS, targets, make_file, overwrite=overwrite)
 
 
-def _write(
+def _write_targets(
     folder: Path, position: str | None, table: str, targets: Sequence[Path], make: Make, *, overwrite: bool
 ) -> list[ExportedTable]:
     """Write a table to each target in the format of its suffix."""
-    forms = [_form(target) for target in targets]
+    forms = [_format_of_target(target) for target in targets]
     for target in targets:
         refuse_target(folder, target, overwrite=overwrite)
     files = []
     with open_catalogue(folder) as catalogue:
-        experiment = catalogue.experiment_row()
+        experiment = catalogue.read_experiment()
         positions = experiment.configuration["positions"]
         if position is not None and position not in positions:
             raise UsageError(f"there is no position {position!r}; choose from {', '.join(positions)}")
@@ -98,7 +98,7 @@ def _write(
     return files
 
 
-def _form(target: Path) -> str:
+def _format_of_target(target: Path) -> str:
     """Return the format of a target's suffix."""
     form = {"hdf5": "h5"}.get(target.suffix[1:].lower(), target.suffix[1:].lower())
     if form not in FORMATS:

@@ -11,9 +11,9 @@ from daq_service.processes.data_folder import own_data_folder, prepare_data_fold
 from daq_service.processes.printing import print_result
 
 
-def print_rebuilt(*, data_dir: Path, as_json: bool) -> None:
+def rebuild_and_print(*, data_dir: Path, as_json: bool) -> None:
     """Rebuild the catalogue and print the result; progress goes to standard error."""
-    from daq_service.recording.reassessment.rebuild import rebuild
+    from daq_service.recording.reassessment.rebuild import rebuild_folder_catalogue
 
     folder = data_dir.absolute()
     prepare_data_folder(folder, may_create=False)
@@ -21,7 +21,7 @@ def print_rebuilt(*, data_dir: Path, as_json: bool) -> None:
     logging.getLogger("daq_service.recording.set_assessor").addHandler(logging.NullHandler())
 
     with own_data_folder(folder):
-        built = rebuild(folder, progress=print_progress_of_sets)
+        built = rebuild_folder_catalogue(folder, progress=print_progress_of_sets)
     lines = [
         f"{built.experiment}: {built.sets} sets, {built.events} events, {built.orders} orders",
         *(f"warning: {warning}" for warning in built.warnings),

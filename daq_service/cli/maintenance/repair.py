@@ -11,15 +11,15 @@ from daq_service.archive import Results, SetReference
 from daq_service.archive.finalize_set import finalize_set
 from daq_service.archive.journal.checking import check_journal
 from daq_service.archive.journal.reader import JournaledSet
-from daq_service.archive.records import SETS_FOLDER, TEMPORARY_SUFFIX, referenced_sets
+from daq_service.archive.records import SETS_FOLDER, TEMPORARY_SUFFIX, to_references
 from daq_service.archive.verification import check_file
-from daq_service.archive.writer import move_aside
-from daq_service.assessment.results_in_file import results_in
+from daq_service.archive.writer import move_to_quarantine
+from daq_service.assessment.results_in_file import read_set_results
 from daq_service.catalogue import open_catalogue
 from daq_service.catalogue.errors import CatalogueError
 from daq_service.catalogue.verification import UnchangedCatalogue
-from daq_service.cli.maintenance.rows import RowsOfSet, differing
-from daq_service.cli.maintenance.verify import TABLES, Report, expected_sha256
+from daq_service.cli.maintenance.rows import RowsOfSet, find_row_differences
+from daq_service.cli.maintenance.verify import TABLES, Report, stored_sha256
 from daq_service.shared_file import read_shared, remove_quietly, write_durably
 from hardware_drivers.measurement import SetKey
 
@@ -46,7 +46,7 @@ class Step:
     reason: str
 
 
-def planned(folder: Path, report: Report, backup: Path | None) -> list[Step]:
+def plan_repair(folder: Path, report: Report, backup: Path | None) -> list[Step]:
     """Return the step for each corruption and for unfinished files.
 
     Parameters
@@ -59,7 +59,7 @@ def planned(folder: Path, report: Report, backup: Path | None) -> list[Step]:
     journal = check_journal(folder).sets
     damaged = {finding.file: finding for finding in reversed(report.damage)}
     steps = [
-        _of_file(folder, SetReference(file), journal, backup)
+        _plan_file_repair(folder, SetReference(file), journal, backup)
         if finding.kind in OF_A_FILE
         else Step(does="nothing", file=file, reason=finding.description)
         for file, finding in damaged.items()
@@ -71,17 +71,17 @@ def planned(folder: Path, report: Report, backup: Path | None) -> list[Step]:
     return [*left_over, *sorted(steps, key=lambda step: step.file)]
 
 
-def _of_file(
+def _plan_file_repair(
     folder: Path, file: SetReference, journal: Mapping[SetKey, JournaledSet], backup: Path | None
 ) -> Step:
     """Return the step for a corrupt or missing file of a set."""
-    ((set_key, _),) = referenced_sets([Path(file).name]).items()
+    ((set_key, _),) = to_references([Path(file).name]).items()
     journaled = journal.get(set_key)
     if journaled is not None and journaled.is_whole and journaled.reference == file:
         return Step(does="from_journal", file=file, reason="the journal still has every record of the set")
-    rows = _rows(folder, set_key)
+    rows = _read_rows(folder, set_key)
     if backup is not None:
-        objection = _objection(backup, file, rows)
+        objection = _reason_against_backup(backup, file, rows)
         if not objection:
             return Step(
                 does="from_backup", file=file, reason=f"{backup / file} is whole and agrees with the rows"
@@ -96,7 +96,7 @@ def _of_file(
     )
 
 
-def _rows(folder: Path, set_key: SetKey) -> RowsOfSet | None:
+def _read_rows(folder: Path, set_key: SetKey) -> RowsOfSet | None:
     """Read the rows of a set; None if the catalogue is unreadable."""
     try:
         with UnchangedCatalogue(folder) as catalogue:
@@ -105,30 +105,30 @@ def _rows(folder: Path, set_key: SetKey) -> RowsOfSet | None:
         return None
 
 
-def _results(folder: Path, set_key: SetKey) -> Results:
+def _read_results(folder: Path, set_key: SetKey) -> Results:
     """Return the results for the file; none without a catalogue."""
     try:
         with open_catalogue(folder) as catalogue:
-            return results_in(catalogue, set_key)
+            return read_set_results(catalogue, set_key)
     except CatalogueError as error:
         log.warning("set %s gets a file without its results: %s", set_key, error)
         return {}
 
 
-def _objection(backup: Path, file: SetReference, rows: RowsOfSet | None) -> str:
+def _reason_against_backup(backup: Path, file: SetReference, rows: RowsOfSet | None) -> str:
     """Return why a backup's file is not suitable; empty if it is the lost file."""
     if not (backup / file).is_file():
         return f"{backup / file} is not there"
     if rows is None:
         return "there are no rows to compare it with; mend the catalogue first"
-    found = check_file(backup / file, sha256=expected_sha256(rows.sets, file))
+    found = check_file(backup / file, sha256=stored_sha256(rows.sets, file))
     if found.touched or found.damages or found.record is None:
         return f"{backup / file} is damaged, too"
-    against = list(differing(rows, found.record, file, frozenset())) if rows.sets else []
+    against = list(find_row_differences(rows, found.record, file, frozenset())) if rows.sets else []
     return f"{backup / file} differs from the rows: {against[0][1]}" if against else ""
 
 
-def carry_out(folder: Path, step: Step, backup: Path | None) -> None:
+def execute_step(folder: Path, step: Step, backup: Path | None) -> None:
     """Execute one step; the caller owns the folder.
 
     Raises
@@ -140,10 +140,10 @@ def carry_out(folder: Path, step: Step, backup: Path | None) -> None:
     if step.does == "remove":
         remove_quietly(path)
     elif step.does != "nothing" and path.exists():
-        move_aside(folder, file)
+        move_to_quarantine(folder, file)
     if step.does == "from_journal":
-        ((set_key, _),) = referenced_sets([path.name]).items()
-        finalize_set(folder, set_key, results=_results(folder, set_key))
+        ((set_key, _),) = to_references([path.name]).items()
+        finalize_set(folder, set_key, results=_read_results(folder, set_key))
     elif step.does == "from_backup":
         assert backup is not None, "a plan with a backup's file has a backup"
         path.parent.mkdir(exist_ok=True)

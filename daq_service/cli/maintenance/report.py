@@ -9,7 +9,7 @@ from daq_service.processes.data_folder import data_folder
 from daq_service.processes.printing import print_result
 from daq_service.settings.file import load_settings
 from daq_service.shared_file import write_output
-from daq_service.web.report.make import report_page
+from daq_service.web.report.make import build_report_page
 
 
 def write_report(
@@ -33,7 +33,7 @@ def write_report(
     folder = where if where.is_dir() else data_folder(load_settings(where).storage, where, None)
     target = out or Path(f"report_{folder.name}.html")
     refuse_target(folder, target, overwrite=overwrite)
-    content = report_page(folder, from_h=from_h, to_h=to_h, audited=True)
+    content = build_report_page(folder, from_h=from_h, to_h=to_h, audited=True)
     write_output(target, content)
     result = {"ok": True, "file": str(target), "n_bytes": len(content)}
     line = f"{target}: open it in a browser, or print it ({len(content) / 1e6:.1f} MB)"

@@ -8,10 +8,10 @@ from dataclasses import dataclass
 from typing import Any, TypeVar
 
 from daq_service.archive import SetRecord, SetReference
+from daq_service.assessment.results_in_file import build_result_tables
 from daq_service.assessment.results_in_file import find_differences as results_differ
-from daq_service.assessment.results_in_file import results_of
-from daq_service.catalogue.rows import FeatureRow, Outcome, Row, ShotRow, ThicknessRow, values
-from daq_service.recording.set_assessor import shot_row
+from daq_service.catalogue.rows import FeatureRow, Outcome, Row, ShotRow, ThicknessRow, to_columns
+from daq_service.recording.set_assessor import build_shot_row
 from hardware_drivers.methods import PULSE_ECHO
 
 R = TypeVar("R", bound=Row)
@@ -32,7 +32,7 @@ class RowsOfSet:
     thickness: Sequence[Found]
 
 
-def differing(
+def find_row_differences(
     rows: RowsOfSet, record: SetRecord, file: SetReference, lost: frozenset[int]
 ) -> Iterator[tuple[int | None, str]]:
     """Yield the differences between rows and file, with the id of the shot.
@@ -67,30 +67,30 @@ def differing(
                 "n_restrikes": record.n_restrikes(position.position),
                 "file": file if taken else None,
             }
-            for difference in _differences(where, row, wanted):
+            for difference in _find_column_differences(where, row, wanted):
                 yield None, difference
-        for difference in _results(rows, position.position, position.method):
+        for difference in _check_results(rows, position.position, position.method):
             yield None, f"{where}: {difference}"
     for name, row in of_position.items():
         if row["n_taken"] or row["file"] is not None:
             yield None, f"sets, set {record.set_key} of {name}: the file has no such position"
-    yield from _shots(rows.shots, record, lost)
+    yield from _find_shot_differences(rows.shots, record, lost)
     if record.results and not lost:
-        copy = results_of(
-            [_as_row(FeatureRow, row) for row in rows.features],
-            [_as_row(ThicknessRow, row) for row in rows.thickness],
-            [_as_row(ShotRow, {**row, "flags": _flags(row)}) for row in rows.shots],
+        copy = build_result_tables(
+            [_to_current_row(FeatureRow, row) for row in rows.features],
+            [_to_current_row(ThicknessRow, row) for row in rows.thickness],
+            [_to_current_row(ShotRow, {**row, "flags": _decode_flags(row)}) for row in rows.shots],
         )
         for difference in results_differ(record.results, copy):
             yield None, f"set {record.set_key}, {difference}"
 
 
-def _as_row(kind: type[R], row: Found) -> R:
+def _to_current_row(kind: type[R], row: Found) -> R:
     """Return a row of today's kind."""
     return kind(**{name: row[name] for name in kind.__slots__ if name in row})
 
 
-def _flags(row: Found) -> list[str]:
+def _decode_flags(row: Found) -> list[str]:
     """Decode the flags of a shot."""
     try:
         found = json.loads(row["flags"])
@@ -99,32 +99,34 @@ def _flags(row: Found) -> list[str]:
     return [str(flag) for flag in found] if isinstance(found, list) else [str(found)]
 
 
-def _shots(
+def _find_shot_differences(
     found: Sequence[Found], record: SetRecord, lost: frozenset[int]
 ) -> Iterator[tuple[int | None, str]]:
     """Yield the differences of shots."""
     by_sequence = {row["sequence"]: row for row in found}
     for item in record.records:
         outcome: Outcome = "superseded" if record.outcomes.get(item.sequence) == "superseded" else "accepted"
-        wanted = values(shot_row(item, valid=True, flags=(), outcome=outcome))
+        wanted = to_columns(build_shot_row(item, valid=True, flags=(), outcome=outcome))
         row, where = by_sequence.pop(item.sequence, None), f"shots, sequence {item.sequence}"
         if row is None:
             yield item.sequence, f"{where}: there is no row"
             continue
         wanted = {name: value for name, value in wanted.items() if name not in _ASSESSED_COLUMNS}
-        yield from ((item.sequence, difference) for difference in _differences(where, row, wanted))
+        yield from (
+            (item.sequence, difference) for difference in _find_column_differences(where, row, wanted)
+        )
     for sequence in by_sequence.keys() - lost:
         yield sequence, f"shots, sequence {sequence}: the file has no such shot"
 
 
-def _differences(where: str, row: Found, wanted: Found) -> Iterator[str]:
+def _find_column_differences(where: str, row: Found, wanted: Found) -> Iterator[str]:
     """Yield the differing columns of a row; an earlier revision lacks columns."""
     for name in wanted.keys() & row.keys():
         if row[name] != wanted[name]:
             yield f"{where}: {name} is {row[name]!r}, in the file {wanted[name]!r}"
 
 
-def _results(rows: RowsOfSet, position: str, method: str) -> Iterator[str]:
+def _check_results(rows: RowsOfSet, position: str, method: str) -> Iterator[str]:
     """Yield a message if results do not match the stored shots."""
     shots = {row["sequence"] for row in rows.shots if row["position"] == position}
     if method == PULSE_ECHO:

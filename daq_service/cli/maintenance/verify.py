@@ -20,17 +20,17 @@ from daq_service.archive.records import (
     QUARANTINE_FOLDER,
     SETS_FOLDER,
     TEMPORARY_SUFFIX,
-    due_utc_ns,
-    referenced_sets,
-    set_keys,
+    parse_due_utc_ns,
+    parse_set_keys,
+    to_references,
 )
 from daq_service.archive.verification import check_file
 from daq_service.catalogue.connection import FILE_NAME
 from daq_service.catalogue.errors import CatalogueDamagedError, CatalogueError, NoDataYetError
 from daq_service.catalogue.experiment_file import EXPERIMENT_FILE, HISTORY_FILE, read_experiment
-from daq_service.catalogue.history import lost_rows, parse_lines, read_history
+from daq_service.catalogue.history import describe_lost_event, parse_lines, read_history
 from daq_service.catalogue.verification import UnchangedCatalogue
-from daq_service.cli.maintenance.rows import Found, RowsOfSet, differing
+from daq_service.cli.maintenance.rows import Found, RowsOfSet, find_row_differences
 from daq_service.clock import format_utc
 from daq_service.commands.audit import AUDIT_FILE
 from daq_service.errors import StorageError
@@ -163,7 +163,7 @@ def check_catalogue(state: FolderCheck) -> Iterator[Finding]:
             yield Finding("row", FILE_NAME, f"{damage}; {MADE_AGAIN}", shot_id)
     try:
         state.checked["rows"] = state.catalogue.n_rows()
-        for sequence in state.catalogue.strays():
+        for sequence in state.catalogue.list_stray_shots():
             description = f"shots, sequence {sequence}: its set has no row; {MADE_AGAIN}"
             yield Finding("row", FILE_NAME, description, sequence)
     except CatalogueDamagedError as error:
@@ -194,23 +194,23 @@ def check_experiment(state: FolderCheck) -> Iterator[Finding]:
     last_id = max(history.events, default=0)
     if last_id and state.catalogue is not None and not state.catalogue.has_event(history.events[last_id]):
         # A recorder, too, appends to the history what the catalogue has.
-        yield Finding("catalogue", FILE_NAME, lost_rows(last_id))
+        yield Finding("catalogue", FILE_NAME, describe_lost_event(last_id))
     # A folder from before there was either gets them with its next start.
     older = history.last_number == 0 and not (state.folder / EXPERIMENT_FILE).exists()
-    cut_off = [] if older else _lines_cut_off(state, last_id, running=running)
+    cut_off = [] if older else _find_missing_events(state, last_id, running=running)
     for line in [*history.damage, *cut_off]:
         yield Finding(
             "history", HISTORY_FILE, f"{line}; the catalogue has it still: back it up, and keep both"
         )
 
 
-def _lines_cut_off(state: FolderCheck, last_id: int, *, running: bool) -> Iterator[str]:
+def _find_missing_events(state: FolderCheck, last_id: int, *, running: bool) -> Iterator[str]:
     """Yield missing events after the end of the history.
 
     A recorder appends them within a second and before it ends; after a crash the next start does.
     """
     try:
-        lacking = [] if state.catalogue is None else state.catalogue.events_after(last_id)
+        lacking = [] if state.catalogue is None else state.catalogue.read_events_after(last_id)
     except CatalogueDamagedError as error:
         state.unreadable.add(str(error))
         return
@@ -250,10 +250,10 @@ def check_frames(state: FolderCheck) -> Iterator[Finding]:
 
 def check_sets(state: FolderCheck) -> Iterator[Finding]:
     """Check every file and every complete set of the journal, and its rows."""
-    paths = sorted(path for path in (state.folder / SETS_FOLDER).glob("*.h5") if referenced_sets([path.name]))
+    paths = sorted(path for path in (state.folder / SETS_FOLDER).glob("*.h5") if to_references([path.name]))
     for number, path in enumerate(paths):
         state.progress(number, len(paths))
-        ((set_key, reference),) = referenced_sets([path.name]).items()
+        ((set_key, reference),) = to_references([path.name]).items()
         yield from _check_file(state, set_key, reference)
     state.progress(len(paths), len(paths))
     for set_key, item in state.journal.sets.items():
@@ -263,13 +263,13 @@ def check_sets(state: FolderCheck) -> Iterator[Finding]:
         state.checked["sets_in_journal"] += 1
         if item.has_records:
             lost = frozenset(damage.sequence or 0 for damage in item.damages())
-            yield from _compare(state, _rows_of(state, set_key), file, item.record(), lost)
+            yield from _compare_with_rows(state, _read_set_rows(state, set_key), file, item.record(), lost)
 
 
 def _check_file(state: FolderCheck, set_key: SetKey, reference: SetReference) -> Iterator[Finding]:
     """Check the file of a set and compare it with its rows."""
-    rows = _rows_of(state, set_key)
-    sha256 = None if rows is None else expected_sha256(rows.sets, reference)
+    rows = _read_set_rows(state, set_key)
+    sha256 = None if rows is None else stored_sha256(rows.sets, reference)
     try:
         found = check_file(state.folder / reference, sha256=sha256)
     except SetNotFoundError:
@@ -287,15 +287,15 @@ def _check_file(state: FolderCheck, set_key: SetKey, reference: SetReference) ->
     if found.record is not None:
         state.checked["shots"] += len(found.record.records)
         lost = frozenset(damage.sequence for damage in found.damages if damage.sequence is not None)
-        yield from _compare(state, rows, reference, found.record, lost)
+        yield from _compare_with_rows(state, rows, reference, found.record, lost)
 
 
-def expected_sha256(rows: Sequence[Found], reference: SetReference) -> str | None:
+def stored_sha256(rows: Sequence[Found], reference: SetReference) -> str | None:
     """Return the SHA-256 of a set's file in its rows; None if there is none."""
     return next((row.get("file_sha256") for row in rows if row["file"] == reference), None)
 
 
-def _rows_of(state: FolderCheck, set_key: SetKey) -> RowsOfSet | None:
+def _read_set_rows(state: FolderCheck, set_key: SetKey) -> RowsOfSet | None:
     """Read the rows of a set; None if the catalogue is unreadable, which is reported once."""
     if state.catalogue is None:
         return None
@@ -306,7 +306,7 @@ def _rows_of(state: FolderCheck, set_key: SetKey) -> RowsOfSet | None:
         return None
 
 
-def _compare(
+def _compare_with_rows(
     state: FolderCheck,
     rows: RowsOfSet | None,
     reference: SetReference,
@@ -314,8 +314,8 @@ def _compare(
     lost: frozenset[int],
 ) -> Iterator[Finding]:
     """Compare a set with its rows."""
-    named, due_s = set_keys([reference.rpartition("/")[2]]), record.due_utc_ns // NS_PER_S
-    if (named, due_utc_ns(reference)) != ({record.set_key}, due_s * NS_PER_S):
+    named, due_s = parse_set_keys([reference.rpartition("/")[2]]), record.due_utc_ns // NS_PER_S
+    if (named, parse_due_utc_ns(reference)) != ({record.set_key}, due_s * NS_PER_S):
         description = (
             f"it holds set {record.set_key} of {format_utc(record.due_utc_ns)}: somebody gave it this name"
         )
@@ -335,7 +335,7 @@ def _compare(
         description = f"experiment: hour 0 is {epoch_ns}, by {reference} it is {hour_0} ns"
         yield Finding("row", FILE_NAME, f"{description}; {MADE_AGAIN}")
     if rows.sets:
-        for shot_id, description in differing(rows, record, reference, lost):
+        for shot_id, description in find_row_differences(rows, record, reference, lost):
             yield Finding("row", FILE_NAME, f"{description}; {MADE_AGAIN}", shot_id)
     elif record.set_index < max((key.set_index for key in state.sets_with_rows), default=0):
         description = (
@@ -349,7 +349,7 @@ def _compare(
 def check_references(state: FolderCheck) -> Iterator[Finding]:
     """Check that every set with rows is a file or in the journal."""
     for set_key in sorted(state.sets_with_rows):
-        rows = _rows_of(state, set_key)
+        rows = _read_set_rows(state, set_key)
         files = {row["file"] for row in rows.sets if isinstance(row["file"], str)} if rows else set()
         state.checked["sets_with_rows"] += 1
         journaled = state.journal.sets.get(set_key)
@@ -397,20 +397,18 @@ def verify_folder(folder: Path, progress: Callable[[int, int], None] = lambda do
         try:
             state.catalogue = stack.enter_context(UnchangedCatalogue(folder))
             state.experiment = state.catalogue.experiment()
-            state.sets_with_rows = frozenset(state.catalogue.set_keys())
+            state.sets_with_rows = frozenset(state.catalogue.list_set_keys())
         except NoDataYetError:
             pass
         except CatalogueDamagedError as error:
             state.unreadable.add(str(error))
         damage = list(dict.fromkeys(finding for check in CHECKS for finding in check(state)))
-    return Report(checked=dict(state.checked), damage=damage, notes=_notes(state))
+    return Report(checked=dict(state.checked), damage=damage, notes=_list_noteworthy(state))
 
 
-def _notes(state: FolderCheck) -> list[str]:
+def _list_noteworthy(state: FolderCheck) -> list[str]:
     """List what is not corrupt but noteworthy: unfinished, foreign or quarantined files."""
-    others = [
-        path.name for path in (state.folder / SETS_FOLDER).glob("*") if not referenced_sets([path.name])
-    ]
+    others = [path.name for path in (state.folder / SETS_FOLDER).glob("*") if not to_references([path.name])]
     unfinished = sorted(name for name in others if name.endswith(TEMPORARY_SUFFIX))
     foreign = sorted(set(others) - set(unfinished))
     quarantined = sorted(path.name for path in (state.folder / QUARANTINE_FOLDER).glob("*"))

@@ -15,13 +15,13 @@ import click
 
 from analysis.statistics.design import Budget
 from analysis.statistics.named_limits import LIMITS
-from analysis.statistics.sequence import Assessed, assess
-from daq_service.cli.offline.csv_lines import NoTableError, known
-from daq_service.cli.offline.fleet import Map, Read, assess_fleet, fleet_in_words
+from analysis.statistics.sequence import Assessed, assess_sequence
+from daq_service.cli.offline.csv_lines import NoTableError, finite_or_none
+from daq_service.cli.offline.fleet import Map, Read, assess_fleet, describe_fleet
 from daq_service.cli.offline.table_file import LeftOut, read_table
 from daq_service.cli.sweep.progress import Progress
 from daq_service.errors import UsageError
-from daq_service.processes.executors import opened_executor, usable_cores
+from daq_service.processes.executors import count_usable_cores, open_executor
 
 FEW_FILES = 8
 """Minimum number of files for worker processes, which take a second to start."""
@@ -116,8 +116,10 @@ def run_assess(
             f"--budget {budget:g} at {sets_per_day:g} sets a day is an alarm in {design.run_length:.3g} "
             f"sets; charts are designed for more than 1 and at most {LONGEST_RUN:.0e}"
         )
-    with _mapped(tables) as mapped:
-        assess_table = partial(answered, read=read, budget=design, with_rows=as_json and not no_rows)
+    with _provide_map(tables) as mapped:
+        assess_table = partial(
+            assess_table_or_error, read=read, budget=design, with_rows=as_json and not no_rows
+        )
         results: list[tuple[Sensor, UsageError | None]] = list(mapped(assess_table, tables))
         readable = {path: one for path, (one, error) in zip(tables, results, strict=True) if error is None}
         of_fleet = None
@@ -132,22 +134,22 @@ def run_assess(
         click.echo(json.dumps(answer, allow_nan=False))
     else:
         for one, _ in results:
-            click.echo(in_words(one, budget, sets_per_day))
+            click.echo(describe_sensor(one, budget, sets_per_day))
         if of_fleet:
-            click.echo(fleet_in_words(of_fleet))
+            click.echo(describe_fleet(of_fleet))
     for _, error in results:
         if error is not None and not isinstance(error, NoTableError):
             raise error  # no fault of a file's content: the line asked for what is not there
 
 
 @contextmanager
-def _mapped(tables: tuple[Path, ...]) -> Iterator[Map]:
+def _provide_map(tables: tuple[Path, ...]) -> Iterator[Map]:
     """Provide a `map` over tables: with processes for many files, and progress on a terminal."""
-    workers = min(usable_cores(), -(-len(tables) // FILES_A_TASK))
+    workers = min(count_usable_cores(), -(-len(tables) // FILES_A_TASK))
     if len(tables) < FEW_FILES or workers < 2:
         yield map
         return
-    with opened_executor("processes", workers) as executor:
+    with open_executor("processes", workers) as executor:
 
         def map_in_processes(function: Callable[[Any], Any], paths: Sequence[Any]) -> Iterator[Any]:
             progress = Progress(len(paths), 0, what="tables") if sys.stderr.isatty() else None
@@ -159,18 +161,20 @@ def _mapped(tables: tuple[Path, ...]) -> Iterator[Map]:
         yield map_in_processes
 
 
-def answered(path: Path, *, read: Read, budget: Budget, with_rows: bool) -> tuple[Sensor, UsageError | None]:
+def assess_table_or_error(
+    path: Path, *, read: Read, budget: Budget, with_rows: bool
+) -> tuple[Sensor, UsageError | None]:
     """Assess one table, or return the error of reading it, so that other tables are assessed."""
     try:
-        return sensor(path, read=read, budget=budget, with_rows=with_rows), None
+        return assess_one_table(path, read=read, budget=budget, with_rows=with_rows), None
     except UsageError as error:
         return Sensor(file=str(path), refused=str(error), rows=() if with_rows else None), error
 
 
-def sensor(path: Path, *, read: Read, budget: Budget, with_rows: bool) -> Sensor:
+def assess_one_table(path: Path, *, read: Read, budget: Budget, with_rows: bool) -> Sensor:
     """Assess one table and return the result for JSON."""
     table = read(path)
-    assessed = assess(table.vectors, table.in_baseline, table.names, budget, textbooks=with_rows)
+    assessed = assess_sequence(table.vectors, table.in_baseline, table.names, budget, textbooks=with_rows)
     answer = Sensor(
         file=str(path),
         refused=assessed.refused,
@@ -205,11 +209,11 @@ def sensor(path: Path, *, read: Read, budget: Budget, with_rows: bool) -> Sensor
             "why": assessed.rate_not_verified_reason,
             "limit": assessed.chart_limit,
         },
-        rows=_rows(assessed) if with_rows else None,
+        rows=_result_rows(assessed) if with_rows else None,
     )
 
 
-def _rows(assessed: Assessed) -> list[dict[str, float | None]]:
+def _result_rows(assessed: Assessed) -> list[dict[str, float | None]]:
     """Return a result per row."""
     columns = {
         "distance_squared": assessed.distances_squared,
@@ -218,12 +222,12 @@ def _rows(assessed: Assessed) -> list[dict[str, float | None]]:
         "chart": assessed.chart,
     }
     return [
-        {"row": row, **{name: known(float(column[row])) for name, column in columns.items()}}
+        {"row": row, **{name: finite_or_none(float(column[row])) for name, column in columns.items()}}
         for row in range(len(assessed.chart))
     ]
 
 
-def in_words(answer: Sensor, budget: float, sets_per_day: float) -> str:
+def describe_sensor(answer: Sensor, budget: float, sets_per_day: float) -> str:
     """Return the lines about a transducer."""
     if answer.refused is not None:
         return f"{answer.file}: refused: {answer.refused}"

@@ -22,7 +22,7 @@ class NoTableError(UsageError):
     """A file is not a table; other files are still assessed."""
 
 
-def csv_lines(path: Path) -> tuple[list[str], list[str]]:
+def read_csv_lines(path: Path) -> tuple[list[str], list[str]]:
     """Read the leading comments of a file and its other lines, without empty ones.
 
     It is in UTF-8, or in UTF-16 as a spreadsheet's "Unicode text". A spreadsheet's line ``sep=;`` is none.
@@ -49,7 +49,7 @@ def csv_lines(path: Path) -> tuple[list[str], list[str]]:
     return comments, lines[len(comments) :]
 
 
-def known(value: float) -> float | None:
+def finite_or_none(value: float) -> float | None:
     """Return a number for JSON, which has no NaN and no infinity."""
     return value if math.isfinite(value) else None
 
@@ -59,7 +59,7 @@ def is_comment(line: str) -> bool:
     return line.lstrip().startswith("#")
 
 
-def numbers_of_npy(path: Path, form: str, *, one_row: bool = False) -> NDArray[Any]:
+def map_npy_array(path: Path, form: str, *, one_row: bool = False) -> NDArray[Any]:
     """Map the array of a `.npy` file.
 
     Parameters

@@ -17,19 +17,19 @@ from analysis.waves.features import (
     ALL_FEATURE_NAMES,
     EXTRACTOR_VERSION,
     ShotFeatures,
+    apply_flags,
     extract_from_volts,
-    with_flags,
 )
-from analysis.waves.pulses import first_fwhm_s
+from analysis.waves.pulses import measure_first_fwhm_s
 from analysis.waves.quality_gate import DISTURBED
 from analysis.waves.record_reduction import FEWEST_BLOCKS, ExtractionSettings
 from analysis.waves.template import Template, compare_with_others, learn_template
-from daq_service.cli.offline.csv_lines import known
+from daq_service.cli.offline.csv_lines import finite_or_none
 from daq_service.cli.offline.record_file import FileParameters, Record, RecordFile, open_records
 from daq_service.cli.sweep.progress import Progress
-from daq_service.cli.terminal import console_on
+from daq_service.cli.terminal import create_console
 from daq_service.errors import UsageError
-from daq_service.settings.foreign_text import in_one_line
+from daq_service.settings.foreign_text import escape_to_one_line
 
 MANY_RECORDS = 2_000
 """Number of records that take more than a second, so that progress is shown."""
@@ -74,23 +74,23 @@ def run_features(
         rate_hz=rate_hz,
         pretrigger_s=pretrigger_s,
         volts_per_count=volts_per_count,
-        rails=_pair("--rail-counts", "LOW,HIGH", rail_counts),
+        rails=_parse_increasing_pair("--rail-counts", "LOW,HIGH", rail_counts),
     )
     transducer = TransducerParameters(
         isw_fwhm_s=isw_fwhm_s,
         isw_amplitude_v=isw_amplitude_v,
-        psw_window_s=_pair("--psw-window-s", "FROM,TO", psw_window_s),
+        psw_window_s=_parse_increasing_pair("--psw-window-s", "FROM,TO", psw_window_s),
     )
     found: list[tuple[Path, list[ShotFeatures]]] = []
     refused: list[tuple[Path, UsageError]] = []
     for path in files:
         try:
-            found.append((path, features_of_file(path, parameters, transducer)))
+            found.append((path, extract_file_features(path, parameters, transducer)))
         except UsageError as error:
             refused.append((path, error))
     if as_json:
         rows = [
-            {"file": str(path), "index": index, **_as_object(shot)}
+            {"file": str(path), "index": index, **_shot_to_json(shot)}
             for path, shots in found
             for index, shot in enumerate(shots)
         ]
@@ -99,14 +99,14 @@ def run_features(
         click.echo(json.dumps(answer, allow_nan=False))
     else:
         for path, shots in found:
-            _show(path, shots)
+            _print_table(path, shots)
     for _, further in refused[1:]:
         click.echo(f"solimon: {further}", err=True)
     if refused:
         raise refused[0][1]  # after the others' answers
 
 
-def _pair(option: str, form: str, text: str | None) -> tuple[float, float] | None:
+def _parse_increasing_pair(option: str, form: str, text: str | None) -> tuple[float, float] | None:
     """Parse two increasing numbers of an option."""
     if text is None:
         return None
@@ -119,7 +119,7 @@ def _pair(option: str, form: str, text: str | None) -> tuple[float, float] | Non
     return low, high
 
 
-def features_of_file(
+def extract_file_features(
     path: Path, parameters: FileParameters, transducer: TransducerParameters
 ) -> list[ShotFeatures]:
     """Extract the features of a file's records, compared with its transducer's own waves.
@@ -130,7 +130,7 @@ def features_of_file(
         The file cannot be read, or no wave can be sought in a record of it.
     """
     file = open_records(path, parameters)
-    settings = _settings(path, file, transducer)
+    settings = _choose_settings(path, file, transducer)
     progress = Progress(file.n, 0, what="records") if file.n >= MANY_RECORDS else None
     shots, of_position = [], defaultdict(list)
     any_settings = next(iter(settings.values()))
@@ -138,10 +138,10 @@ def features_of_file(
     for index, record in enumerate(file.records(1)):
         try:
             own_settings = settings.get(record.position, any_settings)
-            shots.append(_extracted(f"{path}, record {index}", record, own_settings))
+            shots.append(_extract_record(f"{path}, record {index}", record, own_settings))
         except UsageError as error:
             failed.append(error)
-            shots.append(with_flags(ShotFeatures(), {DISTURBED}))  # shorter than the others of its file
+            shots.append(apply_flags(ShotFeatures(), {DISTURBED}))  # shorter than the others of its file
         of_position[record.position].append(index)
         if progress is not None:
             progress.advance(1)
@@ -155,17 +155,19 @@ def features_of_file(
         )
     for position, indices in of_position.items():
         width_s = settings.get(position, any_settings).isw_fwhm_s
-        template = _template(transducer, learn_template([shots[index] for index in indices]), width_s)
+        template = _combine_templates(
+            transducer, learn_template([shots[index] for index in indices]), width_s
+        )
         if template is not None:
             at = f"{path}{f', {position}' if position else ''}"
-            click.echo(f"{at}: {_in_words(template)}", err=True)
+            click.echo(f"{at}: {_describe_template(template)}", err=True)
         found = compare_with_others([shots[index] for index in indices], template)
         for index, shot in zip(indices, found, strict=True):
             shots[index] = shot
     return shots
 
 
-def _settings(
+def _choose_settings(
     path: Path, file: RecordFile, transducer: TransducerParameters
 ) -> dict[str, ExtractionSettings]:
     """Return extraction settings by position: given values, or a width measured from the records."""
@@ -173,7 +175,7 @@ def _settings(
     for record in file.records(-(-file.n // LOOKED_AT)):
         found = widths_s[record.position]
         if transducer.isw_fwhm_s is None:
-            width_s = first_fwhm_s(record.volts_v, record.rate_hz, record.pretrigger_samples)
+            width_s = measure_first_fwhm_s(record.volts_v, record.rate_hz, record.pretrigger_samples)
             # That of a spike would refuse every record.
             narrowest_s = FEWEST_BLOCKS * max(ExtractionSettings().block_s, 1.0 / record.rate_hz)
             found.append(width_s if width_s >= narrowest_s else math.nan)
@@ -194,10 +196,10 @@ def _settings(
     return settings
 
 
-def _extracted(where: str, record: Record, settings: ExtractionSettings) -> ShotFeatures:
+def _extract_record(where: str, record: Record, settings: ExtractionSettings) -> ShotFeatures:
     """Extract the features of a record; a record with invalid values is flagged."""
     if not (np.abs(record.volts_v) < LARGEST_V).all():
-        return with_flags(ShotFeatures(), {DISTURBED})  # samples are missing, or no volts
+        return apply_flags(ShotFeatures(), {DISTURBED})  # samples are missing, or no volts
     try:
         return extract_from_volts(
             record.volts_v,
@@ -214,7 +216,9 @@ def _extracted(where: str, record: Record, settings: ExtractionSettings) -> Shot
         ) from error
 
 
-def _template(transducer: TransducerParameters, found: Template | None, width_s: float) -> Template | None:
+def _combine_templates(
+    transducer: TransducerParameters, found: Template | None, width_s: float
+) -> Template | None:
     """Combine given parameters and learn_template ones; given ones have priority."""
     height_v = transducer.isw_amplitude_v
     if found is None:
@@ -226,7 +230,7 @@ def _template(transducer: TransducerParameters, found: Template | None, width_s:
     )
 
 
-def _in_words(template: Template) -> str:
+def _describe_template(template: Template) -> str:
     """Describe the template that the records are compared with."""
     early = template.earliest_tof_s
     since = "" if early is None else f", reflections from {1e6 * early:.0f} us on"
@@ -234,34 +238,34 @@ def _in_words(template: Template) -> str:
     return f"compared with an ISW {width_us:.1f} us wide and {height_v:.4g} V high{since}"
 
 
-def _as_object(shot: ShotFeatures) -> dict[str, object]:
+def _shot_to_json(shot: ShotFeatures) -> dict[str, object]:
     """Return a shot for JSON: null for missing values."""
     return {
         "flags": list(shot.flags),
         "quality": shot.quality,
-        **{name: known(value) for name, value in shot.values().items()},
-        "sd": {name: known(shot.sd.get(name, math.nan)) for name in ALL_FEATURE_NAMES},
+        **{name: finite_or_none(value) for name, value in shot.values().items()},
+        "sd": {name: finite_or_none(shot.sd.get(name, math.nan)) for name in ALL_FEATURE_NAMES},
     }
 
 
-def _show(path: Path, shots: Sequence[ShotFeatures]) -> None:
+def _print_table(path: Path, shots: Sequence[ShotFeatures]) -> None:
     """Print a table of the features of a file."""
     from rich.table import Table
 
-    table = Table(title=f"{in_one_line(str(path))}, extractor {EXTRACTOR_VERSION}")
+    table = Table(title=f"{escape_to_one_line(str(path))}, extractor {EXTRACTOR_VERSION}")
     for name in ("record", "quality", "flags", *(title for title, *_ in COLUMNS)):
         table.add_column(name, justify="left" if name in ("quality", "flags") else "right")
     for index, shot in enumerate(shots):
         values = shot.values()
         cells = [
-            _with_sd(values[name], shot.sd.get(name, math.nan), factor, digits)
+            _format_with_sd(values[name], shot.sd.get(name, math.nan), factor, digits)
             for _, name, factor, digits in COLUMNS
         ]
         table.add_row(str(index), shot.quality, ", ".join(shot.flags) or "-", *cells)
-    console_on("stdout").print(table)
+    create_console("stdout").print(table)
 
 
-def _with_sd(value: float, sd: float, factor: float, digits: int) -> str:
+def _format_with_sd(value: float, sd: float, factor: float, digits: int) -> str:
     """Format a value with its standard deviation."""
     if not math.isfinite(value):
         return "-"

@@ -29,7 +29,7 @@ from analysis.statistics.fleet import (
     typical_tails,
 )
 from analysis.statistics.rules import MINIMUM_SETS
-from analysis.statistics.sequence import assess
+from analysis.statistics.sequence import assess_sequence
 from analysis.waves.record_reduction import FloatArray
 from daq_service.cli.offline.table_file import TableFile
 from daq_service.errors import UsageError
@@ -116,7 +116,7 @@ class Fleet(TypedDict):
     shared: list[SharedAnswer]
 
 
-def deviations(path: Path, read: Read) -> Deviations:
+def read_deviations(path: Path, read: Read) -> Deviations:
     """Read a table and return its deviations."""
     table = read(path)
     z, _ = standardized(table.vectors, table.in_baseline)
@@ -131,7 +131,9 @@ def assess_individually(
     table = read(path)
     _, sd = standardized(table.vectors, table.in_baseline)
     vectors = table.vectors - sd * shared[: len(table.vectors)]
-    found = assess(vectors, table.in_baseline, table.names, budget, textbooks=False, least_phi=usual.phi)
+    found = assess_sequence(
+        vectors, table.in_baseline, table.names, budget, textbooks=False, least_phi=usual.phi
+    )
     if found.refused is not None:
         return IndividualResult(refused=found.refused, chances=np.ones(len(vectors)))
     p = len(table.names) - len(found.features_dropped)
@@ -143,7 +145,7 @@ def assess_individually(
     )
 
 
-def _after(table: Deviations) -> int:
+def _first_row_after_baseline(table: Deviations) -> int:
     """Return the first row after the baseline."""
     healthy = np.flatnonzero(table.in_baseline)
     return int(healthy[-1]) + 1 if healthy.size else len(table.in_sd)
@@ -168,7 +170,7 @@ def assess_fleet(
     alone
         Rows at which each sensor's own chart alarms.
     """
-    first: list[Deviations] = list(mapped(partial(deviations, read=read), paths))
+    first: list[Deviations] = list(mapped(partial(read_deviations, read=read), paths))
     names = first[0].names
     for path, table in zip(paths, first, strict=True):
         if table.names != names:
@@ -176,11 +178,11 @@ def assess_fleet(
                 f"--fleet: {path} has the features {', '.join(table.names)}, {paths[0]} {', '.join(names)}; "
                 "sensors of a fleet have the same: choose them by --features"
             )
-    n_rows, after = max(len(table.in_sd) for table in first), max(map(_after, first))
-    shared = shared_deviation(_stacked([table.in_sd for table in first], n_rows))
+    n_rows, after = max(len(table.in_sd) for table in first), max(map(_first_row_after_baseline, first))
+    shared = shared_deviation(_stack_tables([table.in_sd for table in first], n_rows))
     baselines = [(table.in_sd - shared[: len(table.in_sd)])[table.in_baseline] for table in first]
     usual = Usual(phi=typical_autocorrelation(baselines), tails=typical_tails(baselines))
-    period = max(1, *(len(table.in_sd) - _after(table) for table in first))
+    period = max(1, *(len(table.in_sd) - _first_row_after_baseline(table) for table in first))
     assess_table = partial(
         assess_individually, read=read, shared=shared, usual=usual, budget=budget, period=period
     )
@@ -196,7 +198,7 @@ def assess_fleet(
     gains = [sensor_gain(table.in_sd[after:], shared[after : len(table.in_sd)], errors) for table in first]
     n = int(np.median([table.in_baseline.sum() for table in first]))
     kept_sd = residual_shift(gains, causes, phi=float(usual.phi.max()), n=max(1, n), tails=usual.tails)
-    why = _why_not([results[k].why_not for k in assessed], len(paths), kept_sd)
+    why = _rate_not_verified_reason([results[k].why_not for k in assessed], len(paths), kept_sd)
     kept_back = [k for k in assessed if own_alarms[k] and k not in raised]
     explained = [
         k
@@ -228,7 +230,7 @@ def assess_fleet(
     }
 
 
-def _why_not(of_sensors: Sequence[str], sensors: int, kept_sd: float) -> str:
+def _rate_not_verified_reason(of_sensors: Sequence[str], sensors: int, kept_sd: float) -> str:
     """Return why the false discovery rate is not verified; empty if it is.
 
     A healthy baseline is doubted by chance in `SLOW_RATE` of either test; only more than that counts.
@@ -250,7 +252,7 @@ def _why_not(of_sensors: Sequence[str], sensors: int, kept_sd: float) -> str:
     return ""
 
 
-def _stacked(parts: Sequence[np.ndarray], n_rows: int) -> np.ndarray:
+def _stack_tables(parts: Sequence[np.ndarray], n_rows: int) -> np.ndarray:
     """Stack tables to one array; missing rows are NaN."""
     stacked = np.full((len(parts), n_rows, parts[0].shape[1]), np.nan, dtype=np.float32)
     for k, part in enumerate(parts):
@@ -258,7 +260,7 @@ def _stacked(parts: Sequence[np.ndarray], n_rows: int) -> np.ndarray:
     return stacked
 
 
-def fleet_in_words(answer: Fleet) -> str:
+def describe_fleet(answer: Fleet) -> str:
     """Return the lines about the fleet."""
     sensors = f"fleet of {answer['sensors']} sensors, {answer['judged']} judged"
     raised = (

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from daq_service.archive import ArchiveError
 from daq_service.archive.reader import read_records
-from daq_service.cli.offline.csv_lines import COMMENTS, csv_lines, is_comment, numbers_of_npy
+from daq_service.cli.offline.csv_lines import COMMENTS, is_comment, map_npy_array, read_csv_lines
 from daq_service.errors import UsageError
 from daq_service.shared_file import read_shared
 from hardware_drivers.errors import ConfigurationError
@@ -74,9 +74,14 @@ def open_records(path: Path, parameters: FileParameters) -> RecordFile:
     UsageError
         It is no such file; also while records are read, naming the record.
     """
-    reader = {".npy": _npy, ".csv": _csv, ".h5": _hdf5, ".hdf5": _hdf5, ".nxs": _hdf5, ".tdms": _tdms}.get(
-        path.suffix.lower()
-    )
+    reader = {
+        ".npy": _open_npy,
+        ".csv": _open_csv,
+        ".h5": _open_hdf5,
+        ".hdf5": _open_hdf5,
+        ".nxs": _open_hdf5,
+        ".tdms": _open_tdms,
+    }.get(path.suffix.lower())
     if reader is None:
         raise UsageError(
             f"{path}: records are read from {FORMATS}, not {path.suffix or 'one without ending'}"
@@ -94,43 +99,43 @@ def open_records(path: Path, parameters: FileParameters) -> RecordFile:
     return found
 
 
-def _npy(path: Path, parameters: FileParameters) -> RecordFile:
+def _open_npy(path: Path, parameters: FileParameters) -> RecordFile:
     """Open a `.npy` file."""
-    array = numbers_of_npy(path, "records x samples", one_row=True)
+    array = map_npy_array(path, "records x samples", one_row=True)
     table = np.atleast_2d(array)
     if not table.shape[1]:
         raise UsageError(f"{path} is empty: shape {array.shape}")
     counts = array.dtype.kind in "iu"
     limits = np.iinfo(array.dtype) if counts else None
     ends = None if limits is None else (float(limits.min), float(limits.max))
-    scaled = _scaling(path, parameters, counts=counts, ends=ends)
+    scaled = _make_scaling(path, parameters, counts=counts, ends=ends)
     return RecordFile(n=len(table), records=lambda every: map(scaled, table[::every]))
 
 
-def _csv(path: Path, parameters: FileParameters) -> RecordFile:
+def _open_csv(path: Path, parameters: FileParameters) -> RecordFile:
     """Open a CSV file."""
-    _, lines = csv_lines(path)
-    names = _cells(lines[0]) if lines else []
+    _, lines = read_csv_lines(path)
+    names = _split_cells(lines[0]) if lines else []
     numbered = [str(k) for k in range(len(names))]
     indexed = names[:1] == [""] and names[1:] == numbered[:-1]  # as pandas writes a table
     if lines and (indexed or names == numbered or not any(map(_is_number, names))):
         del lines[0]
-    counts = bool(lines) and all(map(WHOLE_NUMBER.fullmatch, _cells(lines[0])))
-    scaled = _scaling(path, parameters, counts=counts, ends=None)
+    counts = bool(lines) and all(map(WHOLE_NUMBER.fullmatch, _split_cells(lines[0])))
+    scaled = _make_scaling(path, parameters, counts=counts, ends=None)
 
-    def records(every: int) -> Iterator[Record]:
+    def read_csv_records(every: int) -> Iterator[Record]:
         for number, line in list(enumerate(lines))[::every]:
             if is_comment(line):
                 raise UsageError(f"{path}, record {number}: {line[:40]!r} is a comment; {COMMENTS}")
-            cells = _cells(line)[indexed:]
+            cells = _split_cells(line)[indexed:]
             if not any(map(_is_number, cells)):
                 raise UsageError(f"{path}, record {number}: {line[:40]!r}; a row is a record of numbers")
             yield scaled(np.array([float(cell) if _is_number(cell) else np.nan for cell in cells]))
 
-    return RecordFile(n=len(lines), records=records)
+    return RecordFile(n=len(lines), records=read_csv_records)
 
 
-def _cells(line: str) -> list[str]:
+def _split_cells(line: str) -> list[str]:
     """Split a line of CSV."""
     separator = next((one for one in SEPARATORS if one in line.strip()), ",")
     cells = line.strip().rstrip(separator).split(None if separator == " " else separator)
@@ -146,7 +151,7 @@ def _is_number(cell: str) -> bool:
     return True
 
 
-def _scaling(
+def _make_scaling(
     path: Path, parameters: FileParameters, *, counts: bool, ends: tuple[float, float] | None
 ) -> Callable[[NDArray[np.generic]], Record]:
     """Return the function that converts values of a file without metadata to a record."""
@@ -161,7 +166,7 @@ def _scaling(
     rate_hz = parameters.rate_hz or PAPER_RATE_HZ
     pretrigger_s = PAPER_PRETRIGGER_S if parameters.pretrigger_s is None else parameters.pretrigger_s
 
-    def scaled(values: NDArray[np.generic]) -> Record:
+    def scale_values(values: NDArray[np.generic]) -> Record:
         volts = values.astype(np.float64)
         clipped = _is_clipped(volts, rails)
         if parameters.volts_per_count is not None:
@@ -173,14 +178,14 @@ def _scaling(
             clipped=clipped,
         )
 
-    return scaled
+    return scale_values
 
 
-def _hdf5(path: Path, _: FileParameters) -> RecordFile:
+def _open_hdf5(path: Path, _: FileParameters) -> RecordFile:
     """Open a set's file."""
     shots = [one for one in read_records(path, read_shared(path)) if isinstance(one, Shot)]
 
-    def records(every: int) -> Iterator[Record]:
+    def read_hdf5_records(every: int) -> Iterator[Record]:
         for shot in shots[::every]:
             waveform = shot.waveform
             yield Record(
@@ -191,19 +196,19 @@ def _hdf5(path: Path, _: FileParameters) -> RecordFile:
                 position=shot.key.position,
             )
 
-    return RecordFile(n=len(shots), records=records)
+    return RecordFile(n=len(shots), records=read_hdf5_records)
 
 
-def _tdms(path: Path, parameters: FileParameters) -> RecordFile:
+def _open_tdms(path: Path, parameters: FileParameters) -> RecordFile:
     """Open a TDMS file."""
-    from hardware_drivers.playback.tdms_records import channel_records
+    from hardware_drivers.playback.tdms_records import list_channel_records
 
     mapping = TdmsMapping(
         sample_rate_hz=parameters.rate_hz,
         coefficients_v=() if parameters.volts_per_count is None else (0.0, parameters.volts_per_count),
     )
     try:
-        channels = channel_records(
+        channels = list_channel_records(
             path,
             mapping,
             pretrigger_s=parameters.pretrigger_s,
@@ -213,7 +218,7 @@ def _tdms(path: Path, parameters: FileParameters) -> RecordFile:
     except ConfigurationError as error:
         raise UsageError(f"{error} (--rate-hz, --pretrigger-s, --volts-per-count, --rail-counts)") from error
 
-    def each() -> Iterator[Record]:
+    def read_tdms_records() -> Iterator[Record]:
         for one in channels:
             ends = parameters.rails
             if ends is None and one.conversion.polynomial is None:
@@ -227,7 +232,9 @@ def _tdms(path: Path, parameters: FileParameters) -> RecordFile:
                     position=one.channel.group,
                 )
 
-    return RecordFile(n=sum(one.n for one in channels), records=lambda every: islice(each(), 0, None, every))
+    return RecordFile(
+        n=sum(one.n for one in channels), records=lambda every: islice(read_tdms_records(), 0, None, every)
+    )
 
 
 def _is_clipped(values: NDArray[np.generic], ends: tuple[float, float] | None) -> bool:

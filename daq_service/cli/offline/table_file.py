@@ -14,7 +14,13 @@ from typing import SupportsFloat, TypedDict
 import numpy as np
 from numpy.typing import NDArray
 
-from daq_service.cli.offline.csv_lines import COMMENTS, NoTableError, csv_lines, is_comment, numbers_of_npy
+from daq_service.cli.offline.csv_lines import (
+    COMMENTS,
+    NoTableError,
+    is_comment,
+    map_npy_array,
+    read_csv_lines,
+)
 from daq_service.errors import UsageError
 
 MOST_ROWS = 5_000_000
@@ -103,20 +109,24 @@ def read_table(
     UsageError
         There is no such file, or it has no such column; with what it has.
     """
-    columns, decimal = _columns(path)
+    columns, decimal = _read_columns(path)
     healthy_by = baseline_where[0] if baseline_where else None
     if healthy_by is not None and healthy_by not in columns:
-        raise UsageError(f"{path}: no column {healthy_by!r}; it has {_listed(columns)}")
+        raise UsageError(f"{path}: no column {healthy_by!r}; it has {_join_names(columns)}")
     missing = [name for name in features if name not in columns]
     if missing:
-        raise UsageError(f"{path}: no column {_listed(missing)}; it has {_listed(columns)}")
+        raise UsageError(f"{path}: no column {_join_names(missing)}; it has {_join_names(columns)}")
     chosen = list(features) or [name for name in columns if name != healthy_by]
-    numbers = {name: _numbers(columns[name], decimal) for name in chosen}
-    reasons = {} if features else {name: _reason(name, columns[name], numbers[name]) for name in chosen}
+    numbers = {name: _to_numbers(columns[name], decimal) for name in chosen}
+    reasons = (
+        {}
+        if features
+        else {name: _reason_to_leave_out(name, columns[name], numbers[name]) for name in chosen}
+    )
     if features:
         for name, column in numbers.items():
             if column is None:
-                cell = _no_number(columns[name], decimal)
+                cell = _first_non_number(columns[name], decimal)
                 at = f"in row {list(columns[name]).index(cell)}: write the number alone, or choose others"
                 raise UsageError(f"{path}: column {name!r} holds {cell!r}, no number, {at}")
     columns_of_numbers = {
@@ -125,27 +135,27 @@ def read_table(
     if not columns_of_numbers:
         first = ", ".join(repr(columns[name][0]) for name in chosen[:NAMES_SHOWN])
         raise NoTableError(
-            f"{path}: no column of numbers; it has {_listed(columns)}, with {first} in row 0: a number has a "
+            f"{path}: no column of numbers; it has {_join_names(columns)}, with {first} in row 0: a number has a "
             "decimal point, or a comma where semicolons or tabs separate, and none between thousands"
         )
     for name in chosen:
         if not isinstance(columns[name], np.ndarray) and (
             name in columns_of_numbers or reasons[name] == NO_NUMBERS
         ):
-            _refuse_nearly(path, name, columns[name], decimal)
+            _refuse_malformed_numbers(path, name, columns[name], decimal)
     vectors = np.stack(list(columns_of_numbers.values()), axis=1)
     if baseline_where is None:
         healthy = np.arange(len(vectors)) < (baseline_rows or 0)
     else:
-        healthy = _equal(columns[baseline_where[0]], baseline_where[1], decimal)
+        healthy = _select_equal_rows(columns[baseline_where[0]], baseline_where[1], decimal)
         if not healthy.any():
-            values = _listed(dict.fromkeys(map(str, columns[baseline_where[0]])))
+            values = _join_names(dict.fromkeys(map(str, columns[baseline_where[0]])))
             raise NoTableError(f"{path}: no row has {'='.join(baseline_where)}; there is {values}")
-    left_out = tuple(_left_out(name, columns[name], why) for name, why in reasons.items() if why)
+    left_out = tuple(_describe_left_out(name, columns[name], why) for name, why in reasons.items() if why)
     return TableFile(vectors=vectors, names=tuple(columns_of_numbers), in_baseline=healthy, left_out=left_out)
 
 
-def _reason(name: str, column: Column, numbers: NDArray[np.float64] | None) -> str:
+def _reason_to_leave_out(name: str, column: Column, numbers: NDArray[np.float64] | None) -> str:
     """Return why a column is not a feature; empty if it is, or if it has neither name nor value."""
     if not name:
         return "" if numbers is not None and np.isnan(numbers).all() else "it has no name"
@@ -161,18 +171,18 @@ def _reason(name: str, column: Column, numbers: NDArray[np.float64] | None) -> s
     return ""
 
 
-def _left_out(name: str, column: Column, reason: str) -> LeftOut:
+def _describe_left_out(name: str, column: Column, reason: str) -> LeftOut:
     """Describe a column that is no feature."""
     row = next((row for row, cell in enumerate(column) if not _is_missing(cell)), 0)
     return {"name": name, "reason": reason, "row": row, "cell": str(column[row])}
 
 
-def _refuse_nearly(path: Path, name: str, column: Column, decimal: str) -> None:
+def _refuse_malformed_numbers(path: Path, name: str, column: Column, decimal: str) -> None:
     """Raise an error for a column of numbers with other text, or with two decimal marks."""
     known = {row: cell for row, cell in enumerate(column) if not _is_missing(cell)}
     mixed = decimal == "," and {",", "."} <= {*"".join(map(str, known.values()))}
-    nearly = [row for row, cell in known.items() if _is_nearly(cell, decimal, mixed=mixed)]
-    n_texts = sum(_number(cell, decimal) is None for cell in known.values()) - len(nearly)
+    nearly = [row for row, cell in known.items() if _is_malformed_number(cell, decimal, mixed=mixed)]
+    n_texts = sum(_to_number(cell, decimal) is None for cell in known.values()) - len(nearly)
     if nearly and 2 * n_texts <= len(known):
         raise NoTableError(
             f"{path}: column {name!r} holds {str(column[nearly[0]])!r} in row {nearly[0]}, nearly a number: "
@@ -180,16 +190,16 @@ def _refuse_nearly(path: Path, name: str, column: Column, decimal: str) -> None:
         )
 
 
-def _is_nearly(cell: object, decimal: str, *, mixed: bool) -> bool:
+def _is_malformed_number(cell: object, decimal: str, *, mixed: bool) -> bool:
     """Return whether a text looks like a number with other characters."""
-    if not isinstance(cell, str) or _number(cell, decimal) is not None:
+    if not isinstance(cell, str) or _to_number(cell, decimal) is not None:
         return isinstance(cell, timedelta) or (mixed and THOUSANDS.fullmatch(str(cell)) is not None)
     return NEARLY.fullmatch(cell.strip()) is not None and not DATE.match(cell.strip())
 
 
-def _columns(path: Path) -> Columns:
+def _read_columns(path: Path) -> Columns:
     """Return every column by its name, and the decimal mark of its texts."""
-    reader = {".csv": _of_csv, ".parquet": _of_parquet, ".npy": _of_npy}.get(path.suffix.lower())
+    reader = {".csv": _read_csv, ".parquet": _read_parquet, ".npy": _read_npy}.get(path.suffix.lower())
     if reader is None:
         ending = path.suffix or "one without ending"
         raise UsageError(f"{path}: a table is a .csv, .parquet or .npy file, not {ending}")
@@ -204,9 +214,9 @@ def _columns(path: Path) -> Columns:
     return columns, decimal
 
 
-def _of_csv(path: Path) -> Columns:
+def _read_csv(path: Path) -> Columns:
     """Read the columns of a CSV file and its decimal mark."""
-    comments, lines = csv_lines(path)
+    comments, lines = read_csv_lines(path)
     separator = next((one for one in SEPARATORS if lines and one in lines[0]), ",")
     cells = partial(csv.reader, delimiter=separator, skipinitialspace=True)
     try:
@@ -217,10 +227,10 @@ def _of_csv(path: Path) -> Columns:
     if not rows:
         raise NoTableError(f"{path} is empty; its first line names the columns")
     decimal = "." if separator == "," else ","
-    header, body = _named(last_comment, rows, decimal)
-    _trim(header, body)
-    _require_names_once(path, header)
-    body = _without_units(path, header, body, decimal)
+    header, body = _split_names_and_rows(last_comment, rows, decimal)
+    _remove_empty_ends(header, body)
+    _refuse_repeated_names(path, header)
+    body = _remove_unit_row(path, header, body, decimal)
     for number, row in enumerate(body):
         known = len(row) == len(header) and any(
             _is_missing(cell) or _is_number(cell, decimal) for cell in row
@@ -238,7 +248,7 @@ def _of_csv(path: Path) -> Columns:
     return {name: [row[header.index(name)] for row in body] for name in header}, decimal
 
 
-def _trim(header: list[str], body: list[list[str]]) -> None:
+def _remove_empty_ends(header: list[str], body: list[list[str]]) -> None:
     """Remove empty cells at the ends of lines, and empty lines at the end."""
     while body and not any(map(str.strip, body[-1])):
         body.pop()
@@ -247,7 +257,7 @@ def _trim(header: list[str], body: list[list[str]]) -> None:
         del row[width:]
 
 
-def _without_units(path: Path, header: list[str], body: list[list[str]], decimal: str) -> list[list[str]]:
+def _remove_unit_row(path: Path, header: list[str], body: list[list[str]], decimal: str) -> list[list[str]]:
     """Remove a row of units below the names; raise an error for a second row of names."""
     first, second = (*body, [], [])[:2]
     if not len(header) == len(first) > 0 or any(is_comment(one) or _is_number(one, decimal) for one in first):
@@ -261,7 +271,9 @@ def _without_units(path: Path, header: list[str], body: list[list[str]], decimal
     return body[1:] if unit_columns else body
 
 
-def _named(last_comment: list[str], rows: list[list[str]], decimal: str) -> tuple[list[str], list[list[str]]]:
+def _split_names_and_rows(
+    last_comment: list[str], rows: list[list[str]], decimal: str
+) -> tuple[list[str], list[list[str]]]:
     """Return names of columns and the data rows: names from the first line, or the last comment."""
     header = [cell.strip() for cell in rows[0]]
     numbered = [str(k) for k in range(len(header))]
@@ -274,18 +286,18 @@ def _named(last_comment: list[str], rows: list[list[str]], decimal: str) -> tupl
     return (numbered, rows) if all(numbers) else (header, rows[1:])
 
 
-def _require_names_once(path: Path, names: Sequence[str]) -> None:
+def _refuse_repeated_names(path: Path, names: Sequence[str]) -> None:
     """Raise an error for repeated names of columns."""
     named = [name for name in names if name]
     if len(set(named)) < len(named):
         raise NoTableError(f"{path}: each column must be named once; they are {','.join(names)[:80]!r}")
 
 
-def _of_parquet(path: Path) -> Columns:
+def _read_parquet(path: Path) -> Columns:
     """Read the columns of a Parquet file."""
-    from daq_service.web.tables.formats import pyarrow
+    from daq_service.web.tables.formats import import_pyarrow
 
-    arrow = pyarrow()
+    arrow = import_pyarrow()
     from pyarrow import parquet
 
     try:
@@ -298,7 +310,7 @@ def _of_parquet(path: Path) -> Columns:
             table = file.read()
     except arrow.ArrowInvalid as error:
         raise NoTableError(f"{path} is no Parquet file: {error}") from error
-    _require_names_once(path, table.column_names)
+    _refuse_repeated_names(path, table.column_names)
     numbers = (arrow.types.is_floating, arrow.types.is_integer)
     columns = {
         name: column.to_numpy() if any(kind(column.type) for kind in numbers) else column.to_pylist()
@@ -307,25 +319,25 @@ def _of_parquet(path: Path) -> Columns:
     return columns, "."
 
 
-def _of_npy(path: Path) -> Columns:
+def _read_npy(path: Path) -> Columns:
     """Read the columns of a `.npy` file."""
-    array = numbers_of_npy(path, "rows x features")
+    array = map_npy_array(path, "rows x features")
     return {str(k): array[:, k] for k in range(array.shape[1])}, "."
 
 
-def _numbers(column: Column, decimal: str) -> NDArray[np.float64] | None:
+def _to_numbers(column: Column, decimal: str) -> NDArray[np.float64] | None:
     """Return the column as numbers, NaN if missing; None if most cells are not numbers."""
     if isinstance(column, np.ndarray):
-        return _without_overload(column.astype(np.float64))
+        return _replace_overload(column.astype(np.float64))
     cells = [None if _is_missing(cell) else cell for cell in column]
-    values = [_number(cell, decimal) for cell in cells]
+    values = [_to_number(cell, decimal) for cell in cells]
     n_not_numbers = sum(value is None and cell is not None for value, cell in zip(values, cells, strict=True))
     if 2 * n_not_numbers > len(cells) - cells.count(None):
         return None
-    return _without_overload(np.array([np.nan if value is None else value for value in values]))
+    return _replace_overload(np.array([np.nan if value is None else value for value in values]))
 
 
-def _without_overload(values: NDArray[np.float64]) -> NDArray[np.float64]:
+def _replace_overload(values: NDArray[np.float64]) -> NDArray[np.float64]:
     """Replace values for overload and missing readings by NaN."""
     over = np.abs(np.abs(values) - OVERLOAD) < 0.011 * OVERLOAD
     return np.asarray(np.where(over | np.isin(values, NO_READINGS), np.nan, values))
@@ -336,7 +348,7 @@ def _is_missing(cell: object) -> bool:
     return cell is None or (isinstance(cell, str) and MISSING.fullmatch(cell.strip()) is not None)
 
 
-def _number(cell: object, decimal: str) -> float | None:
+def _to_number(cell: object, decimal: str) -> float | None:
     """Convert a cell to a number; None if it is not one."""
     if isinstance(cell, bool) or (isinstance(cell, str) and "_" in cell):  # 1_2 is Python's way, and a name
         return None
@@ -349,24 +361,24 @@ def _number(cell: object, decimal: str) -> float | None:
 
 def _is_number(cell: str, decimal: str) -> bool:
     """Return whether a cell is a number."""
-    return _number(cell, decimal) is not None
+    return _to_number(cell, decimal) is not None
 
 
-def _no_number(column: Column, decimal: str) -> object:
+def _first_non_number(column: Column, decimal: str) -> object:
     """Return the first cell that is not a number."""
-    return next(cell for cell in column if not _is_missing(cell) and _number(cell, decimal) is None)
+    return next(cell for cell in column if not _is_missing(cell) and _to_number(cell, decimal) is None)
 
 
-def _equal(column: Column, value: str, decimal: str) -> NDArray[np.bool_]:
+def _select_equal_rows(column: Column, value: str, decimal: str) -> NDArray[np.bool_]:
     """Return the rows whose cell equals a value, as text or as a number."""
-    wanted = _numbers([value], decimal)
-    numbers = _numbers(column, decimal)
+    wanted = _to_numbers([value], decimal)
+    numbers = _to_numbers(column, decimal)
     if numbers is not None and wanted is not None and np.isfinite(wanted[0]):
         return np.asarray(numbers == wanted[0])
     return np.array([str(cell).strip().lower() == value.lower() for cell in column], dtype=bool)
 
 
-def _listed(names: Iterable[object]) -> str:
+def _join_names(names: Iterable[object]) -> str:
     """Join names, shortened if there are many."""
     texts = list(map(str, names))
     return ", ".join(texts[:NAMES_SHOWN]) + (f" ... ({len(texts)})" if len(texts) > NAMES_SHOWN else "")

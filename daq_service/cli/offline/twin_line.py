@@ -10,13 +10,13 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from daq_service.acquisition.schedule import plan
-from daq_service.acquisition.shot_features import features_of_all
+from daq_service.acquisition.schedule import plan_sets
+from daq_service.acquisition.shot_features import extract_features_of_shots
 from daq_service.assessment.assessor import PositionResult
-from daq_service.assessment.baseline_lifecycle import baseline_range
+from daq_service.assessment.baseline_lifecycle import find_baseline_range
 from daq_service.assessment.solitary_wave import SolitaryWaveAssessor
 from daq_service.clock import parse_utc
-from daq_service.rig.twin import transducers_of
+from daq_service.rig.twin import build_transducers
 from daq_service.settings.tree import Settings
 from hardware_drivers.measurement import DueSet, Shot, ShotKey, Stamp
 from simulator.specimen import Specimen, build_specimen
@@ -45,12 +45,12 @@ class AssessedSet:
         return frozenset(one.kind for one in self.position_result.conditions if one.present)
 
 
-def specimen_of(settings: Settings) -> Specimen:
+def build_twin(settings: Settings) -> Specimen:
     """Build the twin of a configuration; `assessed_sets` of multiple positions share it."""
-    return build_specimen(settings.twin, transducers=transducers_of(settings), probed_thickness_m={})
+    return build_specimen(settings.twin, transducers=build_transducers(settings), probed_thickness_m={})
 
 
-def assessed_sets(
+def simulate_assessed_sets(
     settings: Settings, position: str, specimen: Specimen | None = None
 ) -> Iterator[AssessedSet]:
     """Strike and assess every scheduled set of a transducer, until the schedule or its wall ends.
@@ -60,10 +60,12 @@ def assessed_sets(
     SimulatorError
         The twin cannot compute a shot.
     """
-    specimen = specimen or specimen_of(settings)
+    specimen = specimen or build_twin(settings)
     epoch_ns = parse_utc(settings.clock.epoch)
-    assessor = SolitaryWaveAssessor(position, settings, baseline=baseline_range(position, settings, None))
-    for due in plan(settings.schedule.phases, epoch_ns, end_h=settings.schedule.end_h):
+    assessor = SolitaryWaveAssessor(
+        position, settings, baseline=find_baseline_range(position, settings, None)
+    )
+    for due in plan_sets(settings.schedule.phases, epoch_ns, end_h=settings.schedule.end_h):
         hour_h = specimen.hour_h(due.due_utc_ns - epoch_ns)
         stamp = Stamp(utc_ns=due.due_utc_ns, mono_ns=due.due_utc_ns, boot_id="simulated")
         keys = [
@@ -82,7 +84,7 @@ def assessed_sets(
             for key, record in zip(keys, records, strict=True)
             if record is not None
         )
-        position_result = assessor.assess(due, shots, features_of_all(shots), n_tried=len(keys))
+        position_result = assessor.assess(due, shots, extract_features_of_shots(shots), n_tried=len(keys))
         found = AssessedSet(due=due, hour_h=hour_h, shots=shots, position_result=position_result)
         yield found
         if found.raised & {"no_reflection", "transducer_disabled"}:

@@ -6,8 +6,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from daq_service.cli.reproduce.diagnosis import GIVEN, cause_of
-from daq_service.cli.reproduce.item import Found, missing
-from daq_service.cli.reproduce.paper_values import PaperValue, values_of
+from daq_service.cli.reproduce.item import Found, missing_value
+from daq_service.cli.reproduce.paper_values import PaperValue, paper_values_of_item
 
 NOT_AVAILABLE = "not available"
 
@@ -45,14 +45,14 @@ class Row:
         """Return the deviation as text."""
         if self.deviation is None:
             return "-"
-        if _vanishes(self.deviation, self.paper):
+        if _is_rounding_only(self.deviation, self.paper):
             return "none"
         if self.deviation_percent is not None:
             return f"{self.deviation_percent:+.1f} %"
         return f"{self.deviation:+.3g} {'points' if self.unit == '%' else self.unit}"
 
 
-def compare(
+def compare_item(
     item: str,
     found: Mapping[str, Found],
     *,
@@ -69,12 +69,12 @@ def compare(
         Why quantities are not in `found`.
     """
     return [
-        _row(value, found.get(value.quantity, missing(missing_reason)), origin=origin)
-        for value in values_of(item)
+        _compare_value(value, found.get(value.quantity, missing_value(missing_reason)), origin=origin)
+        for value in paper_values_of_item(item)
     ]
 
 
-def tally(rows: Sequence[Row]) -> dict[str, int]:
+def count_by_result(rows: Sequence[Row]) -> dict[str, int]:
     """Count the paper's values by result: agree (to rounding), deviate, words only, not available."""
     counts = {"values": len(rows), "agree": 0, "deviate": 0, "words": 0, "not_available": 0}
     for row in rows:
@@ -83,17 +83,17 @@ def tally(rows: Sequence[Row]) -> dict[str, int]:
         elif row.deviation is None:
             counts["words"] += 1
         else:
-            counts["agree" if _vanishes(row.deviation, row.paper) else "deviate"] += 1
+            counts["agree" if _is_rounding_only(row.deviation, row.paper) else "deviate"] += 1
     return counts
 
 
-def _row(value: PaperValue, ours: Found, *, origin: str) -> Row:
+def _compare_value(value: PaperValue, ours: Found, *, origin: str) -> Row:
     """Compare one value of the paper with ours."""
     deviation = None if ours.value is None or value.value is None else ours.value - value.value
     relative = None
     if deviation is not None and value.value and value.unit != "%":
         relative = 100.0 * deviation / value.value
-    agrees = deviation is not None and _vanishes(deviation, value.value)
+    agrees = deviation is not None and _is_rounding_only(deviation, value.value)
     return Row(
         item=value.item,
         quantity=value.quantity,
@@ -101,28 +101,28 @@ def _row(value: PaperValue, ours: Found, *, origin: str) -> Row:
         where=value.where,
         unit=value.unit,
         paper=value.value,
-        paper_shown=_paper_shown(value),
+        paper_shown=_format_paper_value(value),
         ours=ours.value,
-        ours_shown=NOT_AVAILABLE if ours.value is None else _shown(ours.value, value),
+        ours_shown=NOT_AVAILABLE if ours.value is None else _format_our_value(ours.value, value),
         ours_words=ours.words if ours.value is not None else ours.reason,
         deviation=deviation,
         deviation_percent=relative,
-        cause=_cause(value, ours, agrees=agrees, origin=origin),
+        cause=_cause_of_deviation(value, ours, agrees=agrees, origin=origin),
     )
 
 
-def _vanishes(deviation: float, paper: float | None) -> bool:
+def _is_rounding_only(deviation: float, paper: float | None) -> bool:
     """Return whether a deviation is only rounding of floats."""
     return abs(deviation) < 1e-9 * max(1.0, abs(paper or 0.0))
 
 
-def _cause(value: PaperValue, ours: Found, *, agrees: bool, origin: str) -> str:
+def _cause_of_deviation(value: PaperValue, ours: Found, *, agrees: bool, origin: str) -> str:
     """Return the cause of a deviation; empty if the values agree."""
     cause = "" if ours.value is None else cause_of(value, origin=origin)
     return "" if agrees and not cause.startswith(GIVEN) else cause
 
 
-def _paper_shown(value: PaperValue) -> str:
+def _format_paper_value(value: PaperValue) -> str:
     """Format a value of the paper."""
     number = "" if value.value is None else f"{value.value:.{value.decimals}f}"
     sign = "±" if value.wording.startswith("+-") else ""
@@ -134,7 +134,7 @@ def _paper_shown(value: PaperValue) -> str:
     )
 
 
-def _shown(number: float, value: PaperValue) -> str:
+def _format_our_value(number: float, value: PaperValue) -> str:
     """Format our value with one digit more than the paper's; integers if the paper's is one."""
     decimals = value.decimals + 1 if value.value is not None else 2
     if value.value is not None and value.decimals == 0 and float(number).is_integer():

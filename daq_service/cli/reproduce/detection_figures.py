@@ -7,7 +7,7 @@ from matplotlib.axes import Axes
 
 from daq_service.cli.reproduce import item, style
 from daq_service.cli.reproduce.evidence import Evidence, FloatArray, Series
-from daq_service.cli.reproduce.paper_values import printed
+from daq_service.cli.reproduce.paper_values import printed_number
 
 SPLIT_H = 100.0
 """The paper counts outliers after this hour."""
@@ -30,27 +30,27 @@ def draw_fig14(material: item.Material) -> item.Product:
         raise item.NotAvailableError(
             f"no baseline was frozen up to hour {test.last_h:g}; it takes the first {baseline_h:g} h"
         )
-    figure, axes = style.panels_of_positions(names, "Mahalanobis squared distance (1)", height_in=3.6)
+    figure, axes = style.create_position_panels(names, "Mahalanobis squared distance (1)", height_in=3.6)
     for axis, name in zip(axes, names, strict=True):
-        _distances(axis, test.pulses[name], baseline_h, style.colour_of(name, names))
-    style.legend_below(figure, ncols=4)
+        _draw_distances(axis, test.pulses[name], baseline_h, style.choose_colour(name, names))
+    style.add_legend_below(figure, ncols=4)
     columns = (
         *("distance_squared", "limit_f_predictive", "limit_mean_3sd"),
         *("in_baseline", "outlier", "outlier_mean_3sd"),
     )
     return item.Product(
         drawing=figure,
-        tables={"": item.stacked(test, lambda pulses: {name: pulses.values[name] for name in columns})},
-        found=_outliers(test),
+        tables={"": item.stack_columns(test, lambda pulses: {name: pulses.values[name] for name in columns})},
+        found=_fig14_values(test),
         notes=tuple(
-            f"{name}: baseline of {pulses.baseline.n_sets} sets, {_share_text(pulses)}."
+            f"{name}: baseline of {pulses.baseline.n_sets} sets, {_describe_outliers(pulses)}."
             for name, pulses in test.pulses.items()
             if pulses.baseline is not None
         ),
     )
 
 
-def _distances(axis: Axes, pulses: Series, baseline_h: float, colour: str) -> None:
+def _draw_distances(axis: Axes, pulses: Series, baseline_h: float, colour: str) -> None:
     """Draw the distances of a position with its limits."""
     axis.axvspan(0.0, baseline_h, color=style.GREEN, alpha=0.12, lw=0, label="baseline")
     last_h = float(pulses.hour_h[-1]) if pulses.hour_h.size else 0.0
@@ -64,12 +64,12 @@ def _distances(axis: Axes, pulses: Series, baseline_h: float, colour: str) -> No
             axis.axhline(limit, color=style.BLACK, lw=1.0, ls=dash, label=label)
     if pulses.position in ("B", "C", "D"):
         for source, dash in (("text", ":"), ("caption", "-.")):
-            value = printed("fig14", f"limit_{source}_{pulses.position}")
+            value = printed_number("fig14", f"limit_{source}_{pulses.position}")
             axis.axhline(value, color=style.GREY, lw=1.2, ls=dash, label=f"paper's limit, {source}")
     axis.set_yscale("log")
 
 
-def _share(pulses: Series, outlier: str, from_h: float) -> tuple[float | None, int]:
+def _outlier_percentage(pulses: Series, outlier: str, from_h: float) -> tuple[float | None, int]:
     """Return the percentage of outliers of the sets assessed after an hour, and their number."""
     outliers = pulses.values[outlier]
     is_assessed = (pulses.hour_h > from_h) & np.isfinite(outliers) & (pulses.values["in_baseline"] == 0.0)
@@ -77,20 +77,20 @@ def _share(pulses: Series, outlier: str, from_h: float) -> tuple[float | None, i
     return (100.0 * float(outliers[is_assessed].mean()) if n else None), n
 
 
-def _share_text(pulses: Series) -> str:
+def _describe_outliers(pulses: Series) -> str:
     """Describe the percentages of outliers."""
     parts = []
     for limit, outlier in (("mean + 3 SD", "outlier_mean_3sd"), ("the exact limit", "outlier")):
-        share, n = _share(pulses, outlier, SPLIT_H)
+        share, n = _outlier_percentage(pulses, outlier, SPLIT_H)
         parts.append(
             f"no set judged after {SPLIT_H:g} h" if share is None else f"{share:.1f} % of {n} by {limit}"
         )
     return " and ".join(dict.fromkeys(parts))
 
 
-def _outliers(test: Evidence) -> dict[str, item.Found]:
+def _fig14_values(test: Evidence) -> dict[str, item.Found]:
     """Return our values of figure 14, or why they are missing."""
-    values = {"smallest_loss": _smallest_loss(test)}
+    values = {"smallest_loss": _loss_at_first_alarm(test)}
     for name in "BCD":
         pulses = test.pulses.get(name)
         baseline = None if pulses is None else pulses.baseline
@@ -101,10 +101,10 @@ def _outliers(test: Evidence) -> dict[str, item.Found]:
                 else f"no baseline was frozen at {name} up to hour {test.last_h:g}"
             )
             keys = ("limit_text", "limit_caption", "outliers_paper", "outliers_f", "outliers_late")
-            values |= {f"{key}_{name}": item.missing(why) for key in keys}
+            values |= {f"{key}_{name}": item.missing_value(why) for key in keys}
             continue
         for source in ("text", "caption"):
-            values[f"limit_{source}_{name}"] = item.found(
+            values[f"limit_{source}_{name}"] = item.value_or_missing(
                 baseline.limit_mean_3sd, f"{baseline.n_sets} sets", reason=str(baseline.limit_reason)
             )
         for key, outlier, from_h in (
@@ -112,25 +112,27 @@ def _outliers(test: Evidence) -> dict[str, item.Found]:
             ("outliers_f", "outlier", SPLIT_H),
             ("outliers_late", "outlier_mean_3sd", LATE_H),
         ):
-            share, n = _share(pulses, outlier, from_h)
+            share, n = _outlier_percentage(pulses, outlier, from_h)
             reason = f"no set was judged after hour {from_h:g} (last: {test.last_h:g})"
-            values[f"{key}_{name}"] = item.found(share, f"of {n} sets", reason=reason)
+            values[f"{key}_{name}"] = item.value_or_missing(share, f"of {n} sets", reason=reason)
     return values
 
 
-def _smallest_loss(test: Evidence) -> item.Found:
+def _loss_at_first_alarm(test: Evidence) -> item.Found:
     """Return the loss that the ultrasonic probe read when the first transducer raised its alarm."""
     alarms = [(p.first_alarm_h, name) for name, p in test.pulses.items() if p.first_alarm_h is not None]
     if not alarms:
-        return item.missing(f"no alarm about the wall up to hour {test.last_h:g}")
+        return item.missing_value(f"no alarm about the wall up to hour {test.last_h:g}")
     if not test.echoes:
-        return item.missing("the test has no ultrasonic probe")
+        return item.missing_value("the test has no ultrasonic probe")
     hour, name = min(alarms)
     probe = next(iter(test.echoes.values()))
     loss_m = _median_near(probe, "thickness_loss_m", hour)
     if loss_m is None:
-        return item.missing(f"no ultrasonic reading near hour {hour:g}")
-    return item.found(1e3 * loss_m, f"read at {probe.position} when {name} alarmed first, hour {hour:g}")
+        return item.missing_value(f"no ultrasonic reading near hour {hour:g}")
+    return item.value_or_missing(
+        1e3 * loss_m, f"read at {probe.position} when {name} alarmed first, hour {hour:g}"
+    )
 
 
 def _median_near(probe: Series, column: str, hour: float) -> float | None:
@@ -148,10 +150,10 @@ def draw_fig15(material: item.Material) -> item.Product:
     if not test.echoes:
         raise item.NotAvailableError("the test has no position with method pulse_echo")
     probe = next(iter(test.echoes.values()))
-    figure, axes = style.sheet(1, 2, height_in=3.4)
+    figure, axes = style.create_sheet(1, 2, height_in=3.4)
     travel, loss = axes
     hours, values = probe.hour_h, probe.values
-    colour = style.colour_of(probe.position, list(test.echoes))
+    colour = style.choose_colour(probe.position, list(test.echoes))
     travel.plot(hours, 1e6 * values["travel_time_s"], ".", color=style.GREY, ms=6.0, label="travel time")
     travel.set(xlabel="hour of the test (h)", ylabel="ultrasonic travel time (µs)")
     wall = travel.twinx()
@@ -160,17 +162,20 @@ def draw_fig15(material: item.Material) -> item.Product:
     wall.plot(hours, 1e3 * values["thickness_m"], ".", color=colour, ms=2.5, label="thickness, eq. 17")
     wall.set_ylabel("remaining thickness (mm)")
     loss.plot(hours, 1e3 * values["thickness_loss_m"], ".", color=colour, ms=2.5, label="loss, eq. 17")
-    truth, initial_m = _true_thickness(test, probe.position), test.settings.ultrasound.initial_thickness_m
+    truth, initial_m = (
+        _read_true_thickness(test, probe.position),
+        test.settings.ultrasound.initial_thickness_m,
+    )
     if truth is not None:
         true_h, true_m = truth
         wall.plot(true_h, 1e3 * true_m, color=style.BLUE, lw=1.0, label="the twin's true wall")
         loss.plot(true_h, 1e3 * (initial_m - true_m), color=style.BLUE, lw=1.0, label="true")
-    line = _line(probe)
+    line = _fit_line(probe)
     if line is not None:
         ends_h = np.array([0.0, hours[-1]])
         loss.plot(ends_h, 1e3 * (line[0] + line[1] * ends_h), color=style.BLACK, lw=1.0, label="our line")
     if probe.position == "A":
-        _mark_paper(wall, loss)
+        _draw_paper_reading(wall, loss)
     loss.set(xlabel="hour of the test (h)", ylabel="loss of thickness (mm)")
     handles, labels = travel.get_legend_handles_labels()
     more_handles, more_labels = wall.get_legend_handles_labels()
@@ -180,23 +185,23 @@ def draw_fig15(material: item.Material) -> item.Product:
     return item.Product(
         drawing=figure,
         tables={"": item.Table(columns={"set_index": probe.set_index, "due_h": hours, **values})},
-        found=_wall(test, probe, line),
+        found=_fig15_values(test, probe, line),
     )
 
 
-def _mark_paper(wall: Axes, loss: Axes) -> None:
+def _draw_paper_reading(wall: Axes, loss: Axes) -> None:
     """Draw the reading and the core of the paper."""
-    initial_mm = printed("fig15", "initial")
+    initial_mm = printed_number("fig15", "initial")
     for hour, quantity, marker, label in (
         (READ_H, "thickness_300", "D", "paper, read at 300 h"),
-        (printed("table1", "end"), "core", "s", "paper, cored at the end"),
+        (printed_number("table1", "end"), "core", "s", "paper, cored at the end"),
     ):
-        mark, value_mm = {**style.PAPER_MARK, "marker": marker}, printed("fig15", quantity)
+        mark, value_mm = {**style.PAPER_MARK, "marker": marker}, printed_number("fig15", quantity)
         wall.plot([hour], [value_mm], **mark, label=label)
         loss.plot([hour], [initial_mm - value_mm], **mark)
 
 
-def _true_thickness(test: Evidence, position: str) -> tuple[FloatArray, FloatArray] | None:
+def _read_true_thickness(test: Evidence, position: str) -> tuple[FloatArray, FloatArray] | None:
     """Return hours and true thickness of the twin; None for a real specimen."""
     known = [
         (trace.hour_h, trace.truth["thickness_m"])
@@ -209,7 +214,7 @@ def _true_thickness(test: Evidence, position: str) -> tuple[FloatArray, FloatArr
     return hours, thickness
 
 
-def _line(probe: Series) -> tuple[float, float] | None:
+def _fit_line(probe: Series) -> tuple[float, float] | None:
     """Fit the loss in m at hour 0 and its slope in m/h by least squares."""
     loss_m = probe.values["thickness_loss_m"]
     present = np.isfinite(loss_m)
@@ -219,35 +224,39 @@ def _line(probe: Series) -> tuple[float, float] | None:
     return float(start), float(slope)
 
 
-def _wall(test: Evidence, probe: Series, line: tuple[float, float] | None) -> dict[str, item.Found]:
+def _fig15_values(test: Evidence, probe: Series, line: tuple[float, float] | None) -> dict[str, item.Found]:
     """Return our values of figure 15."""
     names = ("thickness_300", "loss_300", "core", "linearity", "initial")
     if probe.position != "A":
-        return dict.fromkeys(names, item.missing("the test has no pulse-echo position A"))
+        return dict.fromkeys(names, item.missing_value("the test has no pulse-echo position A"))
     initial_m = test.settings.ultrasound.initial_thickness_m
-    values = {"initial": item.found(1e3 * initial_m, "configured")}
+    values = {"initial": item.value_or_missing(1e3 * initial_m, "configured")}
     read_m = _median_near(probe, "thickness_m", READ_H)
     if read_m is not None:
-        values["thickness_300"] = item.found(1e3 * read_m)
-        values["loss_300"] = item.found(100.0 * (1.0 - read_m / initial_m))
+        values["thickness_300"] = item.value_or_missing(1e3 * read_m)
+        values["loss_300"] = item.value_or_missing(100.0 * (1.0 - read_m / initial_m))
     else:
-        absent = item.missing(f"no reading near hour {READ_H:g} (last: {test.last_h:g})")
+        absent = item.missing_value(f"no reading near hour {READ_H:g} (last: {test.last_h:g})")
         values |= dict.fromkeys(names[:2], absent)
-    truth, thickness_m = _true_thickness(test, probe.position), probe.values["thickness_m"]
+    truth, thickness_m = _read_true_thickness(test, probe.position), probe.values["thickness_m"]
     last = thickness_m[np.isfinite(thickness_m)][-1:]
     read = f"; the probe then reads {1e3 * float(last[0]):.2f} mm" if last.size else ""
     values["core"] = (
-        item.missing(f"nobody cored this test's plate{read}")
+        item.missing_value(f"nobody cored this test's plate{read}")
         if truth is None
-        else item.found(1e3 * float(truth[1][-1]), f"the twin's truth at hour {truth[0][-1]:g}{read}")
+        else item.value_or_missing(
+            1e3 * float(truth[1][-1]), f"the twin's truth at hour {truth[0][-1]:g}{read}"
+        )
     )
     values["linearity"] = (
-        item.missing("fewer than two readings") if line is None else item.found(_r_squared(probe, line))
+        item.missing_value("fewer than two readings")
+        if line is None
+        else item.value_or_missing(_compute_r_squared(probe, line))
     )
     return values
 
 
-def _r_squared(probe: Series, line: tuple[float, float]) -> float:
+def _compute_r_squared(probe: Series, line: tuple[float, float]) -> float:
     """Compute R^2 of a line through the loss."""
     present = np.isfinite(probe.values["thickness_loss_m"])
     hours, loss = probe.hour_h[present], probe.values["thickness_loss_m"][present]

@@ -12,8 +12,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from daq_service.cli.reproduce.evidence import Evidence, Series, Trace
-from daq_service.cli.reproduce.item import Item, Material, Product, stacked
-from daq_service.cli.reproduce.style import colour_of, name_panels, sheet
+from daq_service.cli.reproduce.item import Item, Material, Product, stack_columns
+from daq_service.cli.reproduce.style import choose_colour, create_sheet, name_panels
 from daq_service.settings.tree import UltrasoundSettings
 
 GATE_S = 90e-6
@@ -32,7 +32,7 @@ _COLUMNS = (
 def draw_equations(material: Material) -> Product:
     """Draw autocorrelation lag, coefficient and area under the PSW over the test."""
     test, names = material.test, material.transducers
-    figure, axes = sheet(1, 3, height_in=3.0)
+    figure, axes = create_sheet(1, 3, height_in=3.0)
     for name in names:
         pulses = test.pulses[name]
         for axis, (column, scale, label) in zip(axes, _COLUMNS, strict=True):
@@ -41,35 +41,35 @@ def draw_equations(material: Material) -> Product:
                 scale * pulses.values[column],
                 ".",
                 ms=2.0,
-                color=colour_of(name, names),
+                color=choose_colour(name, names),
                 alpha=0.6,
                 label=f"position {name}",
             )
             axis.set(xlabel="hour of the test (h)", ylabel=label)
     axes[0].legend(markerscale=3)
     name_panels(axes, ("travel time", "coefficient", "area"))
-    table = stacked(test, lambda pulses: {column: pulses.values[column] for column, *_ in _COLUMNS})
-    return Product(drawing=figure, tables={"": table}, notes=tuple(_checks(test)))
+    table = stack_columns(test, lambda pulses: {column: pulses.values[column] for column, *_ in _COLUMNS})
+    return Product(drawing=figure, tables={"": table}, notes=tuple(_list_check_results(test)))
 
 
-def _checks(test: Evidence) -> Sequence[str]:
+def _list_check_results(test: Evidence) -> Sequence[str]:
     """Return the results of the checks in sentences."""
     sentences = []
     for name, pulses in test.pulses.items():
-        error = _equation_16(pulses)
+        error = _check_equation_16(pulses)
         if error is not None:
             sentences.append(
                 f"Eq. 16 at {name}, computed again from {error[1]} stored feature vectors and the baseline: "
                 f"largest difference from the stored distance {error[0]:.1e} (relative)."
             )
-        lag = _autocorrelation(pulses, test.traces.get(name, ()))
+        lag = _check_autocorrelation(pulses, test.traces.get(name, ()))
         if lag is not None:
             sentences.append(
                 f"Autocorrelation of {lag[1]} averaged records at {name}: its lag lies within {lag[0]:.2f} "
                 "us of the set's mean by single shots."
             )
     for name, probe in test.echoes.items():
-        spread = _equation_17(probe, test.settings.ultrasound)
+        spread = _check_equation_17(probe, test.settings.ultrasound)
         if spread is not None:
             sentences.append(
                 f"Eq. 17 at {name}: thickness over (UT - D) is the same for all {spread[1]} readings to "
@@ -78,7 +78,7 @@ def _checks(test: Evidence) -> Sequence[str]:
     return sentences
 
 
-def _equation_16(pulses: Series) -> tuple[float, int] | None:
+def _check_equation_16(pulses: Series) -> tuple[float, int] | None:
     """Return the largest relative difference of stored distances from eq. 16, and their number."""
     baseline = pulses.baseline
     if baseline is None or None in baseline.mean:
@@ -97,7 +97,7 @@ def _equation_16(pulses: Series) -> tuple[float, int] | None:
     return float(np.max(np.abs(recomputed / stored[present] - 1.0))), int(present.sum())
 
 
-def _equation_17(probe: Series, ultrasound: UltrasoundSettings) -> tuple[float, int] | None:
+def _check_equation_17(probe: Series, ultrasound: UltrasoundSettings) -> tuple[float, int] | None:
     """Return the spread of ``th / (UT - D)``, which eq. 17 makes constant, and the number of readings.
 
     None if the path between two elements is corrected: then eq. 17 was not used.
@@ -110,7 +110,7 @@ def _equation_17(probe: Series, ultrasound: UltrasoundSettings) -> tuple[float, 
     return float(np.ptp(ratio) / np.abs(ratio).mean()), int(present.sum())
 
 
-def _autocorrelation(pulses: Series, traces: Sequence[Trace]) -> tuple[float, int] | None:
+def _check_autocorrelation(pulses: Series, traces: Sequence[Trace]) -> tuple[float, int] | None:
     """Return the largest deviation in us of the averaged records' lag, and the number of records."""
     row_of = {int(index): row for row, index in enumerate(pulses.set_index)}
     distances = []
@@ -118,7 +118,7 @@ def _autocorrelation(pulses: Series, traces: Sequence[Trace]) -> tuple[float, in
         row = row_of.get(trace.set_index)
         if row is None or not np.isfinite(pulses.values["tof_ac_s"][row]):
             continue
-        lag_s = _lag_s(
+        lag_s = _compute_lag_s(
             trace,
             float(pulses.values["isw_time_s"][row]),
             float(pulses.values["psw_time_s"][row]),
@@ -127,7 +127,7 @@ def _autocorrelation(pulses: Series, traces: Sequence[Trace]) -> tuple[float, in
     return (max(distances), len(distances)) if distances else None
 
 
-def _lag_s(trace: Trace, isw_s: float, psw_s: float) -> float:
+def _compute_lag_s(trace: Trace, isw_s: float, psw_s: float) -> float:
     """Return the lag of the highest autocorrelation near the peaks' distance, with a parabola."""
     step_s = float(trace.time_s[1] - trace.time_s[0])
     every = max(1, round(BLOCK_S / step_s))

@@ -19,8 +19,8 @@ from daq_service.catalogue import Catalogue, open_catalogue
 from daq_service.catalogue.errors import NoDataYetError
 from daq_service.catalogue.rows import AlarmRow, AssessmentRow, BaselineRow, FeatureRow, SetRow, ThicknessRow
 from daq_service.errors import StorageError
-from daq_service.processes.lost_catalogue import lost_reason
-from daq_service.settings.stored import stored_settings
+from daq_service.processes.lost_catalogue import lost_catalogue_reason
+from daq_service.settings.stored import restore_settings
 from daq_service.settings.tree import PositionSettings, Settings
 from hardware_drivers.methods import PULSE_ECHO, SOLITARY_WAVE
 
@@ -144,19 +144,19 @@ def read_evidence(folder: Path, *, with_traces: bool = True) -> Evidence:
     """
     try:
         with open_catalogue(folder) as catalogue:
-            row = catalogue.experiment_row()
-            settings = stored_settings(row.configuration)
+            row = catalogue.read_experiment()
+            settings = restore_settings(row.configuration)
             sets = catalogue.rows(SetRow)
             with_sets = {one.position for one in sets}
             series = [
-                _series(catalogue, name, place)
+                _read_series(catalogue, name, place)
                 for name, place in settings.positions.items()
                 if name in with_sets
             ]
             counts = catalogue.counts()
     except NoDataYetError as error:
         raise StorageError(
-            lost_reason(folder)
+            lost_catalogue_reason(folder)
             or f"{folder} holds no test that has begun; give --from the data folder of one (it has a file "
             "catalogue.sqlite), or leave --from out to run the paper's test on the twin"
         ) from error
@@ -167,7 +167,7 @@ def read_evidence(folder: Path, *, with_traces: bool = True) -> Evidence:
         ) from error
     if not counts["sets"]:
         raise StorageError(f"{folder} has no set yet; wait for the first one, or give another folder")
-    traces, trouble = _traces(FolderSetReader(folder), sets) if with_traces else ({}, ())
+    traces, trouble = _average_traces(FolderSetReader(folder), sets) if with_traces else ({}, ())
     return Evidence(
         folder=folder,
         name=row.name,
@@ -184,7 +184,7 @@ def read_evidence(folder: Path, *, with_traces: bool = True) -> Evidence:
     )
 
 
-def _series(catalogue: Catalogue, position: str, settings: PositionSettings) -> Series:
+def _read_series(catalogue: Catalogue, position: str, settings: PositionSettings) -> Series:
     """Read the sets of a position."""
     columns = {}
     if settings.method == PULSE_ECHO:
@@ -203,19 +203,21 @@ def _series(catalogue: Catalogue, position: str, settings: PositionSettings) -> 
         position=position,
         settings=settings,
         set_index=np.array(found["set_index"], dtype=np.int64),
-        hour_h=_array(found["due_h"]),
-        values={name: _array(values) for name, values in columns.items()},
+        hour_h=_to_float_array(found["due_h"]),
+        values={name: _to_float_array(values) for name, values in columns.items()},
         baseline=catalogue.baseline(position),
         first_alarm_h=min(alarms_h, default=None),
     )
 
 
-def _array(values: Sequence[float | bool | None]) -> FloatArray:
+def _to_float_array(values: Sequence[float | bool | None]) -> FloatArray:
     """Return values as float64; None becomes NaN."""
     return np.array([np.nan if value is None else float(value) for value in values], dtype=np.float64)
 
 
-def _traces(archive: SetReader, sets: Sequence[SetRow]) -> tuple[dict[str, list[Trace]], tuple[str, ...]]:
+def _average_traces(
+    archive: SetReader, sets: Sequence[SetRow]
+) -> tuple[dict[str, list[Trace]], tuple[str, ...]]:
     """Average records of sets evenly spread over the hours, first and last included."""
     files = {row.set_index: SetReference(row.file) for row in sets if row.file is not None}
     hour_of = {row.set_index: row.due_h for row in sets}
@@ -232,13 +234,13 @@ def _traces(archive: SetReader, sets: Sequence[SetRow]) -> tuple[dict[str, list[
             trouble.append(f"set {index} is left out of the waveforms: {error}")
             continue
         for position in (place.position for place in record.positions):
-            trace = _average(record, position)
+            trace = _average_records(record, position)
             if trace is not None:
                 traces.setdefault(position, []).append(trace)
     return traces, tuple(trouble)
 
 
-def _average(record: SetRecord, position: str) -> Trace | None:
+def _average_records(record: SetRecord, position: str) -> Trace | None:
     """Average the accepted records of a position."""
     accepted = [
         shot

@@ -6,7 +6,7 @@ import threading
 from collections.abc import Callable
 from pathlib import Path
 
-from daq_service.cli.run import child_plans
+from daq_service.cli.run import plan_children
 from daq_service.errors import BusyError, RigError, SolimonError, StorageError, UsageError
 from daq_service.processes.child import log_to
 from daq_service.processes.data_folder import prepare_data_folder, write_configuration
@@ -20,7 +20,7 @@ BY_SETS = {"alarms": {"decides_by": "k_of_n"}}
 _ERRORS = {kind.exit_code: kind for kind in (UsageError, RigError, StorageError, BusyError)}
 
 
-def twin_settings(seed: int | None) -> Settings:
+def load_twin_settings(seed: int | None) -> Settings:
     """Return the shipped configuration with the paper's alarm rule instead of the control chart.
 
     The environment is on top, and another seed if one is given.
@@ -59,7 +59,7 @@ def run_test(
             progress(int(message["done"]), int(message["planned"]), float(message["due_h"]))
 
     supervisor = Supervisor(
-        child_plans(config, folder, port=None, web=False, linger=False),
+        plan_children(config, folder, port=None, web=False, linger=False),
         folder,
         on_message=on_message,
         give_up=True,

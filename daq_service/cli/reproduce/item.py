@@ -56,14 +56,14 @@ class Found:
     reason: str = ""
 
 
-def found(value: float | None, words: str = "", *, reason: str = "") -> Found:
+def value_or_missing(value: float | None, words: str = "", *, reason: str = "") -> Found:
     """Return our value; None or NaN becomes "not available" with the reason."""
     if value is None or not math.isfinite(value):
         return Found(words=words, reason=reason or "not a finite number")
     return Found(value=float(value), words=words)
 
 
-def missing(reason: str) -> Found:
+def missing_value(reason: str) -> Found:
     """Return a missing value with its reason."""
     return Found(reason=reason)
 
@@ -84,7 +84,7 @@ class Table:
         return zip(*self.columns.values(), strict=True)
 
 
-def stacked(test: Evidence, columns: Callable[[Series], Mapping[str, FloatArray]]) -> Table:
+def stack_columns(test: Evidence, columns: Callable[[Series], Mapping[str, FloatArray]]) -> Table:
     """Stack columns of the sets of all transducers, with position, set and hour."""
     table: dict[str, list[object]] = {}
     for name, pulses in test.pulses.items():
@@ -156,7 +156,7 @@ class Product:
 
     drawing: Figure | None = None
     tables: Mapping[str, Table] = field(default_factory=dict)
-    found: Mapping[str, Found] = field(default_factory=dict)
+    value_or_missing: Mapping[str, Found] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
 
 

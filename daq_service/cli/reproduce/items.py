@@ -19,7 +19,7 @@ ITEMS = (
 )  # fmt: skip
 
 
-def chosen_items(only: str | None) -> tuple[Item, ...]:
+def choose_items(only: str | None) -> tuple[Item, ...]:
     """Return the items with these names, separated by commas; None means all.
 
     Raises

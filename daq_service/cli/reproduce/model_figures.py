@@ -11,7 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from daq_service.cli.reproduce import item, models, style
-from daq_service.cli.reproduce.paper_values import printed
+from daq_service.cli.reproduce.paper_values import printed_number
 from simulator.parameters.chain import ChainParameters
 from simulator.parameters.plate import CorrosionParameters, PlateParameters
 
@@ -42,9 +42,11 @@ class _Curve:
     job: item.Job
 
 
-def _curves(styles: Mapping[str, _Curve], curves: _Curves, *, height_in: float) -> tuple[Figure, list[Axes]]:
+def _draw_curves(
+    styles: Mapping[str, _Curve], curves: _Curves, *, height_in: float
+) -> tuple[Figure, list[Axes]]:
     """Draw ToF and AR over what is varied."""
-    figure, axes = style.sheet(1, 2, height_in=height_in)
+    figure, axes = style.create_sheet(1, 2, height_in=height_in)
     for name, points in curves.items():
         curve, columns = styles[name], np.transpose(points)
         for axis, values, label in ((axes[0], columns[1], curve.label), (axes[1], columns[2], None)):
@@ -55,7 +57,7 @@ def _curves(styles: Mapping[str, _Curve], curves: _Curves, *, height_in: float) 
     return figure, axes
 
 
-def _curve_table(curves: _Curves, varied: str) -> item.Table:
+def _make_curve_table(curves: _Curves, varied: str) -> item.Table:
     """Return the points of all curves as a table."""
     rows = [(name, *point) for name, points in curves.items() for point in points]
     names = ("curve", varied, "tof_us", "amplitude_ratio")
@@ -69,14 +71,16 @@ def draw_fig10(material: item.Material) -> item.Product:
     """Draw restitution and contact time over lambda."""
     columns: dict[str, list[float]] = material.result("curve")
     case_3: dict[str, list[float]] = material.result("case_3")
-    figure, axes = style.sheet(1, 2, height_in=3.0)
+    figure, axes = style.create_sheet(1, 2, height_in=3.0)
     for axis, name, closed, equation, quantity in (
         (axes[0], "e_eq8", "e_eq10", "eq. 10", "e_case_3"),
         (axes[1], "tau_c_eq8", "tau_c_eq12", "eq. 12", "tau_c_case_3"),
     ):
         axis.plot(columns["inelasticity"], columns[name], color=style.BLUE, label="eq. 8, numerically")
         axis.plot(columns["inelasticity"], columns[closed], color=style.VERMILLION, ls="--", label=equation)
-        axis.plot([CASE_3], [printed("fig10", quantity)], **style.PAPER_MARK, label="paper, Table 2 case 3")
+        axis.plot(
+            [CASE_3], [printed_number("fig10", quantity)], **style.PAPER_MARK, label="paper, Table 2 case 3"
+        )
         axis.set(xlabel="inelasticity parameter lambda (1)", xlim=(0.0, 2.0))
         axis.legend()
     axes[0].set_ylabel("coefficient of restitution e (1)")
@@ -86,20 +90,20 @@ def draw_fig10(material: item.Material) -> item.Product:
         drawing=figure,
         tables={"": item.Table(columns=columns)},
         found={
-            "e_case_3": item.found(case_3["e_eq8"][0], "eq. 8"),
-            "tau_c_case_3": item.found(case_3["tau_c_eq8"][0], "eq. 8"),
+            "e_case_3": item.value_or_missing(case_3["e_eq8"][0], "eq. 8"),
+            "tau_c_case_3": item.value_or_missing(case_3["tau_c_eq8"][0], "eq. 8"),
         },
         notes=(
             (
                 "Largest distance of the closed forms from eq. 8: eq. 10 "
-                f"{_worst(columns, 'e_eq10', 'e_eq8'):.1f} % up to lambda = 1, eq. 12 "
-                f"{_worst(columns, 'tau_c_eq12', 'tau_c_eq8'):.2f} % up to 2."
+                f"{_maximum_deviation_percent(columns, 'e_eq10', 'e_eq8'):.1f} % up to lambda = 1, eq. 12 "
+                f"{_maximum_deviation_percent(columns, 'tau_c_eq12', 'tau_c_eq8'):.2f} % up to 2."
             ),
         ),
     )
 
 
-def _worst(columns: Mapping[str, Sequence[float]], approximate: str, exact: str) -> float:
+def _maximum_deviation_percent(columns: Mapping[str, Sequence[float]], approximate: str, exact: str) -> float:
     """Return the largest deviation of an approximation in per cent."""
     return 100.0 * float(np.nanmax(np.abs(np.divide(columns[approximate], columns[exact]) - 1.0)))
 
@@ -107,24 +111,26 @@ def _worst(columns: Mapping[str, Sequence[float]], approximate: str, exact: str)
 # Figure 12 --------------------------------------------------------------------------------------
 
 
-def _over_isw(chain: ChainParameters) -> item.Job:
+def _simulate_over_isw(chain: ChainParameters) -> item.Job:
     """Return the simulation of a chain over the height of the incident wave."""
-    return item.Job(function=models.pulses_over_isw, arguments=(chain, _PLATE, models.ISW_STEPS))
+    return item.Job(function=models.compute_pulses_over_isw, arguments=(chain, _PLATE, models.ISW_STEPS))
 
 
-def _zener_over_isw(*, closed_form: bool) -> item.Job:
+def _compute_zener_over_isw(*, closed_form: bool) -> item.Job:
     """Return Zener's model over the height of the incident wave."""
-    return item.Job(function=models.zener_over_isw, arguments=(models.ISW_STEPS, closed_form))
+    return item.Job(function=models.compute_zener_over_isw, arguments=(models.ISW_STEPS, closed_form))
 
 
 _ISW_CURVES = {
-    "disk": _Curve("coupled model, sensor two disks", style.BLUE, "-", _over_isw(_DISK)),
-    "sphere": _Curve("coupled model, sensor a sphere", style.SKY, "-", _over_isw(_SPHERE)),
+    "disk": _Curve("coupled model, sensor two disks", style.BLUE, "-", _simulate_over_isw(_DISK)),
+    "sphere": _Curve("coupled model, sensor a sphere", style.SKY, "-", _simulate_over_isw(_SPHERE)),
     "disk_gamma": _Curve(
-        "the same disks, gamma 1,000 N s/m at the plate", style.VERMILLION, "-", _over_isw(_STRONG)
+        "the same disks, gamma 1,000 N s/m at the plate", style.VERMILLION, "-", _simulate_over_isw(_STRONG)
     ),
-    "zener_eq8": _Curve("Zener, eq. 8", style.GREEN, "--", _zener_over_isw(closed_form=False)),
-    "zener_closed": _Curve("Zener, eqs 10 and 12", style.ORANGE, ":", _zener_over_isw(closed_form=True)),
+    "zener_eq8": _Curve("Zener, eq. 8", style.GREEN, "--", _compute_zener_over_isw(closed_form=False)),
+    "zener_closed": _Curve(
+        "Zener, eqs 10 and 12", style.ORANGE, ":", _compute_zener_over_isw(closed_form=True)
+    ),
 }
 _ISW_MARKS = (
     (0, "numerical", "tof", "center"),
@@ -139,26 +145,26 @@ _ISW_MARKS = (
 def draw_fig12(material: item.Material) -> item.Product:
     """Draw ToF and AR over the amplitude of the incident wave."""
     curves: _Curves = {name: material.result(name) for name in _ISW_CURVES}
-    figure, axes = _curves(_ISW_CURVES, curves, height_in=4.1)
+    figure, axes = _draw_curves(_ISW_CURVES, curves, height_in=4.1)
     for panel, text, quantity, side in _ISW_MARKS:
-        value, offset_points = printed("fig12", quantity), {"bottom": 3, "center": 0, "top": -3}[side]
+        value, offset_points = printed_number("fig12", quantity), {"bottom": 3, "center": 0, "top": -3}[side]
         axes[panel].plot([1.0], [value], **style.PAPER_MARK)
         axes[panel].annotate(
             text, (1.0, value), (6, offset_points), textcoords="offset points", va=side, fontsize=7
         )
     for axis, nominal in zip(axes, ("tof", "ar"), strict=True):
-        value, percent = printed("fig12", nominal), printed("fig12", f"{nominal}_plus")
+        value, percent = printed_number("fig12", nominal), printed_number("fig12", f"{nominal}_plus")
         for sign in (-1.0, 1.0):
             axis.plot([0.8, 1.2], [value * (1.0 + sign * 0.01 * percent)] * 2, **style.PAPER_LINE)
         axis.set(xlabel="ISW amplitude over the nominal one (1)")
     axes[0].plot([], [], **style.PAPER_MARK, label="paper's values; dashed: its model's ± band")
-    style.legend_below(figure, ncols=2)
+    style.add_legend_below(figure, ncols=2)
     return item.Product(
-        drawing=figure, tables={"": _curve_table(curves, "isw_ratio")}, found=_isw_found(curves)
+        drawing=figure, tables={"": _make_curve_table(curves, "isw_ratio")}, found=_fig12_values(curves)
     )
 
 
-def _isw_found(curves: _Curves) -> dict[str, item.Found]:
+def _fig12_values(curves: _Curves) -> dict[str, item.Found]:
     """Return our values of figure 12."""
     at = {name: {round(point[0], 6): point[1:] for point in points} for name, points in curves.items()}
     nominal, strong, zener = (at[name][1.0] for name in ("disk", "disk_gamma", "zener_eq8"))
@@ -166,43 +172,49 @@ def _isw_found(curves: _Curves) -> dict[str, item.Found]:
     for kind, name in enumerate(("tof", "ar")):
         for ratio, sign in ((1.2, "plus"), (0.8, "minus")):
             change = 100.0 * (at["disk"][ratio][kind] / nominal[kind] - 1.0)
-            found[f"{name}_{sign}"] = item.found(abs(change), f"{change:+.2f} %")
-        found[name] = item.found(nominal[kind], "sensor two disks")
-        found[f"{name}_zener"] = item.found(zener[kind], "eq. 8")
+            found[f"{name}_{sign}"] = item.value_or_missing(abs(change), f"{change:+.2f} %")
+        found[name] = item.value_or_missing(nominal[kind], "sensor two disks")
+        found[f"{name}_zener"] = item.value_or_missing(zener[kind], "eq. 8")
         shift = f"{100 * (strong[kind] / nominal[kind] - 1):+.{1 - kind}f} %"
-        found[f"gamma_{name}"] = item.found(strong[kind] - nominal[kind], shift)
-    found["ar_measured"] = item.found(nominal[1], "our model beside the paper's measurement")
+        found[f"gamma_{name}"] = item.value_or_missing(strong[kind] - nominal[kind], shift)
+    found["ar_measured"] = item.value_or_missing(nominal[1], "our model beside the paper's measurement")
     return found
 
 
 # Figure 13 --------------------------------------------------------------------------------------
 
 
-def _over_depth(
+def _simulate_over_depth(
     chain: ChainParameters, plate: PlateParameters, patch: CorrosionParameters, depths: tuple[float, ...]
 ) -> item.Job:
     """Return the simulation of a chain over the depth of a patch."""
-    return item.Job(function=models.pulses_over_depth, arguments=(chain, plate, patch, depths))
+    return item.Job(function=models.compute_pulses_over_depth, arguments=(chain, plate, patch, depths))
 
 
 _DEPTH_CURVES = {
     "mindlin_sphere": _Curve(
-        "plate theory, sensor a sphere", style.SKY, "-", _over_depth(_SPHERE, _PLATE, _PATCH, DEPTHS)
+        "plate theory, sensor a sphere", style.SKY, "-", _simulate_over_depth(_SPHERE, _PLATE, _PATCH, DEPTHS)
     ),
     "mindlin_disk": _Curve(
-        "plate theory, sensor two disks", style.BLUE, "-", _over_depth(_DISK, _PLATE, _PATCH, DEPTHS)
+        "plate theory, sensor two disks", style.BLUE, "-", _simulate_over_depth(_DISK, _PLATE, _PATCH, DEPTHS)
     ),
     "mindlin_disk_large": _Curve(
         "plate theory, disks, patch of 50.8 mm (C)",
         style.GREEN,
         "-.",
-        _over_depth(_DISK, _PLATE, _LARGE_PATCH, DEPTHS),
+        _simulate_over_depth(_DISK, _PLATE, _LARGE_PATCH, DEPTHS),
     ),
     "solid_sphere": _Curve(
-        "solid, sensor a sphere", style.ORANGE, "--", _over_depth(_SPHERE, _SOLID, _PATCH, SOLID_DEPTHS)
+        "solid, sensor a sphere",
+        style.ORANGE,
+        "--",
+        _simulate_over_depth(_SPHERE, _SOLID, _PATCH, SOLID_DEPTHS),
     ),
     "solid_disk": _Curve(
-        "solid, sensor two disks", style.VERMILLION, "--", _over_depth(_DISK, _SOLID, _PATCH, SOLID_DEPTHS)
+        "solid, sensor two disks",
+        style.VERMILLION,
+        "--",
+        _simulate_over_depth(_DISK, _SOLID, _PATCH, SOLID_DEPTHS),
     ),
 }
 
@@ -217,20 +229,20 @@ def draw_fig13(material: item.Material) -> item.Product:
         except item.NotAvailableError as error:
             absent[name] = str(error)
     in_percent = {name: [(100 * depth, tof, ar) for depth, tof, ar in curves[name]] for name in curves}
-    figure, axes = _curves(_DEPTH_CURVES, in_percent, height_in=4.3)
+    figure, axes = _draw_curves(_DEPTH_CURVES, in_percent, height_in=4.3)
     for program, model, mark in (("MATLAB", "mindlin", "D"), ("ABAQUS", "solid", "s")):
         for axis, kind in ((axes[0], "tof"), (axes[1], "ar")):
-            ends = [printed("fig13", f"{model}_sphere_{kind}_{depth}") for depth in (0, 80)]
+            ends = [printed_number("fig13", f"{model}_sphere_{kind}_{depth}") for depth in (0, 80)]
             mark_style = {**style.PAPER_MARK, "marker": mark, "linestyle": ":", "linewidth": 0.8}
             axis.plot([0, 80], ends, **mark_style, label=f"paper, {program} (ends only)")
             axis.set(xlabel="depth of the patch (% of the thickness)")
-    style.legend_below(figure, ncols=2)
+    style.add_legend_below(figure, ncols=2)
     return item.Product(
         drawing=figure,
-        tables={"": _curve_table(curves, "depth_fraction")},
-        found=_depth_found(curves, absent),
+        tables={"": _make_curve_table(curves, "depth_fraction")},
+        found=_fig13_values(curves, absent),
         notes=(
-            *(_turning(name, points) for name, points in curves.items()),
+            *(_describe_minimum(name, points) for name, points in curves.items()),
             *(
                 f"{_DEPTH_CURVES[name].label.capitalize()}: not available, {why}."
                 for name, why in absent.items()
@@ -239,21 +251,21 @@ def draw_fig13(material: item.Material) -> item.Product:
     )
 
 
-def _depth_found(curves: _Curves, absent: Mapping[str, str]) -> dict[str, item.Found]:
+def _fig13_values(curves: _Curves, absent: Mapping[str, str]) -> dict[str, item.Found]:
     """Return our values of figure 13."""
     ends = [
         (f"{kind}_{ending}", k, depth)
         for k, kind in ((1, "tof"), (2, "ar"))
         for depth, ending in ((0.0, "0"), (0.8, "80"))
     ]
-    found = {f"{name}_{key}": item.missing(why) for name, why in absent.items() for key, *_ in ends}
+    found = {f"{name}_{key}": item.missing_value(why) for name, why in absent.items() for key, *_ in ends}
     for name, points in curves.items():
         at = {round(point[0], 6): point for point in points}
-        found |= {f"{name}_{key}": item.found(at[depth][k]) for key, k, depth in ends}
+        found |= {f"{name}_{key}": item.value_or_missing(at[depth][k]) for key, k, depth in ends}
     return found
 
 
-def _turning(name: str, points: Sequence[models.Point]) -> str:
+def _describe_minimum(name: str, points: Sequence[models.Point]) -> str:
     """Describe where the amplitude ratio is minimal, among the computed depths."""
     depth, _, lowest = min(points, key=lambda point: point[2] if math.isfinite(point[2]) else math.inf)
     return (
@@ -266,8 +278,8 @@ FIG10 = item.Item(
     name="fig10",
     make=draw_fig10,
     jobs={
-        "curve": item.Job(function=models.impact_over_inelasticity, arguments=(_GRID,)),
-        "case_3": item.Job(function=models.impact_over_inelasticity, arguments=((CASE_3,),)),
+        "curve": item.Job(function=models.compute_impact_over_inelasticity, arguments=(_GRID,)),
+        "case_3": item.Job(function=models.compute_impact_over_inelasticity, arguments=((CASE_3,),)),
     },
 )
 FIG12, FIG13 = (

@@ -19,12 +19,12 @@ from simulator.parameters.plate import CorrosionParameters, PlateParameters
 from simulator.plate.mindlin.plate import build_plate
 from simulator.plate.solid.plate import build_solid_plate
 from simulator.shot.model import ShotModel
-from simulator.shot.pulse_summary import summarise
+from simulator.shot.pulse_summary import summarise_pulses
 from simulator.zener.model import (
     ZenerReflection,
     approximate_contact_time,
     approximate_restitution,
-    reflect,
+    compute_reflection,
     solve_impact,
 )
 
@@ -58,35 +58,37 @@ class ForceTrace:
     force_n: FloatArray
 
 
-def pulses_over_depth(
+def compute_pulses_over_depth(
     chain: ChainParameters, plate: PlateParameters, patch: CorrosionParameters, depths: tuple[float, ...]
 ) -> list[Pulse]:
     """Compute a shot for each depth."""
     model = ShotModel(chain, plate, patch)
-    return [_pulse(model, depth, chain.drop_height_m) for depth in depths]
+    return [_compute_pulse(model, depth, chain.drop_height_m) for depth in depths]
 
 
-def pulses_over_isw(chain: ChainParameters, plate: PlateParameters, ratios: tuple[float, ...]) -> list[Point]:
+def compute_pulses_over_isw(
+    chain: ChainParameters, plate: PlateParameters, ratios: tuple[float, ...]
+) -> list[Point]:
     """Compute shots with `ratios` of the nominal ISW, each found by its drop height."""
     model = ShotModel(chain, plate, CorrosionParameters())
-    nominal_n = _pulse(model, 0.0, chain.drop_height_m).isw_peak_n
+    nominal_n = _compute_pulse(model, 0.0, chain.drop_height_m).isw_peak_n
     found = []
     for ratio in ratios:
         # F ~ h^(3/5) in a long chain: the root lies well inside half and twice that.
         guess_m = chain.drop_height_m * ratio ** (5.0 / 3.0)
         height_m = brentq(
-            lambda h, ratio=ratio: _pulse(model, 0.0, h).isw_peak_n / nominal_n - ratio,
+            lambda h, ratio=ratio: _compute_pulse(model, 0.0, h).isw_peak_n / nominal_n - ratio,
             0.5 * guess_m,
             2.0 * guess_m,
             xtol=1e-9,
             maxiter=LONGEST_SEARCH,
         )
-        pulse = _pulse(model, 0.0, float(height_m))
+        pulse = _compute_pulse(model, 0.0, float(height_m))
         found.append((ratio, pulse.tof_us, pulse.amplitude_ratio))
     return found
 
 
-def zener_over_isw(ratios: tuple[float, ...], closed_form: bool) -> list[Point]:
+def compute_zener_over_isw(ratios: tuple[float, ...], closed_form: bool) -> list[Point]:
     """Compute Zener's model over the ISW's amplitude, ``F ~ v^(6/5) ~ h^(3/5)`` as in Table 2.
 
     Parameters
@@ -97,12 +99,12 @@ def zener_over_isw(ratios: tuple[float, ...], closed_form: bool) -> list[Point]:
     chain, found = ChainParameters(), list[Point]()
     for ratio in ratios:
         higher = replace(chain, drop_height_m=chain.drop_height_m * ratio ** (5.0 / 3.0))
-        reflection = reflect(higher, PlateParameters(), closed_form=closed_form)
+        reflection = compute_reflection(higher, PlateParameters(), closed_form=closed_form)
         found.append((ratio, 1e6 * reflection.tof_s, reflection.amplitude_ratio))
     return found
 
 
-def impact_over_inelasticity(inelasticities: tuple[float, ...]) -> dict[str, list[float]]:
+def compute_impact_over_inelasticity(inelasticities: tuple[float, ...]) -> dict[str, list[float]]:
     """Compute restitution and contact time by eq. 8 and eqs 10 and 12; NaN if not valid."""
     columns: dict[str, list[float]] = {
         name: [] for name in ("inelasticity", "e_eq8", "e_eq10", "tau_c_eq8", "tau_c_eq12")
@@ -117,7 +119,7 @@ def impact_over_inelasticity(inelasticities: tuple[float, ...]) -> dict[str, lis
     return columns
 
 
-def forces_along_the_chain(plate: PlateParameters) -> list[ForceTrace]:
+def compute_forces_along_chain(plate: PlateParameters) -> list[ForceTrace]:
     """Compute the force at every body between striker and last sphere.
 
     The chain is of equal spheres, sensor included, so it does not matter where the sensor is called:
@@ -133,14 +135,14 @@ def forces_along_the_chain(plate: PlateParameters) -> list[ForceTrace]:
     return found
 
 
-def impact_speed(chain: ChainParameters, plate: PlateParameters) -> float:
+def compute_impact_speed(chain: ChainParameters, plate: PlateParameters) -> float:
     """Return the striker's speed in m/s."""
     return build_chain(chain, plate).impact_speed_m_per_s
 
 
-def _pulse(model: ShotModel, depth: float, drop_height_m: float) -> Pulse:
+def _compute_pulse(model: ShotModel, depth: float, drop_height_m: float) -> Pulse:
     """Compute a shot and its peaks."""
-    summary = summarise(model.shot(depth_fraction=depth, drop_height_m=drop_height_m))
+    summary = summarise_pulses(model.shot(depth_fraction=depth, drop_height_m=drop_height_m))
     return Pulse(
         depth_fraction=depth,
         isw_peak_n=summary.isw_peak_n,
@@ -171,7 +173,7 @@ class MeshLines:
     contact_element_m: float
 
 
-def mindlin_mesh(plate: PlateParameters) -> MeshLines:
+def build_mindlin_mesh(plate: PlateParameters) -> MeshLines:
     """Return the mesh of the plate theory."""
     patch = CorrosionParameters()
     built = build_plate(plate, patch)
@@ -187,7 +189,7 @@ def mindlin_mesh(plate: PlateParameters) -> MeshLines:
     )
 
 
-def solid_mesh(plate: PlateParameters, depth_fraction: float) -> MeshLines:
+def build_solid_mesh(plate: PlateParameters, depth_fraction: float) -> MeshLines:
     """Return the mesh of the solid plate with the default patch of a depth."""
     patch = CorrosionParameters(depth_fraction=depth_fraction)
     built = build_solid_plate(plate, patch)
@@ -204,6 +206,6 @@ def solid_mesh(plate: PlateParameters, depth_fraction: float) -> MeshLines:
     )
 
 
-def zener_on_thickness(thickness_m: float) -> ZenerReflection:
+def compute_zener_on_thickness(thickness_m: float) -> ZenerReflection:
     """Compute Zener's model on a plate of another thickness; a very thick one is a rigid wall."""
-    return reflect(ChainParameters(), replace(PlateParameters(), thickness_m=thickness_m))
+    return compute_reflection(ChainParameters(), replace(PlateParameters(), thickness_m=thickness_m))

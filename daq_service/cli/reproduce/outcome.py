@@ -15,13 +15,13 @@ from typing import Any, TypedDict
 
 import click
 
-from daq_service.cli.reproduce.comparison import NOT_AVAILABLE, Row, tally
+from daq_service.cli.reproduce.comparison import NOT_AVAILABLE, Row, count_by_result
 from daq_service.cli.reproduce.evidence import Evidence
 from daq_service.cli.reproduce.item import Item, Table
 from daq_service.cli.reproduce.output import RECORD, REPORT
 from daq_service.recording.provenance import PACKAGES
 from daq_service.shared_file import write_output
-from daq_service.web.templates import render
+from daq_service.web.templates import render_template
 
 TITLE = "The paper's evaluation, reproduced"
 
@@ -58,7 +58,7 @@ class Facts(TypedDict):
     configuration_hash: str | None
     test: str | None
     data_dir: str | None
-    versions: dict[str, str]
+    describe_run: dict[str, str]
     machine: str
 
 
@@ -78,7 +78,7 @@ class Outcome:
         return [row for section in self.sections for row in section.rows]
 
 
-def versions() -> Facts:
+def describe_run() -> Facts:
     """Return the facts of a run before it has a test."""
     return {
         "seed": None,
@@ -93,7 +93,7 @@ def versions() -> Facts:
     }
 
 
-def add_test(facts: Facts, test: Evidence) -> None:
+def add_test_facts(facts: Facts, test: Evidence) -> None:
     """Add the facts of a test."""
     facts |= {
         "seed": test.seed,
@@ -105,7 +105,7 @@ def add_test(facts: Facts, test: Evidence) -> None:
     }
 
 
-def finish(run: Outcome, names: Sequence[str], *, interrupted: bool) -> dict[str, object]:
+def write_outcome(run: Outcome, names: Sequence[str], *, interrupted: bool) -> dict[str, object]:
     """Write report and JSON file, and return the contents of the latter.
 
     Parameters
@@ -116,7 +116,7 @@ def finish(run: Outcome, names: Sequence[str], *, interrupted: bool) -> dict[str
     finished = {section.item.name for section in run.sections}
     missing = [name for name in names if name not in finished]
     elapsed_s = time.monotonic() - run.started_s
-    counts = tally(run.rows)
+    counts = count_by_result(run.rows)
     result: dict[str, object] = {
         **run.facts,
         "elapsed_s": round(elapsed_s, 3),
@@ -141,7 +141,7 @@ def finish(run: Outcome, names: Sequence[str], *, interrupted: bool) -> dict[str
         "data": run.facts["data_dir"] or "-",
         "versions": ", ".join(f"{name} {number}" for name, number in run.facts["versions"].items()),
         "machine": run.facts["machine"],
-        "values of the paper": _tally_text(counts),
+        "values of the paper": _describe_counts(counts),
         "made": f"{datetime.now().astimezone():%Y-%m-%d %H:%M %Z}, in {elapsed_s:.0f} s",
     }
     remarks = [
@@ -154,7 +154,7 @@ def finish(run: Outcome, names: Sequence[str], *, interrupted: bool) -> dict[str
         remarks.append(f"Interrupted before {', '.join(missing)} could be made.")
     write_output(
         run.out / REPORT,
-        render(
+        render_template(
             "reproduction.html.j2",
             title=TITLE,
             run_facts=facts,
@@ -167,7 +167,7 @@ def finish(run: Outcome, names: Sequence[str], *, interrupted: bool) -> dict[str
     return result
 
 
-def _tally_text(counts: Mapping[str, int]) -> str:
+def _describe_counts(counts: Mapping[str, int]) -> str:
     """Return the counts of the comparison in words."""
     return (
         f"{counts['values']}: {counts['agree']} agree to rounding, {counts['deviate']} deviate, "
@@ -195,7 +195,7 @@ def print_result(result: Mapping[str, Any]) -> None:
         )
     versions = ", ".join(f"{name} {number}" for name, number in result["versions"].items())
     if rows:
-        click.echo(f"values of the paper: {_tally_text(result['tally'])}")
+        click.echo(f"values of the paper: {_describe_counts(result['tally'])}")
     click.echo(f"seed {result['seed']}, configuration {result['configuration_hash']}")
     click.echo(f"{versions}; {result['machine']}")
     if result["missing"]:

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from daq_service.cli.reproduce.item import Table
 from daq_service.errors import StorageError
-from daq_service.settings.foreign_text import spreadsheet_cell
+from daq_service.settings.foreign_text import escape_spreadsheet_cell
 from daq_service.shared_file import write_output
 
 RECORD = "reproduction.json"
@@ -41,7 +41,7 @@ def prepare_output(folder: Path) -> None:
         raise StorageError(f"cannot write {folder}: {error.strerror}; choose another with --out") from error
 
 
-def csv_bytes(table: Table) -> bytes:
+def format_csv(table: Table) -> bytes:
     """Return comma-separated values: a header, then a line per row; missing values are empty cells.
 
     Floats are written with all their digits, so that they read back as the same numbers.
@@ -50,11 +50,11 @@ def csv_bytes(table: Table) -> bytes:
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(table.columns)
     for row in table.rows():
-        writer.writerow([_cell(value) for value in row])
+        writer.writerow([_format_cell(value) for value in row])
     return text.getvalue().encode()
 
 
-def _cell(value: object) -> str:
+def _format_cell(value: object) -> str:
     """Return a value as a cell of a CSV file."""
     if value is None:
         return ""
@@ -63,4 +63,4 @@ def _cell(value: object) -> str:
         if math.isnan(number):
             return ""
         return repr(int(number)) if number.is_integer() and abs(number) < 1e15 else repr(number)
-    return spreadsheet_cell(value) if isinstance(value, str) else str(value)
+    return escape_spreadsheet_cell(value) if isinstance(value, str) else str(value)

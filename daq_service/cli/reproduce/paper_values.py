@@ -39,31 +39,31 @@ class PaperValue:
     wording: str
 
 
-def _paper_value(value: str, **texts: str) -> PaperValue:
+def _parse_paper_value(value: str, **texts: str) -> PaperValue:
     """Return a row of the file."""
     decimals = len(value.partition(".")[2])
     return PaperValue(value=float(value) if value else None, decimals=decimals, **texts)
 
 
 with Path(__file__).with_suffix(".csv").open(encoding="utf-8", newline="") as _file:
-    PAPER_VALUES = tuple(_paper_value(**row) for row in csv.DictReader(_file))
+    PAPER_VALUES = tuple(_parse_paper_value(**row) for row in csv.DictReader(_file))
 
 _BY_NAME = {(value.item, value.quantity): value for value in PAPER_VALUES}
 
 
-def of_paper(item: str, quantity: str) -> PaperValue:
+def find_paper_value(item: str, quantity: str) -> PaperValue:
     """Return a value of the paper; KeyError for an unknown name."""
     return _BY_NAME[item, quantity]
 
 
-def printed(item: str, quantity: str) -> float:
+def printed_number(item: str, quantity: str) -> float:
     """Return a printed number; ValueError if the paper prints none."""
-    value = of_paper(item, quantity).value
+    value = find_paper_value(item, quantity).value
     if value is None:
         raise ValueError(f"the paper prints no number for {quantity} of {item}")
     return value
 
 
-def values_of(item: str) -> tuple[PaperValue, ...]:
+def paper_values_of_item(item: str) -> tuple[PaperValue, ...]:
     """Return all values of the paper for an item."""
     return tuple(value for value in PAPER_VALUES if value.item == item)

@@ -21,19 +21,26 @@ import click
 import matplotlib as mpl
 
 from daq_service.catalogue import check_owner
-from daq_service.cli.reproduce.comparison import compare
+from daq_service.cli.reproduce.comparison import compare_item
 from daq_service.cli.reproduce.evidence import Evidence, read_evidence
-from daq_service.cli.reproduce.experiment import BY_SETS, run_test, twin_settings
+from daq_service.cli.reproduce.experiment import BY_SETS, load_twin_settings, run_test
 from daq_service.cli.reproduce.item import Item, Job, Material, NotAvailableError, Product
-from daq_service.cli.reproduce.items import chosen_items
-from daq_service.cli.reproduce.outcome import Outcome, Section, add_test, finish, print_result, versions
-from daq_service.cli.reproduce.output import DATA_FOLDER, csv_bytes, prepare_output
-from daq_service.cli.reproduce.style import RULES, rendered
+from daq_service.cli.reproduce.items import choose_items
+from daq_service.cli.reproduce.outcome import (
+    Outcome,
+    Section,
+    add_test_facts,
+    describe_run,
+    print_result,
+    write_outcome,
+)
+from daq_service.cli.reproduce.output import DATA_FOLDER, format_csv, prepare_output
+from daq_service.cli.reproduce.style import RULES, render_figure
 from daq_service.errors import EXIT_INTERRUPTED, EXIT_OK, UsageError
 from daq_service.processes.child import stop_on_signals
-from daq_service.processes.data_folder import new_folder
-from daq_service.processes.worker import one_worker
-from daq_service.settings.stored import differences
+from daq_service.processes.data_folder import new_folder_path
+from daq_service.processes.worker import start_one_worker
+from daq_service.settings.stored import find_settings_differences
 from daq_service.settings.tree import Settings
 from daq_service.shared_file import write_output
 from simulator.errors import SimulatorError
@@ -57,12 +64,12 @@ def reproduce(
         raise UsageError(
             "--seed is for a new test on the twin; the test of --from has been run: leave one out"
         )
-    items = chosen_items(only)
-    folder = (out or new_folder("reproduction")).absolute()
+    items = choose_items(only)
+    folder = (out or new_folder_path("reproduction")).absolute()
 
     report = partial(click.echo, err=True)
     with stop_on_signals() as stop, ExitStack() as stack:
-        executor = stack.enter_context(one_worker())
+        executor = stack.enter_context(start_one_worker())
         try:
             result, finished = reproduce_into(
                 folder, items, data_dir=data_dir, seed=seed, executor=executor, stop=stop, report=report
@@ -109,13 +116,13 @@ def reproduce_into(
     """
     # The slips use a test only if there is one.
     needed = any(item.needs_test for item in items)
-    settings = twin_settings(seed) if needed and data_dir is None else None
+    settings = load_twin_settings(seed) if needed and data_dir is None else None
     if data_dir is not None:
         read_evidence(data_dir.absolute(), with_traces=False)
     elif settings is not None and (out / DATA_FOLDER).exists():
         check_owner(settings, out / DATA_FOLDER)
     prepare_output(out)
-    run = Outcome(out=out, started_s=time.monotonic(), facts=versions())
+    run = Outcome(out=out, started_s=time.monotonic(), facts=describe_run())
     with ThreadPoolExecutor(max_workers=1, thread_name_prefix="test") as tests:
         evidence = None
         if data_dir is not None and (needed or any(item.name == SLIPS for item in items)):
@@ -126,7 +133,7 @@ def reproduce_into(
         futures = {job: executor.submit(job.function, *job.arguments) for job in jobs}
         try:
             for item in sorted(items, key=lambda item: (item.needs_test, item.name == SLIPS)):
-                _make(run, item, futures, evidence, stop, report)
+                _make_item(run, item, futures, evidence, stop, report)
         except _StoppedError:
             report("interrupted: what is finished stays; the same command with the same --out goes on")
         except BaseException:
@@ -134,7 +141,7 @@ def reproduce_into(
             raise
     order = [item.name for item in items]
     run.sections.sort(key=lambda section: order.index(section.item.name))
-    return finish(run, [item.name for item in items], interrupted=stop.is_set()), not stop.is_set()
+    return write_outcome(run, [item.name for item in items], interrupted=stop.is_set()), not stop.is_set()
 
 
 # The test and the models ---------------------------------------------------------------------------
@@ -157,7 +164,7 @@ def _run_and_read(settings: Settings, folder: Path, stop: threading.Event, repor
     return read_evidence(folder)
 
 
-def _wait(future: Future[T], stop: threading.Event) -> T:
+def _wait_for_result(future: Future[T], stop: threading.Event) -> T:
     """Wait for a result or an interruption."""
     while not future.done():
         if stop.wait(POLL_S):
@@ -168,7 +175,7 @@ def _wait(future: Future[T], stop: threading.Event) -> T:
 # One item ------------------------------------------------------------------------------------------
 
 
-def _make(
+def _make_item(
     run: Outcome,
     item: Item,
     futures: Mapping[Job, Future[object]],
@@ -180,39 +187,39 @@ def _make(
     results: dict[str, object] = {}
     for name, job in item.jobs.items():
         try:
-            results[name] = _wait(futures[job], stop)
+            results[name] = _wait_for_result(futures[job], stop)
         except (SimulatorError, ValueError) as error:
             results[name] = error
     wants_test = item.needs_test or item.name == SLIPS
-    test = _wait(evidence, stop) if evidence is not None and wants_test else None
+    test = _wait_for_result(evidence, stop) if evidence is not None and wants_test else None
     if stop.is_set():
         raise _StoppedError
     if test is not None:
-        add_test(run.facts, test)
+        add_test_facts(run.facts, test)
     with mpl.rc_context(RULES):
         try:
             product = item.make(Material(evidence=test, results=results))
         except NotAvailableError as error:
             report(f"{item.name}: not available: {error}")
-            rows = compare(item.name, {}, origin="shipped", missing_reason=str(error))
+            rows = compare_item(item.name, {}, origin="shipped", missing_reason=str(error))
             run.sections.append(Section(item=item, trouble=str(error), rows=rows))
             return
-        pictures = {} if product.drawing is None else rendered(product.drawing)
-    run.sections.append(_written(run, item, product, pictures, origin=_origin(test)))
+        pictures = {} if product.drawing is None else render_figure(product.drawing)
+    run.sections.append(_write_item(run, item, product, pictures, origin=_describe_origin(test)))
     if item.name == SLIPS:
         table = product.tables[""]
         run.slips = [dict(zip(table.columns, row, strict=True)) for row in table.rows()]
     report(f"{item.name}: done ({time.monotonic() - run.started_s:.0f} s)")
 
 
-def _written(
+def _write_item(
     run: Outcome, item: Item, product: Product, pictures: Mapping[str, bytes], *, origin: str
 ) -> Section:
     """Write the files of an item and return its section."""
     stem = f"fig{int(item.name[3:]):02d}" if item.name.startswith("fig") else item.name
     contents = {f"{stem}.{ending}": content for ending, content in pictures.items()}
     for ending, table in product.tables.items():
-        contents[f"{stem}_{ending}.csv" if ending else f"{stem}.csv"] = csv_bytes(table)
+        contents[f"{stem}_{ending}.csv" if ending else f"{stem}.csv"] = format_csv(table)
     for name, content in contents.items():
         write_output(run.out / name, content)
     return Section(
@@ -220,12 +227,12 @@ def _written(
         files=tuple(contents),
         png=pictures.get("png", b""),
         table=product.tables.get("") if product.drawing is None else None,
-        rows=compare(item.name, product.found, origin=origin),
+        rows=compare_item(item.name, product.found, origin=origin),
         notes=product.notes,
     )
 
 
-def _origin(test: Evidence | None) -> str:
+def _describe_origin(test: Evidence | None) -> str:
     """Return whose measurements these are, for their causes."""
     if test is not None and not test.from_twin:
         return "specimen"
@@ -234,4 +241,4 @@ def _origin(test: Evidence | None) -> str:
     # What raises an alarm changes no measurement.
     alarms = {**test.settings.alarms.model_dump(mode="json"), **BY_SETS["alarms"]}
     stored = {**test.settings.model_dump(mode="json"), "alarms": alarms}
-    return "twin" if differences(stored, twin_settings(test.seed)) else "shipped"
+    return "twin" if find_settings_differences(stored, load_twin_settings(test.seed)) else "shipped"

@@ -11,8 +11,8 @@ from matplotlib.patches import Rectangle
 
 from daq_service.cli.reproduce import models
 from daq_service.cli.reproduce.evidence import FloatArray
-from daq_service.cli.reproduce.item import Item, Job, Material, Product, Table, found
-from daq_service.cli.reproduce.style import BLUE, GREY, VERMILLION, name_panels, sheet
+from daq_service.cli.reproduce.item import Item, Job, Material, Product, Table, value_or_missing
+from daq_service.cli.reproduce.style import BLUE, GREY, VERMILLION, create_sheet, name_panels
 from simulator.parameters.chain import ChainParameters
 from simulator.parameters.plate import PlateParameters
 
@@ -26,12 +26,12 @@ ZOOM_MM = 10.0
 _PLATE = PlateParameters()
 
 
-def _mirrored(lines_m: FloatArray) -> FloatArray:
+def _mirror_grid_lines(lines_m: FloatArray) -> FloatArray:
     """Return grid lines on both sides of the centre, in mm."""
     return 1e3 * np.concatenate((-lines_m[:0:-1], lines_m))
 
 
-def _grid(
+def _draw_grid(
     axis: Axes,
     x_mm: FloatArray,
     y_mm: FloatArray,
@@ -51,7 +51,7 @@ def _grid(
     axis.grid(visible=False)
 
 
-def _patch(axis: Axes, from_mm: float, size_mm: float) -> None:
+def _draw_patch(axis: Axes, from_mm: float, size_mm: float) -> None:
     """Draw the outline of the patch."""
     corner = (from_mm, from_mm)
     axis.add_patch(Rectangle(corner, size_mm, size_mm, fill=False, ec=VERMILLION, lw=1.4, zorder=3))
@@ -61,16 +61,16 @@ def draw_fig5(material: Material) -> Product:
     """Draw the mesh of the plate theory, and a wave in the chain: down, reflected, up."""
     mesh: models.MeshLines = material.result("mesh")
     traces: Sequence[models.ForceTrace] = material.result("chain")
-    figure, axes = sheet(2, 2, height_in=6.6, height_ratios=(1.0, 1.1))
+    figure, axes = create_sheet(2, 2, height_in=6.6, height_ratios=(1.0, 1.1))
     grid = axes[2].get_gridspec()
     assert grid is not None
     axes[2].remove()
     axes[3].remove()
     wave = figure.add_subplot(grid[1, :])
-    x_mm, y_mm = _mirrored(mesh.x_m), _mirrored(mesh.y_m)
-    _grid(axes[0], x_mm, y_mm, (float(x_mm[0]), float(x_mm[-1])), width=0.25, colour=GREY)
-    _patch(axes[0], -500.0 * mesh.patch_m, 1e3 * mesh.patch_m)
-    _grid(axes[1], x_mm, y_mm, (-ZOOM_MM, ZOOM_MM), width=0.4, colour=GREY)
+    x_mm, y_mm = _mirror_grid_lines(mesh.x_m), _mirror_grid_lines(mesh.y_m)
+    _draw_grid(axes[0], x_mm, y_mm, (float(x_mm[0]), float(x_mm[-1])), width=0.25, colour=GREY)
+    _draw_patch(axes[0], -500.0 * mesh.patch_m, 1e3 * mesh.patch_m)
+    _draw_grid(axes[1], x_mm, y_mm, (-ZOOM_MM, ZOOM_MM), width=0.4, colour=GREY)
     for trace in traces:
         time_us = 1e6 * trace.time_s
         early = time_us <= 900.0
@@ -103,9 +103,9 @@ def draw_fig5(material: Material) -> Product:
             "mesh": Table(columns={"x_m": mesh.x_m, "y_m": mesh.y_m}),
         },
         found={
-            "elements": found(float(elements)),
-            "contact_element": found(1e3 * mesh.contact_element_m),
-            "spheres_below": found(float(ChainParameters().spheres_below)),
+            "elements": value_or_missing(float(elements)),
+            "contact_element": value_or_missing(1e3 * mesh.contact_element_m),
+            "spheres_below": value_or_missing(float(ChainParameters().spheres_below)),
         },
         notes=(
             (
@@ -122,14 +122,14 @@ def draw_fig6(material: Material) -> Product:
     """Draw the mesh of the solid plate in plan and section."""
     mesh: models.MeshLines = material.result("mesh")
     speed_m_per_s: float = material.result("impact_speed")
-    figure, axes = sheet(1, 2, height_in=3.4, width_ratios=(1.0, 1.25))
+    figure, axes = create_sheet(1, 2, height_in=3.4, width_ratios=(1.0, 1.25))
     plan, section = axes
     x_mm, z_mm = 1e3 * mesh.x_m, 1e3 * mesh.z_m
     half_mm = 20.0
     nodes_mm = 1e3 * mesh.nodes_m
     for places, width, colour in ((nodes_mm, 0.25, "#aaaaaa"), (x_mm, 0.8, GREY)):
-        _grid(plan, places, places, (0.0, half_mm), width=width, colour=colour)
-    _patch(plan, 0.0, 500.0 * mesh.patch_m)
+        _draw_grid(plan, places, places, (0.0, half_mm), width=width, colour=colour)
+    _draw_patch(plan, 0.0, 500.0 * mesh.patch_m)
     edge_mm, remaining_mm = 500.0 * mesh.patch_m, (1.0 - mesh.depth_fraction) * z_mm[-1]
     lines = [
         [(value, 0.0), (value, remaining_mm if value < edge_mm - 1e-6 else z_mm[-1])]
@@ -156,8 +156,8 @@ def draw_fig6(material: Material) -> Product:
             "z": Table(columns={"z_m": mesh.z_m}),
         },
         found={
-            "contact_element": found(1e3 * mesh.contact_element_m),
-            "impact_speed": found(speed_m_per_s),
+            "contact_element": value_or_missing(1e3 * mesh.contact_element_m),
+            "impact_speed": value_or_missing(speed_m_per_s),
         },
         notes=(
             (
@@ -174,15 +174,15 @@ FIG5 = Item(
     name="fig5",
     make=draw_fig5,
     jobs={
-        "mesh": Job(function=models.mindlin_mesh, arguments=(_PLATE,)),
-        "chain": Job(function=models.forces_along_the_chain, arguments=(_PLATE,)),
+        "mesh": Job(function=models.build_mindlin_mesh, arguments=(_PLATE,)),
+        "chain": Job(function=models.compute_forces_along_chain, arguments=(_PLATE,)),
     },
 )
 FIG6 = Item(
     name="fig6",
     make=draw_fig6,
     jobs={
-        "mesh": Job(function=models.solid_mesh, arguments=(_PLATE, SECTION_DEPTH)),
-        "impact_speed": Job(function=models.impact_speed, arguments=(ChainParameters(), _PLATE)),
+        "mesh": Job(function=models.build_solid_mesh, arguments=(_PLATE, SECTION_DEPTH)),
+        "impact_speed": Job(function=models.compute_impact_speed, arguments=(ChainParameters(), _PLATE)),
     },
 )

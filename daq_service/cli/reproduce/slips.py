@@ -12,14 +12,14 @@ from analysis.statistics.limits import false_alarm_rate
 from daq_service.cli.reproduce import models
 from daq_service.cli.reproduce.item import Item, Job, Material, NotAvailableError, Product, Table
 from daq_service.cli.reproduce.model_figures import DEPTHS, STRONG_GAMMA_N_S_PER_M
-from daq_service.cli.reproduce.paper_values import printed
+from daq_service.cli.reproduce.paper_values import printed_number
 from daq_service.cli.reproduce.texts import TEXTS, Slip
 from simulator.chain.hertz_contact import indentation_m, sphere_on_flat_stiffness, sphere_on_sphere_stiffness
 from simulator.materials import bending_stiffness_n_m, plane_modulus_pa, shear_modulus_pa
 from simulator.parameters.chain import ChainParameters
 from simulator.parameters.plate import CorrosionParameters, LiquidParameters, PlateParameters
 from simulator.zener.model import amplitude_ratio, approximate_restitution
-from simulator.zener.table_2 import table_2
+from simulator.zener.table_2 import compute_table_2
 
 _SPHERE, _DISK = ChainParameters(sensor="sphere"), ChainParameters(sensor="disk")
 _PLATE, _PATCH = PlateParameters(), CorrosionParameters()
@@ -30,43 +30,49 @@ _WATER = LiquidParameters(depth_m=0.3)
 _Numbers = Mapping[str, object]
 
 
-def _undamped(chain: ChainParameters) -> ChainParameters:
+def _undamped_chain(chain: ChainParameters) -> ChainParameters:
     """Return the chain without dashpots."""
     return replace(chain, damping_n_s_per_m=0.0, contact_damping_n_s_per_m=0.0)
 
 
-def _shot(chain: ChainParameters, plate: PlateParameters = _PLATE) -> Job:
+def _simulate_pristine_shot(chain: ChainParameters, plate: PlateParameters = _PLATE) -> Job:
     """Return the simulation of one shot on the pristine plate."""
-    return Job(function=models.pulses_over_depth, arguments=(chain, plate, _PATCH, (0.0,)))
+    return Job(function=models.compute_pulses_over_depth, arguments=(chain, plate, _PATCH, (0.0,)))
 
 
-def _on_element(size_m: float) -> Job:
+def _simulate_shot_on_element(size_m: float) -> Job:
     """Return the simulation of one shot with the contact on an element of this size."""
-    return _shot(_DISK, replace(_PLATE, contact_element_m=size_m))
+    return _simulate_pristine_shot(_DISK, replace(_PLATE, contact_element_m=size_m))
 
 
 _CANDIDATES: Mapping[str, tuple[str, Job]] = {
-    "sphere": ("sensor a sphere", _shot(_SPHERE)),
-    "disk": ("sensor two disks", _shot(_DISK)),
-    "sphere_undamped": ("sphere, no dashpots (eq. 1 as printed)", _shot(_undamped(_SPHERE))),
-    "disk_undamped": ("disks, no dashpots (eq. 1 as printed)", _shot(_undamped(_DISK))),
-    "sphere_wall": ("sphere, rigid wall", _shot(_SPHERE, _WALL)),
-    "disk_wall": ("disks, rigid wall", _shot(_DISK, _WALL)),
-    "sphere_thin": ("sphere, infinite thin plate", _shot(_SPHERE, _THIN)),
-    "disk_thin": ("disks, infinite thin plate", _shot(_DISK, _THIN)),
-    "disk_nu": ("disks, nu of the chain 0.28", _shot(replace(_DISK, poisson_ratio=0.28))),
-    "element_1_mm": ("disks, contact element 1 mm", _on_element(1e-3)),
-    "element_10_um": ("disks, contact element 0.01 mm", _on_element(1e-5)),
+    "sphere": ("sensor a sphere", _simulate_pristine_shot(_SPHERE)),
+    "disk": ("sensor two disks", _simulate_pristine_shot(_DISK)),
+    "sphere_undamped": (
+        "sphere, no dashpots (eq. 1 as printed)",
+        _simulate_pristine_shot(_undamped_chain(_SPHERE)),
+    ),
+    "disk_undamped": (
+        "disks, no dashpots (eq. 1 as printed)",
+        _simulate_pristine_shot(_undamped_chain(_DISK)),
+    ),
+    "sphere_wall": ("sphere, rigid wall", _simulate_pristine_shot(_SPHERE, _WALL)),
+    "disk_wall": ("disks, rigid wall", _simulate_pristine_shot(_DISK, _WALL)),
+    "sphere_thin": ("sphere, infinite thin plate", _simulate_pristine_shot(_SPHERE, _THIN)),
+    "disk_thin": ("disks, infinite thin plate", _simulate_pristine_shot(_DISK, _THIN)),
+    "disk_nu": ("disks, nu of the chain 0.28", _simulate_pristine_shot(replace(_DISK, poisson_ratio=0.28))),
+    "element_1_mm": ("disks, contact element 1 mm", _simulate_shot_on_element(1e-3)),
+    "element_10_um": ("disks, contact element 0.01 mm", _simulate_shot_on_element(1e-5)),
 }
 """Settings compatible with the paper, and limiting cases, compared with its 319 us and 0.837."""
 _JOBS = {
     **{name: job for name, (_, job) in _CANDIDATES.items()},
-    "element_100_um": _on_element(1e-4),
-    "free_wall": _shot(_FREE, _WALL),
-    "disk_gamma": _shot(replace(_DISK, contact_damping_n_s_per_m=STRONG_GAMMA_N_S_PER_M)),
-    "disk_wet": _shot(_DISK, replace(_PLATE, liquid=_WATER)),
-    "disk_depths": Job(function=models.pulses_over_depth, arguments=(_DISK, _PLATE, _PATCH, DEPTHS)),
-    "zener_wall": Job(function=models.zener_on_thickness, arguments=(1.0,)),
+    "element_100_um": _simulate_shot_on_element(1e-4),
+    "free_wall": _simulate_pristine_shot(_FREE, _WALL),
+    "disk_gamma": _simulate_pristine_shot(replace(_DISK, contact_damping_n_s_per_m=STRONG_GAMMA_N_S_PER_M)),
+    "disk_wet": _simulate_pristine_shot(_DISK, replace(_PLATE, liquid=_WATER)),
+    "disk_depths": Job(function=models.compute_pulses_over_depth, arguments=(_DISK, _PLATE, _PATCH, DEPTHS)),
+    "zener_wall": Job(function=models.compute_zener_on_thickness, arguments=(1.0,)),
 }
 
 
@@ -78,52 +84,52 @@ class _Values(dict[str, object]):
         self._material = material
 
     def __missing__(self, name: str) -> models.Pulse:
-        return _one(self._material, name)
+        return _only_shot(self._material, name)
 
 
-def _one(material: Material, name: str) -> models.Pulse:
+def _only_shot(material: Material, name: str) -> models.Pulse:
     """Return the only shot of a simulation."""
     shot: models.Pulse = material.result(name)[0]
     return shot
 
 
-def _percent(new: float, old: float) -> float:
+def _format_percent(new: float, old: float) -> float:
     return 100.0 * (new / old - 1.0)
 
 
-def _dashpot(material: Material) -> _Numbers:
+def _check_dashpot(material: Material) -> _Numbers:
     overlap_m = indentation_m(
-        _one(material, "sphere").isw_peak_n,
+        _only_shot(material, "sphere").isw_peak_n,
         sphere_on_sphere_stiffness(_SPHERE.radius_m, _SPHERE.youngs_modulus_pa, _SPHERE.poisson_ratio),
     )
     return {"overlap_m": overlap_m, "overlap_um": 1e6 * overlap_m}
 
 
-def _bracket(_: Material) -> _Numbers:
+def _check_bracket(_: Material) -> _Numbers:
     E, nu, radius = _PLATE.youngs_modulus_pa, _PLATE.poisson_ratio, _SPHERE.radius_m
     as_printed = 4.0 * math.sqrt(radius) / 3.0 * 2.0 / plane_modulus_pa(E, nu)
     return {"as_printed": as_printed, "right": sphere_on_flat_stiffness(radius, E, nu, E, nu)}
 
 
-def _shear(_: Material) -> _Numbers:
+def _check_shear_modulus(_: Material) -> _Numbers:
     """Return the finding on the printed shear modulus."""
     E, nu = _PLATE.youngs_modulus_pa, _PLATE.poisson_ratio
     return {"printed_gpa": E / (1.0 + nu) / 1e9, "right_gpa": shear_modulus_pa(E, nu) / 1e9}
 
 
-def _locking(material: Material) -> _Numbers:
+def _check_locking(material: Material) -> _Numbers:
     """Look whether any setting or limit gives the paper's time of flight and amplitude ratio together."""
-    tof_us, ar = printed("fig12", "tof"), printed("fig12", "ar")
-    candidates = {label: _one(material, name) for name, (label, _) in _CANDIDATES.items()}
+    tof_us, ar = printed_number("fig12", "tof"), printed_number("fig12", "ar")
+    candidates = {label: _only_shot(material, name) for name, (label, _) in _CANDIDATES.items()}
 
-    def distance(shot: models.Pulse) -> float:
+    def distance_to_paper(shot: models.Pulse) -> float:
         return math.hypot(shot.tof_us / tof_us - 1.0, shot.amplitude_ratio / ar - 1.0)
 
-    label, nearest = min(candidates.items(), key=lambda item: distance(item[1]))
+    label, nearest = min(candidates.items(), key=lambda item: distance_to_paper(item[1]))
     return {"n": len(candidates), "tof_us": tof_us, "ar": ar, "label": label, "nearest": nearest}
 
 
-def _not_monotonic(material: Material) -> _Numbers:
+def _check_monotonicity(material: Material) -> _Numbers:
     shots: list[models.Pulse] = material.result("disk_depths")
     minimum = min(shots, key=lambda shot: shot.amplitude_ratio)
     rises = all(after.tof_us > before.tof_us for before, after in pairwise(shots))
@@ -137,12 +143,15 @@ def _not_monotonic(material: Material) -> _Numbers:
     }
 
 
-def _equation_13(material: Material) -> _Numbers:
+def _check_equation_13(material: Material) -> _Numbers:
     equation_us = 1e6 * material.result("zener_wall").tof_s
-    return {"equation_us": equation_us, "more": _percent(equation_us, _one(material, "free_wall").tof_us)}
+    return {
+        "equation_us": equation_us,
+        "more": _format_percent(equation_us, _only_shot(material, "free_wall").tof_us),
+    }
 
 
-def _thresholds(material: Material) -> _Numbers:
+def _check_thresholds(material: Material) -> _Numbers:
     """Compute how many false alarms mean + 3 SD gives with each baseline."""
     sentences = []
     for name, pulses in material.test.pulses.items():
@@ -164,42 +173,45 @@ def _thresholds(material: Material) -> _Numbers:
     return {"baselines": "; ".join(sentences)}
 
 
-def _row_5(_: Material) -> _Numbers:
-    rounded_e, inelasticity = printed("table2", "restitution_5"), printed("table2", "inelasticity_5")
+def _check_row_5(_: Material) -> _Numbers:
+    rounded_e, inelasticity = (
+        printed_number("table2", "restitution_5"),
+        printed_number("table2", "inelasticity_5"),
+    )
     return {
-        "row": table_2()[4],
+        "row": compute_table_2()[4],
         "rounded_e": rounded_e,
         "of_rounded": amplitude_ratio(rounded_e),
         "of_printed": amplitude_ratio(approximate_restitution(inelasticity)),
     }
 
 
-def _thinner(_: Material) -> _Numbers:
-    initial, read, core = (printed("fig15", name) for name in ("initial", "thickness_300", "core"))
-    end_h = printed("table1", "end")
+def _check_thinner_plate(_: Material) -> _Numbers:
+    initial, read, core = (printed_number("fig15", name) for name in ("initial", "thickness_300", "core"))
+    end_h = printed_number("table1", "end")
     return {
         "initial": initial,
         "read": read,
-        "read_percent": -_percent(read, initial),
-        "core_percent": -_percent(core, initial),
+        "read_percent": -_format_percent(read, initial),
+        "core_percent": -_format_percent(core, initial),
         "line": initial - (initial - read) / 300.0 * end_h,
         "end_h": end_h,
     }
 
 
-def _energy(_: Material) -> _Numbers:
+def _check_energy(_: Material) -> _Numbers:
     """Return the finding on the energy of the measured amplitude ratio."""
-    ar = printed("fig12", "ar_measured")
+    ar = printed_number("fig12", "ar_measured")
     return {"ar": ar, "energy": ar ** (5.0 / 3.0)}
 
 
-def _gamma(material: Material) -> _Numbers:
-    weak_us, strong_us = _one(material, "disk").tof_us, _one(material, "disk_gamma").tof_us
+def _check_gamma(material: Material) -> _Numbers:
+    weak_us, strong_us = _only_shot(material, "disk").tof_us, _only_shot(material, "disk_gamma").tof_us
     gamma = STRONG_GAMMA_N_S_PER_M
-    return {"gamma": gamma, "shift_us": strong_us - weak_us, "shift": _percent(strong_us, weak_us)}
+    return {"gamma": gamma, "shift_us": strong_us - weak_us, "shift": _format_percent(strong_us, weak_us)}
 
 
-def _salt_water(_: Material) -> _Numbers:
+def _check_salt_water(_: Material) -> _Numbers:
     """Compute the added mass of a half-space of liquid on a bending plate, rho_w / k per area."""
     surface = _PLATE.density_kg_per_m3 * _PLATE.thickness_m
     bending = bending_stiffness_n_m(_PLATE.youngs_modulus_pa, _PLATE.poisson_ratio, _PLATE.thickness_m)
@@ -215,18 +227,18 @@ def _salt_water(_: Material) -> _Numbers:
 
 
 _FINDINGS: Mapping[str, Callable[[Material], _Numbers]] = {
-    "dashpot": _dashpot,
-    "bracket": _bracket,
-    "shear": _shear,
-    "locking": _locking,
-    "not_monotonic": _not_monotonic,
-    "equation_13": _equation_13,
-    "thresholds": _thresholds,
-    "row_5": _row_5,
-    "thinner": _thinner,
-    "energy": _energy,
-    "gamma": _gamma,
-    "salt_water": _salt_water,
+    "dashpot": _check_dashpot,
+    "bracket": _check_bracket,
+    "shear": _check_shear_modulus,
+    "locking": _check_locking,
+    "not_monotonic": _check_monotonicity,
+    "equation_13": _check_equation_13,
+    "thresholds": _check_thresholds,
+    "row_5": _check_row_5,
+    "thinner": _check_thinner_plate,
+    "energy": _check_energy,
+    "gamma": _check_gamma,
+    "salt_water": _check_salt_water,
 }
 """Numbers of the sentences that name more than pulses."""
 SLIPS = TEXTS.slips

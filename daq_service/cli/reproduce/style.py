@@ -14,7 +14,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from daq_service.shared_file import packaged_table
+from daq_service.shared_file import load_table
 from daq_service.web.report.figures import RULES as REPORT_RULES
 
 # Okabe and Ito (2008), Color Universal Design; yellow is left out, it vanishes on paper.
@@ -27,7 +27,7 @@ OF_POSITION = {"A": ORANGE, "B": BLUE, "C": VERMILLION, "D": GREEN}
 WIDTH_IN = 7.2
 DPI = 150
 
-RULES: Any = {**REPORT_RULES, **packaged_table(__file__)}
+RULES: Any = {**REPORT_RULES, **load_table(__file__)}
 PAPER_LINE: Mapping[str, Any] = {"color": BLACK, "linestyle": (0, (5, 3)), "linewidth": 1.0}
 PAPER_MARK: Mapping[str, Any] = {
     "color": BLACK,
@@ -38,14 +38,16 @@ PAPER_MARK: Mapping[str, Any] = {
 }
 
 
-def sheet(rows: int = 1, columns: int = 1, *, height_in: float, **options: Any) -> tuple[Figure, list[Axes]]:
+def create_sheet(
+    rows: int = 1, columns: int = 1, *, height_in: float, **options: Any
+) -> tuple[Figure, list[Axes]]:
     """Create a figure and its axes in reading order."""
     figure = Figure(figsize=(WIDTH_IN, height_in), layout="constrained")
     axes = figure.subplots(rows, columns, squeeze=False, **options)
     return figure, list(np.ravel(axes))
 
 
-def colour_of(position: str, positions: Sequence[str]) -> str:
+def choose_colour(position: str, positions: Sequence[str]) -> str:
     """Return the colour of a position; the paper's letters have fixed ones."""
     if position in OF_POSITION:
         return OF_POSITION[position]
@@ -58,11 +60,11 @@ def name_panels(axes: Sequence[Axes], titles: Sequence[str]) -> None:
         axis.set_title(f"({letter}) {title}")
 
 
-def panels_of_positions(
+def create_position_panels(
     positions: Sequence[str], label: str, *, height_in: float
 ) -> tuple[Figure, list[Axes]]:
     """Create a panel over the hours of the test for each position."""
-    figure, axes = sheet(1, len(positions), height_in=height_in, sharex=True, sharey=True)
+    figure, axes = create_sheet(1, len(positions), height_in=height_in, sharex=True, sharey=True)
     for axis in axes:
         axis.set_xlabel("hour of the test (h)")
     axes[0].set_ylabel(label)
@@ -70,7 +72,7 @@ def panels_of_positions(
     return figure, axes
 
 
-def legend_below(figure: Figure, *, ncols: int) -> None:
+def add_legend_below(figure: Figure, *, ncols: int) -> None:
     """Add a legend of all panels, each label once."""
     handles = {
         label: handle
@@ -83,7 +85,7 @@ def legend_below(figure: Figure, *, ncols: int) -> None:
 METADATA: Any = {"png": {"Software": None}, "svg": {"Date": None, "Creator": "solimon"}}
 
 
-def rendered(figure: Figure, endings: Sequence[str] = tuple(METADATA)) -> dict[str, bytes]:
+def render_figure(figure: Figure, endings: Sequence[str] = tuple(METADATA)) -> dict[str, bytes]:
     """Return PNG and SVG of a figure by file ending; call it with `RULES`."""
     pictures = {}
     for ending in endings:

@@ -13,8 +13,14 @@ from analysis.errors import AnalysisError
 from analysis.statistics.trend import Trend, fit_trend
 from daq_service.cli.reproduce import item
 from daq_service.cli.reproduce.evidence import FloatArray, Series
-from daq_service.cli.reproduce.paper_values import values_of
-from daq_service.cli.reproduce.style import BLACK, PAPER_MARK, colour_of, legend_below, panels_of_positions
+from daq_service.cli.reproduce.paper_values import paper_values_of_item
+from daq_service.cli.reproduce.style import (
+    BLACK,
+    PAPER_MARK,
+    add_legend_below,
+    choose_colour,
+    create_position_panels,
+)
 from daq_service.cli.reproduce.texts import TEXTS, Trended
 
 POSITIONS = "BCD"
@@ -42,11 +48,11 @@ _Fits = Mapping[str, _Fit | str]
 def draw_feature(material: item.Material, feature: Trended) -> item.Product:
     """Draw a feature of all transducers with fits and the paper's values."""
     test, names = material.test, material.transducers
-    fits = {name: _fit(test.pulses[name], feature) for name in names}
-    figure, axes = panels_of_positions(names, feature.label, height_in=3.3)
+    fits = {name: _fit_position(test.pulses[name], feature) for name in names}
+    figure, axes = create_position_panels(names, feature.label, height_in=3.3)
     for axis, name in zip(axes, names, strict=True):
-        _panel(axis, test.pulses[name], feature, fits[name], colour_of(name, names))
-    legend_below(figure, ncols=3)
+        _draw_feature_panel(axis, test.pulses[name], feature, fits[name], choose_colour(name, names))
+    add_legend_below(figure, ncols=3)
 
     def columns(pulses: Series) -> dict[str, FloatArray]:
         fit, hours = fits[pulses.position], pulses.hour_h
@@ -55,9 +61,9 @@ def draw_feature(material: item.Material, feature: Trended) -> item.Product:
 
     return item.Product(
         drawing=figure,
-        tables={"": item.stacked(test, columns), "fits": _fit_table(fits)},
+        tables={"": item.stack_columns(test, columns), "fits": _make_fit_table(fits)},
         found={
-            f"{name}_{position}": _found(fits, position, what)
+            f"{name}_{position}": _value_of_fit(fits, position, what)
             for what, name in feature.quantities.items()
             for position in POSITIONS
         },
@@ -65,7 +71,7 @@ def draw_feature(material: item.Material, feature: Trended) -> item.Product:
     )
 
 
-def _fit(pulses: Series, feature: Trended) -> _Fit | str:
+def _fit_position(pulses: Series, feature: Trended) -> _Fit | str:
     """Fit the sets of a position, or return why there is no fit."""
     values = feature.scale * pulses.values[feature.column]
     try:
@@ -75,7 +81,7 @@ def _fit(pulses: Series, feature: Trended) -> _Fit | str:
     return _Fit(trend=trend, last_h=float(pulses.hour_h[np.isfinite(values)][-1]))
 
 
-def _panel(axis: Axes, pulses: Series, feature: Trended, fit: _Fit | str, colour: str) -> None:
+def _draw_feature_panel(axis: Axes, pulses: Series, feature: Trended, fit: _Fit | str, colour: str) -> None:
     """Draw a feature of one transducer."""
     values, label = feature.scale * pulses.values[feature.column], "sets, mean of the valid strikes"
     axis.plot(pulses.hour_h, values, ".", color=colour, alpha=0.45, ms=2.5, label=label)
@@ -84,7 +90,7 @@ def _panel(axis: Axes, pulses: Series, feature: Trended, fit: _Fit | str, colour
         last_h = fit.last_h
         hours = np.linspace(0.0, last_h, 100)
         axis.plot(hours, fit.trend.at(hours), color=BLACK, lw=1.2, label="our fit, second order")
-    paper = {value.quantity: value.value for value in values_of(feature.item)}
+    paper = {value.quantity: value.value for value in paper_values_of_item(feature.item)}
     start, end, change = (
         paper.get(f"{feature.quantities.get(what)}_{pulses.position}") for what in ("start", "end", "change")
     )
@@ -94,7 +100,7 @@ def _panel(axis: Axes, pulses: Series, feature: Trended, fit: _Fit | str, colour
     axis.plot([last_h], [start * (1.0 + 0.01 * change) if end is None else end], **PAPER_MARK)
 
 
-def _fit_table(fits: _Fits) -> item.Table:
+def _make_fit_table(fits: _Fits) -> item.Table:
     """Return the coefficients in the axis's unit: constant + linear t + quadratic t^2, t in h."""
     rows = {name: fit for name, fit in fits.items() if isinstance(fit, _Fit)}
     trends = [fit.trend for fit in rows.values()]
@@ -112,14 +118,14 @@ def _fit_table(fits: _Fits) -> item.Table:
     )
 
 
-def _found(fits: _Fits, position: str, what: str) -> item.Found:
+def _value_of_fit(fits: _Fits, position: str, what: str) -> item.Found:
     """Return a value of a position's fit, or why it is missing."""
     fit = fits.get(position)
     if fit is None:
-        return item.missing(f"the test has no solitary-wave position {position}")
+        return item.missing_value(f"the test has no solitary-wave position {position}")
     if isinstance(fit, str):
-        return item.missing(fit)
-    return item.found(fit.values[what], f"to hour {fit.last_h:g}")
+        return item.missing_value(fit)
+    return item.value_or_missing(fit.values[what], f"to hour {fit.last_h:g}")
 
 
 FIG8, FIG9, FIG11 = (

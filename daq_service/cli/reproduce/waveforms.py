@@ -9,7 +9,15 @@ from matplotlib.axes import Axes
 
 from daq_service.cli.reproduce import item
 from daq_service.cli.reproduce.evidence import Evidence, Series, Trace
-from daq_service.cli.reproduce.style import BLACK, ORANGE, PURPLE, colour_of, legend_below, name_panels, sheet
+from daq_service.cli.reproduce.style import (
+    BLACK,
+    ORANGE,
+    PURPLE,
+    add_legend_below,
+    choose_colour,
+    create_sheet,
+    name_panels,
+)
 
 WINDOW_US = (-60.0, 900.0)
 STEP_S = 1e-6
@@ -24,18 +32,21 @@ def draw_fig7(material: item.Material) -> item.Product:
     names = [name for name in test.pulses if test.traces.get(name)]
     if not names:
         raise item.NotAvailableError("the folder has no readable waveform of a solitary-wave transducer")
-    figure, axes = sheet(1, len(names), height_in=6.0, sharey=True)
+    figure, axes = create_sheet(1, len(names), height_in=6.0, sharey=True)
     last_h = max(trace.hour_h for name in names for trace in test.traces[name])
     for axis, name in zip(axes, names, strict=True):
-        _waterfall(axis, test.traces[name], test.pulses[name], last_h, colour_of(name, names))
+        _draw_waterfall(axis, test.traces[name], test.pulses[name], last_h, choose_colour(name, names))
         axis.set(xlabel="time after the trigger (µs)", xlim=WINDOW_US)
     axes[0].set_ylabel("hour of the test (h)")
-    legend_below(figure, ncols=3)
+    add_legend_below(figure, ncols=3)
     name_panels(axes, [f"position {name}" for name in names])
     return item.Product(
         drawing=figure,
-        tables={name: _table(test.traces[name]) for name in names},
-        found={**_isw_time(test, names), **{f"change_hour_{p}": _change(test, p) for p in "BC"}},
+        tables={name: _make_trace_table(test.traces[name]) for name in names},
+        found={
+            **_time_from_contact(test, names),
+            **{f"change_hour_{p}": _hour_of_first_alarm(test, p) for p in "BC"},
+        },
         notes=(
             (
                 f"Each trace is the mean of a set's accepted records; {len(test.traces[names[0]])} of "
@@ -46,13 +57,13 @@ def draw_fig7(material: item.Material) -> item.Product:
     )
 
 
-def _waterfall(axis: Axes, traces: Sequence[Trace], pulses: Series, last_h: float, colour: str) -> None:
+def _draw_waterfall(axis: Axes, traces: Sequence[Trace], pulses: Series, last_h: float, colour: str) -> None:
     """Draw the averaged records of a position and the times of their features."""
     spacing_h = last_h / max(len(traces), 2)
     height_v = max(float(np.ptp(trace.volts)) for trace in traces) or 1.0
     hours = np.array([trace.hour_h for trace in traces])
     for trace in traces:
-        every = _every(trace)
+        every = _sample_step(trace)
         time_us = 1e6 * trace.time_s
         shown = np.flatnonzero((time_us >= WINDOW_US[0]) & (time_us <= WINDOW_US[1]))[::every]
         quiet_v = float(np.median(trace.volts[: max(1, int(np.searchsorted(time_us, -20.0)))]))
@@ -76,15 +87,15 @@ def _waterfall(axis: Axes, traces: Sequence[Trace], pulses: Series, last_h: floa
         )
 
 
-def _every(trace: Trace) -> int:
+def _sample_step(trace: Trace) -> int:
     """Return the step between drawn samples."""
     return max(1, round(STEP_S / float(trace.time_s[1] - trace.time_s[0])))
 
 
-def _table(traces: Sequence[Trace]) -> item.Table:
+def _make_trace_table(traces: Sequence[Trace]) -> item.Table:
     """Return all traces of a position at the times of the first one; shorter ones are padded."""
     first = traces[0].time_s
-    every = _every(traces[0])
+    every = _sample_step(traces[0])
     times_s = [round(float(t), 9) for t in first[::every]]
     columns: dict[str, Sequence[object]] = {"time_s": times_s}
     for trace in traces:
@@ -94,7 +105,7 @@ def _table(traces: Sequence[Trace]) -> item.Table:
     return item.Table(columns=columns)
 
 
-def _isw_time(test: Evidence, names: Sequence[str]) -> dict[str, item.Found]:
+def _time_from_contact(test: Evidence, names: Sequence[str]) -> dict[str, item.Found]:
     """Return the time from the striker's contact; a record's zero is the trigger instead."""
     times = [
         trace.truth["isw_time_s"]
@@ -104,24 +115,24 @@ def _isw_time(test: Evidence, names: Sequence[str]) -> dict[str, item.Found]:
     ]
     if not times:
         return {
-            "isw_time": item.missing(
+            "isw_time": item.missing_value(
                 "a record begins at its trigger; only the twin knows when the striker touched"
             )
         }
-    return {"isw_time": item.found(1e6 * float(np.median(times)), "after the striker's touch")}
+    return {"isw_time": item.value_or_missing(1e6 * float(np.median(times)), "after the striker's touch")}
 
 
-def _change(test: Evidence, position: str) -> item.Found:
+def _hour_of_first_alarm(test: Evidence, position: str) -> item.Found:
     """Return the hour of the first alarm at a position."""
     if position not in test.pulses:
-        return item.missing(f"the test has no solitary-wave position {position}")
+        return item.missing_value(f"the test has no solitary-wave position {position}")
     hour = test.pulses[position].first_alarm_h
     if hour is None:
-        return item.missing(f"no alarm about the wall at {position} up to hour {test.last_h:g}")
+        return item.missing_value(f"no alarm about the wall at {position} up to hour {test.last_h:g}")
     rule = test.settings.alarms
     by_chart = rule.decides_by == "chart"
     rule_text = "the chart" if by_chart else f"{rule.k} of {rule.n} sets beyond the limit"
-    return item.found(hour, f"first alarm ({rule_text})")
+    return item.value_or_missing(hour, f"first alarm ({rule_text})")
 
 
 FIG7 = item.Item(name="fig7", make=draw_fig7, needs_test=True)

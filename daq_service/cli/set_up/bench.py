@@ -14,9 +14,9 @@ import numpy as np
 from analysis.errors import AnalysisError
 from analysis.waves.coil_spike import HOLDOFF_DIGITS, HOLDOFF_PART
 from analysis.waves.features import extract_features
-from analysis.waves.first_settings import Proposal, StruckTransducer, propose_settings, shot_within
-from daq_service.cli.doctor.storage import held_folder, refuse_while_owned
-from daq_service.cli.set_up.drawn import envelope, shot_drawn
+from analysis.waves.first_settings import Proposal, StruckTransducer, cut_triggered_record, propose_settings
+from daq_service.cli.doctor.storage import hold_folder, refuse_while_owned
+from daq_service.cli.set_up.drawn import compute_envelope, prepare_shot_for_page
 from hardware_drivers.daqmx.parameters import DaqmxParameters, TransducerWiring, fall_s
 from hardware_drivers.errors import ConfigurationError
 from hardware_drivers.measurement import Waveform
@@ -124,7 +124,7 @@ class Bench:
         ConfigurationError
             The coil's counter cannot start the acquisition: neither a holdoff nor this look is possible.
         """
-        with held_folder(self.data_folder) as owner:
+        with hold_folder(self.data_folder) as owner:
             refuse_while_owned("a strike", owner)
             try:
                 self.struck[position] = self._on_boards(position, lambda free: free.strike())
@@ -162,7 +162,7 @@ class Bench:
         position, strike = self.position, self.struck.get(self.position or "")
         if position is None or strike is None:
             return {"strike": None, "shot": None}
-        answer: dict[str, object] = {"strike": envelope(strike), "shot": None, "off_s": self.pulse_s}
+        answer: dict[str, object] = {"strike": compute_envelope(strike), "shot": None, "off_s": self.pulse_s}
         try:
             proposal = self.proposal()
         except AnalysisError as error:
@@ -172,7 +172,7 @@ class Bench:
         answer |= {"level_v": level_v, "holdoff_s": holdoff_s, "proposed_range_v": proposal.range_v[position]}
         if level_v is None:
             return answer
-        shot = shot_within(
+        shot = cut_triggered_record(
             strike,
             after_s=self.pulse_s + holdoff_s,
             level_v=level_v,
@@ -182,7 +182,7 @@ class Bench:
         )
         if shot is None:
             return answer
-        return answer | shot_drawn(shot, extract_features(shot), rising=proposal.rising)
+        return answer | prepare_shot_for_page(shot, extract_features(shot), rising=proposal.rising)
 
     def ranges_v(self, wiring: TransducerWiring) -> list[float]:
         """Return the ranges -r .. +r of the transducer's board in V, rising."""
@@ -249,33 +249,35 @@ class Bench:
 
     def close(self) -> None:
         """Release the boards."""
-        self._thread.submit(self._release).result()
+        self._thread.submit(self._close_input).result()
         self._thread.shutdown()
 
     def _on_boards(self, position: str, work: Callable[[FreeInput], T]) -> T:
         """Run work in the thread of the boards."""
-        return self._thread.submit(self._work, position, self.parameters(position), work).result()
+        return self._thread.submit(self._work_with_input, position, self.parameters(position), work).result()
 
-    def _work(self, position: str, parameters: DaqmxParameters, work: Callable[[FreeInput], T]) -> T:
+    def _work_with_input(
+        self, position: str, parameters: DaqmxParameters, work: Callable[[FreeInput], T]
+    ) -> T:
         """Open the input of a position if necessary, and work with it."""
         from hardware_drivers.daqmx.pulse_record import FreeInput
 
         if self._free is None or (self._free.position, self._free.parameters) != (position, parameters):
-            self._release()
+            self._close_input()
             self._free = FreeInput(parameters, position, READ_TIMEOUT_S)
         try:
             return work(self._free)
         except BaseException:
-            self._release()
+            self._close_input()
             raise
 
-    def _release(self) -> None:
+    def _close_input(self) -> None:
         """Close the open input."""
         free, self._free = self._free, None
         if free is not None:
             free.close()
 
 
-def rms_v(record: Waveform) -> float:
+def compute_noise_rms_v(record: Waveform) -> float:
     """Return the noise of a record in V rms, hum included."""
     return float(np.std(record.volts()))

@@ -5,13 +5,18 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 
-from daq_service.cli.doctor.spike import edge_in_words
-from daq_service.cli.set_up.bench import Bench, rms_v
+from daq_service.cli.doctor.spike import describe_edge
+from daq_service.cli.set_up.bench import Bench, compute_noise_rms_v
 from daq_service.cli.set_up.dialogue import Dialogue
-from daq_service.cli.set_up.init import head_of, laboratory
-from daq_service.cli.set_up.transducers import Contents, Flags, positions_table
+from daq_service.cli.set_up.init import format_head, read_laboratory_values
+from daq_service.cli.set_up.transducers import Contents, Flags, make_positions_table
 from daq_service.cli.set_up.values import REMEDIES, assess_strikes
-from daq_service.cli.set_up.wiring import coil_counters, home_terminal, inputs_of, wiring_of
+from daq_service.cli.set_up.wiring import (
+    default_pulse_terminal,
+    list_analog_inputs,
+    list_coil_counters,
+    parse_wiring,
+)
 from daq_service.errors import UsageError
 from daq_service.settings.tables import KeyPath, Tables
 from hardware_drivers.daqmx.parameters import TransducerWiring
@@ -40,18 +45,18 @@ class Boards:
             value = getattr(flags, name)
             if asks and not value:
                 usual = f"{getattr(self.bench, name):g}"
-                value = self.dialogue.ask(name, text, _number_within(*bounds), default=usual)
+                value = self.dialogue.ask(name, text, _make_number_parser(*bounds), default=usual)
             if value:
                 setattr(self.bench, name, value)
 
     def wire(self, position: str, text: str) -> None:
         """Wire a transducer as ``BOARD/INPUT/COUNTER`` and print its input at rest."""
-        wiring = wiring_of(self.bench.boards, text)
+        wiring = parse_wiring(self.bench.boards, text)
         record = self.bench.wire(position, wiring)
         self.dialogue.report(
             f"{position}      {wiring.input} of {wiring.board_serial}, coil at {wiring.counter} "
             f"({wiring.output_terminal}): at rest {record.volts().mean() * 1e3:.3g} mV, noise "
-            f"{rms_v(record) * 1e3:.3g} mV rms"
+            f"{compute_noise_rms_v(record) * 1e3:.3g} mV rms"
         )
 
     def ask_wiring(self, position: str) -> None:
@@ -61,19 +66,19 @@ class Boards:
         taken |= {(one.coil_serial, one.counter) for one in transducers}
         while True:
             recording = [serial for serial, board in boards.items() if board.analog_trigger]
-            serial = self._choice(f"{position}.board", f"Board that records {position}", recording)
-            inputs = [name for name in inputs_of(boards[serial]) if (serial, name) not in taken]
-            channel = self._choice(f"{position}.input", f"Input of the PZT of {position}", inputs)
+            serial = self._ask_choice(f"{position}.board", f"Board that records {position}", recording)
+            inputs = [name for name in list_analog_inputs(boards[serial]) if (serial, name) not in taken]
+            channel = self._ask_choice(f"{position}.input", f"Input of the PZT of {position}", inputs)
             # The digitizer's own counters first: they can hold the trigger off.
             counters = [
                 name if one == serial else f"{one}/{name}"
                 for one in sorted(boards, key=lambda one: one != serial)
-                for name in coil_counters(boards[one])
+                for name in list_coil_counters(boards[one])
                 if (one, name) not in taken
             ]
-            counter = self._choice(f"{position}.counter", f"Counter of the coil of {position}", counters)
+            counter = self._ask_choice(f"{position}.counter", f"Counter of the coil of {position}", counters)
             coil_board = boards[counter.rpartition("/")[0] or serial]
-            home = home_terminal(coil_board, counter.rpartition("/")[2])
+            home = default_pulse_terminal(coil_board, counter.rpartition("/")[2])
             text = "Terminal at which its pulse leaves the board"
             terminal = self.dialogue.ask(f"{position}.terminal", text, str, default=home)
             try:
@@ -96,7 +101,7 @@ class Boards:
         if survey.wave_v is not None and survey.wave_after_s is not None:
             wave = f"wave of {survey.wave_v:.3g} V {survey.wave_after_s * 1e3:.3g} ms after off"
         self.dialogue.report(
-            f"{position}      on: {edge_in_words(survey.on)}; off: {edge_in_words(survey.off)}; {wave}"
+            f"{position}      on: {describe_edge(survey.on)}; off: {describe_edge(survey.off)}; {wave}"
         )
         if position in proposal.troubles:
             self.dialogue.report(f"{position}      {REMEDIES[proposal.troubles[position]]}")
@@ -120,15 +125,15 @@ class Boards:
 
     def contents(self, others: Tables, off: set[KeyPath]) -> Contents:
         """Return values, switched-off tables and head of the file."""
-        values, _ = laboratory()
+        values, _ = read_laboratory_values()
         methods = dict.fromkeys(others.get("niscope", {}).get("probes", {}), PULSE_ECHO)
         if clash := set(methods) & set(self.wired):
             raise UsageError(f"position {', '.join(clash)} is a transducer and a probe; rename one of them")
-        values["positions"] = positions_table(methods | dict.fromkeys(self.wired, SOLITARY_WAVE))
+        values["positions"] = make_positions_table(methods | dict.fromkeys(self.wired, SOLITARY_WAVE))
         watchdog = values["rig"]["daqmx"]["watchdog"]
         values["rig"] |= {**others, "daqmx": {**self.bench.table(), "watchdog": watchdog}}
         boards = {self.bench.boards[one.board_serial].product for one in self.wired.values()}
-        head = head_of(boards, self.bench.struck if self.bench.chosen else ())
+        head = format_head(boards, self.bench.struck if self.bench.chosen else ())
         return values, {*off, ("rig", "daqmx", "watchdog")}, head
 
     def result(self) -> Mapping[str, object]:
@@ -143,20 +148,20 @@ class Boards:
             else asdict(replace(proposal, surveys={})) | {"taken": bool(self.bench.chosen)},
         }
 
-    def _choice(self, name: str, text: str, choices: Sequence[str]) -> str:
+    def _ask_choice(self, name: str, text: str, choices: Sequence[str]) -> str:
         """Ask for one of the choices."""
         if not choices:
             raise UsageError(f"{text}: nothing is left to choose; add a board, or end with fewer positions")
         return self.dialogue.ask(name, text, str, default=choices[0], choices=choices)
 
 
-def _number_within(low: float, high: float) -> Callable[[str], float]:
+def _make_number_parser(low: float, high: float) -> Callable[[str], float]:
     """Return a parser of numbers within bounds."""
 
-    def parse(text: str) -> float:
+    def parse_number(text: str) -> float:
         value = float(text)
         if not low < value <= high:
             raise ValueError(f"{value:g} is not within {low:g} .. {high:g}")
         return value
 
-    return parse
+    return parse_number

@@ -103,7 +103,7 @@ class Dialogue:
                     self._waiting = question
                 self._read_terminal()
                 click.echo(f"{text}{listed}{usual}: ", nl=False, err=True)
-                answer = self._next(question) or default
+                answer = self._next_answer(question) or default
                 try:
                     if choices and answer not in choices:
                         raise ValueError(f"{answer!r} is none of {', '.join(choices)}")
@@ -117,7 +117,7 @@ class Dialogue:
             with self._lock:
                 self._waiting = None
 
-    def yes(self, name: str, text: str, *, default: str) -> bool:
+    def ask_yes_or_no(self, name: str, text: str, *, default: str) -> bool:
         """Ask for yes or no."""
         return self.ask(name, text, lambda answer: answer == "yes", default=default, choices=("yes", "no"))
 
@@ -136,7 +136,7 @@ class Dialogue:
         question = None if waiting is None else {"number": number, **asdict(waiting)}
         return {"question": question, "lines": self.lines}
 
-    def _next(self, question: Question) -> str:
+    def _next_answer(self, question: Question) -> str:
         """Wait for the next valid answer."""
         while True:
             try:
@@ -159,9 +159,11 @@ class Dialogue:
         """Start the thread that reads the terminal."""
         if not self._reads:
             self._reads = True
-            threading.Thread(target=self._lines_of, args=(sys.stdin,), name="terminal", daemon=True).start()
+            threading.Thread(
+                target=self._queue_lines, args=(sys.stdin,), name="terminal", daemon=True
+            ).start()
 
-    def _lines_of(self, stream: TextIO) -> None:
+    def _queue_lines(self, stream: TextIO) -> None:
         """Add the lines of a stream to the queue of answers."""
         typed = stream.isatty()
         for line in stream:

@@ -11,7 +11,7 @@ COLUMNS = 1000
 """Columns that a record is drawn in: each from its lowest to its highest sample."""
 
 
-def envelope(record: Waveform, first_s: float = 0.0) -> dict[str, object]:
+def compute_envelope(record: Waveform, first_s: float = 0.0) -> dict[str, object]:
     """Return the lowest and highest voltage of each of `COLUMNS` sections of a record.
 
     Parameters
@@ -31,7 +31,9 @@ def envelope(record: Waveform, first_s: float = 0.0) -> dict[str, object]:
     }
 
 
-def shot_drawn(shot: Waveform, features: ShotFeatures, *, rising: bool = True) -> dict[str, object]:
+def prepare_shot_for_page(
+    shot: Waveform, features: ShotFeatures, *, rising: bool = True
+) -> dict[str, object]:
     """Return a shot with marks of its waves and its flags."""
     sign = 1.0 if rising else -1.0
     marks = {
@@ -39,7 +41,7 @@ def shot_drawn(shot: Waveform, features: ShotFeatures, *, rising: bool = True) -
         "PSW": (features.psw_time_s, sign * features.psw_amplitude_v),
     }
     return {
-        "shot": envelope(shot, -shot.pretrigger_samples / shot.sample_rate_hz),
+        "shot": compute_envelope(shot, -shot.pretrigger_samples / shot.sample_rate_hz),
         "marks": [{"name": name, "time_s": time_s, "height_v": v} for name, (time_s, v) in marks.items()],
         "flags": features.flags,
     }

@@ -18,11 +18,11 @@ from daq_service.catalogue.experiment_file import read_experiment
 from daq_service.clock import format_utc
 from daq_service.errors import UsageError
 from daq_service.processes.printing import print_result
-from daq_service.settings.commented import commented_toml, switched_on
-from daq_service.settings.file import checked_settings, config_file, placeholders
-from daq_service.settings.schema import settings_schema
-from daq_service.settings.stored import stored_settings
-from daq_service.settings.tables import KeyPath, Tables, flattened, nested
+from daq_service.settings.commented import format_commented_toml, uncomment_tables
+from daq_service.settings.file import find_config_file, find_placeholders, validate_settings
+from daq_service.settings.schema import build_settings_schema
+from daq_service.settings.stored import restore_settings
+from daq_service.settings.tables import KeyPath, Tables, flatten, nest_tables
 from daq_service.settings.tree import Settings
 from hardware_drivers.playback.parameters import TdmsMapping
 
@@ -43,16 +43,20 @@ def write_configuration(
     """Run ``init``."""
     if (source is not None) != (kind == "playback"):
         raise UsageError("--source names the recording of `init playback`, and belongs to it alone")
-    values, off = laboratory() if kind == "rig" else (_twin() if source is None else _playback(source), set())
+    values, off = (
+        read_laboratory_values()
+        if kind == "rig"
+        else (_read_twin_values() if source is None else _make_playback_values(source), set())
+    )
     for name in switch_on:
-        off -= {table for table in off if _is_in(table, [_table(values, name)])}
-    off |= {_table(values, name) for name in switch_off}
-    values = _assigned(values, assignments)
-    missing = placeholders(_without(values, off))
+        off -= {table for table in off if _is_in_tables(table, [_find_table(values, name)])}
+    off |= {_find_table(values, name) for name in switch_off}
+    values = _assign_values(values, assignments)
+    missing = find_placeholders(_remove_tables(values, off))
     if not missing:
-        settings_of(values, off, file)
-    schema = refuse_what_is_there(file)
-    write_file(file, values, head=_head(kind), off=off)
+        validate_new_file(values, off, file)
+    schema = refuse_to_overwrite(file)
+    write_file(file, values, head=_read_head(kind), off=off)
     keys = [".".join(key) for key in missing]
     result = {"kind": kind, "file": str(file), "schema": str(schema), "placeholders": keys}
     fill_in = [f"to fill in: {key}" for key in keys]
@@ -60,37 +64,37 @@ def write_configuration(
     print_result(result, lines, as_json=as_json)
 
 
-def schema_text() -> str:
+def format_schema() -> str:
     """Return the contents of ``config/settings.schema.json``."""
-    return json.dumps(settings_schema(), indent=1) + "\n"
+    return json.dumps(build_settings_schema(), indent=1) + "\n"
 
 
 # What is written -------------------------------------------------------------------------------------
 
 
-def laboratory() -> tuple[Tables, set[KeyPath]]:
+def read_laboratory_values() -> tuple[Tables, set[KeyPath]]:
     """Read the values of the shipped laboratory.toml, and the tables that it switches off."""
-    text = config_file("laboratory.toml").read_text(encoding="utf-8")
-    values, active = tomllib.loads(switched_on(text)), flattened(tomllib.loads(text))
-    tables = {key[:depth] for key in flattened(values) for depth in range(1, len(key))}
-    return values, {table for table in tables if not any(_is_in(key, [table]) for key in active)}
+    text = find_config_file("laboratory.toml").read_text(encoding="utf-8")
+    values, active = tomllib.loads(uncomment_tables(text)), flatten(tomllib.loads(text))
+    tables = {key[:depth] for key in flatten(values) for depth in range(1, len(key))}
+    return values, {table for table in tables if not any(_is_in_tables(key, [table]) for key in active)}
 
 
-def _twin() -> Tables:
+def _read_twin_values() -> Tables:
     """Read the values of the shipped configuration of the twin."""
-    return tomllib.loads(config_file("simulated.toml").read_text(encoding="utf-8"))
+    return tomllib.loads(find_config_file("simulated.toml").read_text(encoding="utf-8"))
 
 
-def _playback(source: Path) -> Tables:
+def _make_playback_values(source: Path) -> Tables:
     """Return the configuration of a recorded test, or that of the paper for other files."""
     if not source.exists():
         raise UsageError(f"{source} is not there; give the folder or file of the recording")
     playback: Tables = {"source": str(source.absolute()), "format": "archive"}
     experiment = read_experiment(source) if source.is_dir() else None
-    values = _twin()
+    values = _read_twin_values()
     if experiment is not None:
         try:
-            recorded = stored_settings(experiment.configuration).model_dump(mode="json", exclude_none=True)
+            recorded = restore_settings(experiment.configuration).model_dump(mode="json", exclude_none=True)
         except ValidationError as error:
             raise UsageError(f"{source} was recorded by a version with other keys: {error}") from error
         values = {name: recorded[name] for name in values}
@@ -108,21 +112,21 @@ def _playback(source: Path) -> Tables:
     return {**values, "rig": {"kind": "playback", "playback": playback}}
 
 
-def _assigned(values: Tables, assignments: Sequence[str]) -> Tables:
+def _assign_values(values: Tables, assignments: Sequence[str]) -> Tables:
     """Replace values by ``KEY=VALUE``; a ``*`` in a key matches any part."""
-    keys = {".".join(path): path for path in flattened(values)}
-    filled = flattened(values)
+    keys = {".".join(path): path for path in flatten(values)}
+    filled = flatten(values)
     for assignment in assignments:
         pattern, equals, text = assignment.partition("=")
         matching = [path for name, path in keys.items() if fnmatchcase(name, pattern.strip())]
         if not equals or not matching:
-            raise _no_such(pattern, keys, "--set KEY=VALUE")
+            raise _unknown_name_error(pattern, keys, "--set KEY=VALUE")
         for path in matching:
-            filled[path] = _read(text.strip(), like=filled[path])
-    return nested(filled)
+            filled[path] = _parse_value_like(text.strip(), like=filled[path])
+    return nest_tables(filled)
 
 
-def _read(text: str, *, like: object) -> object:
+def _parse_value_like(text: str, *, like: object) -> object:
     """Parse a value of the type of another one."""
     if isinstance(like, str):
         return text
@@ -132,26 +136,26 @@ def _read(text: str, *, like: object) -> object:
         raise UsageError(f"--set: {text} is no TOML value: {error}; write one like {like}") from error
 
 
-def _table(values: Tables, name: str) -> KeyPath:
+def _find_table(values: Tables, name: str) -> KeyPath:
     """Return the path of a named table."""
-    tables = {".".join(key[:depth]): key[:depth] for key in flattened(values) for depth in range(1, len(key))}
+    tables = {".".join(key[:depth]): key[:depth] for key in flatten(values) for depth in range(1, len(key))}
     if name not in tables:
-        raise _no_such(name, tables, "--with or --without TABLE")
+        raise _unknown_name_error(name, tables, "--with or --without TABLE")
     return tables[name]
 
 
-def _no_such(name: str, known: Collection[str], option: str) -> UsageError:
+def _unknown_name_error(name: str, known: Collection[str], option: str) -> UsageError:
     """Return the error for an unknown name."""
     near = difflib.get_close_matches(name, known, n=1, cutoff=0.6)
     return UsageError(f"{option}: there is no {name!r} here" + (f"; did you mean {near[0]}?" if near else ""))
 
 
-def _without(values: Tables, off: Collection[KeyPath]) -> Tables:
+def _remove_tables(values: Tables, off: Collection[KeyPath]) -> Tables:
     """Return the values without switched-off tables."""
-    return nested({key: value for key, value in flattened(values).items() if not _is_in(key, off)})
+    return nest_tables({key: value for key, value in flatten(values).items() if not _is_in_tables(key, off)})
 
 
-def _is_in(key: KeyPath, tables: Collection[KeyPath]) -> bool:
+def _is_in_tables(key: KeyPath, tables: Collection[KeyPath]) -> bool:
     """Return whether a key is in one of the tables."""
     return any(key[: len(table)] == table for table in tables)
 
@@ -159,29 +163,29 @@ def _is_in(key: KeyPath, tables: Collection[KeyPath]) -> bool:
 # Files -----------------------------------------------------------------------------------------------
 
 
-def _head(name: str) -> str:
+def _read_head(name: str) -> str:
     """Return what a person reads first in a kind of file."""
     return (Path(__file__).parent / "heads" / f"{name}.txt").read_text(encoding="utf-8").rstrip()
 
 
-def head_of(instruments: Collection[str], struck: Collection[str]) -> str:
+def format_head(instruments: Collection[str], struck: Collection[str]) -> str:
     """Return the head of a file of `solimon setup`: instruments and strikes."""
     sentence = (
         f"From strikes of {', '.join(struck)}."
         if struck
         else "Nothing was struck: range, level and holdoff are a guess."
     )
-    return _head("setup").format(instruments=", ".join(sorted(instruments)), struck=sentence)
+    return _read_head("setup").format(instruments=", ".join(sorted(instruments)), struck=sentence)
 
 
-def refuse_what_is_there(file: Path) -> Path:
+def refuse_to_overwrite(file: Path) -> Path:
     """Raise an error if a file would be overwritten; return the schema's path."""
     if file.suffix != ".toml":
         raise UsageError(f"{file} will hold TOML: let its name end in .toml")
     schema = file.absolute().parent / SCHEMA
     if file.exists():
         raise UsageError(f"{file} is there already and is not written over; choose another name")
-    if schema.exists() and schema.read_text(encoding="utf-8", errors="replace") != schema_text():
+    if schema.exists() and schema.read_text(encoding="utf-8", errors="replace") != format_schema():
         raise UsageError(
             f"{schema} is there already and is another one, maybe of another version of solimon; move it "
             "away, or write into another folder"
@@ -189,16 +193,16 @@ def refuse_what_is_there(file: Path) -> Path:
     return schema
 
 
-def settings_of(values: Tables, off: Collection[KeyPath], file: Path) -> Settings:
+def validate_new_file(values: Tables, off: Collection[KeyPath], file: Path) -> Settings:
     """Return the settings of the new file; UsageError as for a file that is read."""
-    return checked_settings(_without(values, off), file.absolute())
+    return validate_settings(_remove_tables(values, off), file.absolute())
 
 
 def write_file(file: Path, values: Tables, *, head: str, off: Collection[KeyPath]) -> None:
     """Write a commented configuration and its schema."""
-    schema, text = refuse_what_is_there(file), commented_toml(values, head=head, switched_off=off)
+    schema, text = refuse_to_overwrite(file), format_commented_toml(values, head=head, switched_off=off)
     try:
-        schema.write_text(schema_text(), encoding="utf-8", newline="\n")
+        schema.write_text(format_schema(), encoding="utf-8", newline="\n")
         file.write_text(text, encoding="utf-8", newline="\n")
     except OSError as error:
         raise UsageError(f"cannot write {error.filename}: {error.strerror}; choose another place") from error

@@ -12,15 +12,15 @@ from pydantic import TypeAdapter
 from tomlkit.exceptions import TOMLKitError
 
 from daq_service.cli.doctor.check import Check
-from daq_service.cli.doctor.command import rig_checks
-from daq_service.cli.doctor.storage import held_folder, refuse_while_owned
+from daq_service.cli.doctor.command import run_rig_checks
+from daq_service.cli.doctor.storage import hold_folder, refuse_while_owned
 from daq_service.cli.doctor.trial import Trial, strike_transducer
 from daq_service.cli.set_up.dialogue import Dialogue
-from daq_service.cli.set_up.drawn import shot_drawn
-from daq_service.cli.set_up.init import head_of, laboratory, settings_of
-from daq_service.cli.set_up.transducers import Contents, Flags, positions_table
+from daq_service.cli.set_up.drawn import prepare_shot_for_page
+from daq_service.cli.set_up.init import format_head, read_laboratory_values, validate_new_file
+from daq_service.cli.set_up.transducers import Contents, Flags, make_positions_table
 from daq_service.errors import RigError, UsageError
-from daq_service.settings.instruments import configured, plain
+from daq_service.settings.instruments import list_instruments, to_plain_parameters
 from daq_service.settings.tables import KeyPath, Tables
 from daq_service.settings.tree import Settings
 from hardware_drivers.errors import ConfigurationError
@@ -34,7 +34,7 @@ LEVEL = "trigger_level_v"
 NOT_INSTRUMENTS = frozenset({"twin", "playback"})
 
 
-def other_kinds() -> dict[str, Offer]:
+def list_other_kinds() -> dict[str, Offer]:
     """Return the installed kinds other than NI boards that digitize or strike."""
     excluded = NOT_INSTRUMENTS | {"daqmx"}
     return {
@@ -83,7 +83,7 @@ class Kinds:
         return {
             "strike": None,
             "level_v": level_v if isinstance(level_v, float) else None,
-            **shot_drawn(trial.record, trial.features),
+            **prepare_shot_for_page(trial.record, trial.features),
         }
 
     # For the dialogue --------------------------------------------------------------------------------
@@ -120,18 +120,18 @@ class Kinds:
             What is missing or wrong.
         """
         settings = self.settings()
-        self._print_checks(rig_checks(settings, configured(settings), set(), lambda what: None))
+        self._print_checks(run_rig_checks(settings, list_instruments(settings), set(), lambda what: None))
 
     def strike(self, position: str) -> None:
         """Strike once; print the checks and ask for changes."""
-        trial = self._strike(position)
+        trial = self._strike_and_check(position)
         self._propose_level(position, trial)
         self._ask_parameters()
 
     def strike_each(self, positions: Collection[str]) -> None:
         """Strike each transducer once; RigError if one gives no waveform."""
         for position in positions:
-            if self._strike(position).record is None:
+            if self._strike_and_check(position).record is None:
                 raise RigError(f"{position} gave no record; fix what is reported above, then run it again")
 
     def conclude(self, *, asks: bool) -> None:
@@ -139,13 +139,13 @@ class Kinds:
 
     def contents(self, others: Tables, off: set[KeyPath]) -> Contents:
         """Return values with all defaults, switched-off tables and head of the file."""
-        values = self._values(others)
-        for item in configured(settings_of(values, off, self.file)):
+        values = self._values_of_file(others)
+        for item in list_instruments(validate_new_file(values, off, self.file)):
             if item.name in self.offers:
-                filled = {key: value for key, value in plain(item).items() if value is not None}
+                filled = {key: value for key, value in to_plain_parameters(item).items() if value is not None}
                 values["rig"]["instruments"][item.name] |= filled
         struck = [name for name, trial in self.trials.items() if trial.record is not None]
-        return values, off, head_of(self.offers, struck)
+        return values, off, format_head(self.offers, struck)
 
     def result(self) -> Mapping[str, object]:
         """Return the instruments, their roles and the strikes for ``--json``."""
@@ -177,17 +177,17 @@ class Kinds:
         for key in keys[:-1]:
             table = table.setdefault(key, {})
         if value.strip():
-            table[keys[-1]] = _toml_value(value.strip())
+            table[keys[-1]] = _parse_toml_value(value.strip())
         else:
             table.pop(keys[-1], None)
 
     def settings(self) -> Settings:
         """Return the settings so far; UsageError describes what is missing or wrong."""
-        return settings_of(self._values({}), set(), self.file)
+        return validate_new_file(self._values_of_file({}), set(), self.file)
 
-    def _values(self, others: Tables) -> Tables:
+    def _values_of_file(self, others: Tables) -> Tables:
         """Return the values of the new file; `others` are further tables of [rig]."""
-        values, _ = laboratory()
+        values, _ = read_laboratory_values()
         rig = {name: value for name, value in values["rig"].items() if not isinstance(value, Mapping)}
         used = {name for roles in self.wired.values() for name in roles.values()}
         instruments = {
@@ -195,9 +195,13 @@ class Kinds:
         }
         rig |= {**others, "kind": "mixed", "instruments": instruments}
         rig["positions"] = {name: dict(self.wired[name]) for name in sorted(self.wired)}
-        return {**values, "positions": positions_table(dict.fromkeys(self.wired, SOLITARY_WAVE)), "rig": rig}
+        return {
+            **values,
+            "positions": make_positions_table(dict.fromkeys(self.wired, SOLITARY_WAVE)),
+            "rig": rig,
+        }
 
-    def _strike(self, position: str) -> Trial:
+    def _strike_and_check(self, position: str) -> Trial:
         """Strike once like a normal shot, keep the result and print its checks.
 
         Raises
@@ -205,7 +209,7 @@ class Kinds:
         BusyError
             A recorder owns the data folder.
         """
-        with held_folder(self.data_folder) as owner:
+        with hold_folder(self.data_folder) as owner:
             refuse_while_owned("a strike", owner)
             trial = strike_transducer(self.settings(), position, report=self.dialogue.report)
         self.position, self.trials[position] = position, trial
@@ -250,7 +254,7 @@ class Kinds:
         level_v, incident_v = (float(str(unfit[0][name])) for name in (LEVEL, "isw_amplitude_v"))
         proposed_v = float(f"{math.copysign(0.1 * incident_v, level_v):.2g}")
         self.dialogue.report(f"take   {digitizer}.{LEVEL} {proposed_v:g} V, a tenth of the incident wave")
-        if self.dialogue.yes("accept", "Take this value", default="yes"):
+        if self.dialogue.ask_yes_or_no("accept", "Take this value", default="yes"):
             self.parameters[digitizer][LEVEL] = proposed_v
 
     def _print_checks(self, checks: Iterable[Check]) -> None:
@@ -260,7 +264,7 @@ class Kinds:
             self.dialogue.report(f"{check.state:<6} {check.name}: {check.found}{remedy}")
 
 
-def named_kinds(
+def parse_named_kinds(
     dialogue: Dialogue, names: Sequence[str], assignments: Sequence[str], file: Path, folder: Path
 ) -> Kinds:
     """Return the named kinds with given parameters.
@@ -271,7 +275,7 @@ def named_kinds(
         One is not installed, or neither digitizes nor strikes; nothing digitizes, or nothing strikes; or a
         parameter is none.
     """
-    available = other_kinds()
+    available = list_other_kinds()
     try:
         for name in names:
             find_kind(name)
@@ -311,7 +315,7 @@ def _known_parameters(instrument: str) -> Tables:
     return properties
 
 
-def _toml_value(text: str) -> object:
+def _parse_toml_value(text: str) -> object:
     """Read a number, a truth value, a list or a table as TOML; anything else is text."""
     try:
         return tomlkit.value(text).unwrap()

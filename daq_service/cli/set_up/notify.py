@@ -11,10 +11,10 @@ import click
 from daq_service.commands.send import user_name
 from daq_service.errors import EXIT_NOT_MET, EXIT_OK, UsageError
 from daq_service.processes.data_folder import settings_and_folder
-from daq_service.processes.notifications.addresses import address_of
+from daq_service.processes.notifications.addresses import read_receiver_address
 from daq_service.processes.notifications.by_apprise import deliver_by_apprise
-from daq_service.processes.notifications.messages import Test, trial_message
-from daq_service.processes.notifications.webhook import Outcome, post
+from daq_service.processes.notifications.messages import Test, build_test_message
+from daq_service.processes.notifications.webhook import Outcome, post_message
 
 
 def run_test(*, config: Path | None, receiver: str | None, as_json: bool) -> int:
@@ -34,12 +34,12 @@ def run_test(*, config: Path | None, receiver: str | None, as_json: bool) -> int
     results: dict[str, Outcome] = {}
     for name in receivers if receiver is None else [receiver]:
         receiver_settings, test = receivers[name], Test(name=settings.name, mark="terminal")
-        address = address_of(name, receiver_settings)
-        message = trial_message(test, name, user_name(), now_ns=time.time_ns())
+        address = read_receiver_address(name, receiver_settings)
+        message = build_test_message(test, name, user_name(), now_ns=time.time_ns())
         results[name] = (
             deliver_by_apprise(address, message)
             if receiver_settings.kind == "apprise"
-            else post(address, message)
+            else post_message(address, message)
         )
         if not as_json:
             click.echo(f"{name:<24} {'ok' if results[name].ok else 'FAILED':<7} {results[name].description}")

@@ -8,9 +8,9 @@ from contextlib import closing
 from dataclasses import asdict
 from typing import TypeVar
 
-from daq_service.cli.doctor.check import stamp_now
+from daq_service.cli.doctor.check import read_time_stamp
 from daq_service.cli.set_up.dialogue import Dialogue
-from daq_service.cli.set_up.init import laboratory
+from daq_service.cli.set_up.init import read_laboratory_values
 from daq_service.settings.tables import KeyPath, Tables
 from hardware_drivers.errors import InstrumentError
 from hardware_drivers.niscope.parameters import NiscopeParameters, ProbeWiring
@@ -37,21 +37,24 @@ def ask_for_others(
         What the flags name does not answer.
     """
     tables: Tables = {}
-    known = _probes(probes or {})
+    known = _find_probes(probes or {})
     if asks and probes is not None:
         text = "NI-SCOPE board of an ultrasonic probe at A, as NI MAX names it"
-        known |= _ask_for_address(dialogue, "probe", text, lambda address: _probes({"A": address}))
+        known |= _ask_for_address(dialogue, "probe", text, lambda address: _find_probes({"A": address}))
     if known:
-        usual = laboratory()[0]["rig"]["niscope"]
-        tables["niscope"] = {**usual, "probes": {name: _plain(wiring) for name, wiring in known.items()}}
+        usual = read_laboratory_values()[0]["rig"]["niscope"]
+        tables["niscope"] = {
+            **usual,
+            "probes": {name: _to_parameter_table(wiring) for name, wiring in known.items()},
+        }
     if asks and not (supply and climate):
-        from hardware_drivers.serial_port.port import serial_ports
+        from hardware_drivers.serial_port.port import list_serial_ports
 
-        for port, description in serial_ports().items():
+        for port, description in list_serial_ports().items():
             dialogue.report(f"found  {port} ({description})")
     for name, port, text, connect in (
-        ("supply", supply, "Serial port of the supply that drives the corrosion", _supply),
-        ("climate", climate, "Serial port of a thermometer and hygrometer", _climate),
+        ("supply", supply, "Serial port of the supply that drives the corrosion", _identify_supply),
+        ("climate", climate, "Serial port of a thermometer and hygrometer", _identify_climate_probe),
     ):
         table = connect(port) if port else {}
         if asks and not port:
@@ -77,7 +80,7 @@ def _ask_for_address(
     return dialogue.ask(name, f"{text}, - for none", parse, default="-")
 
 
-def _probes(addresses: Mapping[str, str]) -> dict[str, ProbeWiring]:
+def _find_probes(addresses: Mapping[str, str]) -> dict[str, ProbeWiring]:
     """Connect to each probe's board and read its serial number."""
     found = {}
     for name, address in addresses.items():
@@ -92,30 +95,34 @@ def _probes(addresses: Mapping[str, str]) -> dict[str, ProbeWiring]:
     return found
 
 
-def _supply(port: str) -> Tables:
+def _identify_supply(port: str) -> Tables:
     """Read the supply's identity, and nothing else."""
     from hardware_drivers.serial_port.power_supply import ScpiPowerSupply
 
     line = SerialLineParameters(port=port)
-    with closing(ScpiPowerSupply(SupplyParameters(line=line, identity=".+"), stamp=stamp_now)) as supply:
-        return _plain(SupplyParameters(line=line, identity=_expected(supply.identity())))
+    with closing(
+        ScpiPowerSupply(SupplyParameters(line=line, identity=".+"), stamp=read_time_stamp)
+    ) as supply:
+        return _to_parameter_table(SupplyParameters(line=line, identity=_identity_pattern(supply.identity())))
 
 
-def _climate(port: str) -> Tables:
+def _identify_climate_probe(port: str) -> Tables:
     """Read the climate probe's identity."""
     from hardware_drivers.serial_port.climate_probe import ScpiClimateProbe
 
     line = SerialLineParameters(port=port)
-    with closing(ScpiClimateProbe(ClimateParameters(line=line, identity=".+"), stamp=stamp_now)) as probe:
-        return _plain(ClimateParameters(line=line, identity=_expected(probe.identity())))
+    with closing(
+        ScpiClimateProbe(ClimateParameters(line=line, identity=".+"), stamp=read_time_stamp)
+    ) as probe:
+        return _to_parameter_table(ClimateParameters(line=line, identity=_identity_pattern(probe.identity())))
 
 
-def _expected(identity: Mapping[str, str]) -> str:
+def _identity_pattern(identity: Mapping[str, str]) -> str:
     """Return the regular expression of maker, model and serial number: the firmware may change."""
     parts = [identity[name] for name in ("maker", "model", "serial_number") if identity[name]]
     return ",".join(re.escape(part) for part in parts)
 
 
-def _plain(parameters: ProbeWiring | SupplyParameters | ClimateParameters) -> Tables:
+def _to_parameter_table(parameters: ProbeWiring | SupplyParameters | ClimateParameters) -> Tables:
     """Return parameters as a table, without those that are not set."""
     return {name: value for name, value in asdict(parameters).items() if value is not None}

@@ -13,7 +13,7 @@ from fastapi import Body, FastAPI, Request
 from starlette.responses import Response
 
 from daq_service.cli.set_up.dialogue import Dialogue
-from daq_service.cli.set_up.drawn import envelope
+from daq_service.cli.set_up.drawn import compute_envelope
 from daq_service.web import assets
 from daq_service.web.answers import problem
 from daq_service.web.answers.json_answer import JsonAnswer
@@ -49,7 +49,7 @@ class Scope(Protocol):
 
 
 @contextmanager
-def served_page(dialogue: Dialogue, scope: Scope, port: int) -> Iterator[str]:
+def serve_page(dialogue: Dialogue, scope: Scope, port: int) -> Iterator[str]:
     """Serve the page and provide its address; at the end an open page receives the final state.
 
     Raises
@@ -60,7 +60,7 @@ def served_page(dialogue: Dialogue, scope: Scope, port: int) -> Iterator[str]:
     stop = threading.Event()
     bound: queue.Queue[str | Exception] = queue.Queue()
     audience = Audience()
-    app = page_app(dialogue, scope, audience)
+    app = build_page_app(dialogue, scope, audience)
 
     def run() -> None:
         try:
@@ -102,11 +102,11 @@ class Audience:
             self._received_end.wait(FAREWELL_S)
 
 
-def page_app(dialogue: Dialogue, scope: Scope, audience: Audience) -> FastAPI:
+def build_page_app(dialogue: Dialogue, scope: Scope, audience: Audience) -> FastAPI:
     """Build the page's service, protected like the dashboard."""
     app = FastAPI(openapi_url=None, docs_url=None, redoc_url=None, default_response_class=JsonAnswer)
     app.add_middleware(RequestGuard)
-    problem.install(app)
+    problem.install_error_handlers(app)
 
     @app.get("/")
     async def get_page(request: Request) -> Response:
@@ -137,7 +137,9 @@ def page_app(dialogue: Dialogue, scope: Scope, audience: Audience) -> FastAPI:
             position, record = scope.watch()
         except InstrumentError as error:
             return JsonAnswer({"position": scope.position, "error": str(error)})
-        return JsonAnswer({"position": position, "record": None if record is None else envelope(record)})
+        return JsonAnswer(
+            {"position": position, "record": None if record is None else compute_envelope(record)}
+        )
 
     @app.get("/api/strike")
     def get_strike() -> JsonAnswer:

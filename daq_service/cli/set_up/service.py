@@ -16,14 +16,14 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path, PurePath
 from xml.sax.saxutils import escape
 
-from daq_service.corrosion_drive.remote import answered_within_s
+from daq_service.corrosion_drive.remote import longest_answer_time_s
 from daq_service.errors import EXIT_INTERRUPTED, UsageError
 from daq_service.processes.child import PROGRAM
 from daq_service.processes.data_folder import settings_and_folder
 from daq_service.processes.heartbeat import WEB_DEADLINE_S
 from daq_service.processes.printing import print_result
 from daq_service.processes.supervisor import STARTING_GRACE_S
-from daq_service.recording.session import longest_call_s
+from daq_service.recording.session import compute_longest_call_s
 from daq_service.settings.tree import Settings
 
 
@@ -39,8 +39,8 @@ def write_services(
 ) -> None:
     """Run the command: write the files, print how to install them."""
     settings, folder = settings_and_folder(config, data_dir)
-    user = user or os.environ.get("SUDO_USER") or _this_user()
-    describe = systemd_units if manager == "systemd" else windows_tasks
+    user = user or os.environ.get("SUDO_USER") or _current_user_name()
+    describe = build_systemd_units if manager == "systemd" else build_windows_tasks
     texts = describe(settings, config.absolute(), folder, user=user, name=name)
     files = [out.absolute() / file for file in texts]
     try:
@@ -50,19 +50,19 @@ def write_services(
             file.write_text(text, encoding="utf-8" if manager == "systemd" else "utf-16", newline="\n")
     except OSError as error:
         raise UsageError(f"cannot write to {out}: {error.strerror}; choose another --out") from error
-    install = _to_install(manager, files)
+    install = _installation_commands(manager, files)
     result = {"manager": manager, "files": list(map(str, files)), "install": install}
     lines = [*(f"written: {file}" for file in files), "install with:", *install]
     print_result(result, lines, as_json=as_json)
 
 
-def _this_user() -> str:
+def _current_user_name() -> str:
     """Return the name of the user, with the domain on Windows."""
     domain = os.environ.get("USERDOMAIN")
     return f"{domain}\\{getpass.getuser()}" if domain else getpass.getuser()
 
 
-def _to_install(manager: str, files: Sequence[PurePath]) -> list[str]:
+def _installation_commands(manager: str, files: Sequence[PurePath]) -> list[str]:
     """Return the commands that install the files."""
     if manager == "systemd":
         names = " ".join(file.name for file in files)
@@ -75,18 +75,18 @@ def _to_install(manager: str, files: Sequence[PurePath]) -> list[str]:
 # systemd -----------------------------------------------------------------------------------------------
 
 
-def systemd_units(
+def build_systemd_units(
     settings: Settings, config: PurePath, folder: PurePath, *, user: str, name: str
 ) -> dict[str, str]:
     """Return the units of recorder, web service and, if there is a supply, its process, by file name."""
-    longest_s = math.ceil(longest_call_s(settings) + settings.rig.stall_timeout_s)
+    longest_s = math.ceil(compute_longest_call_s(settings) + settings.rig.stall_timeout_s)
     supply = settings.rig.driven
-    reply_s = 0 if supply is None else math.ceil(answered_within_s(supply))
+    reply_s = 0 if supply is None else math.ceil(longest_answer_time_s(supply))
     values = {
-        "test": _plain(" ".join(settings.name.split())),
-        "folder": _quoted(str(folder)),
+        "test": _escape_percent(" ".join(settings.name.split())),
+        "folder": _quote_word(str(folder)),
         "user": user,
-        "at": _plain(str(config.parent)),
+        "at": _escape_percent(str(config.parent)),
         "wrong_configuration": UsageError.exit_code,
         "interrupted": EXIT_INTERRUPTED,
         # The supply process must be ready before the recorder looks whether it has to start one.
@@ -98,45 +98,45 @@ def systemd_units(
         "switch_off_s": reply_s + 30,
     }
     return {
-        f"{name}-{command}.service": _template(f"{command}.service").format(
-            command=" ".join(map(_quoted, _command(command, config, folder))), **values
+        f"{name}-{command}.service": _read_template(f"{command}.service").format(
+            command=" ".join(map(_quote_word, _service_command_line(command, config, folder))), **values
         )
         for command in ("record", "serve", *(() if supply is None else ("supply-process",)))
     }
 
 
-def _template(file: str) -> str:
+def _read_template(file: str) -> str:
     """Return the text of a template."""
     return (Path(__file__).parent / "services" / file).read_text(encoding="utf-8")
 
 
-def _command(command: str, config: PurePath, folder: PurePath) -> list[str]:
+def _service_command_line(command: str, config: PurePath, folder: PurePath) -> list[str]:
     """Return the command line of a service; a recorder stays after its last set for commands."""
     linger = ["--linger"] if command == "record" else []
     return [*PROGRAM, command, str(config), "--data-dir", str(folder), *linger]
 
 
-def _plain(text: str) -> str:
+def _escape_percent(text: str) -> str:
     """Escape per cent signs, which systemd would expand."""
     return text.replace("%", "%%")
 
 
-def _quoted(text: str) -> str:
+def _quote_word(text: str) -> str:
     """Quote a word of a command line for systemd."""
     if text.replace("/", "").replace("-", "").replace(".", "").replace("_", "").isalnum():
         return text
     escaped = text.replace("\\", "\\\\").replace('"', '\\"').replace("$", "$$")
-    return f'"{_plain(escaped)}"'
+    return f'"{_escape_percent(escaped)}"'
 
 
 # Windows -----------------------------------------------------------------------------------------------
 
 
-def windows_tasks(
+def build_windows_tasks(
     settings: Settings, config: PurePath, folder: PurePath, *, user: str, name: str
 ) -> Mapping[str, str]:
     """Return the tasks of the supervisor and, if there is a supply, its process, by file name."""
-    commands, template = {name: "run"}, _template("task.xml")
+    commands, template = {name: "run"}, _read_template("task.xml")
     if settings.rig.driven is not None:
         commands[f"{name}-supply-process"] = "supply-process"
     return {
@@ -144,7 +144,7 @@ def windows_tasks(
             title=escape(f"solimon {command}: {settings.name}"),
             user=escape(user),
             program=escape(sys.executable),
-            arguments=escape(subprocess.list2cmdline(_command(command, config, folder)[1:])),
+            arguments=escape(subprocess.list2cmdline(_service_command_line(command, config, folder)[1:])),
             at=escape(str(config.parent)),
         )
         for task, command in commands.items()

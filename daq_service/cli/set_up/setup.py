@@ -11,16 +11,21 @@ from typing import TYPE_CHECKING, Literal
 import click
 
 from analysis.errors import AnalysisError
-from daq_service.cli.doctor.storage import owner_of, refuse_while_owned
+from daq_service.cli.doctor.storage import read_lock_owner, refuse_while_owned
 from daq_service.cli.set_up.bench import Bench
 from daq_service.cli.set_up.boards import Boards
 from daq_service.cli.set_up.dialogue import Dialogue
-from daq_service.cli.set_up.init import laboratory, refuse_what_is_there, settings_of, write_file
-from daq_service.cli.set_up.kinds import named_kinds, other_kinds
+from daq_service.cli.set_up.init import (
+    read_laboratory_values,
+    refuse_to_overwrite,
+    validate_new_file,
+    write_file,
+)
+from daq_service.cli.set_up.kinds import list_other_kinds, parse_named_kinds
 from daq_service.cli.set_up.other_instruments import ask_for_others
-from daq_service.cli.set_up.page import Scope, served_page
+from daq_service.cli.set_up.page import Scope, serve_page
 from daq_service.cli.set_up.transducers import Flags, Instruments, set_up_transducers
-from daq_service.cli.set_up.wiring import board_in_words
+from daq_service.cli.set_up.wiring import describe_board
 from daq_service.cli.terminal import open_page
 from daq_service.errors import BusyError, RigError, UsageError
 from daq_service.settings.tables import KeyPath, Tables
@@ -57,10 +62,10 @@ def run_setup(
     strike: bool,
 ) -> None:
     """Run the command."""
-    refuse_what_is_there(file)
+    refuse_to_overwrite(file)
     flags = Flags(
-        transducers=_named(transducers),
-        probes=_named(probes),
+        transducers=_parse_named_options(transducers),
+        probes=_parse_named_options(probes),
         supply=supply,
         climate=climate,
         drop_height_m=drop_height_m,
@@ -71,31 +76,31 @@ def run_setup(
     if assignments and not kinds:
         raise UsageError("--set is for --kind; NI boards are set up by questions, or by --transducer")
     dialogue = Dialogue()
-    folder = data_dir or file.absolute().parent / laboratory()[0]["storage"]["folder"]
-    refuse_while_owned("setup", owner_of(folder))
+    folder = data_dir or file.absolute().parent / read_laboratory_values()[0]["storage"]["folder"]
+    refuse_while_owned("setup", read_lock_owner(folder))
     with ExitStack() as stack:
         instruments: Instruments
         scope: Scope
         if kinds:
-            scope = instruments = named_kinds(dialogue, kinds, assignments, file, folder)
+            scope = instruments = parse_named_kinds(dialogue, kinds, assignments, file, folder)
         else:
-            scope = stack.enter_context(closing(look_around(dialogue, folder, transport, grpc_address)))
+            scope = stack.enter_context(closing(find_boards(dialogue, folder, transport, grpc_address)))
             instruments = Boards(dialogue, scope)
         if asks and not no_web:
-            address = stack.enter_context(served_page(dialogue, scope, port))
+            address = stack.enter_context(serve_page(dialogue, scope, port))
             opened = ", opened in your browser" if not no_browser and open_page(address) else ""
             dialogue.report(f"scope  {address}{opened}; answer there or here")
-        stack.enter_context(_translated_errors())
+        stack.enter_context(_translate_driver_errors())
         set_up_transducers(dialogue, instruments, flags)
         probes_of = None if kinds else flags.probes
         others, off = ask_for_others(dialogue, probes_of, flags.supply, flags.climate, asks=asks)
-        result = write(dialogue, instruments, file, others, off)
+        result = write_and_validate(dialogue, instruments, file, others, off)
     if as_json:
         click.echo(json.dumps(result))
 
 
 @contextmanager
-def _translated_errors() -> Iterator[None]:
+def _translate_driver_errors() -> Iterator[None]:
     """Translate a driver's errors to those with the exit codes of the command."""
     try:
         yield
@@ -105,7 +110,7 @@ def _translated_errors() -> Iterator[None]:
         raise RigError(str(error)) from error
 
 
-def _named(given: Sequence[str]) -> dict[str, str]:
+def _parse_named_options(given: Sequence[str]) -> dict[str, str]:
     """Parse ``NAME=VALUE`` options."""
     named = {}
     for text in given:
@@ -121,7 +126,7 @@ def _named(given: Sequence[str]) -> dict[str, str]:
 # What is there ---------------------------------------------------------------------------------------
 
 
-def look_around(
+def find_boards(
     dialogue: Dialogue, data_folder: Path, transport: Literal["library", "grpc"], grpc_address: str
 ) -> Bench:
     """Find the boards and print them.
@@ -140,18 +145,20 @@ def look_around(
 
     survey = survey_boards(transport, grpc_address)
     for board in survey.boards:
-        dialogue.report(f"found  {board_in_words(board)}")
+        dialogue.report(f"found  {describe_board(board)}")
     usable = {board.serial: board for board in survey.boards if board.analog_trigger and board.ranges_v}
     if not usable:
-        names = ", ".join(other_kinds()) or "none is installed, see docs/how-to/write-a-driver.md"
+        names = ", ".join(list_other_kinds()) or "none is installed, see docs/how-to/write-a-driver.md"
         others = f"instruments of other kinds: solimon setup FILE --kind NAME ({names})"
-        raise RigError(f"{LOOKED_FOR} by {transport}: {_met(survey)}; {NO_BOARDS.format(others=others)}")
+        raise RigError(
+            f"{LOOKED_FOR} by {transport}: {_describe_boards(survey)}; {NO_BOARDS.format(others=others)}"
+        )
     # Any board may drive a coil.
     boards = {board.serial: board for board in survey.boards}
     return Bench(boards=boards, data_folder=data_folder, transport=transport, grpc_address=grpc_address)
 
 
-def _met(survey: Survey) -> str:
+def _describe_boards(survey: Survey) -> str:
     """Describe the boards that were found."""
     failed = [finding for finding in survey.findings if finding.state == "fail"]
     if failed:
@@ -164,12 +171,12 @@ def _met(survey: Survey) -> str:
 # The file --------------------------------------------------------------------------------------------
 
 
-def write(
+def write_and_validate(
     dialogue: Dialogue, instruments: Instruments, file: Path, others: Tables, off: set[KeyPath]
 ) -> dict[str, object]:
     """Write the file and its schema, validate it, and print the next steps."""
     values, off, head = instruments.contents(others, off)
-    settings = settings_of(values, off, file)
+    settings = validate_new_file(values, off, file)
     write_file(file, values, head=head, off=off)
     dialogue.report(f"{file} is written with its schema ({settings.configuration_hash()[:12]})")
     dialogue.report(f"next: solimon check-config {file}, then docs/how-to/day-one.md")

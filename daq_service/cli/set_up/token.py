@@ -12,18 +12,18 @@ from daq_service.commands.audit import TERMINAL, Audit
 from daq_service.commands.send import user_name
 from daq_service.processes.data_folder import prepare_data_folder, settings_of_folder
 from daq_service.web.auth.roles import CLAIMED, Role
-from daq_service.web.auth.tokens import Token, create_token, read_tokens, revoke_token, tokens_file
+from daq_service.web.auth.tokens import Token, create_token, find_tokens_file, read_tokens, revoke_token
 
 
 def run_create(
     *, name: str, role: Role, days: float | None, config: Path | None, data_dir: Path | None, as_json: bool
 ) -> None:
     """Create a token and print it; the printed text is not stored."""
-    path, audit = _places(config, data_dir)
+    path, audit = _token_and_audit_files(config, data_dir)
     token, text = create_token(path, name, role, days=days)
-    _audit(audit, "create_token", name=name, role=role, days=days)
+    _add_audit_entry(audit, "create_token", name=name, role=role, days=days)
     if as_json:
-        click.echo(json.dumps(_shown(token) | {"token": text}))
+        click.echo(json.dumps(_describe_token(token) | {"token": text}))
         return
     click.echo(f"{role} token of {name}, in {path}, until {token.expires_utc or 'it is revoked'}:", err=True)
     click.echo(text)
@@ -32,8 +32,8 @@ def run_create(
 
 def run_list(*, config: Path | None, data_dir: Path | None, as_json: bool) -> None:
     """Print all tokens without their secrets."""
-    path, _ = _places(config, data_dir)
-    tokens = [_shown(token) for token in read_tokens(path)]
+    path, _ = _token_and_audit_files(config, data_dir)
+    tokens = [_describe_token(token) for token in read_tokens(path)]
     if as_json:
         click.echo(json.dumps({"file": str(path), "tokens": tokens}))
         return
@@ -46,27 +46,29 @@ def run_list(*, config: Path | None, data_dir: Path | None, as_json: bool) -> No
 
 def run_revoke(*, name: str, config: Path | None, data_dir: Path | None, as_json: bool) -> None:
     """Revoke a token."""
-    path, audit = _places(config, data_dir)
+    path, audit = _token_and_audit_files(config, data_dir)
     token = revoke_token(path, name)
-    _audit(audit, "revoke_token", name=name)
-    click.echo(json.dumps(_shown(token)) if as_json else f"the token of {name} opens nothing any more")
+    _add_audit_entry(audit, "revoke_token", name=name)
+    click.echo(
+        json.dumps(_describe_token(token)) if as_json else f"the token of {name} opens nothing any more"
+    )
 
 
-def _places(config: Path | None, data_dir: Path | None) -> tuple[Path, Audit]:
+def _token_and_audit_files(config: Path | None, data_dir: Path | None) -> tuple[Path, Audit]:
     """Return the file of tokens and the audit log of a test."""
     settings, folder = settings_of_folder(config, data_dir)
     prepare_data_folder(folder)
-    return tokens_file(settings.web, folder), Audit(folder)
+    return find_tokens_file(settings.web, folder), Audit(folder)
 
 
-def _audit(audit: Audit, action: str, **arguments: object) -> None:
+def _add_audit_entry(audit: Audit, action: str, **arguments: object) -> None:
     """Add the command to the audit log."""
     audit.add(
         author=user_name(), role=CLAIMED, source=TERMINAL, what=action, arguments=arguments, result="done"
     )
 
 
-def _shown(token: Token) -> dict[str, object]:
+def _describe_token(token: Token) -> dict[str, object]:
     """Return a token without its secret."""
     shown = asdict(token) | {"state": token.state}
     del shown["sha256"]

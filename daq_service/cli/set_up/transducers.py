@@ -8,7 +8,7 @@ from typing import Protocol
 
 from analysis.errors import AnalysisError
 from daq_service.cli.set_up.dialogue import Dialogue
-from daq_service.cli.set_up.init import laboratory
+from daq_service.cli.set_up.init import read_laboratory_values
 from daq_service.errors import BusyError, UsageError
 from daq_service.settings.tables import KeyPath, Tables
 from hardware_drivers.errors import InstrumentError
@@ -97,16 +97,16 @@ def _ask_for_transducers(dialogue: Dialogue, instruments: Instruments) -> None:
     """Ask for the wiring of each transducer and strike it on request."""
     while (position := _ask_position(dialogue, instruments.wired)) is not None:
         instruments.ask_wiring(position)
-        while _strikes_or_goes_on(dialogue, position):
+        while _ask_whether_to_strike(dialogue, position):
             try:
                 instruments.strike(position)
             except (InstrumentError, AnalysisError, BusyError) as error:
                 dialogue.report(f"  {error}")
 
 
-def positions_table(methods: Mapping[str, str]) -> dict[str, dict[str, str]]:
+def make_positions_table(methods: Mapping[str, str]) -> dict[str, dict[str, str]]:
     """Return [positions] for measuring methods by position, with the labels of the paper's."""
-    labels = {name: place["label"] for name, place in laboratory()[0]["positions"].items()}
+    labels = {name: place["label"] for name, place in read_laboratory_values()[0]["positions"].items()}
     return {
         name: {"method": method, "label": labels.get(name, ""), "serial_number": ""}
         for name, method in sorted(methods.items())
@@ -129,7 +129,7 @@ def _ask_position(dialogue: Dialogue, taken: Mapping[str, object]) -> str | None
     return dialogue.ask("position", text_of_question, parse, default="-" if taken else "B")
 
 
-def _strikes_or_goes_on(dialogue: Dialogue, position: str) -> bool:
+def _ask_whether_to_strike(dialogue: Dialogue, position: str) -> bool:
     """Ask whether to strike; the default is no."""
     text, choices = f"Strike {position} once, all hands out of the rig? Or go on", ("strike", "go on")
     return dialogue.ask(f"{position}.strike", text, str, default="go on", choices=choices) == "strike"

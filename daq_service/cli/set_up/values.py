@@ -12,11 +12,11 @@ from daq_service.cli.doctor.spike import HARDWARE_CURE
 from daq_service.cli.set_up.bench import Bench
 from daq_service.cli.set_up.dialogue import Dialogue
 from daq_service.errors import RigError
-from daq_service.shared_file import packaged_table
+from daq_service.shared_file import load_table
 
 REMEDIES: Mapping[Trouble, str] = {
     trouble: remedy.format(cure=HARDWARE_CURE)
-    for trouble, remedy in TypeAdapter(dict[Trouble, str]).validate_python(packaged_table(__file__)).items()
+    for trouble, remedy in TypeAdapter(dict[Trouble, str]).validate_python(load_table(__file__)).items()
 }
 
 
@@ -30,12 +30,12 @@ def assess_strikes(dialogue: Dialogue, bench: Bench, *, asks: bool) -> None:
         dialogue.report(f"{position}      {REMEDIES[trouble]}")
     if proposal.trigger_level_v is None:
         return
-    for line in in_words(proposal):
+    for line in format_values(proposal):
         dialogue.report(f"take   {line}")
-    taken = not asks or dialogue.yes("accept", "Take these values", default="yes")
+    taken = not asks or dialogue.ask_yes_or_no("accept", "Take these values", default="yes")
     while True:
         if not taken:
-            proposal = _own_values(dialogue, bench, proposal)
+            proposal = _ask_for_values(dialogue, bench, proposal)
         try:
             bench.choose(proposal)
         except ValueError as error:
@@ -47,7 +47,7 @@ def assess_strikes(dialogue: Dialogue, bench: Bench, *, asks: bool) -> None:
             return
 
 
-def _own_values(dialogue: Dialogue, bench: Bench, proposal: Proposal) -> Proposal:
+def _ask_for_values(dialogue: Dialogue, bench: Bench, proposal: Proposal) -> Proposal:
     """Ask for each value, with the proposed one as default."""
 
     def number(name: str, text: str, default: float | None) -> float | None:
@@ -77,7 +77,7 @@ def _own_values(dialogue: Dialogue, bench: Bench, proposal: Proposal) -> Proposa
     )
 
 
-def in_words(proposal: Proposal) -> list[str]:
+def format_values(proposal: Proposal) -> list[str]:
     """Return the proposed values, one per line."""
     ranges = ", ".join(f"{name} +-{range_v:g} V" for name, range_v in proposal.range_v.items())
     holdoff = "none" if proposal.holdoff_s is None else f"{proposal.holdoff_s * 1e3:.3g} ms"

@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from hardware_drivers.daqmx.survey import BoardFacts
 
 
-def board_in_words(board: BoardFacts) -> str:
+def describe_board(board: BoardFacts) -> str:
     """Describe a board."""
     ranges = ", ".join(
         f"{high:g}" for low, high in sorted(board.ranges_v, key=lambda ends: ends[1]) if high == -low
@@ -19,23 +19,23 @@ def board_in_words(board: BoardFacts) -> str:
     trigger = "" if board.analog_trigger else "; no analog trigger: it can drive a coil, not record a wave"
     return (
         f"{board.product} {board.serial} ({board.name}): {len(board.inputs)} inputs up to "
-        f"{board.max_rate_hz / 1e6:.4g} MS/s, +-{ranges} V, {len(coil_counters(board))} counters{trigger}"
+        f"{board.max_rate_hz / 1e6:.4g} MS/s, +-{ranges} V, {len(list_coil_counters(board))} counters{trigger}"
     )
 
 
-def coil_counters(board: BoardFacts) -> list[str]:
+def list_coil_counters(board: BoardFacts) -> list[str]:
     """Return the counters of a board that can time a pulse."""
     return [name for name in (path.rpartition("/")[2] for path in board.counters) if name.startswith("ctr")]
 
 
-def home_terminal(board: BoardFacts, counter: str) -> str:
+def default_pulse_terminal(board: BoardFacts, counter: str) -> str:
     """Return the default terminal of a counter's pulse for the board's family."""
     number = int(counter[3:])
     counter_output = f"Ctr{number}Out"
     return counter_output if f"/{board.name}/{counter_output}" in board.terminals else f"PFI{12 + number}"
 
 
-def wiring_of(boards: Mapping[str, BoardFacts], text: str) -> TransducerWiring:
+def parse_wiring(boards: Mapping[str, BoardFacts], text: str) -> TransducerWiring:
     """Read ``BOARD/INPUT/COUNTER[/TERMINAL]`` or ``BOARD/INPUT/COIL_BOARD/COUNTER[/TERMINAL]``."""
     board, *ends = text.split("/")
     serial = board.upper().zfill(8)
@@ -50,7 +50,10 @@ def wiring_of(boards: Mapping[str, BoardFacts], text: str) -> TransducerWiring:
             f"{boards[serial].product} {serial} has no analog trigger, which starts every record"
         )
     channel, counter = ends[:2]
-    for name, known in ((channel, inputs_of(boards[serial])), (counter, coil_counters(boards[coil_serial]))):
+    for name, known in (
+        (channel, list_analog_inputs(boards[serial])),
+        (counter, list_coil_counters(boards[coil_serial])),
+    ):
         if name not in known:
             raise ValueError(f"there is no {name}; there are: {', '.join(known)}")
     return TransducerWiring(
@@ -58,10 +61,10 @@ def wiring_of(boards: Mapping[str, BoardFacts], text: str) -> TransducerWiring:
         striker_serial="" if coil_serial == serial else coil_serial,
         input=channel,
         counter=counter,
-        output_terminal=ends[2] if len(ends) == 3 else home_terminal(boards[coil_serial], counter),
+        output_terminal=ends[2] if len(ends) == 3 else default_pulse_terminal(boards[coil_serial], counter),
     )
 
 
-def inputs_of(board: BoardFacts) -> list[str]:
+def list_analog_inputs(board: BoardFacts) -> list[str]:
     """Return the analog inputs of a board."""
     return [path.rpartition("/")[2] for path in board.inputs]

@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING
 import click
 
 from daq_service.cli.status.facts import describe_status
-from daq_service.cli.terminal import console_on
+from daq_service.cli.terminal import create_console
 from daq_service.errors import EXIT_INTERRUPTED, EXIT_OK, SolimonError, UsageError
 from daq_service.processes.child import stop_on_signals
 from daq_service.processes.data_folder import refuse_other_folders, settings_of_folder
-from daq_service.settings.foreign_text import in_one_line
+from daq_service.settings.foreign_text import escape_to_one_line
 
 if TYPE_CHECKING:
     from rich.console import Console, RenderableType
@@ -35,22 +35,21 @@ def run_status(*, config: Path | None, data_dir: Path | None, as_json: bool, wat
     if as_json and not watch:
         click.echo(json.dumps(facts))
         return EXIT_OK
-    from daq_service.cli.status.table import picture
 
-    console = console_on("stdout")
+    console = create_console("stdout")
     if watch:
         if as_json or not console.is_terminal:
             raise UsageError(
                 "--watch draws on a terminal, and this is none; ask again and again without it, or take the "
                 "stream of `solimon serve`"
             )
-        return _watch(console, config, data_dir)
+        return _watch_status(console, config, data_dir)
     if console.is_terminal:
-        console.print(picture(facts, str(folder)))
+        console.print(compose_status(facts, str(folder)))
         return EXIT_OK
     console.width = PIPE_COLUMNS
     with console.capture() as captured:
-        console.print(picture(facts, str(folder)))
+        console.print(compose_status(facts, str(folder)))
     click.echo("\n".join(line.rstrip() for line in captured.get().rstrip().splitlines()))
     return EXIT_OK
 
@@ -62,7 +61,7 @@ def _read_status(config: Path | None, data_dir: Path | None) -> tuple[Path, dict
     return folder, describe_status(folder, settings)
 
 
-def _watch(console: Console, config: Path | None, data_dir: Path | None) -> int:
+def _watch_status(console: Console, config: Path | None, data_dir: Path | None) -> int:
     """Draw the status until Ctrl-C; an error is shown and the status read again."""
     from rich.live import Live
 
@@ -70,19 +69,19 @@ def _watch(console: Console, config: Path | None, data_dir: Path | None) -> int:
     # Not as an exception: one that comes within a callback of a library is lost.
     with stop_on_signals() as stop, Live(console=console, screen=True, auto_refresh=False) as live:
         while not stop.is_set():
-            last = _status_or_error(config, data_dir)
+            last = _status_table_or_error(config, data_dir)
             live.update(last, refresh=True)
             stop.wait(WATCH_EVERY_S)
     console.print(last)
     return EXIT_INTERRUPTED
 
 
-def _status_or_error(config: Path | None, data_dir: Path | None) -> RenderableType:
+def _status_table_or_error(config: Path | None, data_dir: Path | None) -> RenderableType:
     """Return the table of the status, or the error of reading it."""
-    from daq_service.cli.status.table import picture
+    from daq_service.cli.status.table import compose_status
 
     try:
         folder, facts = _read_status(config, data_dir)
     except SolimonError as error:
-        return f"cannot be read now, and is looked at again: {in_one_line(str(error))}"
-    return picture(facts, str(folder))
+        return f"cannot be read now, and is looked at again: {escape_to_one_line(str(error))}"
+    return compose_status(facts, str(folder))

@@ -8,16 +8,16 @@ from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 
-from daq_service.acquisition.schedule import due_hours
-from daq_service.alarms.evidence import baseline_doubts
+from daq_service.acquisition.schedule import list_due_hours
+from daq_service.alarms.evidence import describe_baseline_anomalies
 from daq_service.assessment.confirmation import count_recent, read_confirmations, summarize_confirmation
-from daq_service.assessment.position_status import age_of, is_stale, limit_of, status_of
-from daq_service.assessment.stored_limits import deciding_chart
+from daq_service.assessment.position_status import find_data_age_h, find_limit, find_status, is_stale
+from daq_service.assessment.stored_limits import find_chart
 from daq_service.catalogue import Catalogue, open_catalogue
 from daq_service.catalogue.connection import FILE_NAME
 from daq_service.catalogue.errors import NoDataYetError
 from daq_service.catalogue.experiment_file import HISTORY_FILE
-from daq_service.catalogue.history import lacks_rows_of, read_history
+from daq_service.catalogue.history import describe_missing_event, read_history
 from daq_service.catalogue.reader import LatestRows
 from daq_service.catalogue.rows import (
     AlarmRow,
@@ -26,16 +26,16 @@ from daq_service.catalogue.rows import (
     CommandRow,
     EnvironmentRow,
     SetRow,
-    values,
+    to_columns,
 )
-from daq_service.commands.deadline import remaining_now_s, with_expiry
+from daq_service.commands.deadline import apply_expiry, remaining_now_s
 from daq_service.corrosion_drive.supply_state import describe_supply, read_supply_status
 from daq_service.errors import StorageError
 from daq_service.processes.disk_policy import outlook
 from daq_service.processes.freshness import Freshness
-from daq_service.processes.heartbeat import time_now_ns
-from daq_service.processes.lost_catalogue import lost_reason
-from daq_service.processes.lost_sets import lost_sets
+from daq_service.processes.heartbeat import compute_test_time_ns
+from daq_service.processes.lost_catalogue import lost_catalogue_reason
+from daq_service.processes.lost_sets import find_lost_sets
 from daq_service.processes.recorder_state import read_recorder_state
 from daq_service.settings.tree import Settings
 from hardware_drivers.methods import SOLITARY_WAVE
@@ -65,8 +65,8 @@ def describe_status(folder: Path, settings: Settings) -> dict[str, object]:
         with open_catalogue(folder, writer=False) as catalogue:
             fresh = Freshness(folder, catalogue, settings.clock.kind)
             counts, schedule = catalogue.counts(), settings.schedule
-            hours = due_hours(schedule.phases, end_h=schedule.end_h)
-            baselines = catalogue.newest_baselines()
+            hours = list_due_hours(schedule.phases, end_h=schedule.end_h)
+            baselines = catalogue.read_newest_baselines()
             return {
                 "recorder": fresh.recorder.description,
                 "recorder_state": fresh.recorder.status,
@@ -74,16 +74,17 @@ def describe_status(folder: Path, settings: Settings) -> dict[str, object]:
                 "wall_age_s": fresh.wall_age_s,
                 "system_ahead_s": fresh.system_ahead_s,
                 "supply": supply,
-                "climate": _climate(catalogue.last_environment()),
+                "climate": _newest_climate(catalogue.read_last_environment()),
                 "paused": catalogue.paused(),
-                "orders": _open_orders(catalogue),
+                "orders": _open_commands(catalogue),
                 "counts": counts,
                 "next_due_h": next(iter(hours[counts["sets"] + counts["missed_sets"] :]), None),
-                "gaps": _gaps(catalogue) if counts["missed_sets"] + counts["partial_sets"] else [],
-                "lost": _lost_rows(folder, catalogue) | lost_sets(folder, catalogue, newest_rows=LOOKED_AT),
-                "confirmations": _confirmations(
+                "gaps": _newest_gaps(catalogue) if counts["missed_sets"] + counts["partial_sets"] else [],
+                "lost": _lost_rows_error(folder, catalogue)
+                | find_lost_sets(folder, catalogue, newest_rows=LOOKED_AT),
+                "confirmations": _count_confirmations(
                     catalogue,
-                    settings.names_of(SOLITARY_WAVE),
+                    settings.list_positions(SOLITARY_WAVE),
                     settings.alarms.confirmation_sets_a_day,
                     fresh,
                 ),
@@ -92,23 +93,23 @@ def describe_status(folder: Path, settings: Settings) -> dict[str, object]:
                     name: {
                         **_newest_rows(latest),
                         **_present_state(settings, fresh, latest),
-                        "baseline": _rate_of(baselines.get(name)),
+                        "baseline": _design_rate_of(baselines.get(name)),
                     }
                     for name, latest in (
-                        (name, fresh.standing_word(found))
-                        for name, found in catalogue.positions_state().items()
+                        (name, fresh.with_present_alarms(found))
+                        for name, found in catalogue.read_latest_rows().items()
                     )
                 },
                 "alarms": [
-                    {**values(fresh.standing(row)), "age_h": fresh.age_h(row.raised_h)}
+                    {**to_columns(fresh.with_present_state(row)), "age_h": fresh.age_h(row.raised_h)}
                     for row in catalogue.rows(AlarmRow, active=True)
                 ],
             }
     except NoDataYetError:
-        if reason := lost_reason(folder):
+        if reason := lost_catalogue_reason(folder):
             raise StorageError(reason) from None
         recorder = read_recorder_state(folder, [])
-        recorder_ns = time_now_ns(recorder.beat)
+        recorder_ns = compute_test_time_ns(recorder.beat)
         nothing = dict.fromkeys(
             ("now_h", "wall_age_s", "climate", "paused", "counts", "next_due_h", "disk", "confirmations")
         )
@@ -126,7 +127,7 @@ def describe_status(folder: Path, settings: Settings) -> dict[str, object]:
         }
 
 
-def _climate(row: EnvironmentRow | None) -> dict[str, object] | None:
+def _newest_climate(row: EnvironmentRow | None) -> dict[str, object] | None:
     """Return the climate of the newest set; None where there is no probe or no set yet."""
     if row is None or row.climate_quality == "absent":
         return None
@@ -134,10 +135,10 @@ def _climate(row: EnvironmentRow | None) -> dict[str, object] | None:
     return {name: getattr(row, name) for name in names}
 
 
-def _lost_rows(folder: Path, catalogue: Catalogue) -> dict[str, str]:
+def _lost_rows_error(folder: Path, catalogue: Catalogue) -> dict[str, str]:
     """Return an error if the catalogue is an older copy that lacks events of the history."""
     try:
-        lacking = lacks_rows_of(read_history(folder, tail_bytes=END_BYTES), catalogue)
+        lacking = describe_missing_event(read_history(folder, tail_bytes=END_BYTES), catalogue)
     except OSError as error:
         return {HISTORY_FILE: f"cannot be read: {error}"}
     return {FILE_NAME: lacking} if lacking else {}
@@ -146,29 +147,31 @@ def _lost_rows(folder: Path, catalogue: Catalogue) -> dict[str, str]:
 def _newest_rows(latest: LatestRows) -> dict[str, object]:
     """Return the newest rows of a position."""
     names = ("last_set", "last_feature", "last_assessment", "last_thickness")
-    rows_by_name = {name: None if (row := getattr(latest, name)) is None else values(row) for name in names}
+    rows_by_name = {
+        name: None if (row := getattr(latest, name)) is None else to_columns(row) for name in names
+    }
     return {
         "position": latest.position,
         "method": latest.method,
         **rows_by_name,
-        "active_alarms": [values(row) for row in latest.active_alarms],
+        "active_alarms": [to_columns(row) for row in latest.active_alarms],
     }
 
 
 def _present_state(settings: Settings, fresh: Freshness, last: LatestRows) -> dict[str, object]:
     """Return what changes with time: state, age, limits, the interval of a thickness."""
-    age_h = age_of(last, fresh)
-    chart = deciding_chart(last.last_assessment, settings.alarms)
+    age_h = find_data_age_h(last, fresh)
+    chart = find_chart(last.last_assessment, settings.alarms)
     return {
-        "state": status_of(last),
+        "state": find_status(last),
         "age_h": age_h,
         "stale": is_stale(settings.schedule, fresh, age_h),
-        "limit": limit_of(last, settings.thinnest_m),
+        "limit": find_limit(last, settings.thinnest_m),
         "chart": None if chart is None else dict(zip(("statistic", "limit"), chart, strict=True)),
     }
 
 
-def _rate_of(row: BaselineRow | None) -> dict[str, object] | None:
+def _design_rate_of(row: BaselineRow | None) -> dict[str, object] | None:
     """Return the design false-alarm rate of a baseline and whether it is verified; None without baseline."""
     if row is None:
         return None
@@ -179,11 +182,11 @@ def _rate_of(row: BaselineRow | None) -> dict[str, object] | None:
         "state": row.state,
         "limit_reason": row.limit_reason,
         **{name: (row.baseline_quality or {}).get(name) for name in names},
-        "doubts": baseline_doubts(row.baseline_quality),
+        "doubts": describe_baseline_anomalies(row.baseline_quality),
     }
 
 
-def _confirmations(
+def _count_confirmations(
     catalogue: Catalogue, transducers: Sequence[str], maximum_a_day: int, fresh: Freshness
 ) -> dict[str, object]:
     """Return the number of confirmation sets, the newest result, and how many are left today."""
@@ -204,7 +207,7 @@ def _confirmations(
     }
 
 
-def _open_orders(catalogue: Catalogue) -> list[dict[str, object]]:
+def _open_commands(catalogue: Catalogue) -> list[dict[str, object]]:
     """Return the commands that wait for the recorder or are executed; not the expired ones."""
     waiting = catalogue.rows(CommandRow, states={"pending", "started"})
     commands_with_time = [(row, remaining_now_s(row)) for row in waiting]
@@ -212,14 +215,14 @@ def _open_orders(catalogue: Catalogue) -> list[dict[str, object]]:
     return [
         {**{name: getattr(row, name) for name in names}, "expires_in_s": left_s}
         for row, left_s in commands_with_time
-        if with_expiry(row, left_s).state in ("pending", "started")
+        if apply_expiry(row, left_s).state in ("pending", "started")
     ]
 
 
-def _gaps(catalogue: Catalogue) -> list[dict[str, object]]:
+def _newest_gaps(catalogue: Catalogue) -> list[dict[str, object]]:
     """Return the newest incomplete sets with positions and reasons."""
     found: dict[tuple[int, str, str | None, float], list[str]] = {}
-    for row in catalogue.newest_gaps(GAPS_A_POSITION):
+    for row in catalogue.read_newest_gaps(GAPS_A_POSITION):
         found.setdefault((row.set_index, row.state, row.reason, row.due_h), []).append(row.position)
     names = ("set_index", "state", "reason", "due_h", "positions")
     newest = sorted(found.items(), key=lambda item: item[0][0])[-GAPS_A_POSITION:]

@@ -12,13 +12,13 @@ from rich.table import Table
 from rich.text import Text
 
 from analysis.diagnosis.hypotheses import OK, WALL
-from daq_service.alarms.evidence import confirmation_sentence
-from daq_service.alarms.guidance import GUIDANCE, in_order
-from daq_service.assessment.diagnosis_texts import diagnosis_text
-from daq_service.cli.terminal import duration
+from daq_service.alarms.evidence import describe_confirmation
+from daq_service.alarms.guidance import GUIDANCE, join_numbered_steps
+from daq_service.assessment.diagnosis_texts import format_diagnosis
+from daq_service.cli.terminal import format_duration
 from daq_service.clock import format_utc
 from daq_service.processes.disk_policy import LEVELS
-from daq_service.settings.foreign_text import all_in_one_line, in_one_line
+from daq_service.settings.foreign_text import escape_all_to_one_line, escape_to_one_line
 
 Facts = Mapping[str, Any]
 """Part of the status as JSON (`facts.describe_status`)."""
@@ -39,28 +39,28 @@ LARGEST_IN_FULL = 1e4
 """Larger distances are shown in powers of ten."""
 
 
-def picture(facts: Facts, folder: str) -> RenderableType:
+def compose_status(facts: Facts, folder: str) -> RenderableType:
     """Compose the complete output from `facts.describe_status`."""
-    facts, folder = all_in_one_line(facts), in_one_line(folder)
+    facts, folder = escape_all_to_one_line(facts), escape_to_one_line(folder)
     head = Table.grid(padding=(0, 2, 0, 0))
-    for name, text, style in _head(facts, folder):
+    for name, text, style in _yield_head_lines(facts, folder):
         head.add_row(f"{name:<8}", Text(text, style=style))
     parts: list[RenderableType] = [head]
     if facts["positions"]:
-        parts.append(_positions(facts["positions"]))
+        parts.append(_make_position_table(facts["positions"]))
     if facts["alarms"]:
-        parts.append(_alarms(facts["alarms"]))
-        parts += _what_now(facts["alarms"])
+        parts.append(_make_alarm_table(facts["alarms"]))
+        parts += _yield_first_checks(facts["alarms"])
     return Group(*parts)
 
 
-def _head(facts: Facts, folder: str) -> Iterator[tuple[str, str, str]]:
+def _yield_head_lines(facts: Facts, folder: str) -> Iterator[tuple[str, str, str]]:
     """Yield name, text and style of each line."""
     yield "data", folder, ""
     yield "recorder", facts["recorder"], STYLES[facts["recorder_state"]]
     if facts["now_h"] is not None:
         written = facts["wall_age_s"]
-        ago = "" if written is None else f", last written {duration(written)} ago"
+        ago = "" if written is None else f", last written {format_duration(written)} ago"
         yield "now", f"hour {facts['now_h']:.2f} of the test{ago}", ""
     ahead_s = facts["system_ahead_s"]
     if ahead_s is not None and abs(ahead_s) > 1.0:
@@ -80,7 +80,9 @@ def _head(facts: Facts, folder: str) -> Iterator[tuple[str, str, str]]:
         yield "paused", f"{reason}; nothing strikes until it is resumed", "yellow"
     for order in facts["orders"]:
         wanted = f"{order['kind']} by {order['author']}"
-        remaining = f", expires in {duration(order['expires_in_s'])}" if order["state"] == "pending" else ""
+        remaining = (
+            f", expires in {format_duration(order['expires_in_s'])}" if order["state"] == "pending" else ""
+        )
         yield "waiting", f"for the recorder's answer to {wanted} ({order['state']}{remaining})", "yellow"
     counts = facts["counts"]
     if counts is None:
@@ -88,29 +90,29 @@ def _head(facts: Facts, folder: str) -> Iterator[tuple[str, str, str]]:
         return
     if facts["next_due_h"] is not None:
         wait_s = 3600.0 * (facts["next_due_h"] - facts["now_h"])
-        when = f"in {duration(wait_s)}" if wait_s >= 0.0 else f"{duration(-wait_s)} ago"
+        when = f"in {format_duration(wait_s)}" if wait_s >= 0.0 else f"{format_duration(-wait_s)} ago"
         number = counts["sets"] + counts["missed_sets"]
         yield "next", f"set {number}, due at hour {facts['next_due_h']:g}, {when}", ""
     missed = counts["missed_sets"]
     partial = f", {counts['partial_sets']} partial (shots missing)" if counts["partial_sets"] else ""
     yield "sets", f"{counts['sets']}, {missed} missed{partial}", ""
-    yield "confirm", _confirmations(facts["confirmations"]), ""
-    for text in _gaps(facts["gaps"]):
+    yield "confirm", _format_confirmations(facts["confirmations"]), ""
+    for text in _yield_gap_lines(facts["gaps"]):
         yield "gap", text, "yellow"
     for file, problem in facts["lost"].items():
         remedy = "" if "solimon" in problem else "; solimon repair --from BACKUP brings it back"
         yield "MISSING", f"{file} {problem}{remedy}", "bold red"
-    yield from (("baseline", text, "") for text in _baselines(facts["positions"]))
-    yield from (("result", *text) for text in _assessments(facts["positions"]))
+    yield from (("baseline", text, "") for text in _yield_baseline_lines(facts["positions"]))
+    yield from (("result", *text) for text in _yield_diagnosis_lines(facts["positions"]))
     if any(row["chart"] for row in facts["positions"].values()):
         yield "rule", "control chart or diagnosis WALL; D² above its limit is an outlier, not an alarm", ""
-    yield "disk", disk_text(facts["disk"]), DISK_STYLES[facts["disk"]["level"]]
+    yield "disk", describe_disk_space(facts["disk"]), DISK_STYLES[facts["disk"]["level"]]
     apart = sum(row["suppressed"] is not None for row in facts["alarms"])
     suppressed = f", {apart} shelved or out of service" if apart else ""
     yield "alarms", f"{len(facts['alarms']) - apart or 'none'}{suppressed}", ""
 
 
-def _baselines(positions: Mapping[str, Facts]) -> Iterator[str]:
+def _yield_baseline_lines(positions: Mapping[str, Facts]) -> Iterator[str]:
     """Yield the design false-alarm rates of the baselines, equal ones in one line."""
     alike: dict[str, list[str]] = {}
     for name, row in positions.items():
@@ -128,28 +130,28 @@ def _baselines(positions: Mapping[str, Facts]) -> Iterator[str]:
     yield from (f"{', '.join(names)}: {text}" for text, names in alike.items())
 
 
-def _assessments(positions: Mapping[str, Facts]) -> Iterator[tuple[str, str]]:
+def _yield_diagnosis_lines(positions: Mapping[str, Facts]) -> Iterator[tuple[str, str]]:
     """Yield the diagnosis of each position's newest set that differs from the baseline."""
     for name, row in positions.items():
         assessment = row["last_assessment"]
-        if not _of_the_same_set(row["last_feature"], assessment) or assessment["diagnosis"] in (None, OK):
+        if not _is_of_same_set(row["last_feature"], assessment) or assessment["diagnosis"] in (None, OK):
             continue
         style = "bold red" if assessment["diagnosis"] == WALL else "yellow"
-        sentence = diagnosis_text(
+        sentence = format_diagnosis(
             assessment["diagnosis"], assessment["diagnosis_probability"], assessment["diagnosis_details"]
         )
         yield f"{name}, set {assessment['set_index']}: {sentence}", style
 
 
-def _confirmations(facts: Facts) -> str:
+def _format_confirmations(facts: Facts) -> str:
     """Return the number of confirmation sets, the newest result, and how many are left today."""
     remaining = ", ".join(f"{name} {number}" for name, number in facts["left_today"].items())
     last = facts["last"]
-    last_text = "" if last is None else f". The last was at {last['position']}. {confirmation_sentence(last)}"
+    last_text = "" if last is None else f". The last was at {last['position']}. {describe_confirmation(last)}"
     return f"{facts['sets'] or 'no'} confirmation sets; left today: {remaining}{last_text}"
 
 
-def _gaps(gaps: Sequence[Facts]) -> Iterator[str]:
+def _yield_gap_lines(gaps: Sequence[Facts]) -> Iterator[str]:
     """Yield adjacent gaps of one reason in one line."""
     for (state, reason, where), group in groupby(
         gaps, key=lambda gap: (gap["state"], gap["reason"], ", ".join(gap["positions"]))
@@ -164,7 +166,7 @@ def _gaps(gaps: Sequence[Facts]) -> Iterator[str]:
         yield f"{names} {state} at {where}, hour {last['due_h']:g}: {reason}"
 
 
-def disk_text(disk: Facts) -> str:
+def describe_disk_space(disk: Facts) -> str:
     """Return free space, needed space, and when the disk will be full."""
     level = {"ample": "", "stop": "; nothing more is stored until some is freed"}.get(disk["level"], "; low")
     needed = disk["needed_bytes"]
@@ -173,7 +175,7 @@ def disk_text(disk: Facts) -> str:
     return f"{disk['free_bytes'] / 1e9:.2f} GB free{level}{rest}{full}"
 
 
-def _table(*columns: str) -> Table:
+def _create_table(*columns: str) -> Table:
     """Return an empty table with columns."""
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False, collapse_padding=True, header_style="bold")
     for column in columns:
@@ -181,19 +183,19 @@ def _table(*columns: str) -> Table:
     return table
 
 
-def _positions(positions: Mapping[str, Facts]) -> Table:
+def _make_position_table(positions: Mapping[str, Facts]) -> Table:
     """Return the table of positions."""
-    table = _table("position", "state", "result", "limit", "chart", "quality", "age", "last set")
+    table = _create_table("position", "state", "result", "limit", "chart", "quality", "age", "last set")
     for name, row in positions.items():
-        result, limit, quality = _result(row)
-        age = "-" if row["age_h"] is None else duration(3600.0 * row["age_h"])
+        result, limit, quality = _format_result(row)
+        age = "-" if row["age_h"] is None else format_duration(3600.0 * row["age_h"])
         its_set = row["last_set"]
         table.add_row(
             name,
             Text(row["state"].replace("_", " "), style=STYLES.get(row["state"], "")),
             result,
             limit,
-            _chart(row),
+            _format_chart(row),
             Text(quality, style=STYLES.get(quality.partition(",")[0], "")),
             Text(f"{age} STALE" if row["stale"] else age, style="yellow" if row["stale"] else ""),
             f"{its_set['set_index']} {its_set['state']}",
@@ -201,7 +203,7 @@ def _positions(positions: Mapping[str, Facts]) -> Table:
     return table
 
 
-def _result(row: Facts) -> tuple[str, str, str]:
+def _format_result(row: Facts) -> tuple[str, str, str]:
     """Return result, limit and quality of a position's newest data, by its method."""
     echo, feature, assessment = row["last_thickness"], row["last_feature"], row["last_assessment"]
     if echo is not None:
@@ -211,7 +213,7 @@ def _result(row: Facts) -> tuple[str, str, str]:
         return result, f"{1e3 * row['limit']:.2f} mm", echo["quality"]
     if feature is None:
         return "-", "-", "-"
-    distance = assessment["distance_squared"] if _of_the_same_set(feature, assessment) else None
+    distance = assessment["distance_squared"] if _is_of_same_set(feature, assessment) else None
     none = "none yet" if row["state"] == "collecting_baseline" else "none"
     limit = none if row["limit"] is None else f"{row['limit']:.1f}"
     texts = []
@@ -224,27 +226,27 @@ def _result(row: Facts) -> tuple[str, str, str]:
     return ", ".join(texts) or "-", limit, f"{feature['quality']}, n = {feature['n_valid']}"
 
 
-def _of_the_same_set(feature: Facts | None, assessment: Facts | None) -> bool:
+def _is_of_same_set(feature: Facts | None, assessment: Facts | None) -> bool:
     """Return whether an assessment belongs to the set of these features."""
     return feature is not None and assessment is not None and assessment["set_index"] == feature["set_index"]
 
 
-def _chart(row: Facts) -> str:
+def _format_chart(row: Facts) -> str:
     """Return the statistic and the limit of the control chart."""
     chart = row["chart"]
-    if chart is None or not _of_the_same_set(row["last_feature"], row["last_assessment"]):
+    if chart is None or not _is_of_same_set(row["last_feature"], row["last_assessment"]):
         return "-"
     return f"{chart['statistic']:.1f} of {chart['limit']:.1f}"
 
 
-def _what_now(alarms: Sequence[Facts]) -> Iterator[Text]:
+def _yield_first_checks(alarms: Sequence[Facts]) -> Iterator[Text]:
     """Yield the first checks for each kind of active alarm."""
     for kind in dict.fromkeys(row["kind"] for row in alarms if row["suppressed"] is None):
         if kind in GUIDANCE:
-            yield Text(f"{kind}: checks: {in_order(GUIDANCE[kind].checks)}")
+            yield Text(f"{kind}: checks: {join_numbered_steps(GUIDANCE[kind].checks)}")
 
 
-def _state_of_alarm(row: Facts) -> str:
+def _describe_alarm_state(row: Facts) -> str:
     """Return the state of an alarm, with end and reason of a suppression."""
     state: str = row["state"].replace("_", " ")
     if row["suppressed"] is None:
@@ -254,16 +256,16 @@ def _state_of_alarm(row: Facts) -> str:
     return f"{state}, {text} by {row['suppressed_by']}: {row['suppressed_reason']}"
 
 
-def _alarms(alarms: Sequence[Facts]) -> Table:
+def _make_alarm_table(alarms: Sequence[Facts]) -> Table:
     """Return the table of alarms."""
-    table = _table("alarm", "priority", "where", "state", "age", "what")
+    table = _create_table("alarm", "priority", "where", "state", "age", "what")
     for row in alarms:
         table.add_row(
             f"{row['id']}",
             row["priority"],
             row["position"] or "-",
-            Text(_state_of_alarm(row), style=STYLES.get(row["suppressed"] or row["state"], "")),
-            duration(3600.0 * row["age_h"]),
+            Text(_describe_alarm_state(row), style=STYLES.get(row["suppressed"] or row["state"], "")),
+            format_duration(3600.0 * row["age_h"]),
             f"{row['kind']}: {row['message']}",
         )
     return table

@@ -18,7 +18,7 @@ from daq_service.cli.sweep.specification import Axis, parse_axis, read_sweep_fil
 from daq_service.cli.sweep.table import SweepTable
 from daq_service.errors import UsageError
 from daq_service.processes.child import stop_on_signals
-from daq_service.processes.executors import checked_name, usable_cores
+from daq_service.processes.executors import check_executor_name, count_usable_cores
 
 ROWS_FOR_PROCESSES = {"coupled": 1000, "zener": 150}
 """Fewer rows are done by threads before processes have started (`python benchmarks/sweep_speed.py`)."""
@@ -71,14 +71,14 @@ def sweep(request: SweepRequest, columns: Columns, *, as_json: bool) -> None:
     plan = make_plan(
         request.model,
         request.specimen,
-        _axes(request),
+        _read_axes(request),
         element_wise=request.element_wise or request.sweep_file is not None,
         skip_invalid=request.skip_invalid,
         waveforms=request.waveforms,
     )
     if request.executor is not None:
-        checked_name(request.executor, request.workers)
-    workers = usable_cores() if request.workers is None else request.workers
+        check_executor_name(request.executor, request.workers)
+    workers = count_usable_cores() if request.workers is None else request.workers
     long = len(plan.rows) >= ROWS_FOR_PROCESSES[request.model]
     options = SweepOptions(
         outputs=request.outputs,
@@ -89,37 +89,37 @@ def sweep(request: SweepRequest, columns: Columns, *, as_json: bool) -> None:
     )
     chain, plate, corrosion = request.specimen
     origin = {
-        "specification": _specification(request),
+        "specification": _describe_sweep(request),
         "configuration_hash": request.configuration_hash,
         "position": request.position or "",
         "parameters": dict(zip(SECTIONS, (asdict(chain), asdict(plate), asdict(corrosion)), strict=True)),
     }
     with stop_on_signals() as stop:
         table = run_sweep(plan, options, origin, stop)
-    _print(table, request.outputs, columns, as_json=as_json)
+    _print_table(table, request.outputs, columns, as_json=as_json)
 
 
-def _axes(request: SweepRequest) -> list[Axis]:
+def _read_axes(request: SweepRequest) -> list[Axis]:
     """Return the axes of a sweep from its file or its options."""
     if request.sweep_file is not None:
         if request.sweeps or request.depths is not None:
             raise UsageError("--sweep-file holds every shot: give it without --sweep and --depths")
         axes = list(read_sweep_file(request.sweep_file))
     else:
-        axes = [parse_axis(text) for text in _specification(request) if text != "--zip"]
+        axes = [parse_axis(text) for text in _describe_sweep(request) if text != "--zip"]
     if both := [axis.key for axis in axes if axis.key in request.fixed_keys]:
         raise UsageError(f"{both[0]} is swept and given as an option; leave one out")
     return axes
 
 
-def _specification(request: SweepRequest) -> list[str]:
+def _describe_sweep(request: SweepRequest) -> list[str]:
     """Return the specification as given, without paths."""
     shorthand = [] if request.depths is None else [f"{DEPTH_KEY}={request.depths}"]
     rows = [] if request.sweep_file is None else [f"--sweep-file {request.sweep_file.name}"]
     return [*shorthand, *request.sweeps, *rows, *(["--zip"] if request.element_wise else [])]
 
 
-def _print(table: SweepTable, outputs: Sequence[Path], columns: Columns, *, as_json: bool) -> None:
+def _print_table(table: SweepTable, outputs: Sequence[Path], columns: Columns, *, as_json: bool) -> None:
     """Print the table, or its facts as JSON."""
     if as_json:
         shots = {} if outputs else {"shots": table.rows()}

@@ -15,7 +15,7 @@ from typing import Annotated, Any, Union, get_args, get_origin, get_type_hints
 from pydantic import TypeAdapter, ValidationError
 
 from daq_service.errors import UsageError
-from daq_service.shared_file import packaged_table
+from daq_service.shared_file import load_table
 from simulator.parameters.chain import ChainParameters
 from simulator.parameters.plate import CorrosionParameters, PlateParameters
 
@@ -25,33 +25,33 @@ SECTIONS: Mapping[str, type] = {
     "corrosion": CorrosionParameters,
 }
 
-ZENER_KEYS = TypeAdapter(dict[str, tuple[str, ...]]).validate_python(packaged_table(__file__))["zener"]
+ZENER_KEYS = TypeAdapter(dict[str, tuple[str, ...]]).validate_python(load_table(__file__))["zener"]
 """What counts in Zener's model; the other keys do not change its numbers."""
 
 
 @cache
-def known_keys() -> tuple[str, ...]:
+def list_known_keys() -> tuple[str, ...]:
     """Return all keys of the physics as in the configuration."""
-    return tuple(key for name, section in SECTIONS.items() for key in _keys_of(section, name))
+    return tuple(key for name, section in SECTIONS.items() for key in _yield_keys(section, name))
 
 
-def _keys_of(section: type, above: str) -> Iterator[str]:
+def _yield_keys(section: type, above: str) -> Iterator[str]:
     """Yield the keys of a section and of the tables below it."""
     hints = get_type_hints(section)
     for field in fields(section):
         key = f"{above}.{field.name}"
-        below = _tables_of(hints[field.name])
+        below = _list_tables(hints[field.name])
         yield key
         for table in below:
-            yield from _keys_of(table, key)
+            yield from _yield_keys(table, key)
 
 
-def _tables_of(hint: object) -> list[type]:
+def _list_tables(hint: object) -> list[type]:
     """Return the dataclasses that a value of this type may be: tables in the configuration."""
     if get_origin(hint) is Annotated:
-        return _tables_of(get_args(hint)[0])
+        return _list_tables(get_args(hint)[0])
     if get_origin(hint) in (Union, types.UnionType):
-        return [table for option in get_args(hint) for table in _tables_of(option)]
+        return [table for option in get_args(hint) for table in _list_tables(option)]
     return [hint] if isinstance(hint, type) and is_dataclass(hint) else []
 
 
@@ -63,10 +63,10 @@ def check_key(key: str, model: str) -> None:
     UsageError
         With the key that was probably meant and the list of all.
     """
-    known = ZENER_KEYS if model == "zener" else known_keys()
+    known = ZENER_KEYS if model == "zener" else list_known_keys()
     if key in known:
         return
-    if key in known_keys():
+    if key in list_known_keys():
         raise UsageError(f"{key} has no influence on --model zener; what counts there: {', '.join(known)}")
     same_name = [name for name in known if name.rpartition(".")[2] == key.rpartition(".")[2]]
     near = same_name or difflib.get_close_matches(key, known, n=1, cutoff=0.6)
@@ -74,7 +74,7 @@ def check_key(key: str, model: str) -> None:
     raise UsageError(f"{key!r} is no key that can be swept; {hint}All keys: {', '.join(known)}")
 
 
-def changed(section: Any, changes: Mapping[tuple[str, ...], object]) -> Any:
+def change_section(section: Any, changes: Mapping[tuple[str, ...], object]) -> Any:
     """Return a section with changed values, validated like a configuration file.
 
     Parameters
@@ -100,15 +100,15 @@ def changed(section: Any, changes: Mapping[tuple[str, ...], object]) -> Any:
     try:
         section_changed = _ADAPTERS[type(section)].validate_python(content)
     except ValidationError as error:
-        raise ValueError(_explained(error)) from error
+        raise ValueError(_describe_validation_error(error)) from error
     for path, value in changes.items():
         # pydantic accepts true for 1.0, which is never intended.
-        if isinstance(value, bool) and not isinstance(value_at(section_changed, path), bool):
+        if isinstance(value, bool) and not isinstance(read_value_at(section_changed, path), bool):
             raise ValueError(f"{'.'.join(path)} is {str(value).lower()}; it must be a number or a name")
     return section_changed
 
 
-def value_at(section: object, path: tuple[str, ...]) -> object:
+def read_value_at(section: object, path: tuple[str, ...]) -> object:
     """Return the value of a key below its section."""
     for name in path:
         section = getattr(section, name)
@@ -118,7 +118,7 @@ def value_at(section: object, path: tuple[str, ...]) -> object:
 _ADAPTERS: Mapping[type, TypeAdapter[Any]] = {section: TypeAdapter(section) for section in SECTIONS.values()}
 
 
-def _explained(error: ValidationError) -> str:
+def _describe_validation_error(error: ValidationError) -> str:
     """Return the messages of a validation error in one line."""
     problems = []
     for problem in error.errors():

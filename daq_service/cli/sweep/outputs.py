@@ -11,11 +11,11 @@ import io
 from collections.abc import Sequence
 from pathlib import Path
 
-from daq_service.archive.sweep_table import hdf5_image
-from daq_service.cli.sweep.table import SweepTable, facts_text
+from daq_service.archive.sweep_table import build_sweep_image
+from daq_service.cli.sweep.table import SweepTable, format_facts
 from daq_service.errors import StorageError, UsageError
 from daq_service.shared_file import write_durably
-from daq_service.web.tables.formats import cell_text, pyarrow
+from daq_service.web.tables.formats import format_cell, import_pyarrow
 
 HDF5_SUFFIXES = (".h5", ".hdf5")
 SUFFIXES = (".csv", *HDF5_SUFFIXES, ".parquet")
@@ -47,17 +47,17 @@ def check_outputs(paths: Sequence[Path], *, waveforms: bool) -> None:
     if len({path.absolute() for path in paths}) < len(paths):
         raise UsageError("--out names a file twice")
     if any(path.suffix.lower() == ".parquet" for path in paths):
-        pyarrow(OTHERWISE)
+        import_pyarrow(OTHERWISE)
     if waveforms and not any(path.suffix.lower() in HDF5_SUFFIXES for path in paths):
         raise UsageError("--waveforms are stored in HDF5 only; add --out FILE.h5")
 
 
-def files_of(path: Path) -> tuple[Path, ...]:
+def list_output_files(path: Path) -> tuple[Path, ...]:
     """Return all files of an output."""
-    return (facts_path(path), path) if path.suffix.lower() == ".csv" else (path,)
+    return (facts_path_of_csv(path), path) if path.suffix.lower() == ".csv" else (path,)
 
 
-def facts_path(path: Path) -> Path:
+def facts_path_of_csv(path: Path) -> Path:
     """Return the path of the facts for a CSV file."""
     return path.with_name(path.name + ".json")
 
@@ -72,43 +72,43 @@ def write_output(path: Path, table: SweepTable) -> None:
     """
     suffix = path.suffix.lower()
     if suffix == ".csv":
-        _write(facts_path(path), facts_text(table).encode())
-        _write(path, csv_text(table).encode())
+        _write_file(facts_path_of_csv(path), format_facts(table).encode())
+        _write_file(path, format_csv(table).encode())
     elif suffix == ".parquet":
-        _write(path, parquet_bytes(table))
+        _write_file(path, format_parquet(table))
     else:
-        image = hdf5_image(
+        image = build_sweep_image(
             swept=table.swept,
             results=table.results,
             status=table.status,
             forces=table.forces,
             facts=table.facts,
-            facts_text=facts_text(table),
+            facts_text=format_facts(table),
         )
-        _write(path, image)
+        _write_file(path, image)
 
 
-def csv_text(table: SweepTable) -> str:
+def format_csv(table: SweepTable) -> str:
     """Return the table as CSV (RFC 4180); numbers with all digits, missing ones empty."""
     text = io.StringIO(newline="")
     writer = csv.writer(text)
     writer.writerow(table.columns)
-    writer.writerows([cell_text(cell) for cell in row.values()] for row in table.rows())
+    writer.writerows([format_cell(cell) for cell in row.values()] for row in table.rows())
     return text.getvalue()
 
 
-def parquet_bytes(table: SweepTable) -> bytes:
+def format_parquet(table: SweepTable) -> bytes:
     """Return the Parquet file; its metadata hold the facts under the key ``solimon``."""
-    arrow = pyarrow(OTHERWISE)
+    arrow = import_pyarrow(OTHERWISE)
     from pyarrow import parquet
 
-    content = arrow.table(dict(table.columns)).replace_schema_metadata({"solimon": facts_text(table)})
+    content = arrow.table(dict(table.columns)).replace_schema_metadata({"solimon": format_facts(table)})
     buffer = io.BytesIO()
     parquet.write_table(content, buffer)
     return buffer.getvalue()
 
 
-def _write(path: Path, content: bytes) -> None:
+def _write_file(path: Path, content: bytes) -> None:
     """Write a file durably."""
     try:
         write_durably(path, content, temporary=path.with_name(path.name + ".part"))

@@ -12,7 +12,7 @@ from functools import cache
 from importlib.metadata import version
 from typing import Any, Literal
 
-from daq_service.cli.sweep.keys import SECTIONS, changed, check_key, value_at
+from daq_service.cli.sweep.keys import SECTIONS, change_section, check_key, read_value_at
 from daq_service.cli.sweep.specification import Axis
 from daq_service.errors import UsageError
 from simulator.parameters.chain import ChainParameters
@@ -65,8 +65,8 @@ class Plan:
     @property
     def identity(self) -> str:
         """Return the SHA-256 of the sweep and of the code that computes it."""
-        rows = [[row.key or row.reason, [_plain(value) for value in row.values]] for row in self.rows]
-        return _sha256([self.model, self.keys, self.waveforms, rows, code_version()])
+        rows = [[row.key or row.reason, [_to_json_value(value) for value in row.values]] for row in self.rows]
+        return _hash_json([self.model, self.keys, self.waveforms, rows, compute_code_version()])
 
 
 def make_plan(
@@ -104,17 +104,17 @@ def make_plan(
     _check_size(axes, element_wise, waveforms)
     values = [axis.values for axis in axes]
     combined = zip(*values, strict=True) if element_wise else itertools.product(*values)
-    rows = tuple(_rows(model, base, keys, combined))
+    rows = tuple(_yield_rows(model, base, keys, combined))
     refused = [row for row in rows if row.specimen is None]
     if refused and not skip_invalid:
         raise UsageError(
-            f"{describe(keys, refused[0])} is refused: {refused[0].reason} ({len(refused)} of {len(rows)} "
+            f"{describe_row(keys, refused[0])} is refused: {refused[0].reason} ({len(refused)} of {len(rows)} "
             "rows are); correct it, or keep such rows with their reason by --skip-invalid"
         )
     return Plan(model=model, keys=keys, rows=rows, waveforms=waveforms)
 
 
-def describe(keys: Sequence[str], row: Row) -> str:
+def describe_row(keys: Sequence[str], row: Row) -> str:
     """Return the description of a row: its number and values."""
     values = ", ".join(f"{key} = {value}" for key, value in zip(keys, row.values, strict=True))
     return f"row {row.index + 1} ({values})"
@@ -135,7 +135,7 @@ def _check_size(axes: Sequence[Axis], element_wise: bool, waveforms: bool) -> No
         )
 
 
-def _rows(
+def _yield_rows(
     model: Model, base: Specimen, keys: tuple[str, ...], combined: Iterable[tuple[object, ...]]
 ) -> Iterator[Row]:
     """Yield the rows; a section that combinations share is created and hashed once."""
@@ -144,53 +144,55 @@ def _rows(
     bases = dict(zip(SECTIONS, base, strict=True))
 
     @cache
-    def section(name: str, given: str) -> tuple[Any, str, str]:
+    def make_section(name: str, given: str) -> tuple[Any, str, str]:
         """Make a section from values as JSON: itself, its hash, or the reason of its refusal."""
         values = json.loads(given)
         changes = {paths[k][1:]: value for k, value in zip(places[name], values, strict=True)}
         try:
-            section_made = changed(bases[name], changes)
+            section_made = change_section(bases[name], changes)
         except ValueError as error:
             return None, "", f"{name}: {error}"
-        return section_made, _sha256(asdict(section_made)), ""
+        return section_made, _hash_json(asdict(section_made)), ""
 
     for index, values in enumerate(combined):
-        parts = {name: section(name, json.dumps([values[k] for k in places[name]])) for name in SECTIONS}
+        parts = {name: make_section(name, json.dumps([values[k] for k in places[name]])) for name in SECTIONS}
         reason = "; ".join(reason for _, _, reason in parts.values() if reason)
         if reason:
             yield Row(index=index, values=tuple(values), specimen=None, reason=reason)
             continue
         yield Row(
             index=index,
-            values=tuple(value_at(parts[path[0]][0], path[1:]) for path in paths),
+            values=tuple(read_value_at(parts[path[0]][0], path[1:]) for path in paths),
             specimen=tuple(section_made for section_made, _, _ in parts.values()),
-            key=_sha256([model, code_version(), *(text for _, text, _ in parts.values())]),
+            key=_hash_json([model, compute_code_version(), *(text for _, text, _ in parts.values())]),
         )
 
 
 @cache
-def code_version() -> str:
+def compute_code_version() -> str:
     """Return the SHA-256 of the twin's source and of its libraries."""
-    from simulator.numerics.source import source_digest
+    from simulator.numerics.source import hash_source
 
-    return _sha256(
+    return _hash_json(
         {
-            "sources": source_digest(),
+            "sources": hash_source(),
             "versions": {name: version(name) for name in VERSIONS_THAT_COUNT},
         }
     )
 
 
-def _plain(value: object) -> object:
+def _to_json_value(value: object) -> object:
     """Convert a swept value to JSON: a table of parameters becomes its content."""
-    return value if isinstance(value, (bool, int, float, str, type(None))) else json.loads(json_text(value))
+    return (
+        value if isinstance(value, (bool, int, float, str, type(None))) else json.loads(to_json_text(value))
+    )
 
 
-def json_text(value: object) -> str:
+def to_json_text(value: object) -> str:
     """Return a value of the configuration as JSON, parameter tables included."""
     return json.dumps(value, sort_keys=True, separators=(",", ":"), default=asdict)
 
 
-def _sha256(content: object) -> str:
+def _hash_json(content: object) -> str:
     """Compute the SHA-256 of an object's JSON."""
-    return hashlib.sha256(json_text(content).encode()).hexdigest()
+    return hashlib.sha256(to_json_text(content).encode()).hexdigest()

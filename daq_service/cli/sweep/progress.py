@@ -59,14 +59,14 @@ class Progress:
         if not (due or finished):
             return
         self._tenth, self._printed = tenth, now
-        text = self._text(now)
+        text = self._format_progress(now)
         if self._terminal:
             self._stream.write(f"\r{text:<70s}" + ("\n" if finished else ""))
         else:
             self._stream.write(f"{text}\n")
         self._stream.flush()
 
-    def _text(self, now: float) -> str:
+    def _format_progress(self, now: float) -> str:
         """Return the progress as text, with rate and remaining time."""
         percent = 100.0 * self._done / self._total
         text = f"{self._done} of {self._total} {self._what} ({percent:.0f} %)"
@@ -76,10 +76,10 @@ class Progress:
             return text
         rate = computed / elapsed
         remaining_s = (self._total - self._done) / rate
-        return f"{text}, {rate:.3g} a second, {_duration(remaining_s)} left"
+        return f"{text}, {rate:.3g} a second, {_format_duration(remaining_s)} left"
 
 
-def _duration(seconds: float) -> str:
+def _format_duration(seconds: float) -> str:
     """Return a duration in hours, minutes or seconds as text."""
     minutes, rest = divmod(round(seconds), 60)
     hours, minutes = divmod(minutes, 60)

@@ -11,16 +11,16 @@ from pathlib import Path
 
 import click
 
-from daq_service.cli.sweep.execution import compute
-from daq_service.cli.sweep.outputs import check_outputs, files_of, write_output
-from daq_service.cli.sweep.plan import Plan, Row, describe
+from daq_service.cli.sweep.execution import compute_plan
+from daq_service.cli.sweep.outputs import check_outputs, list_output_files, write_output
+from daq_service.cli.sweep.plan import Plan, Row, describe_row
 from daq_service.cli.sweep.progress import Progress
 from daq_service.cli.sweep.shot import INVALID, RESULTS, Outcome
 from daq_service.cli.sweep.table import SweepTable, make_table
-from daq_service.cli.sweep.work_file import WorkFile, belongs_to, open_work_file, work_path
+from daq_service.cli.sweep.work_file import WorkFile, is_work_file_of, open_work_file, work_file_path
 from daq_service.errors import StorageError, UsageError
-from daq_service.processes.executors import opened_executor, workers_of
-from daq_service.shared_file import patiently
+from daq_service.processes.executors import count_workers, open_executor
+from daq_service.shared_file import retry_call
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -49,40 +49,40 @@ def run_sweep(
         `stop` was set before the end; finished rows are kept in the work file.
     """
     check_outputs(options.outputs, waveforms=plan.waveforms)
-    path = work_path(options.outputs[0]) if options.outputs else None
+    path = work_file_path(options.outputs[0]) if options.outputs else None
     _refuse_to_overwrite(plan, options, path)
     with contextlib.ExitStack() as stack:
         work = None if path is None else stack.enter_context(open_work_file(path, plan))
-        outcomes = _outcomes(plan, options, work, stop)
+        outcomes = _compute_outcomes(plan, options, work, stop)
         table = make_table(plan, outcomes, origin)
         for output in options.outputs:
             write_output(output, table)
     if path is not None:
-        _drop(path)
+        _remove_work_file(path)
     return table
 
 
 def _refuse_to_overwrite(plan: Plan, options: SweepOptions, work: Path | None) -> None:
     """Raise an error for existing outputs, unless an interrupted run of this sweep wrote them."""
-    if options.overwrite or (work is not None and belongs_to(work, plan)):
+    if options.overwrite or (work is not None and is_work_file_of(work, plan)):
         return
     for output in options.outputs:
-        for file in files_of(output):
+        for file in list_output_files(output):
             if file.exists():
                 raise UsageError(f"{file} exists; remove it, choose another --out, or give --overwrite")
 
 
-def _outcomes(
+def _compute_outcomes(
     plan: Plan, options: SweepOptions, work: WorkFile | None, stop: threading.Event
 ) -> list[Outcome]:
     """Return the outcome of every row in order: refused, finished and computed ones."""
-    outcomes = {row.index: _refused(plan, row) for row in plan.rows if row.specimen is None}
+    outcomes = {row.index: _refused_outcome(plan, row) for row in plan.rows if row.specimen is None}
     if work is not None:
         outcomes |= work.finished
     _refuse_invalid(plan, options, list(outcomes.values()))
     progress = Progress(len(plan.rows), len(outcomes))
 
-    def keep(new: Sequence[Outcome]) -> None:
+    def keep_outcome(new: Sequence[Outcome]) -> None:
         if work is not None:
             work.keep(new)
         outcomes.update((outcome.index, outcome) for outcome in new)
@@ -91,9 +91,9 @@ def _outcomes(
 
     missing = [row for row in plan.rows if row.index not in outcomes]
     if missing:
-        with opened_executor(options.executor, options.workers) as executor:
-            workers = workers_of(executor, options.workers)
-            compute(plan, missing, executor, workers=workers, keep=keep, stop=stop)
+        with open_executor(options.executor, options.workers) as executor:
+            workers = count_workers(executor, options.workers)
+            compute_plan(plan, missing, executor, workers=workers, keep=keep_outcome, stop=stop)
     if len(outcomes) < len(plan.rows):
         message = (
             "nothing is kept without --out"
@@ -105,7 +105,7 @@ def _outcomes(
     return [outcomes[row.index] for row in plan.rows]
 
 
-def _refused(plan: Plan, row: Row) -> Outcome:
+def _refused_outcome(plan: Plan, row: Row) -> Outcome:
     """Return the outcome of a row whose parameters are invalid."""
     return Outcome(
         index=row.index,
@@ -121,16 +121,16 @@ def _refuse_invalid(plan: Plan, options: SweepOptions, outcomes: Sequence[Outcom
     for outcome in outcomes:
         if outcome.status.startswith(INVALID):
             raise UsageError(
-                f"{describe(plan.keys, plan.rows[outcome.index])} is refused: "
+                f"{describe_row(plan.keys, plan.rows[outcome.index])} is refused: "
                 f"{outcome.status.removeprefix(INVALID)}; correct it, or keep such rows with their reason by "
                 "--skip-invalid"
             )
 
 
-def _drop(path: Path) -> None:
+def _remove_work_file(path: Path) -> None:
     """Remove the work file."""
     try:
-        patiently(path.unlink)
+        retry_call(path.unlink)
     except OSError as error:
         raise StorageError(
             f"the results are written, but {path} cannot be removed: {error.strerror}; remove it by hand"

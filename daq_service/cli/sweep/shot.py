@@ -17,11 +17,11 @@ from simulator.errors import SimulatorError, SpecimenError
 from simulator.parameters.chain import ChainParameters
 from simulator.parameters.plate import CorrosionParameters, PlateParameters
 from simulator.plate.mindlin.cache import DEFAULT_CACHE_FOLDER
-from simulator.plate.models import ModalPlate, modal_plate
+from simulator.plate.models import ModalPlate, prepare_modal_plate
 from simulator.plate.reduced import PlateModes
 from simulator.shot.model import ShotForce, ShotModel
-from simulator.shot.pulse_summary import summarise
-from simulator.zener.model import reflect
+from simulator.shot.pulse_summary import summarise_pulses
+from simulator.zener.model import compute_reflection
 
 Specimen = tuple[ChainParameters, PlateParameters, CorrosionParameters]
 
@@ -90,18 +90,18 @@ def compute_rows(model: str, rows: Sequence[tuple[int, Specimen]], waveforms: bo
     waveforms
         Keep the force of each shot, for ``coupled`` only.
     """
-    return [_outcome(model, index, specimen, waveforms) for index, specimen in rows]
+    return [_compute_outcome(model, index, specimen, waveforms) for index, specimen in rows]
 
 
-def _outcome(model: str, index: int, specimen: Specimen, waveforms: bool) -> Outcome:
+def _compute_outcome(model: str, index: int, specimen: Specimen, waveforms: bool) -> Outcome:
     """Compute one shot; return its numbers, or its status if there are none."""
     no_numbers = (math.nan,) * len(RESULTS[model])
     try:
         if model == "zener":
-            found, force = zener_numbers(*specimen), None
+            found, force = compute_zener_impact(*specimen), None
         else:
-            force = coupled_shot(*specimen)
-            found = coupled_numbers(force)
+            force = integrate_coupled_shot(*specimen)
+            found = summarise_coupled_shot(force)
     except SpecimenError as error:
         return Outcome(index=index, numbers=no_numbers, status=f"{INVALID}{error}")
     except (SimulatorError, np.linalg.LinAlgError) as error:
@@ -116,18 +116,20 @@ def _outcome(model: str, index: int, specimen: Specimen, waveforms: bool) -> Out
     )
 
 
-def coupled_shot(chain: ChainParameters, plate: PlateParameters, corrosion: CorrosionParameters) -> ShotForce:
+def integrate_coupled_shot(
+    chain: ChainParameters, plate: PlateParameters, corrosion: CorrosionParameters
+) -> ShotForce:
     """Integrate chain and plate; prepared models are cached."""
-    return _model(chain, plate, replace(corrosion, depth_fraction=0.0)).shot(
+    return _build_model(chain, plate, replace(corrosion, depth_fraction=0.0)).shot(
         depth_fraction=corrosion.depth_fraction
     )
 
 
 @lru_cache(maxsize=PREPARED_KEPT)
-def _model(chain: ChainParameters, plate: PlateParameters, outline: CorrosionParameters) -> ShotModel:
+def _build_model(chain: ChainParameters, plate: PlateParameters, outline: CorrosionParameters) -> ShotModel:
     """Build the model of a chain on a plate whose reduction is cached."""
     # One for each chain: step and length of a shot follow from its drop height and tilt, too.
-    return ShotModel(chain, plate, outline, prepared_plate=_plate(plate, outline))
+    return ShotModel(chain, plate, outline, prepared_plate=_cached_plate_modes(plate, outline))
 
 
 class _CachedPlate:
@@ -138,25 +140,25 @@ class _CachedPlate:
 
 
 @lru_cache(maxsize=PREPARED_KEPT)
-def _plate(plate: PlateParameters, outline: CorrosionParameters) -> _CachedPlate | None:
+def _cached_plate_modes(plate: PlateParameters, outline: CorrosionParameters) -> _CachedPlate | None:
     """Return the cached modes of a plate; None for a model without modes."""
-    modal = modal_plate(plate, outline, DEFAULT_CACHE_FOLDER)
+    modal = prepare_modal_plate(plate, outline, DEFAULT_CACHE_FOLDER)
     return None if modal is None else _CachedPlate(modal)
 
 
-def coupled_numbers(force: ShotForce) -> dict[str, float | None]:
+def summarise_coupled_shot(force: ShotForce) -> dict[str, float | None]:
     """Return peaks, times and integration quality of a shot; None if nothing was reflected."""
     return {
-        **asdict(summarise(force)),
+        **asdict(summarise_pulses(force)),
         "preload_n": force.preload_n,
         "energy_residual": force.energy_residual,
         "step_s": force.step_s,
     }
 
 
-def zener_numbers(
+def compute_zener_impact(
     chain: ChainParameters, plate: PlateParameters, corrosion: CorrosionParameters
 ) -> dict[str, float | None]:
     """Compute Zener's impact of the last sphere."""
-    row = asdict(reflect(chain, plate, depth_fraction=corrosion.depth_fraction))
+    row = asdict(compute_reflection(chain, plate, depth_fraction=corrosion.depth_fraction))
     return {"tof_us": 1e6 * row.pop("tof_s"), **row}

@@ -43,12 +43,12 @@ def parse_axis(text: str) -> Axis:
     if not equals or not key.strip() or not listed.strip():
         raise UsageError(f"--sweep is {text!r}; {GRAMMAR}")
     values: list[object] = []
-    for item in _items(listed):
+    for item in _split_items(listed):
         if not item:
             raise UsageError(f"--sweep is {text!r}: an item of its list is empty; {GRAMMAR}")
-        values += _values_of(item, text)
+        values += _parse_item_values(item, text)
         if len(values) > LARGEST_COUNT:
-            raise UsageError(_too_many(text))
+            raise UsageError(_too_many_values_message(text))
     return Axis(key=key.strip(), values=tuple(values))
 
 
@@ -78,12 +78,12 @@ def read_sweep_file(path: Path) -> tuple[Axis, ...]:
         if not all(cell.strip() for cell in cells):
             raise UsageError(f"--sweep-file {path}: shot {number} has an empty cell; write every value")
     return tuple(
-        Axis(key=key.strip(), values=tuple(_value(cells[column].strip()) for cells in shots))
+        Axis(key=key.strip(), values=tuple(_parse_value(cells[column].strip()) for cells in shots))
         for column, key in enumerate(header)
     )
 
 
-def _items(text: str) -> list[str]:
+def _split_items(text: str) -> list[str]:
     """Split at the commas outside brackets and quotes."""
     items, depth, quoted, start = [], 0, False, 0
     for place, letter in enumerate(text):
@@ -99,11 +99,11 @@ def _items(text: str) -> list[str]:
     return [*items, text[start:].strip()]
 
 
-def _values_of(item: str, text: str) -> Sequence[object]:
+def _parse_item_values(item: str, text: str) -> Sequence[object]:
     """Return the values of one item of an axis: a value, or a range FIRST:LAST:COUNT."""
     parts = item.split(":")
     if len(parts) == 1 or item[0] in '[{"':
-        return [_value(item)]
+        return [_parse_value(item)]
     logarithmic = parts[0].strip() == "log"
     try:
         first, last, count = (
@@ -115,19 +115,21 @@ def _values_of(item: str, text: str) -> Sequence[object]:
         raise UsageError(f"--sweep is {text!r}: {item!r} has an end that is not finite")
     if not 1 <= count <= LARGEST_COUNT:
         raise UsageError(
-            _too_many(text) if count > 1 else f"--sweep is {text!r}: a range has at least 1 value"
+            _too_many_values_message(text)
+            if count > 1
+            else f"--sweep is {text!r}: a range has at least 1 value"
         )
     if count == 1 and first != last:
         raise UsageError(f"--sweep is {text!r}: {item!r} asks for one value, but its ends differ")
     if logarithmic and not (first > 0.0 and last > 0.0):
         raise UsageError(f"--sweep is {text!r}: both ends of a log range must be greater than 0")
-    values = spaced(first, last, count, logarithmic=logarithmic)
+    values = space_evenly(first, last, count, logarithmic=logarithmic)
     if not all(map(math.isfinite, values)):
         raise UsageError(f"--sweep is {text!r}: {item!r} is wider than floating-point numbers reach")
     return values
 
 
-def spaced(first: float, last: float, count: int, *, logarithmic: bool = False) -> list[float]:
+def space_evenly(first: float, last: float, count: int, *, logarithmic: bool = False) -> list[float]:
     """Return a range with its ends; inner values have 15 digits, so that a third of 0.9 is 0.3."""
     with np.errstate(all="ignore"):
         values = np.geomspace(first, last, count) if logarithmic else np.linspace(first, last, count)
@@ -136,7 +138,7 @@ def spaced(first: float, last: float, count: int, *, logarithmic: bool = False) 
     return [float(values[0]), *(float(f"{value:.15g}") for value in values[1:-1]), float(values[-1])]
 
 
-def _value(text: str) -> object:
+def _parse_value(text: str) -> object:
     """Read a number, true, false, null or a bracketed list as JSON does; anything else is the text itself."""
     try:
         return json.loads(text)
@@ -148,6 +150,6 @@ def _value(text: str) -> object:
         return text
 
 
-def _too_many(text: str) -> str:
+def _too_many_values_message(text: str) -> str:
     """Return the message that a sweep has too many values."""
     return f"--sweep is {text!r}: more than {LARGEST_COUNT} values; make it coarser or split the sweep"

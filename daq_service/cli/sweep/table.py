@@ -13,9 +13,9 @@ from importlib.metadata import version
 import numpy as np
 from numpy.typing import NDArray
 
-from daq_service.cli.sweep.plan import VERSIONS_THAT_COUNT, Plan, code_version, json_text
+from daq_service.cli.sweep.plan import VERSIONS_THAT_COUNT, Plan, compute_code_version, to_json_text
 from daq_service.cli.sweep.shot import OK, RESULTS, Outcome
-from hardware_drivers.units import unit_of
+from hardware_drivers.units import find_unit
 
 Column = NDArray[np.generic] | list[str]
 
@@ -51,7 +51,7 @@ class SweepTable:
 
     def rows(self) -> list[dict[str, object]]:
         """Return rows ready for JSON: None if there is no number."""
-        columns = {name: _plain_list(values) for name, values in self.columns.items()}
+        columns = {name: _to_plain_list(values) for name, values in self.columns.items()}
         return [dict(zip(columns, cells, strict=True)) for cells in zip(*columns.values(), strict=True)]
 
 
@@ -65,7 +65,7 @@ def make_table(plan: Plan, outcomes: Sequence[Outcome], origin: Mapping[str, obj
     """
     names = RESULTS[plan.model]
     numbers = np.array([outcome.numbers for outcome in outcomes], dtype=np.float64).reshape(-1, len(names))
-    swept = {key: _column([row.values[k] for row in plan.rows]) for k, key in enumerate(plan.keys)}
+    swept = {key: _unify_column([row.values[k] for row in plan.rows]) for k, key in enumerate(plan.keys)}
     results = {name: np.ascontiguousarray(numbers[:, k]) for k, name in enumerate(names)}
     status = [outcome.status for outcome in outcomes]
     facts = {
@@ -73,14 +73,14 @@ def make_table(plan: Plan, outcomes: Sequence[Outcome], origin: Mapping[str, obj
         "model": plan.model,
         "rows": len(status),
         "rows_ok": status.count(OK),
-        "columns": {name: unit_of(name.rpartition(".")[2]) for name in (*swept, *results)},
+        "columns": {name: find_unit(name.rpartition(".")[2]) for name in (*swept, *results)},
         "solimon_version": version("solimon"),
         "versions": {
             "python": platform.python_version(),
             **{name: version(name) for name in VERSIONS_THAT_COUNT},
         },
-        "code_sha256": code_version(),
-        "content_hash": content_hash(plan, outcomes),
+        "code_sha256": compute_code_version(),
+        "content_hash": hash_table(plan, outcomes),
     }
     forces = None
     if plan.waveforms:
@@ -92,23 +92,23 @@ def make_table(plan: Plan, outcomes: Sequence[Outcome], origin: Mapping[str, obj
     return SweepTable(swept=swept, results=results, status=status, forces=forces, facts=facts)
 
 
-def content_hash(plan: Plan, outcomes: Sequence[Outcome]) -> str:
+def hash_table(plan: Plan, outcomes: Sequence[Outcome]) -> str:
     """Return the SHA-256 of the table: one line of JSON for the column names, then one per row.
 
     Numbers are written with the digits that give them back exactly, so the hash is that of their bits.
     """
-    digest = hashlib.sha256(_line([*plan.keys, *RESULTS[plan.model], "status"]))
+    digest = hashlib.sha256(_encode_row([*plan.keys, *RESULTS[plan.model], "status"]))
     for row, outcome in zip(plan.rows, outcomes, strict=True):
-        digest.update(_line([*row.values, *outcome.numbers, outcome.status]))
+        digest.update(_encode_row([*row.values, *outcome.numbers, outcome.status]))
     return digest.hexdigest()
 
 
-def _line(cells: list[object]) -> bytes:
+def _encode_row(cells: list[object]) -> bytes:
     """Encode a row as a line of JSON."""
-    return f"{json_text(cells)}\n".encode()
+    return f"{to_json_text(cells)}\n".encode()
 
 
-def _column(values: list[object]) -> Column:
+def _unify_column(values: list[object]) -> Column:
     """Keep numbers of one kind as numbers; text or a mixture becomes text."""
     kinds = {type(value) for value in values}
     if kinds <= {int, float} and kinds != {int}:
@@ -117,10 +117,10 @@ def _column(values: list[object]) -> Column:
         return np.array(values, dtype=np.int64)
     if kinds == {bool}:
         return np.array(values, dtype=np.bool_)
-    return [value if isinstance(value, str) else json_text(value) for value in values]
+    return [value if isinstance(value, str) else to_json_text(value) for value in values]
 
 
-def _plain_list(values: Column) -> Sequence[object]:
+def _to_plain_list(values: Column) -> Sequence[object]:
     """Return a column as a list; NaN becomes None."""
     if isinstance(values, list):
         return values
@@ -128,6 +128,6 @@ def _plain_list(values: Column) -> Sequence[object]:
     return [None if isinstance(cell, float) and math.isnan(cell) else cell for cell in cells]
 
 
-def facts_text(table: SweepTable) -> str:
+def format_facts(table: SweepTable) -> str:
     """Return the facts as JSON, always with the same bytes."""
     return json.dumps(table.facts, sort_keys=True, indent=1, default=list) + "\n"

@@ -23,7 +23,7 @@ from daq_service.cli.sweep.plan import Plan
 from daq_service.cli.sweep.shot import RESULTS, Outcome
 from daq_service.errors import BusyError, StorageError
 from daq_service.processes.data_folder import try_lock
-from daq_service.shared_file import patiently
+from daq_service.shared_file import retry_call
 
 log = logging.getLogger(__name__)
 
@@ -31,7 +31,7 @@ WORK_SUFFIX = ".work"
 FORMAT = 1
 
 
-def work_path(output: Path) -> Path:
+def work_file_path(output: Path) -> Path:
     """Return the path of the work file for the (first) output of a sweep."""
     return output.with_name(output.name + WORK_SUFFIX)
 
@@ -64,7 +64,7 @@ class WorkFile:
         StorageError
             The disk is full or refuses.
         """
-        lines = b"".join(_line(_content(self._plan, outcome)) for outcome in outcomes)
+        lines = b"".join(_format_checksum_line(_outcome_to_json(self._plan, outcome)) for outcome in outcomes)
         try:
             _write_all(self._file, lines)
         except OSError as error:
@@ -86,7 +86,7 @@ def open_work_file(path: Path, plan: Plan) -> Iterator[WorkFile]:
         The same sweep is running.
     """
     try:
-        file = patiently(lambda: path.open("a+b", buffering=0))
+        file = retry_call(lambda: path.open("a+b", buffering=0))
     except OSError as error:
         raise StorageError(
             f"cannot write {path}: {error.strerror}; choose another place with --out"
@@ -97,16 +97,16 @@ def open_work_file(path: Path, plan: Plan) -> Iterator[WorkFile]:
             try_lock(file)
         except OSError as error:
             raise BusyError(f"{path} is in use: the same sweep is running; wait for its end") from error
-        yield _taken_over(path, file, plan)
+        yield _read_or_start(path, file, plan)
 
 
-def _taken_over(path: Path, file: IO[bytes], plan: Plan) -> WorkFile:
+def _read_or_start(path: Path, file: IO[bytes], plan: Plan) -> WorkFile:
     """Read the finished rows of a work file, or start it."""
     file.seek(0)
     stored = file.read()
     whole = stored.rfind(b"\n") + 1
     lines = stored[:whole].splitlines()
-    header = _content_of(lines[0]) if lines else None
+    header = _parse_checksum_line(lines[0]) if lines else None
     if lines and (header is None or header.get("sweep") != plan.identity):
         raise StorageError(
             f"{path} holds rows of another sweep, or of another version of solimon; finish that sweep with "
@@ -115,8 +115,8 @@ def _taken_over(path: Path, file: IO[bytes], plan: Plan) -> WorkFile:
     finished: dict[int, Outcome] = {}
     damaged = 0
     for line in lines[1:]:
-        content = _content_of(line)
-        outcome = None if content is None else _outcome_of(plan, content)
+        content = _parse_checksum_line(line)
+        outcome = None if content is None else _outcome_from_json(plan, content)
         if outcome is None:
             damaged += 1
         else:
@@ -128,23 +128,23 @@ def _taken_over(path: Path, file: IO[bytes], plan: Plan) -> WorkFile:
         file.truncate(whole)
         if not lines:
             header_line = {"format": FORMAT, "sweep": plan.identity, "rows": len(plan.rows)}
-            _write_all(file, _line(header_line))
+            _write_all(file, _format_checksum_line(header_line))
     except OSError as error:
         raise StorageError(f"cannot write {path}: {error.strerror}; free some space") from error
     return work
 
 
-def belongs_to(path: Path, plan: Plan) -> bool:
+def is_work_file_of(path: Path, plan: Plan) -> bool:
     """Return whether a file is the unfinished work file of the plan."""
     try:
         with path.open("rb") as file:
-            header = _content_of(file.readline().rstrip(b"\n"))
+            header = _parse_checksum_line(file.readline().rstrip(b"\n"))
     except OSError:
         return False  # none there, or not ours to read: then it proves nothing
     return header is not None and header.get("sweep") == plan.identity
 
 
-def _content(plan: Plan, outcome: Outcome) -> dict[str, object]:
+def _outcome_to_json(plan: Plan, outcome: Outcome) -> dict[str, object]:
     """Return the JSON object of an outcome."""
     content = {
         "row": outcome.index,
@@ -161,7 +161,7 @@ def _content(plan: Plan, outcome: Outcome) -> dict[str, object]:
     return content
 
 
-def _outcome_of(plan: Plan, content: Mapping[str, Any]) -> Outcome | None:
+def _outcome_from_json(plan: Plan, content: Mapping[str, Any]) -> Outcome | None:
     """Return the outcome of a JSON object; None if it does not belong to the plan."""
     index = content["row"]
     if not 0 <= index < len(plan.rows) or plan.rows[index].key != content["key"]:
@@ -186,13 +186,13 @@ def _write_all(file: IO[bytes], content: bytes) -> None:
         rest = rest[file.write(rest) :]
 
 
-def _line(content: Mapping[str, object]) -> bytes:
+def _format_checksum_line(content: Mapping[str, object]) -> bytes:
     """Return a line with its checksum."""
     text = json.dumps(content, separators=(",", ":")).encode()
     return hashlib.sha256(text).hexdigest().encode() + b" " + text + b"\n"
 
 
-def _content_of(line: bytes) -> Mapping[str, Any] | None:
+def _parse_checksum_line(line: bytes) -> Mapping[str, Any] | None:
     """Return the JSON of a line; None if its checksum is wrong."""
     digest, _, text = line.partition(b" ")
     if hashlib.sha256(text).hexdigest().encode() != digest:

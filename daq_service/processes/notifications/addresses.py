@@ -12,7 +12,7 @@ from urllib.parse import urlsplit
 
 from daq_service.alarms.guidance import GUIDANCE
 from daq_service.errors import UsageError
-from daq_service.settings.notifications import NotificationSettings, ReceiverSettings, refused_address
+from daq_service.settings.notifications import NotificationSettings, ReceiverSettings, find_address_refusal
 from daq_service.shared_file import read_shared
 
 SHORTEST_SECRET = 16
@@ -27,7 +27,9 @@ class Address:
     secret: bytes
 
 
-def address_of(name: str, receiver: ReceiverSettings, environment: Mapping[str, str] = os.environ) -> Address:
+def read_receiver_address(
+    name: str, receiver: ReceiverSettings, environment: Mapping[str, str] = os.environ
+) -> Address:
     """Read the address and the secret of a receiver; a changed one applies at once.
 
     Raises
@@ -35,24 +37,26 @@ def address_of(name: str, receiver: ReceiverSettings, environment: Mapping[str, 
     UsageError
         One is missing or invalid; the message does not repeat it.
     """
-    url = receiver.url or _configured_text(name, "url", receiver.url_file, receiver.url_env, environment)
+    url = receiver.url or _read_configured_text(name, "url", receiver.url_file, receiver.url_env, environment)
     if receiver.kind == "apprise":
         if find_spec("apprise") is None:
-            raise _invalid(name, 'e-mail and chat need the extra: pip install "solimon[notify]"')
+            raise _invalid_receiver_error(
+                name, 'e-mail and chat need the extra: pip install "solimon[notify]"'
+            )
         if not _SCHEME.match(url.lower()):
-            raise _invalid(name, "the address is none of apprise; give one like mailtos://...")
+            raise _invalid_receiver_error(name, "the address is none of apprise; give one like mailtos://...")
         return Address(url, b"")
-    if refusal := refused_address(url, plain_http=receiver.plain_http):
-        raise _invalid(name, f"the address is refused: {refusal}")
-    secret = _configured_text(name, "secret", receiver.secret_file, receiver.secret_env, environment)
+    if refusal := find_address_refusal(url, plain_http=receiver.plain_http):
+        raise _invalid_receiver_error(name, f"the address is refused: {refusal}")
+    secret = _read_configured_text(name, "secret", receiver.secret_file, receiver.secret_env, environment)
     if len(secret) < SHORTEST_SECRET:
-        raise _invalid(
+        raise _invalid_receiver_error(
             name, f"the secret has {len(secret)} characters; give one of {SHORTEST_SECRET} or more"
         )
     return Address(url, secret.encode())
 
 
-def shown_address(receiver: ReceiverSettings) -> str:
+def hide_address_secrets(receiver: ReceiverSettings) -> str:
     """Return the address of a receiver without secrets: of a URL only scheme and host."""
     if receiver.url:
         parts = urlsplit(receiver.url)
@@ -64,7 +68,7 @@ def shown_address(receiver: ReceiverSettings) -> str:
     )
 
 
-def refuse_unusable(settings: NotificationSettings) -> None:
+def check_receivers(settings: NotificationSettings) -> None:
     """Check before a start that every receiver has an address, and that rules name known kinds of alarms.
 
     Raises
@@ -73,7 +77,7 @@ def refuse_unusable(settings: NotificationSettings) -> None:
         An address, a secret or a kind is missing or unknown.
     """
     for name, receiver in settings.receivers.items():
-        address_of(name, receiver)
+        read_receiver_address(name, receiver)
     for number, rule in enumerate(settings.rules, start=1):
         if unknown := sorted(set(rule.kinds) - GUIDANCE.keys()):
             raise UsageError(
@@ -82,25 +86,27 @@ def refuse_unusable(settings: NotificationSettings) -> None:
             )
 
 
-def _configured_text(name: str, key: str, file: str, variable: str, environment: Mapping[str, str]) -> str:
+def _read_configured_text(
+    name: str, key: str, file: str, variable: str, environment: Mapping[str, str]
+) -> str:
     """Return an address or secret from its variable or file."""
     if variable:
         text = environment.get(variable, "").strip()
         if not text:
             problem = f"the variable {variable} of {key}_env is not set; set it for the web service"
-            raise _invalid(name, problem)
+            raise _invalid_receiver_error(name, problem)
         return text
     try:
         text = read_shared(Path(file)).decode().strip()
     except OSError as error:
-        raise _invalid(name, f"{key}_file {file} cannot be read: {error.strerror}") from error
+        raise _invalid_receiver_error(name, f"{key}_file {file} cannot be read: {error.strerror}") from error
     except UnicodeDecodeError:
-        raise _invalid(name, f"{key}_file {file} is not UTF-8 text; save it as such") from None
+        raise _invalid_receiver_error(name, f"{key}_file {file} is not UTF-8 text; save it as such") from None
     if not text or len(text.splitlines()) != 1:
-        raise _invalid(name, f"{key}_file {file} must hold exactly one line")
+        raise _invalid_receiver_error(name, f"{key}_file {file} must hold exactly one line")
     return text
 
 
-def _invalid(name: str, problem: str) -> UsageError:
+def _invalid_receiver_error(name: str, problem: str) -> UsageError:
     """Return the error of an invalid receiver."""
     return UsageError(f"notifications.receivers.{name}: {problem}")

@@ -14,7 +14,7 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Literal
 
-from daq_service.processes.line_file import append_line, newest_lines
+from daq_service.processes.line_file import append_line, read_newest_lines
 
 log = logging.getLogger(__name__)
 
@@ -105,7 +105,7 @@ class DeliveryLog:
         OSError
             The file cannot be read.
         """
-        lines, previous_end = newest_lines(self.path, limit=limit, end=end)
+        lines, previous_end = read_newest_lines(self.path, limit=limit, end=end)
         return [(number, _delivery_of(row)) for number, row in lines], previous_end
 
     def last_heartbeat_ns(self, receiver: str) -> int | None:
@@ -121,7 +121,7 @@ class DeliveryLog:
             is_heartbeat = (row.get("receiver"), row.get("what")) == (receiver, "heartbeat")
             return is_heartbeat and not str(row.get("result", row.get("told"))).startswith("withheld")
 
-        lines, _ = newest_lines(self.path, limit=1, wanted=is_sent)
+        lines, _ = read_newest_lines(self.path, limit=1, wanted=is_sent)
         return int(lines[0][1]["utc_ns"]) if lines else None
 
     def read_progress(self, receivers: Collection[str]) -> dict[str, Progress]:

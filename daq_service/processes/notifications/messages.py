@@ -113,7 +113,7 @@ class Test:
     page: str = ""
 
 
-def test_of(row: ExperimentRow, page: str) -> Test:
+def identify_test(row: ExperimentRow, page: str) -> Test:
     """Return the test of a catalogue."""
     identity = f"{row.name}\n{row.configuration_hash}\n{row.created_utc_ns}"
     return Test(name=row.name, mark=hashlib.sha256(identity.encode()).hexdigest()[:12], page=page)
@@ -135,14 +135,14 @@ class Message:
         return orjson.dumps({**header, "title": self.title, "text": self.text, **self.facts})
 
 
-def key_of(test: Test, receiver: str, event_ids: Sequence[int]) -> str:
+def compute_message_key(test: Test, receiver: str, event_ids: Sequence[int]) -> str:
     """Return the key of a message from test, receiver and events; a repeated message has the same key."""
     first, others = event_ids[0], ",".join(map(str, event_ids))
     group_suffix = f"-{hashlib.sha256(others.encode()).hexdigest()[:8]}" if len(event_ids) > 1 else ""
     return f"{test.mark}.{receiver}.{first}{group_suffix}"
 
 
-def alarm_message(
+def build_alarm_message(
     test: Test, receiver: str, changes: Sequence[AlarmChange], qualities: Mapping[int, str], *, now_ns: int
 ) -> Message:
     """Return a message about changes of alarms.
@@ -154,19 +154,22 @@ def alarm_message(
     now_ns
         Wall clock, for the age of the changes.
     """
-    shown = [_alarm_facts(test, item, qualities.get(item.event_id), now_ns) for item in changes[:MOST_LISTED]]
+    shown = [
+        _describe_alarm_change(test, item, qualities.get(item.event_id), now_ns)
+        for item in changes[:MOST_LISTED]
+    ]
     not_shown = changes[MOST_LISTED:]
     paragraphs = [str(item["text"]) for item in shown]
     if not_shown:
-        paragraphs.append(f"And {len(not_shown)} more: {_counts_text(not_shown)}.")
+        paragraphs.append(f"And {len(not_shown)} more: {_format_counts(not_shown)}.")
     highest_priority = max((item.priority for item in changes), key=PRIORITIES.index)
     title = (
-        _headline(changes[0])
+        _format_headline(changes[0])
         if len(changes) == 1
-        else f"{len(changes)} changes of alarms: {_counts_text(changes)}"
+        else f"{len(changes)} changes of alarms: {_format_counts(changes)}"
     )
     return Message(
-        key=key_of(test, receiver, [item.event_id for item in changes]),
+        key=compute_message_key(test, receiver, [item.event_id for item in changes]),
         kind="alarm",
         title=f"{title} - {test.name}",
         text="\n\n".join(paragraphs),
@@ -191,11 +194,11 @@ class HeartbeatFacts(TypedDict):
     last_write_age_s: float | None
 
 
-def heartbeat_message(test: Test, receiver: str, facts: HeartbeatFacts, *, now_ns: int) -> Message:
+def build_heartbeat_message(test: Test, receiver: str, facts: HeartbeatFacts, *, now_ns: int) -> Message:
     """Return a heartbeat message; ``facts`` are those of `source.Source.read_heartbeat_facts`."""
     age_h = facts["last_set_age_h"]
     last_set_text = (
-        "no set is stored yet" if age_h is None else f"the last set is {_age_text(age_h * 3600.0)} old"
+        "no set is stored yet" if age_h is None else f"the last set is {_format_age(age_h * 3600.0)} old"
     )
     return Message(
         key=f"{test.mark}.{receiver}.beat-{now_ns // NS_PER_S}",
@@ -206,7 +209,7 @@ def heartbeat_message(test: Test, receiver: str, facts: HeartbeatFacts, *, now_n
     )
 
 
-def trial_message(test: Test, receiver: str, author: str, *, now_ns: int) -> Message:
+def build_test_message(test: Test, receiver: str, author: str, *, now_ns: int) -> Message:
     """Return a message that is marked as a test."""
     return Message(
         key=f"{test.mark}.{receiver}.test-{now_ns}",
@@ -217,33 +220,35 @@ def trial_message(test: Test, receiver: str, author: str, *, now_ns: int) -> Mes
     )
 
 
-def _headline(item: AlarmChange) -> str:
+def _format_headline(item: AlarmChange) -> str:
     """Return the first line of a message about an alarm."""
     at = f" at {item.position}" if item.position else ""
     return f"{item.priority.upper()} {item.kind}{at} {_CHANGE_TEXTS[item.change]}"
 
 
-def _counts_text(changes: Sequence[AlarmChange]) -> str:
+def _format_counts(changes: Sequence[AlarmChange]) -> str:
     """Return the counts of changes by priority and kind, the highest priority first."""
     counts = Counter((item.priority, item.change) for item in changes)
     order = sorted(counts, key=lambda pair: -PRIORITIES.index(pair[0]))
     return ", ".join(f"{counts[pair]} {pair[0]} {pair[1]}" for pair in order)
 
 
-def _alarm_facts(test: Test, item: AlarmChange, quality: str | None, now_ns: int) -> dict[str, object]:
+def _describe_alarm_change(
+    test: Test, item: AlarmChange, quality: str | None, now_ns: int
+) -> dict[str, object]:
     """Return the facts of a change of an alarm for a message."""
     age_s = max(0.0, (now_ns - item.wall_utc_ns) / NS_PER_S)
     at_set = "" if item.set_key is None else f", set {item.set_key}, quality {quality or 'unknown'}"
     sentences = [
-        f"{_headline(item)}: {item.message.rstrip('.')}.",
+        f"{_format_headline(item)}: {item.message.rstrip('.')}.",
         f"First raised at hour {item.raised_h:.2f} of the test{at_set}.",
-        f"This change is of {format_utc(item.changed_utc_ns, 0)} and was stored {_age_text(age_s)} ago.",
+        f"This change is of {format_utc(item.changed_utc_ns, 0)} and was stored {_format_age(age_s)} ago.",
     ]
     if item.change != "over":
         sentences += [item.evidence] if item.evidence else []
         guidance = GUIDANCE.get(item.kind)
         sentences.append(f"Look first: {guidance.short if guidance else 'see the alarm and its evidence.'}")
-    link = _link(test, item)
+    link = _link_to_alarm(test, item)
     return {
         **{name: value for name, value in asdict(item).items() if name not in REWORDED},
         "quality": quality,
@@ -254,7 +259,7 @@ def _alarm_facts(test: Test, item: AlarmChange, quality: str | None, now_ns: int
     }
 
 
-def _link(test: Test, item: AlarmChange) -> str | None:
+def _link_to_alarm(test: Test, item: AlarmChange) -> str | None:
     """Return the link to an alarm on the page; None if the page has no address."""
     if not test.page:
         return None
@@ -263,7 +268,7 @@ def _link(test: Test, item: AlarmChange) -> str | None:
     return f"{test.page}?{query}" if query else test.page
 
 
-def _age_text(seconds: float) -> str:
+def _format_age(seconds: float) -> str:
     """Return an age in hours, minutes or seconds as text."""
     for size, unit in ((NS_PER_H / NS_PER_S, "h"), (60.0, "min")):
         if seconds >= 2.0 * size:

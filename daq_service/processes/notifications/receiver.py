@@ -16,7 +16,7 @@ from daq_service.clock import MACHINE, MachineClock
 from daq_service.errors import BusyError, UsageError
 from daq_service.processes.notifications import messages
 from daq_service.processes.notifications.delivery_log import Delivery, DeliveryKind, DeliveryLog, Progress
-from daq_service.processes.notifications.rules import WaitingChanges, rule_of
+from daq_service.processes.notifications.rules import WaitingChanges, find_matching_rule
 from daq_service.processes.notifications.source import Source
 from daq_service.processes.notifications.webhook import Outcome
 from daq_service.settings.notifications import SHORTEST_FOR_PEOPLE_S, NotificationSettings
@@ -156,7 +156,7 @@ class ReceiverQueue:
             raise BusyError(f"a trial of {self.name} is under way; wait for its result")
         try:
             now_ns = self._machine.utc_ns()
-            message = messages.trial_message(self._source.test(), self.name, author, now_ns=now_ns)
+            message = messages.build_test_message(self._source.test(), self.name, author, now_ns=now_ns)
             outcome = self._attempt(self._send_test, message)
             kind: DeliveryKind = "tested" if outcome.ok else "test_failed"
             attempt = _OpenMessage(changes=(), key=message.key, attempts=1)
@@ -183,7 +183,7 @@ class ReceiverQueue:
             except (KeyError, TypeError, ValueError, AttributeError):
                 log.exception("event %s cannot be read and is not sent", row.id)
                 change = None
-            rule = None if change is None else rule_of(change, self.name, self._settings.rules)
+            rule = None if change is None else find_matching_rule(change, self.name, self._settings.rules)
             if row.id in self._settled:
                 continue
             if change is None or rule is None:
@@ -222,7 +222,7 @@ class ReceiverQueue:
             return
         test, qualities = self._source.test(), self._source.qualities(current.changes)
         now_ns = self._machine.utc_ns()
-        message = messages.alarm_message(test, self.name, current.changes, qualities, now_ns=now_ns)
+        message = messages.build_alarm_message(test, self.name, current.changes, qualities, now_ns=now_ns)
         outcome = self._attempt(self._send, message)
         current.attempts += 1
         if outcome.ok:
@@ -266,7 +266,9 @@ class ReceiverQueue:
         self._log_delivery("gave_up", description, event_ids)
 
     def _new_message(self, changes: Sequence[messages.AlarmChange]) -> _OpenMessage:
-        key = messages.key_of(self._source.test(), self.name, [change.event_id for change in changes])
+        key = messages.compute_message_key(
+            self._source.test(), self.name, [change.event_id for change in changes]
+        )
         return _OpenMessage(changes=changes, key=key)
 
     def _attempt(self, send: Send, message: messages.Message) -> Outcome:
@@ -291,7 +293,7 @@ class ReceiverQueue:
         if facts["recorder"] in ("not_responding", "not_started"):
             self._report_heartbeat("withheld", f"the recorder is {facts['recorder']}: {facts['doing']}")
             return
-        message = messages.heartbeat_message(self._source.test(), self.name, facts, now_ns=now_ns)
+        message = messages.build_heartbeat_message(self._source.test(), self.name, facts, now_ns=now_ns)
         outcome = self._attempt(self._send, message)
         if outcome.ok:
             self.state.last_heartbeat_utc_ns = now_ns

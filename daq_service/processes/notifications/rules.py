@@ -11,7 +11,7 @@ from daq_service.settings.notifications import RuleSettings
 from hardware_drivers.nanoseconds import NS_PER_S
 
 
-def rule_of(change: AlarmChange, receiver: str, rules: Sequence[RuleSettings]) -> int | None:
+def find_matching_rule(change: AlarmChange, receiver: str, rules: Sequence[RuleSettings]) -> int | None:
     """Return the number of the first rule that matches an alarm and a receiver; None: it is not sent."""
     for number, rule in enumerate(rules):
         if (

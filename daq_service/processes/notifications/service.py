@@ -19,14 +19,14 @@ from daq_service.catalogue.access import CatalogueAccess
 from daq_service.catalogue.reader import Catalogue
 from daq_service.errors import BusyError, SolimonError
 from daq_service.processes.data_folder import BACKUP_FILE, hold_lock, lock_text
-from daq_service.processes.heartbeat import WEB_FILE, read_heartbeat, web_state
-from daq_service.processes.notifications.addresses import address_of
+from daq_service.processes.heartbeat import WEB_FILE, read_heartbeat, read_web_state
+from daq_service.processes.notifications.addresses import read_receiver_address
 from daq_service.processes.notifications.by_apprise import deliver_by_apprise
 from daq_service.processes.notifications.delivery_log import DeliveryLog
 from daq_service.processes.notifications.messages import Message
 from daq_service.processes.notifications.receiver import ReceiverQueue
 from daq_service.processes.notifications.source import Source
-from daq_service.processes.notifications.webhook import Cut, Outcome, post
+from daq_service.processes.notifications.webhook import Cut, Outcome, post_message
 from daq_service.processes.recorder_watch import RecorderWatch
 from daq_service.settings.notifications import ReceiverSettings
 from daq_service.settings.tree import Settings
@@ -76,7 +76,7 @@ class Notifications:
         self._cuts = [Cut()]
         self._stop = threading.Event()
         self._threads: list[threading.Thread] = []
-        self.queues = self._new_queues()
+        self.queues = self._create_queues()
         self.silent_reason = "the service has not begun" if self.queues else NO_RECEIVERS
 
     def start(self) -> None:
@@ -105,30 +105,32 @@ class Notifications:
         thread.start()
         return thread
 
-    def _new_queues(self) -> dict[str, ReceiverQueue]:
+    def _create_queues(self) -> dict[str, ReceiverQueue]:
         """Return a queue for each receiver."""
         parts, queues = (self.settings, self._source, self.deliveries), dict[str, ReceiverQueue]()
         for name, receiver in self.settings.receivers.items():
-            send, send_test = (partial(self._send, name, receiver, self._new_cut()) for _ in range(2))
+            send, send_test = (
+                partial(self._send_message, name, receiver, self._create_cut()) for _ in range(2)
+            )
             queues[name] = ReceiverQueue(name, *parts, send, send_test)
         return queues
 
-    def _new_cut(self) -> Cut:
+    def _create_cut(self) -> Cut:
         """Return a new object by which closing the service cuts a delivery short."""
         self._cuts.append(Cut())
         return self._cuts[-1]
 
-    def _send(self, name: str, receiver: ReceiverSettings, cut: Cut, message: Message) -> Outcome:
+    def _send_message(self, name: str, receiver: ReceiverSettings, cut: Cut, message: Message) -> Outcome:
         """Send a message to a receiver of either kind."""
-        address = address_of(name, receiver)
+        address = read_receiver_address(name, receiver)
         if receiver.kind == "apprise":
             return deliver_by_apprise(address, message)
-        return post(address, message, cut=cut)
+        return post_message(address, message, cut=cut)
 
     def _send_while_owner(self) -> None:
         """Hold the lock while the other threads send (body of the main thread)."""
         while not self._stop.is_set():
-            if self._web_responds():
+            if self._another_service_notifies():
                 self._stop.wait(LOOK_EVERY_S)
                 continue
             text = f"process {os.getpid()}"
@@ -146,12 +148,12 @@ class Notifications:
     def _send_until_released(self, lock: IO[bytes]) -> None:
         """Send and monitor until the end, or until another process does."""
         self.silent_reason, released = "" if self.queues else NO_RECEIVERS, threading.Event()
-        self.queues = self._new_queues()  # another process may have sent since: the log holds the progress
+        self.queues = self._create_queues()  # another process may have sent since: the log holds the progress
         senders = [
             self._start_thread(partial(self._run_queue, queue, lock, released), f"notify-{queue.name}")
             for queue in self.queues.values()
         ]
-        while not self._stop.is_set() and self._still_owns(lock) and not self._web_responds():
+        while not self._stop.is_set() and self._still_owns(lock) and not self._another_service_notifies():
             try:
                 if self._watch is not None:
                     self._watch.check()
@@ -162,9 +164,9 @@ class Notifications:
         for sender in senders:
             sender.join()
 
-    def _web_responds(self) -> bool:
+    def _another_service_notifies(self) -> bool:
         """Return whether another web process of this test notifies."""
-        return self._is_standby and web_state(self._folder) == "responding"
+        return self._is_standby and read_web_state(self._folder) == "responding"
 
     def _still_owns(self, lock: IO[bytes]) -> bool:
         """Return whether the lock file still has its name, which is removed for a stalled process."""
@@ -178,7 +180,7 @@ class Notifications:
 
         Windows keeps the name of an open file: there the end of the service is awaited.
         """
-        if self._is_standby and web_state(self._folder) == "not_responding":
+        if self._is_standby and read_web_state(self._folder) == "not_responding":
             beat, owner = read_heartbeat(self._folder, WEB_FILE), lock_text(self._folder, LOCK_FILE)
             if beat is not None and owner == f"process {beat.process}":
                 remove_quietly(self._folder / LOCK_FILE)
@@ -208,7 +210,9 @@ def _warn_once(message: str) -> None:
 
 
 @contextmanager
-def standing_by(settings: Settings, folder: Path, *, monitors_recorder: bool) -> Iterator[None]:
+def notify_while_web_is_silent(
+    settings: Settings, folder: Path, *, monitors_recorder: bool
+) -> Iterator[None]:
     """Send notifications whenever no web service of this test responds, while the context is open.
 
     Parameters

@@ -10,7 +10,7 @@ from daq_service.catalogue.reader import Catalogue, Filters
 from daq_service.catalogue.rows import MEASURED_BY, AlarmRow, EventRow, FeatureRow
 from daq_service.catalogue.store import NoDataYetError
 from daq_service.processes.freshness import Freshness
-from daq_service.processes.notifications.messages import AlarmChange, HeartbeatFacts, Test, test_of
+from daq_service.processes.notifications.messages import AlarmChange, HeartbeatFacts, Test, identify_test
 from daq_service.settings.tree import Settings
 from daq_service.settings.web import WebSettings
 
@@ -37,9 +37,9 @@ class Source:
 
     def test(self) -> Test:
         """Return the test; before its first record only with its name."""
-        page = page_address(self._settings.web)
+        page = read_page_address(self._settings.web)
         try:
-            return test_of(self._catalogue().experiment_row(), page)
+            return identify_test(self._catalogue().read_experiment(), page)
         except NoDataYetError:
             return Test(name=self._settings.name, mark="not-begun", page=page)
 
@@ -66,7 +66,7 @@ class Source:
 
     def events(self, event_ids: Sequence[int]) -> list[EventRow]:
         """Return the events with these ids, without missing ones."""
-        read = partial(self._catalogue().events_after, limit=1)
+        read = partial(self._catalogue().read_events_after, limit=1)
         return [row for event_id in event_ids for row in read(event_id - 1) if row.id == event_id]
 
     def qualities(self, changes: Sequence[AlarmChange]) -> dict[int, str]:
@@ -103,7 +103,7 @@ class Source:
         fresh = Freshness(self._folder, catalogue, self._settings.clock.kind)
         measured_h = [
             summary.last_set.due_h
-            for summary in catalogue.positions_state().values()
+            for summary in catalogue.read_latest_rows().values()
             if summary.last_set is not None
         ]
         return {
@@ -114,7 +114,7 @@ class Source:
         }
 
 
-def page_address(web: WebSettings) -> str:
+def read_page_address(web: WebSettings) -> str:
     """Return the address of the page for other computers; empty where no host name is configured."""
     if not web.host_names:
         return ""

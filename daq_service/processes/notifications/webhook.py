@@ -68,13 +68,13 @@ class Cut:
         with self._lock:
             self._socket = connection
             if self._closed and connection is not None:
-                _shut(connection)
+                _shut_connection(connection)
 
     def __call__(self) -> None:
         """Abort the present attempt, if there is one."""
         with self._lock:
             if self._socket is not None:
-                _shut(self._socket)
+                _shut_connection(self._socket)
 
     def close(self) -> None:
         """Abort the present attempt and all following ones."""
@@ -82,20 +82,20 @@ class Cut:
         self()
 
 
-def _shut(connection: socket.socket) -> None:
+def _shut_connection(connection: socket.socket) -> None:
     """Shut a connection down so that a thread that reads from it returns."""
     with suppress(OSError):  # not connected yet, or already closed
         # Not the method of the TLS object, which would wait for its reader.
         socket.socket.shutdown(connection, socket.SHUT_RDWR)
 
 
-def signature(secret: bytes, time_s: int, body: bytes) -> str:
+def sign_body(secret: bytes, time_s: int, body: bytes) -> str:
     """Return the value of the signature header for a body sent at a time."""
     digest = hmac.new(secret, b"%d." % time_s + body, hashlib.sha256).hexdigest()
     return f"t={time_s},v1={digest}"
 
 
-def post(
+def post_message(
     address: Address,
     message: Message,
     *,
@@ -111,7 +111,7 @@ def post(
         "Content-Type": "application/json",
         "User-Agent": f"solimon/{version('solimon')}",
         KEY: message.key,
-        SIGNATURE: signature(address.secret, machine.utc_ns() // NS_PER_S, body),
+        SIGNATURE: sign_body(address.secret, machine.utc_ns() // NS_PER_S, body),
     }
     target = (parts.path or "/") + (f"?{parts.query}" if parts.query else "")
     timed_out = threading.Event()
@@ -127,20 +127,22 @@ def post(
     connection = http.client.HTTPConnection(parts.hostname, parts.port or default_port)
     connection.auto_open = 0
     try:
-        connection.sock = _connect(parts.scheme, connection.host, connection.port, cut)
+        connection.sock = _connect_to_receiver(parts.scheme, connection.host, connection.port, cut)
         connection.request("POST", target, body, headers)
         response = connection.getresponse()
-        return _outcome(response.status, response.headers.get("Retry-After"), machine.utc_ns() / NS_PER_S)
+        return _outcome_of_response(
+            response.status, response.headers.get("Retry-After"), machine.utc_ns() / NS_PER_S
+        )
     except (OSError, http.client.HTTPException, ValueError) as error:
         late = f"no answer within {ANSWER_WITHIN_S:g} s" if timed_out.is_set() else ""
-        return Outcome(ok=False, description=late or _error_description(error))
+        return Outcome(ok=False, description=late or _describe_error(error))
     finally:
         timer.cancel()
         cut.set_socket(None)
         connection.close()
 
 
-def _connect(scheme: str, host: str, port: int, cut: Cut) -> socket.socket:
+def _connect_to_receiver(scheme: str, host: str, port: int, cut: Cut) -> socket.socket:
     """Connect to the receiver, with TLS if the scheme is https."""
     connection = socket.create_connection((host, port), timeout=CONNECT_WITHIN_S)
     try:
@@ -159,7 +161,7 @@ def _connect(scheme: str, host: str, port: int, cut: Cut) -> socket.socket:
     return connection
 
 
-def _outcome(status: int, retry_after: str | None, now_s: float) -> Outcome:
+def _outcome_of_response(status: int, retry_after: str | None, now_s: float) -> Outcome:
     """Return the outcome of a response."""
     if 200 <= status < 300:
         return Outcome(ok=True, description=f"taken ({status})", status=status)
@@ -170,12 +172,12 @@ def _outcome(status: int, retry_after: str | None, now_s: float) -> Outcome:
         ok=False,
         description=description,
         status=status,
-        retry_after_s=_retry_after_s(retry_after, now_s),
+        retry_after_s=_parse_retry_after_s(retry_after, now_s),
         refused=status in REFUSES_THE_MESSAGE,
     )
 
 
-def _retry_after_s(text: str | None, now_s: float) -> float:
+def _parse_retry_after_s(text: str | None, now_s: float) -> float:
     """Return the pause of a ``Retry-After`` header (seconds or a date), s; 0 where it is unreadable."""
     if text is None:
         return 0.0
@@ -187,7 +189,7 @@ def _retry_after_s(text: str | None, now_s: float) -> float:
     return min(max(0.0, retry_after_s), LONGEST_RETRY_AFTER_S)
 
 
-def _error_description(error: Exception) -> str:
+def _describe_error(error: Exception) -> str:
     """Return a description of an error; the text of a library may repeat the address."""
     match error:
         case ssl.SSLCertVerificationError():

@@ -21,7 +21,7 @@ from daq_service.catalogue.rows import (
     FeatureRow,
     Row,
     ThicknessRow,
-    values,
+    to_columns,
 )
 from hardware_drivers.nanoseconds import NS_PER_H
 
@@ -87,9 +87,9 @@ class Difference:
     again: Any
 
 
-def onsets(catalogue: Catalogue, up_to_set: int | None = None) -> list[Onset]:
+def list_onsets(catalogue: Catalogue, up_to_set: int | None = None) -> list[Onset]:
     """List the onsets of alarms about positions that a set raised, in their order."""
-    epoch_utc_ns = catalogue.experiment_row().epoch_utc_ns
+    epoch_utc_ns = catalogue.read_experiment().epoch_utc_ns
     return [
         Onset(
             position=event.position,
@@ -105,9 +105,9 @@ def onsets(catalogue: Catalogue, up_to_set: int | None = None) -> list[Onset]:
     ]
 
 
-def alarm_changes(stored: Iterable[Onset], again: Iterable[Onset]) -> AlarmChanges:
+def compare_alarm_onsets(stored: Iterable[Onset], again: Iterable[Onset]) -> AlarmChanges:
     """Compare alarm onsets: those of the same set are kept, of the others the first of a kind are moved."""
-    before, after = _by_place(stored), _by_place(again)
+    before, after = _group_by_position(stored), _group_by_position(again)
     kept: list[Onset] = []
     come: list[Onset] = []
     go: list[Onset] = []
@@ -126,7 +126,7 @@ def alarm_changes(stored: Iterable[Onset], again: Iterable[Onset]) -> AlarmChang
     return AlarmChanges(kept=kept, come=come, go=go, moved=moved)
 
 
-def _by_place(found: Iterable[Onset]) -> dict[tuple[str, str], dict[int, Onset]]:
+def _group_by_position(found: Iterable[Onset]) -> dict[tuple[str, str], dict[int, Onset]]:
     """Group onsets by position and kind."""
     by_place: dict[tuple[str, str], dict[int, Onset]] = {}
     for onset in found:
@@ -150,12 +150,12 @@ def differences(
     """
     found = []
     for kind in kinds:
-        old, new = (_rows(kind, catalogue, position, up_to_set) for catalogue in (stored, again))
+        old, new = (_collect_rows(kind, catalogue, position, up_to_set) for catalogue in (stored, again))
         known = {name for _, row in old.values() for name, value in row.items() if value is not None}
         columns: dict[tuple[str, str], list[tuple[int, Any, Any]]] = {}
         for key in sorted({*old, *new}):
             set_index, _ = old.get(key) or new[key]
-            for name, stored_value, new_value in differing_columns(
+            for name, stored_value, new_value in find_differing_columns(
                 old.get(key, (0, None))[1], new.get(key, (0, None))[1]
             ):
                 if name.partition(".")[0] in known or name == "row":
@@ -175,7 +175,7 @@ def differences(
     return found
 
 
-def _rows(
+def _collect_rows(
     kind: type[Row], catalogue: Catalogue, position: str | None, up_to_set: int | None
 ) -> dict[tuple[str, int], tuple[int, dict[str, Any]]]:
     """Return set and columns of each row by position and set, baselines by position and number."""
@@ -189,12 +189,14 @@ def _rows(
             continue
         key = baselines[row.position] if kind is BaselineRow else set_index
         baselines[row.position] += 1
-        columns = {name: value for name, value in comparable(values(row)).items() if name not in left_out}
+        columns = {
+            name: value for name, value in select_columns(to_columns(row)).items() if name not in left_out
+        }
         found[row.position, key] = set_index, columns
     return found
 
 
-def comparable(columns: Mapping[str, Any]) -> dict[str, Any]:
+def select_columns(columns: Mapping[str, Any]) -> dict[str, Any]:
     """Return columns without the state of the diagnosis, which an earlier version kept with the averages."""
     averages = columns.get("averages")
     if averages is None:
@@ -203,7 +205,7 @@ def comparable(columns: Mapping[str, Any]) -> dict[str, Any]:
     return {**columns, "averages": charts or None}
 
 
-def differing_columns(
+def find_differing_columns(
     stored: Mapping[str, Any] | None, again: Mapping[str, Any] | None
 ) -> Iterator[tuple[str, Any, Any]]:
     """Yield name and both values of each differing column; ``row`` if one row is missing."""
@@ -212,7 +214,7 @@ def differing_columns(
         yield "row", presence[0], presence[1]
         return
     for name in stored:
-        stored_value, new_value = _plain(stored[name]), _plain(again[name])
+        stored_value, new_value = _to_json_value(stored[name]), _to_json_value(again[name])
         if isinstance(stored_value, Mapping) and isinstance(new_value, Mapping):
             for key in {**stored_value, **new_value}:
                 if stored_value.get(key) != new_value.get(key):
@@ -221,6 +223,6 @@ def differing_columns(
             yield name, stored_value, new_value
 
 
-def _plain(value: Any) -> Any:
+def _to_json_value(value: Any) -> Any:
     """Return a value in its JSON form: NaN is None, an array is a list."""
     return orjson.loads(orjson.dumps(value, option=orjson.OPT_SERIALIZE_NUMPY))

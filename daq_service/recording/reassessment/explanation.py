@@ -37,17 +37,17 @@ from daq_service.recording.reassessment.changes import (
     Difference,
     Onset,
     differences,
-    differing_columns,
-    onsets,
+    find_differing_columns,
+    list_onsets,
 )
-from daq_service.recording.reassessment.pulses_of_sets import Pulses, pulses_of
+from daq_service.recording.reassessment.pulses_of_sets import Pulses, read_mean_pulses
 from daq_service.recording.reassessment.reassess import (
-    assess_again,
-    extracted_features,
-    temporary_catalogue,
+    create_temporary_catalogue,
+    extract_set_features,
+    reassess_sets,
 )
 from daq_service.recording.reassessment.stored_runs import Progress
-from daq_service.settings.stored import stored_settings
+from daq_service.settings.stored import restore_settings
 from daq_service.settings.tree import Settings
 from hardware_drivers.methods import SOLITARY_WAVE, Method
 
@@ -117,7 +117,7 @@ class Explained:
         return None if self.again is None else not self.again.differences
 
 
-def explained(folder: Path, alarm_id: int, progress: Progress = lambda done, total: None) -> Explained:
+def explain_alarm(folder: Path, alarm_id: int, progress: Progress = lambda done, total: None) -> Explained:
     """Recompute an alarm of a stored or running test; the folder is only read.
 
     Raises
@@ -131,17 +131,17 @@ def explained(folder: Path, alarm_id: int, progress: Progress = lambda done, tot
     with open_catalogue(folder) as stored:
         alarm = stored.alarm(alarm_id)
         if alarm is None:
-            raise UsageError(_unknown(alarm_id, stored.rows(AlarmRow)))
-        experiment = stored.experiment_row()
-        settings = stored_settings(experiment.configuration)
+            raise UsageError(_describe_unknown_alarm(alarm_id, stored.rows(AlarmRow)))
+        experiment = stored.read_experiment()
+        settings = restore_settings(experiment.configuration)
         history = [
             event
             for event in stored.rows(EventRow, topic="alarms")
             if event.payload.get("alarm_id") == alarm_id
         ]
-        why_not, again = _not_of_records(alarm), None
+        why_not, again = _find_no_records_reason(alarm), None
         if not why_not:
-            again = _recomputed(stored, folder, settings, alarm, history, progress)
+            again = _recompute_alarm(stored, folder, settings, alarm, history, progress)
         return Explained(
             experiment=experiment,
             settings=settings,
@@ -152,14 +152,14 @@ def explained(folder: Path, alarm_id: int, progress: Progress = lambda done, tot
         )
 
 
-def _unknown(alarm_id: int, alarms: Sequence[AlarmRow]) -> str:
+def _describe_unknown_alarm(alarm_id: int, alarms: Sequence[AlarmRow]) -> str:
     """Return the message for an unknown alarm."""
     alarm_texts = [f"{row.id} ({row.kind}{f' at {row.position}' if row.position else ''})" for row in alarms]
     available = f"there are {', '.join(alarm_texts)}" if alarm_texts else "none was raised in this test"
     return f"there is no alarm {alarm_id}; {available}"
 
 
-def _not_of_records(alarm: AlarmRow) -> str:
+def _find_no_records_reason(alarm: AlarmRow) -> str:
     """Return why an alarm does not follow from the records of a position; empty if it does."""
     if alarm.position is None:
         return "it is about the test as a whole, not about the records of a position"
@@ -168,7 +168,7 @@ def _not_of_records(alarm: AlarmRow) -> str:
     return ""
 
 
-def _recomputed(
+def _recompute_alarm(
     stored: Catalogue,
     folder: Path,
     settings: Settings,
@@ -181,30 +181,30 @@ def _recomputed(
     assert position is not None and up_to_set is not None, "it follows from records"  # noqa: PT018
     _refuse_other_extractor(stored, settings.positions[position].method, position, up_to_set)
     archive = FolderSetReader(folder)
-    read_set = partial(_records_at, position, archive)
+    read_set = partial(_read_position_records, position, archive)
     with ExitStack() as stack:
-        again = stack.enter_context(temporary_catalogue(stored.experiment_row()))
-        assess_again(
+        again = stack.enter_context(create_temporary_catalogue(stored.read_experiment()))
+        reassess_sets(
             stored,
             again,
             folder,
             settings,
-            lambda record: extracted_features(settings.rig.dry_run, record.shots),
+            lambda record: extract_set_features(settings.rig.dry_run, record.shots),
             up_to_set=up_to_set,
             read_set=read_set,
             progress=progress,
         )
         baseline = again.baseline(position)
         shots = again.rows(ShotRow, position=position)
-        raised = [one for one in onsets(again) if (one.position, one.kind) == (position, alarm.kind)]
+        raised = [one for one in list_onsets(again) if (one.position, one.kind) == (position, alarm.kind)]
         method = METHODS[settings.positions[position].method]
         found = [
-            *_of_alarm(alarm, history, again),
+            *_compare_alarm(alarm, history, again),
             *differences((*EXTRACTED, *ASSESSED), stored, again, position=position, up_to_set=up_to_set),
         ]
         pulses = None
         if settings.positions[position].method == SOLITARY_WAVE and not settings.rig.dry_run:
-            pulses = pulses_of(again, read_set, baseline, position, up_to_set)
+            pulses = read_mean_pulses(again, read_set, baseline, position, up_to_set)
         return Recomputed(
             n_sets=len({shot.set_index for shot in shots}),
             n_records=len(shots),
@@ -212,9 +212,9 @@ def _recomputed(
             differences=found,
             baseline=baseline,
             assessments=again.rows(AssessmentRow, position=position),
-            measured=_of_sets(again, method, position),
+            measured=_collect_set_results(again, method, position),
             sets=again.rows(SetRow, position=position),
-            silent=_silent(shots),
+            silent=_count_silent_shots(shots),
             pulses=pulses,
         )
 
@@ -227,12 +227,12 @@ def _refuse_other_extractor(stored: Catalogue, method: Method, position: str, up
         raise UsageError(
             f"the results at {position} are of the extractor {' and '.join(others)}, this version of solimon "
             f"has {EXTRACTORS[kind]}: their numbers are different quantities. Explain the alarm with solimon "
-            f"{stored.experiment_row().solimon_version}, which began the test, or judge the test by this "
+            f"{stored.read_experiment().solimon_version}, which began the test, or judge the test by this "
             "version with solimon replay --extract"
         )
 
 
-def _records_at(position: str, archive: FolderSetReader, reference: SetReference) -> SetRecord:
+def _read_position_records(position: str, archive: FolderSetReader, reference: SetReference) -> SetRecord:
     """Read a set and keep the records of one position; without any, keep the complete set."""
     try:
         record = archive.read_set(reference)
@@ -254,7 +254,7 @@ def _records_at(position: str, archive: FolderSetReader, reference: SetReference
     )
 
 
-def _of_alarm(alarm: AlarmRow, history: Sequence[EventRow], again: Catalogue) -> list[Difference]:
+def _compare_alarm(alarm: AlarmRow, history: Sequence[EventRow], again: Catalogue) -> list[Difference]:
     """Compare the stored alarm with the recomputed one of the same set."""
     stored_alarm = next((event.payload for event in history if event.kind == "alarm_raised"), None)
     new_alarm: Mapping[str, Any] | None = next(
@@ -281,7 +281,7 @@ def _of_alarm(alarm: AlarmRow, history: Sequence[EventRow], again: Catalogue) ->
             stored=left,
             again=right,
         )
-        for name, left, right in differing_columns(stored_alarm, new_alarm)
+        for name, left, right in find_differing_columns(stored_alarm, new_alarm)
     ]
 
 
@@ -289,7 +289,7 @@ _SUPPRESSION = frozenset(name for name in AlarmRow.__slots__ if name.startswith(
 """Columns that a person filled for an earlier alarm of this kind."""
 
 
-def _of_sets(
+def _collect_set_results(
     catalogue: Catalogue, method: MeasuringMethod, position: str
 ) -> Sequence[FeatureRow | ThicknessRow]:
     """Return the results of the sets of a position."""
@@ -297,7 +297,7 @@ def _of_sets(
     return catalogue.rows(method.row, **of_place)
 
 
-def _silent(shots: Sequence[ShotRow]) -> dict[int, int]:
+def _count_silent_shots(shots: Sequence[ShotRow]) -> dict[int, int]:
     """Count the shots without reflected wave by set."""
     counts: dict[int, int] = {}
     for shot in shots:

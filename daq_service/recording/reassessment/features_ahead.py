@@ -9,8 +9,8 @@ from dataclasses import dataclass, field
 from analysis.waves.features import ShotFeatures
 from daq_service.archive import SetRecord, SetReference
 from daq_service.errors import SolimonError
-from daq_service.processes.executors import worker_lost
-from daq_service.recording.reassessment.reassess import extracted_features
+from daq_service.processes.executors import worker_lost_errors
+from daq_service.recording.reassessment.reassess import extract_set_features
 from hardware_drivers.measurement import SetKey, Shot, ShotKey, Stamp, Waveform
 
 SETS_AHEAD = 2
@@ -42,35 +42,35 @@ class ExtractedAhead:
     def read_set(self, reference: SetReference) -> SetRecord:
         """Return a set's record; `features` must be called next."""
         for following in self.references:
-            self._begin(following)
+            self._start_extraction(following)
             if reference in self._under_way and len(self._under_way) > SETS_AHEAD * self.workers:
                 break
         if reference not in self._under_way:
-            self._begin(reference)
+            self._start_extraction(reference)
         record, future = self._under_way.pop(reference)
         self._of_set[record.set_key] = future
         return record
 
-    def _begin(self, reference: SetReference) -> None:
+    def _start_extraction(self, reference: SetReference) -> None:
         """Read a set and start the extraction of its features."""
         record = self.read(reference)
         # Without truth and settings of a shot: extraction does not use them.
         records = [(shot.sequence, shot.key, shot.stamp, shot.waveform) for shot in record.shots]
-        future = self.executor.submit(_extracted, self.rehearsal, records)
+        future = self.executor.submit(_extract_in_worker, self.rehearsal, records)
         self._under_way[reference] = record, future
 
     def features(self, record: SetRecord) -> Mapping[int, ShotFeatures]:
         """Wait for the features of a set that was read."""
         try:
             return self._of_set.pop(record.set_key).result()
-        except worker_lost() as error:
+        except worker_lost_errors() as error:
             raise SolimonError(
                 "workers ended by themselves again and again (killed, or out of memory); choose fewer "
                 "--workers, or --executor threads"
             ) from error
 
 
-def _extracted(
+def _extract_in_worker(
     rehearsal: bool, records: Sequence[tuple[int, ShotKey, Stamp, Waveform]]
 ) -> dict[int, ShotFeatures]:
     """Extract the features of records in a worker process."""
@@ -78,4 +78,4 @@ def _extracted(
         Shot(sequence=sequence, key=key, stamp=stamp, waveform=waveform)
         for sequence, key, stamp, waveform in records
     ]
-    return extracted_features(rehearsal, shots)
+    return extract_set_features(rehearsal, shots)

@@ -9,8 +9,8 @@ from typing import Any
 from pydantic import BaseModel, ValidationError
 
 from daq_service.errors import UsageError
-from daq_service.settings.stored import renamed, stored_settings
-from daq_service.settings.tables import KeyPath, flattened, nested
+from daq_service.settings.stored import rename_old_keys, restore_settings
+from daq_service.settings.tables import KeyPath, flatten, nest_tables
 from daq_service.settings.tree import Settings
 
 ASSESSMENT_KEYS: Mapping[str, frozenset[str] | None] = {
@@ -25,17 +25,17 @@ ASSESSMENT_KEYS: Mapping[str, frozenset[str] | None] = {
 storage or display, which a reassessment does not change."""
 
 
-def assessment_keys() -> list[str]:
+def list_assessment_keys() -> list[str]:
     """Return the names of all keys that may be set."""
     return [
         f"{table}.{key}"
         for table, keys in ASSESSMENT_KEYS.items()
-        for key in _table(table).model_fields
+        for key in _find_settings_class(table).model_fields
         if keys is None or key in keys
     ]
 
 
-def parsed(texts: Sequence[str]) -> dict[KeyPath, Any]:
+def parse_assignment(texts: Sequence[str]) -> dict[KeyPath, Any]:
     """Parse ``KEY=VALUE``: a value is JSON, or else text.
 
     Raises
@@ -49,10 +49,10 @@ def parsed(texts: Sequence[str]) -> dict[KeyPath, Any]:
         path = tuple(key.strip().split("."))
         if not equals or not all(path):
             raise UsageError(f"--set {text}: write KEY=VALUE, for example alarms.decides_by=chart")
-        if len(path) < 2 or path[0] not in ASSESSMENT_KEYS or path[1] not in _names(path[0]):
+        if len(path) < 2 or path[0] not in ASSESSMENT_KEYS or path[1] not in _list_key_names(path[0]):
             raise UsageError(
                 f"--set {'.'.join(path)}: this key is not known, or does not say how records are judged; "
-                f"these do: {', '.join(assessment_keys())}"
+                f"these do: {', '.join(list_assessment_keys())}"
             )
         if path in found:
             raise UsageError(f"--set {'.'.join(path)} is given twice; leave one out")
@@ -71,10 +71,10 @@ def changed(configuration: Mapping[str, Any], given: Mapping[KeyPath, Any]) -> S
     UsageError
         A value is refused: key, value, bound.
     """
-    stored_values = flattened(renamed(configuration)).items()
+    stored_values = flatten(rename_old_keys(configuration)).items()
     try:
-        return stored_settings(
-            nested({p: v for p, v in stored_values if not _replaced(p, given)} | dict(given))
+        return restore_settings(
+            nest_tables({p: v for p, v in stored_values if not _is_replaced(p, given)} | dict(given))
         )
     except ValidationError as error:
         lines = [
@@ -85,17 +85,17 @@ def changed(configuration: Mapping[str, Any], given: Mapping[KeyPath, Any]) -> S
         raise UsageError(f"--set is refused: {'; '.join(lines)}") from error
 
 
-def _replaced(path: KeyPath, given: Mapping[KeyPath, Any]) -> bool:
+def _is_replaced(path: KeyPath, given: Mapping[KeyPath, Any]) -> bool:
     """Return whether a key, a parent or a child of it is given."""
     return any(path[: len(one)] == one or one[: len(path)] == path for one in given)
 
 
-def _names(table: str) -> frozenset[str]:
+def _list_key_names(table: str) -> frozenset[str]:
     """Return the keys of a table that affect the assessment."""
-    return ASSESSMENT_KEYS[table] or frozenset(_table(table).model_fields)
+    return ASSESSMENT_KEYS[table] or frozenset(_find_settings_class(table).model_fields)
 
 
-def _table(name: str) -> type[BaseModel]:
+def _find_settings_class(name: str) -> type[BaseModel]:
     """Return the class of a table of the settings."""
     kind = Settings.model_fields[name].annotation
     assert isinstance(kind, type) and issubclass(kind, BaseModel), "a table of the configuration"  # noqa: PT018

@@ -40,7 +40,7 @@ class Pulses:
     set_v: NDArray[np.float64]
 
 
-def pulses_of(
+def read_mean_pulses(
     catalogue: Catalogue,
     read_set: Callable[[SetReference], SetRecord],
     baseline: BaselineRow | None,
@@ -51,16 +51,16 @@ def pulses_of(
     indices = [] if baseline is None else baseline.provenance.get("set_indices", [])
     spread = indices[:: math.ceil(len(indices) / MOST_BASELINE_SETS)] if indices else []
     time_s = np.arange(FIRST_S, LAST_S, STEP_S)
-    means = [_mean_record(catalogue, read_set, position, index, time_s) for index in spread]
+    means = [_average_records(catalogue, read_set, position, index, time_s) for index in spread]
     healthy = [mean for mean in means if mean is not None]
-    of_set = _mean_record(catalogue, read_set, position, set_index, time_s)
+    of_set = _average_records(catalogue, read_set, position, set_index, time_s)
     if not healthy or of_set is None:
         return None
     table = np.array(healthy)
     return Pulses(time_s=time_s, baseline_v=table.mean(axis=0), baseline_sd_v=table.std(axis=0), set_v=of_set)
 
 
-def _mean_record(
+def _average_records(
     catalogue: Catalogue,
     read_set: Callable[[SetReference], SetRecord],
     position: str,

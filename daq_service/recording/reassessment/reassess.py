@@ -16,11 +16,11 @@ from pathlib import Path
 from typing import Any
 
 from analysis.waves.features import ALL_FEATURE_NAMES, ShotFeatures
-from daq_service.acquisition.shot_features import features_of, features_of_a_rehearsal
-from daq_service.alarms.operator_actions import AFTER_ACKNOWLEDGEMENT, acknowledge, reset
+from daq_service.acquisition.shot_features import compute_rehearsal_features, extract_shot_features
+from daq_service.alarms.operator_actions import AFTER_ACKNOWLEDGEMENT, acknowledge_alarm, reset_alarm
 from daq_service.alarms.states import Change, Moment
 from daq_service.archive import FolderSetReader, SetRecord, SetReference
-from daq_service.assessment.baseline_lifecycle import STEPS, baseline_range
+from daq_service.assessment.baseline_lifecycle import STEPS, find_baseline_range
 from daq_service.catalogue import Catalogue, RecorderCatalogue, SetCommit
 from daq_service.catalogue.rows import (
     AlarmRow,
@@ -31,9 +31,9 @@ from daq_service.catalogue.rows import (
     SetRow,
     ShotRow,
 )
-from daq_service.catalogue.store import open_for_a_while
+from daq_service.catalogue.store import open_temporary
 from daq_service.recording.reassessment.changes import LIFE
-from daq_service.recording.reassessment.stored_runs import Progress, repeat_action, row_of, runs_of
+from daq_service.recording.reassessment.stored_runs import Progress, complete_row, group_sets, repeat_action
 from daq_service.recording.set_assessor import SetAssessor
 from daq_service.settings.tree import Settings
 from hardware_drivers.measurement import SetKey, Shot
@@ -45,17 +45,17 @@ ReadSet = Callable[[SetReference], SetRecord]
 
 
 @contextmanager
-def temporary_catalogue(experiment: ExperimentRow) -> Iterator[RecorderCatalogue]:
+def create_temporary_catalogue(experiment: ExperimentRow) -> Iterator[RecorderCatalogue]:
     """Create an empty catalogue of this experiment in a temporary folder."""
     with (
         tempfile.TemporaryDirectory(prefix="solimon-again-") as folder,
-        open_for_a_while(Path(folder)) as catalogue,
+        open_temporary(Path(folder)) as catalogue,
     ):
-        catalogue.restore([experiment])
+        catalogue.restore_rows([experiment])
         yield catalogue
 
 
-def stored_features(catalogue: Catalogue, record: SetRecord) -> dict[int, ShotFeatures]:
+def read_stored_features(catalogue: Catalogue, record: SetRecord) -> dict[int, ShotFeatures]:
     """Read the stored features of a set's shots; a shot without a row is extracted."""
     places = {shot.key.position for shot in record.shots}
     flags = {
@@ -64,27 +64,27 @@ def stored_features(catalogue: Catalogue, record: SetRecord) -> dict[int, ShotFe
         for row in catalogue.rows(ShotRow, position=place, **record.set_key._asdict())
     }
     found = {
-        row.sequence: _as_extracted(row, flags.get(row.sequence, ()))
+        row.sequence: _to_extracted_form(row, flags.get(row.sequence, ()))
         for row in catalogue.rows(FeatureRow, **record.set_key._asdict(), scope="shot")
         if row.sequence is not None
     }
-    return {shot.sequence: found.get(shot.sequence) or features_of(shot) for shot in record.shots}
+    return {shot.sequence: found.get(shot.sequence) or extract_shot_features(shot) for shot in record.shots}
 
 
-def extracted_features(rehearsal: bool, shots: Sequence[Shot]) -> dict[int, ShotFeatures]:
+def extract_set_features(rehearsal: bool, shots: Sequence[Shot]) -> dict[int, ShotFeatures]:
     """Extract the features of a set's shots from their waveforms, as the recorder does."""
-    extract = features_of_a_rehearsal if rehearsal else features_of
+    extract = compute_rehearsal_features if rehearsal else extract_shot_features
     return {shot.sequence: extract(shot) for shot in shots}
 
 
-def _as_extracted(row: FeatureRow, flags: tuple[str, ...]) -> ShotFeatures:
+def _to_extracted_form(row: FeatureRow, flags: tuple[str, ...]) -> ShotFeatures:
     """Return stored features in the form of extracted ones."""
     known = {name: getattr(row, name) for name in ALL_FEATURE_NAMES}
     values: dict[str, Any] = {name: math.nan if value is None else value for name, value in known.items()}
     return ShotFeatures(**values, flags=flags, valid=bool(row.n_valid), quality=row.quality, compared=True)
 
 
-def assess_again(
+def reassess_sets(
     stored: Catalogue,
     again: RecorderCatalogue,
     folder: Path,
@@ -138,7 +138,7 @@ class _Reassessment:
     ) -> None:
         self._stored, self._again, self._settings = stored, again, settings
         self._features, self._read_set = features, read_set
-        self._epoch_utc_ns = stored.experiment_row().epoch_utc_ns
+        self._epoch_utc_ns = stored.read_experiment().epoch_utc_ns
         self._assessor = SetAssessor(settings, archive, again, None, rehearsal=settings.rig.dry_run)
         # Alarms of this assessment are not reported.
         logging.getLogger(SetAssessor.__module__).addHandler(logging.NullHandler())
@@ -150,44 +150,44 @@ class _Reassessment:
         keys = {event.set_key for event in events if event.topic == "sets"}
         total = sum(key is not None and (last is None or key <= last) for key in keys)
         done: set[SetKey] = set()
-        for set_key, run in runs_of(events):
+        for set_key, run in group_sets(events):
             if set_key is None:
                 for event in run:
                     self._repeat_action(event)
             elif (last is None or set_key <= last) and any(event.topic == "sets" for event in run):
-                self._take_set(set_key)
+                self._assess_set(set_key)
                 done.add(set_key)
                 progress(len(done), total)
                 if set_key == last:
                     break
         return {key.set_index for key in done if not key.unscheduled_index}
 
-    def _take_set(self, set_key: SetKey) -> None:
+    def _assess_set(self, set_key: SetKey) -> None:
         """Assess a set from its file or its rows."""
         rows = self._stored.rows(SetRow, **set_key._asdict())
         file = next((row.file for row in rows if row.file), None)
         if file is None:
-            self._take_set_without_records(rows)
+            self._store_set_without_records(rows)
             return
         record = self._read_set(SetReference(file))
         due = record.due
         if due.position in (None, *self._settings.positions):
             self._assessor.commit(self._assessor.assessed(due, record, file, self._features(record)))
 
-    def _take_set_without_records(self, rows: list[SetRow]) -> None:
+    def _store_set_without_records(self, rows: list[SetRow]) -> None:
         """Store the rows of a set without records; failed strikes may raise alarms."""
         self._assessor.commit(SetCommit(sets=[replace(row, id=None) for row in rows]))
         for row in rows:
             if row.purpose is None and row.state != "disabled" and row.n_missed:
                 utc_ns = row.ended_utc_ns or row.due_utc_ns
                 moment = Moment(utc_ns=utc_ns, due_h=row.due_h, set_index=row.set_index)
-                for condition in self._assessor.passed(row):
+                for condition in self._assessor.apply_stored_row(row):
                     self._assessor.update_alarm(condition, moment)
 
     def _repeat_action(self, event: EventRow) -> None:
         """Repeat a person's action."""
         if event.kind in STEPS:
-            self._repeat_baseline_action(row_of(BaselineRow, event))
+            self._repeat_baseline_action(complete_row(BaselineRow, event))
         else:
             self._repeat_alarm_action(event)
         repeat_action(event, self._assessor.assessors, self._settings.positions)
@@ -197,13 +197,13 @@ class _Reassessment:
         rows = {row.id: row for row in self._again.rows(BaselineRow, position=stored.position)}
         if (present := rows.get(stored.id)) is not None:
             step = {name: getattr(stored, name) for name in LIFE}
-            self._again.restore([replace(present, **step)])
+            self._again.restore_rows([replace(present, **step)])
         else:  # a successor that begins: as many sets as a baseline has by these settings
-            baseline_plan = baseline_range(
+            baseline_plan = find_baseline_range(
                 stored.position, self._settings, self._again.baseline(stored.position)
             )
             last_set = stored.first_set_index + baseline_plan.last_set - baseline_plan.first_set
-            self._again.restore([replace(stored, last_set_index=last_set)])
+            self._again.restore_rows([replace(stored, last_set_index=last_set)])
 
     def _repeat_alarm_action(self, event: EventRow) -> None:
         """Repeat a person's action on an alarm, if it is active in this assessment."""
@@ -217,11 +217,11 @@ class _Reassessment:
         note = event.payload.get("note") or ""
         change = None
         if event.kind == "alarm_raised":  # by a person's command, or not from records
-            change = Change(row=replace(row_of(AlarmRow, event), id=None), event_kind=event.kind)
+            change = Change(row=replace(complete_row(AlarmRow, event), id=None), event_kind=event.kind)
         elif row is not None and event.kind == "alarm_acknowledged" and row.state in AFTER_ACKNOWLEDGEMENT:
-            change = acknowledge(row, author, note, moment)
+            change = acknowledge_alarm(row, author, note, moment)
         elif row is not None and event.kind == "alarm_reset" and row.state != "normal":
-            change = reset(row, author, note, moment)
+            change = reset_alarm(row, author, note, moment)
         if change is not None:
             transaction = SetCommit()
             transaction.add_alarm(change.row, change.event(moment))

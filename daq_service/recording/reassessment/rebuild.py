@@ -11,10 +11,10 @@ from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
 
-from daq_service.acquisition.shot_features import features_of
+from daq_service.acquisition.shot_features import extract_shot_features
 from daq_service.archive import FolderSetReader
 from daq_service.archive.waterfall.tiles import TILES_FOLDER
-from daq_service.assessment.results_in_file import results_in
+from daq_service.assessment.results_in_file import read_set_results
 from daq_service.background.tiles import rebuild_tiles
 from daq_service.catalogue import open_catalogue
 from daq_service.catalogue.connection import FILE_NAME
@@ -25,13 +25,13 @@ from daq_service.catalogue.errors import (
     NoDataYetError,
     SchemaVersionError,
 )
-from daq_service.catalogue.experiment_file import keep_experiment, refuse_another
+from daq_service.catalogue.experiment_file import ensure_experiment_file, refuse_other_record
 from daq_service.catalogue.history import History, HistoryFollower
-from daq_service.catalogue.owner import experiment_identity, refuse_other_experiment
+from daq_service.catalogue.owner import build_experiment_identity, refuse_other_experiment
 from daq_service.catalogue.salvage import Salvaged, read_sound_rows
-from daq_service.catalogue.store import open_for_a_while
+from daq_service.catalogue.store import open_temporary
 from daq_service.processes.lost_catalogue import read_folder_history
-from daq_service.recording.experiment import kept_experiment, refuse_foreign
+from daq_service.recording.experiment import find_stored_experiment, refuse_foreign_sets
 from daq_service.recording.reassessment.restore_rows import (
     FeaturesOf,
     Restored,
@@ -39,9 +39,9 @@ from daq_service.recording.reassessment.restore_rows import (
     restore_rows,
 )
 from daq_service.recording.reassessment.stored_runs import Progress
-from daq_service.settings.stored import stored_settings
+from daq_service.settings.stored import restore_settings
 from daq_service.settings.tree import Settings
-from daq_service.shared_file import patiently, sync_folder
+from daq_service.shared_file import retry_call, sync_folder
 
 log = logging.getLogger(__name__)
 
@@ -69,12 +69,12 @@ class Rebuilt:
     warnings: list[str] = field(default_factory=list)
 
 
-def rebuild(
+def rebuild_folder_catalogue(
     folder: Path,
     *,
     progress: Progress = lambda done, total: None,
     settings: Settings | None = None,
-    features_of: FeaturesOf = features_of,
+    features_of: FeaturesOf = extract_shot_features,
 ) -> Rebuilt:
     """Rebuild the catalogue of a data folder; the caller owns the folder.
 
@@ -97,11 +97,11 @@ def rebuild(
         It cannot be made again, and why.
     """
     archive = FolderSetReader(folder)
-    history, kept = read_folder_history(folder), _catalogue(folder)
-    experiment = kept_experiment(folder, history, archive)
+    history, kept = read_folder_history(folder), _read_old_catalogue(folder)
+    experiment = find_stored_experiment(folder, history, archive)
     if kept.experiment is not None:
         if experiment is not None:
-            refuse_another(kept.experiment, experiment, "its catalogue", "what lies beside it", folder)
+            refuse_other_record(kept.experiment, experiment, "its catalogue", "what lies beside it", folder)
         experiment = kept.experiment
     if experiment is None:
         raise NoDataYetError(
@@ -117,15 +117,15 @@ def rebuild(
     try:
         shutil.rmtree(place, ignore_errors=True)
         place.mkdir()
-        with open_for_a_while(place) as catalogue:  # `_replace` makes the complete file durable
-            catalogue.restore([experiment, *orders.values()])
-            its_settings = stored_settings(experiment.configuration)
+        with open_temporary(place) as catalogue:  # `_replace` makes the complete file durable
+            catalogue.restore_rows([experiment, *orders.values()])
+            its_settings = restore_settings(experiment.configuration)
             found = restore_rows(its_settings, experiment, archive, catalogue, stored, progress, features_of)
-            refuse_foreign(found.foreign, str(folder))
-            catalogue.recount()
+            refuse_foreign_sets(found.foreign, str(folder))
+            catalogue.recompute_counts()
             n_events = catalogue.counts()["events"]
         refuse_corruption(place)
-        name = _replace(folder, place)
+        name = _replace_catalogue(folder, place)
     except OSError as error:
         raise CatalogueWriteError(
             f"{folder}: the catalogue cannot be made again: {error}; free or mend the disk"
@@ -141,11 +141,11 @@ def rebuild(
         events=n_events,
         orders=len(orders),
         kept=name,
-        warnings=_warnings(history, kept, found, not_tiled),
+        warnings=_collect_warnings(history, kept, found, not_tiled),
     )
 
 
-def _catalogue(folder: Path) -> Salvaged:
+def _read_old_catalogue(folder: Path) -> Salvaged:
     """Return the sound rows of the old catalogue."""
     try:
         return read_sound_rows(folder)
@@ -155,21 +155,21 @@ def _catalogue(folder: Path) -> Salvaged:
         return Salvaged(damage=[str(error)])
 
 
-def _replace(folder: Path, place: Path) -> str:
+def _replace_catalogue(folder: Path, place: Path) -> str:
     """Replace the old catalogue by the new one; return the new name of the old one."""
     new, path = place / FILE_NAME, folder / FILE_NAME
-    _sync(new)
+    _sync_file(new)
     kept = f"catalogue-replaced-{datetime.now(UTC):%Y%m%dT%H%M%S%f}Z.sqlite"
     endings = [ending for ending in ("", "-wal", "-shm") if path.with_name(FILE_NAME + ending).exists()]
     for ending in endings:
         old = path.with_name(FILE_NAME + ending)
-        patiently(lambda old=old, ending=ending: old.replace(folder / (kept + ending)))  # type: ignore[misc]
-    patiently(lambda: new.replace(path))
+        retry_call(lambda old=old, ending=ending: old.replace(folder / (kept + ending)))  # type: ignore[misc]
+    retry_call(lambda: new.replace(path))
     sync_folder(folder)
     return kept if "" in endings else ""
 
 
-def _sync(path: Path) -> None:
+def _sync_file(path: Path) -> None:
     """Make the content of a file durable."""
     with path.open("rb+") as file:
         os.fsync(file.fileno())
@@ -178,18 +178,18 @@ def _sync(path: Path) -> None:
 def _update_copies(folder: Path, progress: Progress | None) -> list[str]:
     """Update experiment.json, history and tiles (None: not these); return what the tiles lack."""
     with open_catalogue(folder, writer=True) as catalogue:
-        experiment = catalogue.experiment_row()
-        keep_experiment(folder, experiment)
+        experiment = catalogue.read_experiment()
+        ensure_experiment_file(folder, experiment)
         HistoryFollower(folder, catalogue).begin()
         if progress is None:
             return []
-        results = partial(results_in, catalogue)
+        results = partial(read_set_results, catalogue)
         return rebuild_tiles(
-            folder, experiment_identity(experiment), catalogue.files_but_of(()), results, progress
+            folder, build_experiment_identity(experiment), catalogue.list_files_except(()), results, progress
         )
 
 
-def _warnings(history: History, kept: Salvaged, found: Restored, not_tiled: list[str]) -> list[str]:
+def _collect_warnings(history: History, kept: Salvaged, found: Restored, not_tiled: list[str]) -> list[str]:
     """Return the warnings about history, old catalogue, sets and tiles, ten of each at most."""
 
     def some(lines: Iterable[str], what: str) -> list[str]:

@@ -11,27 +11,27 @@ from typing import Any
 
 from analysis.waves.features import EXTRACTOR_VERSION
 from daq_service.archive import FolderSetReader
-from daq_service.assessment.baseline_lifecycle import baseline_range
+from daq_service.assessment.baseline_lifecycle import find_baseline_range
 from daq_service.catalogue import Catalogue, open_catalogue
 from daq_service.catalogue.rows import AssessmentRow, FeatureRow
 from daq_service.errors import UsageError
 from daq_service.processes.data_folder import refuse_other_folders
-from daq_service.processes.executors import opened_executor, workers_of
+from daq_service.processes.executors import count_workers, open_executor
 from daq_service.recording.reassessment.changes import (
     ASSESSED,
     EXTRACTED,
     AlarmChanges,
     Difference,
-    alarm_changes,
+    compare_alarm_onsets,
     differences,
-    onsets,
+    list_onsets,
 )
 from daq_service.recording.reassessment.features_ahead import ExtractedAhead
-from daq_service.recording.reassessment.other_settings import changed, parsed
+from daq_service.recording.reassessment.other_settings import changed, parse_assignment
 from daq_service.recording.reassessment.reassess import (
-    assess_again,
-    stored_features,
-    temporary_catalogue,
+    create_temporary_catalogue,
+    read_stored_features,
+    reassess_sets,
 )
 from daq_service.recording.reassessment.stored_runs import Progress
 from daq_service.settings.tree import Settings
@@ -79,7 +79,7 @@ class Replayed:
     differences: list[Difference]
 
 
-def replayed(
+def replay_test(
     folder: Path,
     given: Iterable[str],
     *,
@@ -102,26 +102,26 @@ def replayed(
     StorageError
         There is no test, or a set of it cannot be read.
     """
-    settings_given = parsed(tuple(given))
+    settings_given = parse_assignment(tuple(given))
     refuse_other_folders(folder)
     with ExitStack() as stack:
         stored = stack.enter_context(open_catalogue(folder))
-        experiment = stored.experiment_row()
+        experiment = stored.read_experiment()
         settings = changed(experiment.configuration, settings_given)
-        again = stack.enter_context(temporary_catalogue(experiment))
-        assess_set = partial(assess_again, stored, again, folder, settings, progress=progress)
+        again = stack.enter_context(create_temporary_catalogue(experiment))
+        assess_set = partial(reassess_sets, stored, again, folder, settings, progress=progress)
         if extract_by is None:
             versions = stored.columns(FeatureRow, ("extractor_version",))["extractor_version"]
-            extractor = _one_extractor(versions)
-            sets = assess_set(partial(stored_features, stored))
+            extractor = _require_one_extractor(versions)
+            sets = assess_set(partial(read_stored_features, stored))
         else:
             extractor, (name, workers) = EXTRACTOR_VERSION, extract_by
-            executor = stack.enter_context(opened_executor(name, workers))
+            executor = stack.enter_context(open_executor(name, workers))
             archive = FolderSetReader(folder)
             files = archive.sets()
             ahead = ExtractedAhead(
                 executor=executor,
-                workers=workers_of(executor, workers),
+                workers=count_workers(executor, workers),
                 rehearsal=settings.rig.dry_run,
                 read=archive.read_set,
                 references=iter(files.values()),
@@ -136,23 +136,23 @@ def replayed(
             sets=len(sets),
             not_assessed=[
                 one
-                for name in settings.names_of(SOLITARY_WAVE)
-                for one in _not_assessed(name, again, settings)
+                for name in settings.list_positions(SOLITARY_WAVE)
+                for one in _describe_unassessed(name, again, settings)
             ],
-            alarms=alarm_changes(onsets(stored, last), onsets(again, last)),
+            alarms=compare_alarm_onsets(list_onsets(stored, last), list_onsets(again, last)),
             differences=differences(
                 (*EXTRACTED, *ASSESSED) if extract_by else ASSESSED, stored, again, up_to_set=last
             ),
         )
 
 
-def _not_assessed(position: str, recomputed: Catalogue, settings: Settings) -> Iterator[NotAssessed]:
+def _describe_unassessed(position: str, recomputed: Catalogue, settings: Settings) -> Iterator[NotAssessed]:
     """Yield a message if no set of a position follows its baseline, since no alarm reports it."""
     found = recomputed.columns(AssessmentRow, ("set_index", "in_baseline"), position=position)
     if not all(found["in_baseline"]) or not found["set_index"]:
         return
     sets, last_set = (
-        baseline_range(position, settings, recomputed.baseline(position)),
+        find_baseline_range(position, settings, recomputed.baseline(position)),
         max(found["set_index"]),
     )
     yield NotAssessed(
@@ -166,7 +166,7 @@ def _not_assessed(position: str, recomputed: Catalogue, settings: Settings) -> I
     )
 
 
-def _one_extractor(versions: Iterable[str]) -> str:
+def _require_one_extractor(versions: Iterable[str]) -> str:
     """Raise an error for features of different extractors, which are different quantities."""
     found = sorted(set(versions))
     if len(found) > 1:

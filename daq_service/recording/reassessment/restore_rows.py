@@ -17,7 +17,7 @@ import orjson
 
 from analysis.waves.features import ShotFeatures
 from analysis.waves.quality_gate import ACCEPTED, SUPERSEDED
-from daq_service.acquisition.shot_features import features_of, features_of_a_rehearsal
+from daq_service.acquisition.shot_features import compute_rehearsal_features, extract_shot_features
 from daq_service.alarms.delays import DELAY_EVENT
 from daq_service.archive import (
     ArchiveError,
@@ -30,11 +30,11 @@ from daq_service.archive import (
 from daq_service.assessment.assessor import StoredResult
 from daq_service.assessment.baseline_lifecycle import STEPS
 from daq_service.assessment.confirmation import CONFIRMATION_ASKED
-from daq_service.assessment.follow_rows import follow
-from daq_service.assessment.restore_state import first_waveform, is_assessed
-from daq_service.assessment.results_in_file import find_differences, results_of
+from daq_service.assessment.follow_rows import update_from_stored_rows
+from daq_service.assessment.restore_state import is_assessed, read_first_waveform
+from daq_service.assessment.results_in_file import build_result_tables, find_differences
 from daq_service.catalogue import RecorderCatalogue, SetCommit
-from daq_service.catalogue.reported_rows import ROW_OF_EVENT, joined, payloads_of, without_rows
+from daq_service.catalogue.reported_rows import ROW_OF_EVENT, join_rows, strip_rows, to_payloads
 from daq_service.catalogue.rows import (
     MEASURED,
     AlarmRow,
@@ -50,9 +50,15 @@ from daq_service.catalogue.rows import (
     ShotRow,
     ThicknessRow,
 )
-from daq_service.recording.experiment import foreign_reason
-from daq_service.recording.reassessment.changes import comparable
-from daq_service.recording.reassessment.stored_runs import Progress, Run, repeat_action, row_of, runs_of
+from daq_service.recording.experiment import find_foreign_reason
+from daq_service.recording.reassessment.changes import select_columns
+from daq_service.recording.reassessment.stored_runs import (
+    Progress,
+    Run,
+    complete_row,
+    group_sets,
+    repeat_action,
+)
 from daq_service.recording.set_assessor import SetAssessor
 from daq_service.settings.tree import Settings
 from hardware_drivers.measurement import DueSet, Shot
@@ -114,7 +120,7 @@ def restore_rows(
     catalogue: RecorderCatalogue,
     history: StoredHistory,
     progress: Progress,
-    features_of: FeaturesOf = features_of,
+    features_of: FeaturesOf = extract_shot_features,
 ) -> Restored:
     """Fill a catalogue that has its experiment and nothing else."""
     return _Restoration(settings, experiment, archive, catalogue, history, features_of).run(progress)
@@ -133,7 +139,7 @@ class _Restoration:
         self._settings, self._experiment = settings, experiment
         self._archive, self._catalogue, self._history = archive, catalogue, history
         rehearsal = settings.rig.dry_run
-        self._features_of = features_of_a_rehearsal if rehearsal else features_of
+        self._features_of = compute_rehearsal_features if rehearsal else features_of
         self._set_assessor = SetAssessor(settings, archive, catalogue, None, rehearsal=rehearsal)
         self._alarms: dict[int, AlarmRow] = {}
         self._late: list[EventRow] = []
@@ -144,16 +150,18 @@ class _Restoration:
         """Restore or compute the rows of every set, in the order of the history."""
         files = dict(self._archive.sets())
         total = len(files)
-        runs = list(runs_of(event for _, event in sorted(self._history.events.items())))
+        runs = list(group_sets(event for _, event in sorted(self._history.events.items())))
         without_events = sorted(files.keys() - {key for key, _ in runs})
         for number, (set_key, events) in enumerate(runs):
             if set_key is None:
-                self._pass(events)
+                self._apply_event(events)
                 continue
             # A set without any event is assessed before the next one.
             while without_events and without_events[0] < set_key:
                 self._assess(files.pop(without_events.pop(0)), [], range(0))
-            free = _free_ids(events, runs[number - 1][1] if number else [], runs[number + 1 : number + 2])
+            free = _find_free_ids(
+                events, runs[number - 1][1] if number else [], runs[number + 1 : number + 2]
+            )
             reference = files.pop(set_key, None)
             if reference is None:
                 self._restore_rows(SetCommit(), events)
@@ -165,26 +173,26 @@ class _Restoration:
             progress(total, total)
         self._pending.events += self._late
         self._store_pending()
-        self._catalogue.restore(self._alarms.values())
+        self._catalogue.restore_rows(self._alarms.values())
         return self._result
 
-    def _pass(self, events: Sequence[EventRow]) -> None:
+    def _apply_event(self, events: Sequence[EventRow]) -> None:
         """Apply an event without a set, such as a command that changes later assessments."""
         self._pending.events += events
         for event in events:
-            self._take_alarm(event)
+            self._apply_alarm_event(event)
             if event.topic == "annotations":
-                self._catalogue.restore([row_of(AnnotationRow, event, "annotation_id")])
+                self._catalogue.restore_rows([complete_row(AnnotationRow, event, "annotation_id")])
             if event.kind in STEPS:
                 self._store_pending()
-                self._catalogue.restore([row_of(BaselineRow, event)])
+                self._catalogue.restore_rows([complete_row(BaselineRow, event)])
             repeat_action(event, self._set_assessor.assessors, self._settings.positions)
 
-    def _take_alarm(self, event: EventRow) -> None:
+    def _apply_alarm_event(self, event: EventRow) -> None:
         """Update the alarms and delays with an event of the history."""
-        self._set_assessor.take_stored(event)
+        self._set_assessor.apply_stored_event(event)
         if event.topic == "alarms" and event.kind != DELAY_EVENT:
-            row = row_of(AlarmRow, event, "alarm_id")
+            row = complete_row(AlarmRow, event, "alarm_id")
             self._alarms[row.id or 0] = row
             self._set_assessor.alarms[(row.position, row.kind)] = row
 
@@ -197,7 +205,7 @@ class _Restoration:
         tables = None if digest is None or averaged else self._archive.read_tables(reference, digest)
         if tables is None:
             return False
-        rows = rows_of_tables(tables, due_h=float(_rows(SetRow, events)[0].due_h))
+        rows = build_rows(tables, due_h=float(_collect_rows(SetRow, events)[0].due_h))
         if rows is None:
             return False
         shots, features = rows
@@ -207,10 +215,10 @@ class _Restoration:
 
     def _restore_rows(self, transaction: SetCommit, events: Sequence[EventRow]) -> None:
         """Restore the stored rows of a set; its assessors follow them."""
-        transaction = _with_stored_rows(transaction, events, all_rows=True)
+        transaction = _replace_computed_rows(transaction, events, all_rows=True)
         # The events of a set with all its records are complete: a position without one was left out.
         left_out = dict.fromkeys(self._settings.positions, "disabled") if transaction.shots else {}
-        transaction.sets = self._completed_sets(transaction.sets, left_out | self._set_assessor.disabled())
+        transaction.sets = self._complete_set_rows(transaction.sets, left_out | self._set_assessor.disabled())
         places = list(self._settings.positions)  # as a recorder orders them
         transaction.features.sort(key=lambda row: (places.index(row.position), row.shot_index is None))
         if any(row.n_taken for row in transaction.sets) and not transaction.shots:
@@ -224,7 +232,7 @@ class _Restoration:
         results |= {row.position: row for row in transaction.features if row.shot_index is None}
         completed: list[AssessmentRow] = []
         for row in filter(is_assessed, transaction.sets):
-            followed = follow(
+            followed = update_from_stored_rows(
                 self._set_assessor.assessors[row.position],
                 StoredResult(
                     its_set=row,
@@ -234,7 +242,7 @@ class _Restoration:
                         for shot in transaction.shots
                         if shot.position == row.position and shot.outcome == ACCEPTED
                     ],
-                    waveform=partial(first_waveform, self._archive, row),
+                    waveform=partial(read_first_waveform, self._archive, row),
                 ),
             )
             own = [item for item in transaction.assessments if item.position == row.position]
@@ -242,14 +250,14 @@ class _Restoration:
             completed += [*(item for item in followed if item.set_key not in known), *own]
         transaction.assessments = completed
 
-    def _completed_sets(self, stored: Sequence[SetRow], left_out: Mapping[str, str]) -> list[SetRow]:
+    def _complete_set_rows(self, stored: Sequence[SetRow], left_out: Mapping[str, str]) -> list[SetRow]:
         """Complete the rows of a set; a position that the set left out has no event."""
         rows = {row.position: row for row in stored}
         of_the_plan = stored and stored[0].purpose is None
         for position, reason in left_out.items() if of_the_plan else ():
             first = stored[0]
             due = DueSet(set_index=first.set_index, due_h=first.due_h, due_utc_ns=first.due_utc_ns)
-            disabled = self._set_assessor.without_records(due, position, disabled=True, reason=reason)
+            disabled = self._set_assessor.build_empty_row(due, position, disabled=True, reason=reason)
             rows.setdefault(position, disabled)
         digests = self._history.digests
         rows = {name: replace(row, file_sha256=digests.get(row.file or "")) for name, row in rows.items()}
@@ -271,32 +279,32 @@ class _Restoration:
                 if events:
                     self._restore_rows(SetCommit(), events)
                 return
-        if why := foreign_reason(record, self._experiment):
+        if why := find_foreign_reason(record, self._experiment):
             self._result.foreign.append(f"{reference}: {why}")
             return
         due = record.due
         features = {shot.sequence: self._features_of(shot) for shot in record.shots}
-        sha256 = self._digest(reference)
+        sha256 = self._find_file_digest(reference)
         states = self._set_assessor.assessors.states
         transaction = self._set_assessor.assessed(due, record, reference, features, sha256=sha256)
         if record.results and not damage:
-            again = results_of(transaction.features, transaction.thickness, transaction.shots)
+            again = build_result_tables(transaction.features, transaction.thickness, transaction.shots)
             found = find_differences(record.results, again)
             self._result.differing += [f"set {due.set_key}, its file: {difference}" for difference in found]
         self._add_environment(transaction, record)
-        computed = joined(transaction.events, payloads_of(_reported_rows(transaction)))
+        computed = join_rows(transaction.events, to_payloads(_collect_reported_rows(transaction)))
         if events:
             if not damage:
-                self._result.differing += _differences(computed, events)
-            _with_stored_rows(transaction, events, all_rows=bool(damage))
+                self._result.differing += _find_differences(computed, events)
+            _replace_computed_rows(transaction, events, all_rows=bool(damage))
             if damage:  # the state follows the stored rows, which are of all records
                 self._set_assessor.assessors.states = states
                 self._follow(transaction)
-        self._commit(transaction, self._placed(computed, events, free), computed_alarms=not events)
+        self._commit(transaction, self._place_events(computed, events, free), computed_alarms=not events)
         self._result.sets += 1
         self._result.computed += 1
 
-    def _digest(self, reference: SetReference) -> str | None:
+    def _find_file_digest(self, reference: SetReference) -> str | None:
         """Return the stored SHA-256 of a file; None if there is none."""
         found, expected = self._archive.digest(reference), self._history.digests.get(reference)
         if found is not None and expected not in (None, found):
@@ -316,8 +324,8 @@ class _Restoration:
         if computed_alarms:
             # This set has no events: its alarms follow from its assessment.
             self._store_pending()
-            self._catalogue.restore(self._alarms.values())
-            transaction.events = without_rows(events, _reported_rows(transaction))
+            self._catalogue.restore_rows(self._alarms.values())
+            transaction.events = strip_rows(events, _collect_reported_rows(transaction))
             self._set_assessor.commit(transaction)
             self._alarms |= {row.id or 0: row for row in self._set_assessor.alarms.values()}
             return
@@ -329,29 +337,29 @@ class _Restoration:
         self._n_pending += 1
         if self._n_pending == _SETS_OF_A_COMMIT:
             self._store_pending()
-        self._set_assessor.confirmations.take_rows(transaction)
+        self._set_assessor.confirmations.apply_rows(transaction)
         for event in events:
-            self._take_alarm(event)
+            self._apply_alarm_event(event)
 
     def _store_pending(self) -> None:
         """Store the rows of the last sets in one commit, with the states after them."""
-        self._pending.states = self._set_assessor.assessors.changed_states()
-        self._pending.events = without_rows(self._pending.events, _reported_rows(self._pending))
+        self._pending.states = self._set_assessor.assessors.collect_changed_states()
+        self._pending.events = strip_rows(self._pending.events, _collect_reported_rows(self._pending))
         self._catalogue.commit_set(self._pending)
         self._pending, self._n_pending = SetCommit(), 0
 
-    def _placed(
+    def _place_events(
         self, computed: Sequence[EventRow], stored: Sequence[EventRow], free: Sequence[int]
     ) -> list[EventRow]:
         """Return the stored events; a lost one gets its old id if that can be derived."""
         if not stored:
             return list(computed)
-        known = {_key(event) for event in stored}
+        known = {_identify(event) for event in stored}
         # The request of an unscheduled set is stored, never computed.
         lost = [
             event
             for event in computed
-            if _key(event) not in known and event.topic != "alarms" and event.kind != CONFIRMATION_ASKED
+            if _identify(event) not in known and event.topic != "alarms" and event.kind != CONFIRMATION_ASKED
         ]
         if len(lost) == len(free):
             again = [replace(event, id=row_id) for event, row_id in zip(lost, free, strict=True)]
@@ -360,7 +368,7 @@ class _Restoration:
         return list(stored)
 
 
-def _free_ids(
+def _find_free_ids(
     events: Sequence[EventRow],
     before: Sequence[EventRow],
     following: Sequence[Run],
@@ -371,12 +379,12 @@ def _free_ids(
     return sorted(set(range(first + 1, last)) - {event.id for event in events if event.id is not None})
 
 
-def _key(event: EventRow) -> tuple[str, str, str | None]:
+def _identify(event: EventRow) -> tuple[str, str, str | None]:
     """Return the key of an event within its set."""
     return event.topic, event.kind, event.position
 
 
-def rows_of_tables(tables: SetTables, *, due_h: float) -> tuple[list[ShotRow], list[FeatureRow]] | None:
+def build_rows(tables: SetTables, *, due_h: float) -> tuple[list[ShotRow], list[FeatureRow]] | None:
     """Return the rows of a set's shots from the tables of its file; None if a shot has no result there."""
     results = {
         int(row["shot_id"]): row for name in ("features", "thickness") for row in tables.results.get(name, ())
@@ -401,7 +409,7 @@ def rows_of_tables(tables: SetTables, *, due_h: float) -> tuple[list[ShotRow], l
         if "tof_pp_s" in result:
             values = {name: result[name] for name in ("extractor_version", "quality", "n_valid")}
             measured_values: dict[str, Any] = {
-                name: _finite_or_none(result.get(name)) for name in MEASURED[FeatureRow]
+                name: _none_if_not_finite(result.get(name)) for name in MEASURED[FeatureRow]
             }
             features.append(
                 FeatureRow(**key, sequence=row["shot_id"], due_h=due_h, **values, **measured_values)
@@ -409,12 +417,12 @@ def rows_of_tables(tables: SetTables, *, due_h: float) -> tuple[list[ShotRow], l
     return shots, features
 
 
-def _finite_or_none(value: float | None) -> float | None:
+def _none_if_not_finite(value: float | None) -> float | None:
     """Return the value, or None if it is missing or not finite."""
     return value if value is not None and math.isfinite(value) else None
 
 
-def _with_stored_rows(
+def _replace_computed_rows(
     transaction: SetCommit, events: Sequence[EventRow], *, all_rows: bool = False
 ) -> SetCommit:
     """Replace computed rows by stored ones: those of how a set ended.
@@ -424,29 +432,29 @@ def _with_stored_rows(
     all_rows
         Those that follow from the records, too: the records are not there, or not all.
     """
-    transaction.sets = _merged(transaction.sets, _rows(SetRow, events))
-    transaction.environment = _rows(EnvironmentRow, events) or transaction.environment
+    transaction.sets = _merge_rows(transaction.sets, _collect_rows(SetRow, events))
+    transaction.environment = _collect_rows(EnvironmentRow, events) or transaction.environment
     if all_rows or not transaction.shots:
         single = [row for row in transaction.features if row.shot_index is not None]
-        transaction.features = [*single, *_rows(FeatureRow, events)]
+        transaction.features = [*single, *_collect_rows(FeatureRow, events)]
         stored = {row.sequence for row in transaction.shots}
         transaction.thickness = [
             row if row.sequence in stored else replace(row, sequence=None)
-            for row in _rows(ThicknessRow, events)
+            for row in _collect_rows(ThicknessRow, events)
         ]
-        transaction.baselines = _rows(BaselineRow, events)
-        transaction.assessments = _rows(AssessmentRow, events)
+        transaction.baselines = _collect_rows(BaselineRow, events)
+        transaction.assessments = _collect_rows(AssessmentRow, events)
     return transaction
 
 
-def _reported_rows(transaction: SetCommit) -> list[Row]:
+def _collect_reported_rows(transaction: SetCommit) -> list[Row]:
     """Return the rows of a transaction that events report."""
     of_set = [row for row in transaction.features if row.shot_index is None]
     rows = (transaction.sets, of_set, transaction.thickness, transaction.assessments, transaction.environment)
     return list(itertools.chain(*rows))
 
 
-def _merged(computed: Sequence[SetRow], stored: Sequence[SetRow]) -> list[SetRow]:
+def _merge_rows(computed: Sequence[SetRow], stored: Sequence[SetRow]) -> list[SetRow]:
     """Return the stored rows of a set, and computed ones of other positions."""
     digests = {row.position: row.file_sha256 for row in computed}
     rows = {row.position: row for row in computed}
@@ -454,27 +462,27 @@ def _merged(computed: Sequence[SetRow], stored: Sequence[SetRow]) -> list[SetRow
     return list(rows.values())
 
 
-def _rows(kind: type[R], events: Sequence[EventRow]) -> list[R]:
+def _collect_rows(kind: type[R], events: Sequence[EventRow]) -> list[R]:
     """Return the rows of one kind that events contain."""
-    return [row_of(kind, event) for event in events if _STORED_ROWS.get(event.kind) is kind]
+    return [complete_row(kind, event) for event in events if _STORED_ROWS.get(event.kind) is kind]
 
 
-def _differences(computed: Sequence[EventRow], stored: Sequence[EventRow]) -> list[str]:
+def _find_differences(computed: Sequence[EventRow], stored: Sequence[EventRow]) -> list[str]:
     """List the computed results that differ from the stored events."""
-    found = {_key(event): event for event in computed if event.kind in _COMPUTED}
+    found = {_identify(event): event for event in computed if event.kind in _COMPUTED}
     return [
         f"set {event.set_key}, {event.position}: {event.kind}"
         for event in stored
-        if _key(event) in found
-        and _stored_columns(event, found[_key(event)]) != _json(comparable(event.payload))
+        if _identify(event) in found
+        and _select_stored_columns(event, found[_identify(event)]) != _encode(select_columns(event.payload))
     ]
 
 
-def _stored_columns(stored: EventRow, computed: EventRow) -> bytes:
+def _select_stored_columns(stored: EventRow, computed: EventRow) -> bytes:
     """Return the payload with the stored columns: an earlier version had fewer."""
-    return _json({name: value for name, value in computed.payload.items() if name in stored.payload})
+    return _encode({name: value for name, value in computed.payload.items() if name in stored.payload})
 
 
-def _json(payload: Mapping[str, Any]) -> bytes:
+def _encode(payload: Mapping[str, Any]) -> bytes:
     """Encode a payload with sorted keys, to compare it."""
     return orjson.dumps(payload, option=orjson.OPT_SORT_KEYS | orjson.OPT_SERIALIZE_NUMPY)

@@ -22,7 +22,7 @@ Progress = Callable[[int, int], None]
 """Called with the sets that are done and their number."""
 
 
-def runs_of(events: Iterable[EventRow]) -> Iterator[Run]:
+def group_sets(events: Iterable[EventRow]) -> Iterator[Run]:
     """Yield the events in their order, those of each set together with its key."""
     for set_key, run in groupby(events, key=lambda event: event.set_key):
         yield set_key, list(run)
@@ -36,7 +36,7 @@ def repeat_action(event: EventRow, assessors: PositionAssessors, positions: Cont
         assessors.enable(str(event.position))
 
 
-def row_of(kind: type[R], event: EventRow, id_name: str = "id") -> R:
+def complete_row(kind: type[R], event: EventRow, id_name: str = "id") -> R:
     """Return the complete row of an event; its id may have a name of its own."""
     columns = {name: event.payload[name] for name in kind.__slots__ if name in event.payload}
     if id_name in event.payload:

@@ -8,13 +8,13 @@ import hashlib
 from daq_service.web.answers.problem import Problem
 
 
-def encode(listing: str, after: int) -> str:
+def encode_cursor(listing: str, after: int) -> str:
     """Return the cursor after row ``after`` of a listing; ``listing`` names the resource and its filters."""
     mark = hashlib.sha256(listing.encode()).hexdigest()[:8]
     return base64.urlsafe_b64encode(f"{mark}.{after}".encode()).decode().rstrip("=")
 
 
-def decode(listing: str, cursor: str | None) -> int | None:
+def decode_cursor(listing: str, cursor: str | None) -> int | None:
     """Return the row after which a page starts; None for the first page.
 
     Raises
@@ -29,7 +29,7 @@ def decode(listing: str, cursor: str | None) -> int | None:
         number = int(text.partition(".")[2])
     except ValueError:
         number = -1
-    if number < 0 or encode(listing, number) != cursor:
+    if number < 0 or encode_cursor(listing, number) != cursor:
         raise Problem(
             "invalid-cursor",
             f"cursor is {cursor!r}; it is none that this listing gave out with these filters.",

@@ -25,14 +25,14 @@ class JsonAnswer(JSONResponse):
         return orjson.dumps(content, option=orjson.OPT_SERIALIZE_NUMPY)
 
 
-def framed(header: object, *parts: bytes) -> bytes:
+def build_framed_body(header: object, *parts: bytes) -> bytes:
     """Return the u32 length of a header, its JSON, padded to a multiple of 8 bytes, and the parts."""
     text = json.dumps(header, separators=(",", ":"), allow_nan=False).encode()
     text += b" " * (-(4 + len(text)) % 8)
     return b"".join([struct.pack("<I", len(text)), text, *parts])
 
 
-def rfc3339(utc_ns: int | None) -> str | None:
+def format_rfc3339(utc_ns: int | None) -> str | None:
     """Return nanoseconds of UTC as RFC 3339 text without loss, e.g. ``2024-01-01T00:30:00.000000250Z``."""
     if utc_ns is None:
         return None
@@ -40,23 +40,23 @@ def rfc3339(utc_ns: int | None) -> str | None:
     return format_utc(utc_ns, decimals)
 
 
-def rfc3339_of_hour(epoch_utc_ns: int, hour: float) -> str | None:
+def format_hour_as_rfc3339(epoch_utc_ns: int, hour: float) -> str | None:
     """Return the RFC 3339 time of an hour of the test, to the second."""
-    return rfc3339(epoch_utc_ns + round(hour * 3600.0) * NS_PER_S)
+    return format_rfc3339(epoch_utc_ns + round(hour * 3600.0) * NS_PER_S)
 
 
-def rfc3339_of_hours(epoch_utc_ns: int, hours: Sequence[float]) -> list[str]:
+def format_hours_as_rfc3339(epoch_utc_ns: int, hours: Sequence[float]) -> list[str]:
     """Return the RFC 3339 times of a column of hours (`rfc3339_of_hour`) in one step."""
     if not hours:
         return []
     whole, rest = divmod(epoch_utc_ns, NS_PER_S)
     seconds = whole + np.rint(np.asarray(hours) * 3600.0).astype(np.int64)
     # A whole number of seconds leaves the fraction of the epoch as it is.
-    fraction = str(rfc3339(rest))[len("1970-01-01T00:00:00") :]
+    fraction = str(format_rfc3339(rest))[len("1970-01-01T00:00:00") :]
     return [f"{stamp}{fraction}" for stamp in np.datetime_as_string(seconds.astype("datetime64[s]")).tolist()]
 
 
-def with_utc(row: Mapping[str, object], epoch_utc_ns: int) -> dict[str, object]:
+def add_utc(row: Mapping[str, object], epoch_utc_ns: int) -> dict[str, object]:
     """Return a row with RFC 3339 times, as it leaves the service.
 
     ``*_utc_ns`` becomes ``*_utc`` (JavaScript cannot hold the integers), and each hour of the
@@ -65,11 +65,11 @@ def with_utc(row: Mapping[str, object], epoch_utc_ns: int) -> dict[str, object]:
     answer: dict[str, object] = {}
     for key, value in row.items():
         if key == "utc_ns" or key.endswith("_utc_ns"):
-            answer[key.removesuffix("_ns")] = rfc3339(value) if isinstance(value, int) else None
+            answer[key.removesuffix("_ns")] = format_rfc3339(value) if isinstance(value, int) else None
         else:
             answer[key] = value
     for key in [key for key in answer if key.endswith("_h")]:
         hours = answer[key]
-        stamp = rfc3339_of_hour(epoch_utc_ns, hours) if isinstance(hours, int | float) else None
+        stamp = format_hour_as_rfc3339(epoch_utc_ns, hours) if isinstance(hours, int | float) else None
         answer.setdefault(key.removesuffix("_h") + "_utc", stamp)
     return answer

@@ -40,18 +40,18 @@ PROBLEMS: dict[int | str, dict[str, object]] = {
 }
 
 
-def problem_schemas() -> dict[str, object]:
+def build_problem_schemas() -> dict[str, object]:
     """Return the JSON schemas of error answers, for the components of OpenAPI."""
     schema = ProblemDetails.model_json_schema(ref_template="#/components/schemas/{model}")
     return {**schema.pop("$defs"), "ProblemDetails": schema}
 
 
-def problems(*statuses: int) -> dict[int | str, dict[str, object]]:
+def list_errors(*statuses: int) -> dict[int | str, dict[str, object]]:
     """Return the documentation of the error answers of a route."""
     return {status: PROBLEMS[status] for status in statuses}
 
 
-def files(*media_types: str) -> dict[int | str, dict[str, object]]:
+def describe_file_answer(*media_types: str) -> dict[int | str, dict[str, object]]:
     """Return the documentation of an answer that is a file of one of some media types."""
     binary = {"schema": {"type": "string", "format": "binary"}}
     return {200: {"content": dict.fromkeys(media_types, binary)}}
@@ -68,16 +68,16 @@ class Answer(BaseModel):
     model_config = ConfigDict(extra="forbid")
 
 
-def _of(kind: type[object], *without: str) -> Callable[[type[A]], type[A]]:
+def _with_fields_of(kind: type[object], *without: str) -> Callable[[type[A]], type[A]]:
     """Return a decorator that adds the fields of a dataclass, such as a catalogue row, to an answer.
 
     ``*_utc_ns`` leaves as RFC 3339 text ``*_utc``; the hour ``due_h`` brings its ``due_utc``, and an hour of
     the data their age.
     """
 
-    def derive(answer: type[A]) -> type[A]:
+    def add_fields(answer: type[A]) -> type[A]:
         fields: Fields = {}
-        for column in rows.columns_of(kind):
+        for column in rows.list_columns(kind):
             if column.name in ("due_utc_ns", *without):
                 continue
             of_type: object = column.type
@@ -94,7 +94,7 @@ def _of(kind: type[object], *without: str) -> Callable[[type[A]], type[A]]:
         model = create_model(answer.__name__, __base__=Answer, __doc__=answer.__doc__, **fields)
         return cast(type[A], model)
 
-    return derive
+    return add_fields
 
 
 class AsOf(Answer):
@@ -114,34 +114,34 @@ class Dated(Answer):
     as_of: AsOf
 
 
-@_of(rows.SetRow)
+@_with_fields_of(rows.SetRow)
 class SetRow(Answer):
     """One set of one position."""
 
 
-@_of(rows.ShotRow)
+@_with_fields_of(rows.ShotRow)
 class ShotRow(Answer):
     """One stored shot."""
 
 
-@_of(rows.FeatureRow)
+@_with_fields_of(rows.FeatureRow)
 class FeatureRow(Answer):
     """Features of a shot, or of a set (shot_index null): mean of its valid shots."""
 
 
-@_of(rows.ThicknessRow)
+@_with_fields_of(rows.ThicknessRow)
 class ThicknessRow(Answer):
     """Pulse-echo result of a set."""
 
 
-@_of(rows.AssessmentRow)
+@_with_fields_of(rows.AssessmentRow)
 class AssessmentRow(Answer):
     """Result of the novelty detection of a set."""
 
     quality: Quality | None
 
 
-@_of(rows.BaselineRow)
+@_with_fields_of(rows.BaselineRow)
 class BaselineRow(Answer):
     """Baseline; the first, still collecting one of a position has its future id."""
 
@@ -212,7 +212,7 @@ class AlarmEvidence(BaseModel):
     extractor_version: str | None = None
 
 
-@_of(rows.AlarmRow)
+@_with_fields_of(rows.AlarmRow)
 class AlarmRow(Answer):
     """Alarm with its evidence."""
 
@@ -220,7 +220,7 @@ class AlarmRow(Answer):
     evidence_sentences: list[str]
 
 
-@_of(rows.CommandRow)
+@_with_fields_of(rows.CommandRow)
 class CommandRow(Answer):
     """Command of an operator and its result."""
 
@@ -279,7 +279,7 @@ class AlarmHistory(Dated):
     items: list[AlarmTransition]
 
 
-@_of(guidance.Guidance)
+@_with_fields_of(guidance.Guidance)
 class Guidance(Answer):
     """Guidance for a kind of alarm."""
 
@@ -292,7 +292,7 @@ class GuidanceList(Answer):
     items: list[Guidance]
 
 
-@_of(rows.AnnotationRow)
+@_with_fields_of(rows.AnnotationRow)
 class AnnotationRow(Answer):
     """Annotation of an hour of the test, or of a range."""
 
@@ -304,7 +304,7 @@ class AnnotationPage(Page[AnnotationRow]):
     """Annotations in order."""
 
 
-@_of(rows.EnvironmentRow)
+@_with_fields_of(rows.EnvironmentRow)
 class EnvironmentRow(Answer):
     """Supply and climate around a set; null where there was no reading."""
 
@@ -313,7 +313,7 @@ class EnvironmentPage(Page[EnvironmentRow]):
     """Supply and climate in order."""
 
 
-@_of(SupplyStatus)
+@_with_fields_of(SupplyStatus)
 class SupplyNow(Answer):
     """Present status of the supply, from the supply process, also without a recorder."""
 
@@ -325,7 +325,7 @@ class EnvironmentNow(Dated):
     supply_now: SupplyNow | None
 
 
-@_of(PublishedColumn, "nullable")
+@_with_fields_of(PublishedColumn, "nullable")
 class TableColumn(Answer):
     """A column of an exported table."""
 
@@ -509,7 +509,7 @@ class RecorderHealth(Answer):
     deadline_s: float | None
 
 
-@_of(Outlook)
+@_with_fields_of(Outlook)
 class DiskOutlook(Answer):
     """Forecast of the disk space; null: unknown before the first set file."""
 
@@ -560,9 +560,9 @@ MEASURED_FIELDS = tuple(
 TREND_FIELDS = (*MEASURED_FIELDS, *TREND_ASSESSMENTS)
 
 
-def _trend_columns() -> type[Answer]:
+def _build_trend_columns() -> type[Answer]:
     """Return the model of a trend's columns."""
-    of_assessment = {column.name: column for column in rows.columns_of(rows.AssessmentRow)}
+    of_assessment = {column.name: column for column in rows.list_columns(rows.AssessmentRow)}
     kinds: Fields = dict.fromkeys(TREND_FIELDS, float | None)
     kinds |= {name: of_assessment[name].type for name in TREND_ASSESSMENTS}
     kinds |= {"set_index": int, "due_h": float, "due_utc": str, "age_h": float, "quality": Quality | None}
@@ -581,7 +581,7 @@ class Trend(Dated):
     method: Method
     units: dict[str, str]
     bin_sets: int
-    columns: _trend_columns()  # type: ignore[valid-type] # made of the rows
+    columns: _build_trend_columns()  # type: ignore[valid-type] # made of the rows
     bins: TrendBins | None
 
 
@@ -686,7 +686,7 @@ class TokenList(Answer):
     items: list[TokenEntry]
 
 
-@_of(audit.AuditEntry)
+@_with_fields_of(audit.AuditEntry)
 class AuditEntry(Answer):
     """Entry of the audit log."""
 
@@ -711,7 +711,7 @@ class HeartbeatState(Answer):
     next_utc: str | None
 
 
-@_of(State, "heartbeat_result", "last_heartbeat_utc_ns", "next_heartbeat_utc_ns")
+@_with_fields_of(State, "heartbeat_result", "last_heartbeat_utc_ns", "next_heartbeat_utc_ns")
 class ReceiverState(Answer):
     """State of a receiver of notifications; counts are since the start of the service."""
 
@@ -742,7 +742,7 @@ class TrialResult(Answer):
     took_s: float
 
 
-@_of(Delivery, "place")
+@_with_fields_of(Delivery, "place")
 class DeliveryEntry(Answer):
     """Line of the delivery log."""
 

@@ -54,7 +54,7 @@ class ProblemDetails(BaseModel):
     detail: str
     hint: str
     instance: str
-    request_id: str
+    read_request_id: str
     errors: list[InvalidPart] | None = None
 
 
@@ -81,12 +81,12 @@ class Problem(Exception):  # noqa: N818 - the RFC's word
         self.status, self.title, self.hint = status or kind.status, title or kind.title, hint or kind.hint
 
 
-def no_data_yet() -> Problem:
+def create_no_data() -> Problem:
     """Return the problem that nothing is recorded yet (503)."""
     return Problem("no-data-yet", "No record has been stored in this data folder so far.")
 
 
-def catalogue_lost(detail: str) -> Problem:
+def create_lost(detail: str) -> Problem:
     """Return the problem that the catalogue is lost and must be rebuilt (503)."""
     return Problem("catalogue-lost", f"{detail[0].upper()}{detail[1:]}.")
 
@@ -106,12 +106,12 @@ def invalid(title: str, detail: str, hint: str) -> Problem:
     return Problem("invalid-request", detail, hint, title=title)
 
 
-def request_id(scope: Scope) -> str:
+def read_request_id(scope: Scope) -> str:
     """Return the id of a request, set by `guards.RequestGuard`."""
     return str(scope.get("state", {}).get("request_id", ""))
 
 
-def problem_response(
+def build_problem_response(
     scope: Scope, problem: Problem, errors: Sequence[Mapping[str, str]] | None = None
 ) -> Response:
     """Return the response of a problem."""
@@ -122,7 +122,7 @@ def problem_response(
         "detail": problem.detail,
         "hint": problem.hint,
         "instance": scope.get("path", ""),
-        "request_id": request_id(scope),
+        "request_id": read_request_id(scope),
     }
     if errors is not None:
         body["errors"] = list(errors)
@@ -130,7 +130,7 @@ def problem_response(
     headers = {
         "Cache-Control": "no-store",
         "X-Content-Type-Options": "nosniff",
-        "X-Request-ID": request_id(scope),
+        "X-Request-ID": read_request_id(scope),
     }
     if problem.status in RETRY_AFTER_S:
         headers["Retry-After"] = RETRY_AFTER_S[problem.status]
@@ -141,12 +141,12 @@ def problem_response(
     return Response(orjson.dumps(body), problem.status, headers, MEDIA_TYPE)
 
 
-def json_pointer(parts: Sequence[str | int]) -> str:
+def to_pointer(parts: Sequence[str | int]) -> str:
     """Return the JSON pointer (RFC 6901) of a path of keys and indices."""
     return "".join("/" + str(part).replace("~", "~0").replace("/", "~1") for part in parts)
 
 
-def _methods_at(app: FastAPI, of_request: Scope) -> list[str]:
+def _list_allowed_methods(app: FastAPI, of_request: Scope) -> list[str]:
     """Return the methods of all routes of a path; Starlette returns those of one route."""
     scopes = [
         {name: of_request[name] for name in ("type", "path", "root_path", "headers")} | {"method": method}
@@ -159,17 +159,17 @@ def _methods_at(app: FastAPI, of_request: Scope) -> list[str]:
     ]
 
 
-def install(app: FastAPI) -> None:
+def install_error_handlers(app: FastAPI) -> None:
     """Install handlers that answer every error of the application as problem details."""
 
-    async def on_problem(request: Request, error: Exception) -> Response:
+    async def answer_problem(request: Request, error: Exception) -> Response:
         assert isinstance(error, Problem)
-        return problem_response(request.scope, error)
+        return build_problem_response(request.scope, error)
 
-    async def on_invalid(request: Request, error: Exception) -> Response:
+    async def answer_invalid_request(request: Request, error: Exception) -> Response:
         assert isinstance(error, RequestValidationError)
         errors = [
-            {"in": str(part["loc"][0]), "pointer": json_pointer(part["loc"][1:]), "detail": part["msg"]}
+            {"in": str(part["loc"][0]), "pointer": to_pointer(part["loc"][1:]), "detail": part["msg"]}
             for part in error.errors()
         ]
         problem = invalid(
@@ -177,9 +177,9 @@ def install(app: FastAPI) -> None:
             "; ".join(f"{part['in']} {part['pointer']}: {part['detail']}" for part in errors),
             "Correct the parts listed in `errors`; /api/v1/openapi.json describes them.",
         )
-        return problem_response(request.scope, problem, errors)
+        return build_problem_response(request.scope, problem, errors)
 
-    async def on_http(request: Request, error: Exception) -> Response:
+    async def answer_http_error(request: Request, error: Exception) -> Response:
         assert isinstance(error, HTTPException)
         names = {404: "not-found", 405: "method-not-allowed", 400: "bad-request"}
         problem = Problem(
@@ -189,30 +189,30 @@ def install(app: FastAPI) -> None:
             title=str(error.detail),
             status=error.status_code,
         )
-        response = problem_response(request.scope, problem)
+        response = build_problem_response(request.scope, problem)
         response.headers.update(error.headers or {})
         if error.status_code == 405:
-            response.headers["Allow"] = ", ".join(_methods_at(app, request.scope))
+            response.headers["Allow"] = ", ".join(_list_allowed_methods(app, request.scope))
         return response
 
-    async def on_storage(request: Request, error: Exception) -> Response:
+    async def answer_storage_error(request: Request, error: Exception) -> Response:
         assert isinstance(error, SolimonError)
-        log.error("request %s %s: %s", request_id(request.scope), request.url.path, error)
+        log.error("request %s %s: %s", read_request_id(request.scope), request.url.path, error)
         problem = Problem("storage-unavailable", str(error))
-        return problem_response(request.scope, problem)
+        return build_problem_response(request.scope, problem)
 
-    async def on_fault(request: Request, error: Exception) -> Response:
+    async def answer_internal_error(request: Request, error: Exception) -> Response:
         # The server logs the traceback directly after this line.
-        log.error("request %s %s failed: %r", request_id(request.scope), request.url.path, error)
+        log.error("request %s %s failed: %r", read_request_id(request.scope), request.url.path, error)
         problem = Problem(
             "internal-error",
             f"{type(error).__name__} while answering; the cause stands in the log.",
-            f"Look for request {request_id(request.scope)} in logs/web.log and report it.",
+            f"Look for request {read_request_id(request.scope)} in logs/web.log and report it.",
         )
-        return problem_response(request.scope, problem)
+        return build_problem_response(request.scope, problem)
 
-    app.add_exception_handler(Problem, on_problem)
-    app.add_exception_handler(RequestValidationError, on_invalid)
-    app.add_exception_handler(HTTPException, on_http)
-    app.add_exception_handler(StorageError, on_storage)
-    app.add_exception_handler(Exception, on_fault)
+    app.add_exception_handler(Problem, answer_problem)
+    app.add_exception_handler(RequestValidationError, answer_invalid_request)
+    app.add_exception_handler(HTTPException, answer_http_error)
+    app.add_exception_handler(StorageError, answer_storage_error)
+    app.add_exception_handler(Exception, answer_internal_error)

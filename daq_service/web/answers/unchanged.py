@@ -6,7 +6,7 @@ from fastapi import Request
 from starlette.responses import Response
 
 
-def unchanged(request: Request, etag: str) -> tuple[dict[str, str], Response | None]:
+def check_etag(request: Request, etag: str) -> tuple[dict[str, str], Response | None]:
     """Return the headers for conditional requests, and a 304 response where the client has the content."""
     headers = {"ETag": etag, "Cache-Control": "no-cache"}
     given = (part.strip().removeprefix("W/") for part in request.headers.get("if-none-match", "").split(","))

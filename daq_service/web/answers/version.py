@@ -10,7 +10,7 @@ API_VERSION = "1.0.0"
 
 
 @cache  # each call would parse a file of some kB
-def distribution_version() -> str:
+def read_installed_version() -> str:
     """Return the version of the installed solimon, or "unknown" in a bare checkout."""
     try:
         return version("solimon")

@@ -10,9 +10,9 @@ from typing import TypeVar
 
 from pydantic import BaseModel
 
-from daq_service.catalogue.rows import columns_of
+from daq_service.catalogue.rows import list_columns
 from daq_service.catalogue.tables import TABLES
-from daq_service.shared_file import packaged_table
+from daq_service.shared_file import load_table
 
 T = TypeVar("T")
 RATIOS = ("_ratio", "_coefficient", "_fraction", "_probability", "_squared")
@@ -32,14 +32,14 @@ class Vocabulary(BaseModel, frozen=True):
     schemes: dict[str, dict[str, str]]
 
 
-VOCABULARY = Vocabulary.model_validate(packaged_table(__file__))
+VOCABULARY = Vocabulary.model_validate(load_table(__file__))
 
 
 MEANINGS: Mapping[str, str] = {
     **{
         column.published_name: column.description
         for kind in reversed(TABLES)
-        for column in columns_of(kind)
+        for column in list_columns(kind)
         if column.description is not None
     },
     **VOCABULARY.meanings,
@@ -47,6 +47,6 @@ MEANINGS: Mapping[str, str] = {
 """Texts of the file, and those of the columns of catalogue rows; of equal names that of the first row."""
 
 
-def look_up(values: Mapping[str, T], scope: str, name: str) -> T | None:
+def look_up_scoped_value(values: Mapping[str, T], scope: str, name: str) -> T | None:
     """Return the value of a name in a scope, or else in general; None where there is none."""
     return values.get(f"{scope}.{name}", values.get(name))

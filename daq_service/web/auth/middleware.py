@@ -23,9 +23,9 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from daq_service.commands.audit import Allowance, Audit
 from daq_service.errors import UsageError
 from daq_service.settings.web import LOOPBACK, WebSettings
-from daq_service.web.answers.problem import Problem, problem_response, request_id
+from daq_service.web.answers.problem import Problem, build_problem_response, read_request_id
 from daq_service.web.auth.roles import CLAIMED, Person
-from daq_service.web.auth.tokens import KnownTokens, read_tokens, tokens_file
+from daq_service.web.auth.tokens import KnownTokens, find_tokens_file, read_tokens
 
 PUBLIC_PATHS = frozenset({"/", "/healthz", "/readyz", "/api/v1/session"})
 PAGE_FILES = "/static/"
@@ -50,7 +50,7 @@ class AccessPolicy:
 
     def __init__(self, web: WebSettings, data_folder: Path, *, no_person: bool = False) -> None:
         self._web, self._no_person = web, no_person
-        self.tokens_path = tokens_file(web, data_folder)
+        self.tokens_path = find_tokens_file(web, data_folder)
         self.tokens = KnownTokens(self.tokens_path)
         self.audit = Audit(data_folder)
         # Cookies do not depend on the port: each service needs a different name.
@@ -62,11 +62,11 @@ class AccessPolicy:
         """Return whether no token is required: on loopback, before the first token is created."""
         return self._no_person or (not self._web.is_reachable and not self.tokens.asked_for)
 
-    def cookie_name(self, scope: Scope) -> str:
+    def choose_cookie_name(self, scope: Scope) -> str:
         """Return the name of the page's cookie; over TLS a browser binds `__Host-` to this host."""
         return f"__Host-{self._cookie}" if is_encrypted(scope) else self._cookie
 
-    def person_of(self, scope: Scope) -> Person | None:
+    def authenticate_request(self, scope: Scope) -> Person | None:
         """Return the person of a request; None: not logged in.
 
         Raises
@@ -75,13 +75,13 @@ class AccessPolicy:
             401, 429: the token is wrong. 403: the request was not encrypted.
         """
         headers = Headers(scope=scope)
-        self._refuse_plain(scope, headers)
+        self._refuse_unencrypted(scope, headers)
         if self.is_open:
             return Person(name="", role=CLAIMED)
-        text = self._token_text(scope, headers)
-        return None if text is None else self.person_of_token(text, address_of(scope))
+        text = self._read_token_text(scope, headers)
+        return None if text is None else self.authenticate_token(text, find_address(scope))
 
-    def person_of_token(self, text: str, address: str) -> Person:
+    def authenticate_token(self, text: str, address: str) -> Person:
         """Return the person of a token.
 
         Raises
@@ -92,7 +92,7 @@ class AccessPolicy:
         token = self.tokens.find(text)
         if token is not None and token.state == "valid":
             return Person(name=token.name, role=token.role)
-        if not self._allowance(address).take():
+        if not self._find_allowance(address).take():
             raise Problem(
                 "too-many-wrong-tokens",
                 f"More than {MOST_WRONG} wrong tokens came from {address}; a right one is always let in.",
@@ -100,11 +100,11 @@ class AccessPolicy:
         reason = "the token is unknown" if token is None else f"the token of {token.name} is {token.state}"
         raise Problem("wrong-token", f"{reason[0].upper()}{reason[1:]}.")
 
-    def may_stay(self, person: Person) -> bool:
+    def has_access(self, person: Person) -> bool:
         """Return whether a person still has access; checked again while a stream is open."""
         if person.role == CLAIMED:
             return self.is_open
-        return self.tokens.still_opens(person.name, person.role)
+        return self.tokens.has_valid_token(person.name, person.role)
 
     async def audit_rejection(self, scope: Scope, reason: str, *, what: str = "enter") -> None:
         """Audit a rejection with its reason and request id; the request itself may contain a token."""
@@ -113,37 +113,37 @@ class AccessPolicy:
             self.audit.add,
             author=person.name if person else "",
             role=person.role if person else "",
-            source=address_of(scope),
+            source=find_address(scope),
             what=what,
-            arguments={"request_id": request_id(scope)},
+            arguments={"request_id": read_request_id(scope)},
             result="rejected",
             reason=reason[:LONGEST_REASON],
         )
 
-    def _token_text(self, scope: Scope, headers: Headers) -> str | None:
+    def _read_token_text(self, scope: Scope, headers: Headers) -> str | None:
         """Return the token of a request from its header or cookie; None without one."""
         scheme, _, text = headers.get("authorization", "").partition(" ")
         if scheme:
             return text.strip() if scheme.lower() == "bearer" else ""
         try:
-            morsel = SimpleCookie(headers.get("cookie", "")).get(self.cookie_name(scope))
+            morsel = SimpleCookie(headers.get("cookie", "")).get(self.choose_cookie_name(scope))
         except CookieError:
             return None
         return None if morsel is None else morsel.value
 
-    def _refuse_plain(self, scope: Scope, headers: Headers) -> None:
+    def _refuse_unencrypted(self, scope: Scope, headers: Headers) -> None:
         """Raise a problem for an unencrypted request from another computer."""
         if not self._web.is_reachable or is_encrypted(scope):
             return
         host = urlsplit(f"//{headers.get('host', '')}").hostname
-        if host not in LOOPBACK or not _is_loopback(address_of(scope)):
+        if host not in LOOPBACK or not _is_loopback(find_address(scope)):
             raise Problem(
                 "not-encrypted",
-                f"A request to {host} from {address_of(scope)} was neither TLS nor handed on by web.proxy "
+                f"A request to {host} from {find_address(scope)} was neither TLS nor handed on by web.proxy "
                 f"({self._web.proxy or 'none'}) with X-Forwarded-Proto: https.",
             )
 
-    def _allowance(self, address: str) -> Allowance:
+    def _find_allowance(self, address: str) -> Allowance:
         """Return the rate limit of wrong tokens of an address."""
         allowance = self._wrong.pop(address, None) or Allowance(MOST_WRONG, WRONG_EVERY_S)
         self._wrong[address] = allowance
@@ -165,7 +165,7 @@ class AuthenticationMiddleware:
             return
         person, problem = None, None
         try:
-            person = self._policy.person_of(scope)
+            person = self._policy.authenticate_request(scope)
         except Problem as rejection:
             problem = rejection
         path = OF_TEST.sub("", scope["path"], count=1) if self._has_tests else scope["path"]
@@ -173,43 +173,43 @@ class AuthenticationMiddleware:
             # Page, health checks and login are public, but not without encryption.
             problem = problem if problem is not None and problem.status == 403 else None
         elif person is None and problem is None:
-            problem = token_required()
+            problem = create_token_required()
         scope.setdefault("state", {})["person"] = person
         if problem is None:
-            await self._pass_on(scope, receive, send)
+            await self._forward_request(scope, receive, send)
             return
         if problem.status == 429:
-            self._policy.audit.leave_out()
-        elif problem.name != "no-token" or _writes(scope):
+            self._policy.audit.count_omitted_rejection()
+        elif problem.name != "no-token" or _is_write_request(scope):
             await self._policy.audit_rejection(scope, problem.detail)
-        await problem_response(scope, problem)(scope, receive, send)
+        await build_problem_response(scope, problem)(scope, receive, send)
 
-    async def _pass_on(self, scope: Scope, receive: Receive, send: Send) -> None:
+    async def _forward_request(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Forward a request to the application, and audit an invalid write."""
         statuses: list[int] = []
 
-        async def send_observed(message: Message) -> None:
+        async def send_and_note_status(message: Message) -> None:
             if message["type"] == "http.response.start":
                 statuses.append(message["status"])
             await send(message)
 
-        await self._app(scope, receive, send_observed if _writes(scope) else send)
+        await self._app(scope, receive, send_and_note_status if _is_write_request(scope) else send)
         if 422 in statuses:
             what = getattr(scope.get("route"), "name", None) or "enter"
             await self._policy.audit_rejection(scope, "the request was not valid", what=what)
 
 
-def _writes(scope: Scope) -> bool:
+def _is_write_request(scope: Scope) -> bool:
     """Return whether a request may change something."""
     return scope["type"] == "http" and scope["method"] not in {"GET", "HEAD", "OPTIONS"}
 
 
-def token_required() -> Problem:
+def create_token_required() -> Problem:
     """Return the problem that a token is required (401)."""
     return Problem("no-token", "This service asks for an access token.")
 
 
-def person_at(connection: HTTPConnection) -> Person:
+def read_request_person(connection: HTTPConnection) -> Person:
     """Return the person of a request that has passed the middleware.
 
     Raises
@@ -219,7 +219,7 @@ def person_at(connection: HTTPConnection) -> Person:
     """
     person: object = getattr(connection.state, "person", None)
     if person is None:
-        raise token_required()
+        raise create_token_required()
     assert isinstance(person, Person)
     return person
 
@@ -229,7 +229,7 @@ def is_encrypted(scope: Scope) -> bool:
     return scope["scheme"] in {"https", "wss"}
 
 
-def address_of(scope: Scope) -> str:
+def find_address(scope: Scope) -> str:
     """Return the network address of a request; behind a trusted proxy, the address that it states."""
     client = scope.get("client")
     return str(client[0]) if client else "unknown"
@@ -251,7 +251,7 @@ def refuse_unprotected_service(web: WebSettings, data_folder: Path) -> None:
     UsageError
         A token, or a certificate that can be used, is missing.
     """
-    path = tokens_file(web, data_folder)
+    path = find_tokens_file(web, data_folder)
     if web.is_reachable and not any(token.state == "valid" for token in read_tokens(path)):
         raise UsageError(
             f"other computers shall reach the service (web.host is {web.host!r}, web.host_names "
@@ -261,7 +261,7 @@ def refuse_unprotected_service(web: WebSettings, data_folder: Path) -> None:
     if web.has_tls:
         try:
             ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER).load_cert_chain(
-                web.tls_certificate, web.tls_key, password=_no_password
+                web.tls_certificate, web.tls_key, password=_refuse_password_prompt
             )
         except (OSError, ValueError) as error:
             raise UsageError(
@@ -270,6 +270,6 @@ def refuse_unprotected_service(web: WebSettings, data_folder: Path) -> None:
             ) from error
 
 
-def _no_password() -> str:
+def _refuse_password_prompt() -> str:
     """Refuse to ask for the password of a key."""
     raise ValueError("the key has a password")

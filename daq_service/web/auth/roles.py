@@ -12,7 +12,7 @@ from typing import Literal, get_args
 
 from pydantic import BaseModel
 
-from daq_service.shared_file import packaged_table
+from daq_service.shared_file import load_table
 
 Role = Literal["viewer", "operator", "engineer", "admin"]
 ROLES: tuple[Role, ...] = get_args(Role)
@@ -25,7 +25,7 @@ class _Table(BaseModel, frozen=True, extra="forbid"):
     commands: Mapping[str, Role]
 
 
-_TABLE = _Table.model_validate(packaged_table(__file__))
+_TABLE = _Table.model_validate(load_table(__file__))
 OPERATIONS: Mapping[str, Role | None] = {
     name: None if role == "public" else role for name, role in _TABLE.operations.items()
 }
@@ -53,6 +53,6 @@ class Person:
         """Return whether this person's role is sufficient."""
         return needed is None or self.role == CLAIMED or self.role in ROLES[ROLES.index(needed) :]
 
-    def may_do(self) -> list[str]:
+    def list_permissions(self) -> list[str]:
         """Return the operations and kinds of commands that this person may use."""
         return sorted({name for name, needed in {**OPERATIONS, **ORDERS}.items() if self.may(needed)})

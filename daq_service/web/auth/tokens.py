@@ -62,7 +62,7 @@ class Token:
 _FILE = TypeAdapter(tuple[Token, ...])
 
 
-def tokens_file(web: WebSettings, data_folder: Path) -> Path:
+def find_tokens_file(web: WebSettings, data_folder: Path) -> Path:
     """Return the path of the tokens file of a service."""
     return Path(web.tokens_file).absolute() if web.tokens_file else data_folder / FILE_NAME
 
@@ -108,9 +108,9 @@ def create_token(path: Path, name: str, role: Role, *, days: float | None = None
     text, now_ns = secrets.token_urlsafe(32), time.time_ns()
     expires = None if days is None else format_utc(now_ns + round(days * _S_PER_DAY) * NS_PER_S, 0)
     token = Token(
-        name=name, role=role, sha256=_sha256(text), created_utc=format_utc(now_ns, 0), expires_utc=expires
+        name=name, role=role, sha256=_hash_text(text), created_utc=format_utc(now_ns, 0), expires_utc=expires
     )
-    with _edited_tokens(path) as tokens:
+    with _edit_tokens(path) as tokens:
         if any(old.name == name and old.state == "valid" for old in tokens):
             raise UsageError(f"{name} has a token; revoke it first with `solimon token revoke {name}`")
         tokens[:] = [*(old for old in tokens if old.name != name), token]
@@ -129,7 +129,7 @@ def revoke_token(path: Path, name: str) -> Token:
     """
     if not read_tokens(path):
         raise UsageError(f"there is no token {name[:60]!r} to revoke; {path} holds none")
-    with _edited_tokens(path) as tokens:
+    with _edit_tokens(path) as tokens:
         index = next((n for n, old in enumerate(tokens) if old.name == name and not old.revoked_utc), None)
         if index is None:
             names = ", ".join(old.name for old in tokens if not old.revoked_utc) or "none"
@@ -139,7 +139,7 @@ def revoke_token(path: Path, name: str) -> Token:
 
 
 @contextmanager
-def _edited_tokens(path: Path) -> Iterator[list[Token]]:
+def _edit_tokens(path: Path) -> Iterator[list[Token]]:
     """Yield the tokens for changes in place, and then write them."""
     try:
         with one_at_a_time(path):
@@ -153,7 +153,7 @@ def _edited_tokens(path: Path) -> Iterator[list[Token]]:
         ) from error
 
 
-def _sha256(text: str) -> str:
+def _hash_text(text: str) -> str:
     """Return the SHA-256 of a text."""
     return hashlib.sha256(text.encode()).hexdigest()
 
@@ -174,31 +174,31 @@ class KnownTokens:
     @property
     def asked_for(self) -> bool:
         """Return whether a token was ever created."""
-        self._reload()
+        self._reload_if_changed()
         return self._asked_for
 
     def find(self, text: str) -> Token | None:
         """Return the token with this text, valid or not, in constant time."""
-        self._reload()
-        sha256, match = _sha256(text), None
+        self._reload_if_changed()
+        sha256, match = _hash_text(text), None
         for token in self._tokens:
             if hmac.compare_digest(token.sha256, sha256):
                 match = token
         return match
 
-    def still_opens(self, name: str, role: str) -> bool:
+    def has_valid_token(self, name: str, role: str) -> bool:
         """Return whether a person's token is valid now."""
-        self._reload()
+        self._reload_if_changed()
         return any(
             token.name == name and token.role == role and token.state == "valid" for token in self._tokens
         )
 
-    def _reload(self) -> None:
+    def _reload_if_changed(self) -> None:
         """Read the tokens again if their file has changed."""
         if self._machine.mono_s() < self._next_s:
             return
         self._next_s = self._machine.mono_s() + LOOK_EVERY_S
-        mark = _mark_of(self._path)
+        mark = _compute_file_mark(self._path)
         if mark == self._mark:
             return
         try:
@@ -214,7 +214,7 @@ class KnownTokens:
         self._mark = mark
 
 
-def _mark_of(path: Path) -> tuple[int, ...]:
+def _compute_file_mark(path: Path) -> tuple[int, ...]:
     """Return a mark that changes with the file."""
     try:
         status = os.stat(path)  # noqa: PTH116 - the seam is os

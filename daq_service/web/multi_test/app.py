@@ -11,8 +11,8 @@ from fastapi import FastAPI
 from starlette.types import Receive, Scope, Send
 
 from daq_service.settings.tree import Settings
-from daq_service.web.answers.problem import Problem, problem_response
-from daq_service.web.app import Service, application_of_test, guard, versioned
+from daq_service.web.answers.problem import Problem, build_problem_response
+from daq_service.web.app import Service, add_guard_middleware, build_versioned_router, create_app_of_test
 from daq_service.web.auth.middleware import PAGE_FILES
 from daq_service.web.context import Context
 from daq_service.web.multi_test import routes
@@ -25,10 +25,10 @@ RESOURCES = (routes, session, tokens, audit)
 
 
 @asynccontextmanager
-async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
+async def _run_lifespan(app: FastAPI) -> AsyncIterator[None]:
     """Maintain the tests while the application runs, then close them."""
     tests: ServedTests = app.state.tests
-    maintenance = asyncio.create_task(tests.maintain())
+    maintenance = asyncio.create_task(tests.maintain_tests())
     try:
         yield
     finally:
@@ -43,7 +43,7 @@ class TestDispatcher:
 
     def __init__(self, tests: ServedTests, times: AnswerTimes) -> None:
         self._tests = tests
-        self._application = application_of_test()
+        self._application = create_app_of_test()
         self._application.state.answer_times = times
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
@@ -52,7 +52,7 @@ class TestDispatcher:
             try:
                 test = self._tests.find(scope["path_params"]["test"])
             except Problem as problem:
-                await problem_response(scope, problem)(scope, receive, send)
+                await build_problem_response(scope, problem)(scope, receive, send)
                 return
             path = scope["path"].removeprefix(f"/tests/{test.name}")
             try:
@@ -60,7 +60,7 @@ class TestDispatcher:
                     scope["state"]["test"] = await stack.enter_async_context(self._tests.use(test))
             except Problem as problem:
                 if path != "/":
-                    await problem_response(scope, problem)(scope, receive, send)
+                    await build_problem_response(scope, problem)(scope, receive, send)
                     return
             await self._application(scope, receive, send)
 
@@ -89,14 +89,14 @@ def create_app_of_many(paths: Sequence[Path], settings: Settings, folder: Path) 
             "answers below `/tests/{test}` with an interface of its own, which "
             "`/tests/{test}/api/v1/openapi.json` describes."
         ),
-        _lifespan,
+        _run_lifespan,
     )
     context = Context(settings, folder)
-    guard(app, context, has_tests=True)
+    add_guard_middleware(app, context, has_tests=True)
     app.state.tests = ServedTests(paths, context.access_policy)
     app.state.listing = Listing(app.state.tests)
     app.include_router(routes.probes)
-    app.include_router(versioned(RESOURCES))
+    app.include_router(build_versioned_router(RESOURCES))
     app.include_router(routes.pages)
     app.mount("/tests/{test}", TestDispatcher(app.state.tests, app.state.answer_times))
     return app

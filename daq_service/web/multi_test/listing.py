@@ -8,9 +8,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import get_args
 
-from daq_service.acquisition.schedule import due_hours
+from daq_service.acquisition.schedule import list_due_hours
 from daq_service.alarms.states import PRIORITIES
-from daq_service.assessment.position_status import PositionStatus, latest_rows
+from daq_service.assessment.position_status import PositionStatus, read_latest_rows
 from daq_service.catalogue.experiment_file import EXPERIMENT_FILE
 from daq_service.catalogue.reader import Catalogue
 from daq_service.catalogue.rows import AlarmRow
@@ -18,12 +18,12 @@ from daq_service.catalogue.store import open_catalogue
 from daq_service.processes.data_folder import LOCK_FILE
 from daq_service.processes.freshness import Freshness
 from daq_service.settings.tree import Settings
-from daq_service.web.answers.json_answer import rfc3339
+from daq_service.web.answers.json_answer import format_rfc3339
 from daq_service.web.multi_test.answers import ListedTest, Standing
-from daq_service.web.multi_test.location import AbsentError, absent_errors, folder_of, locate_test
+from daq_service.web.multi_test.location import AbsentError, find_folder, locate_test, translate_to_absent
 from daq_service.web.multi_test.open_tests import ServedTest, ServedTests
 from daq_service.web.routes.info import RIG_LABELS
-from daq_service.web.routes.transducers import position_standing
+from daq_service.web.routes.transducers import assess_position
 
 CHANGING_S = 2.0
 ENDED_S = 60.0
@@ -42,9 +42,9 @@ class _CachedEntry:
         """Return whether the entry need not be read again."""
         if now_s - self.read_s < CHANGING_S:
             return True
-        standing = self.entry.standing
+        standing = self.entry.with_present_state
         ended = standing is not None and standing.recorder != "running"
-        return ended and now_s - self.read_s < ENDED_S and _mark_of(self.folder) == self.mark
+        return ended and now_s - self.read_s < ENDED_S and _compute_folder_mark(self.folder) == self.mark
 
 
 class Listing:
@@ -55,16 +55,16 @@ class Listing:
         self._lock = threading.Lock()
         self._cached: dict[str, _CachedEntry] = {}
 
-    def entries(self) -> list[dict[str, object]]:
+    def read_entries(self) -> list[dict[str, object]]:
         """Return the entries, and read those again that may have changed; blocks on files."""
         with self._lock:
             for test in self._tests.all.values():
                 cached, now_s = self._cached.get(test.name), time.monotonic()
                 if cached is None or not cached.is_current(now_s):
-                    folder = folder_of(test.path)
+                    folder = find_folder(test.path)
                     # Before the read: a change meanwhile is noticed the next time.
-                    mark = _mark_of(folder)
-                    self._cached[test.name] = _CachedEntry(self._entry(test), folder, mark, now_s)
+                    mark = _compute_folder_mark(folder)
+                    self._cached[test.name] = _CachedEntry(self._read_entry(test), folder, mark, now_s)
             now_s = time.monotonic()
             return [
                 cached.entry.model_dump() | {"looked_age_s": now_s - cached.read_s}
@@ -75,15 +75,15 @@ class Listing:
         """Return the number of tests that could be shown at their last read."""
         return sum(cached.entry.state == "shown" for cached in list(self._cached.values()))
 
-    def _entry(self, test: ServedTest) -> ListedTest:
+    def _read_entry(self, test: ServedTest) -> ListedTest:
         """Return the entry of a test, with its present state or the reason of its absence."""
         page = f"/tests/{test.name}/"
         standing, absence = None, None
         try:
             settings, folder = locate_test(test.path, self._tests.access_policy)
             test.title = settings.name
-            with absent_errors(), open_catalogue(folder) as catalogue:
-                standing = _present_state(settings, folder, catalogue)
+            with translate_to_absent(), open_catalogue(folder) as catalogue:
+                standing = _read_present_state(settings, folder, catalogue)
         except AbsentError as error:
             absence = error
         return ListedTest(
@@ -100,7 +100,7 @@ class Listing:
         )
 
 
-def _mark_of(folder: Path) -> tuple[int, ...]:
+def _compute_folder_mark(folder: Path) -> tuple[int, ...]:
     """Return a mark that changes with the files of a test."""
     marks: list[int] = []
     for name in MARKS:
@@ -113,13 +113,13 @@ def _mark_of(folder: Path) -> tuple[int, ...]:
     return tuple(marks)
 
 
-def _present_state(settings: Settings, folder: Path, catalogue: Catalogue) -> Standing:
+def _read_present_state(settings: Settings, folder: Path, catalogue: Catalogue) -> Standing:
     """Return the present state of a test."""
     fresh = Freshness(folder, catalogue, settings.clock.kind)
-    latest = latest_rows(catalogue, fresh, settings.positions)
-    hours = due_hours(settings.schedule.phases, end_h=settings.schedule.end_h)
+    latest = read_latest_rows(catalogue, fresh, settings.positions)
+    hours = list_due_hours(settings.schedule.phases, end_h=settings.schedule.end_h)
     positions = [
-        position_standing(settings.positions[name], settings.schedule, fresh, last)
+        assess_position(settings.positions[name], settings.schedule, fresh, last)
         for name, last in latest.items()
     ]
     active = catalogue.rows(AlarmRow, active=True)
@@ -129,7 +129,7 @@ def _present_state(settings: Settings, folder: Path, catalogue: Catalogue) -> St
         rig=settings.rig.kind,
         rig_label=RIG_LABELS.get(settings.rig.kind, settings.rig.kind),
         clock=settings.clock.kind,
-        epoch_utc=str(rfc3339(fresh.epoch_utc_ns)),
+        epoch_utc=str(format_rfc3339(fresh.epoch_utc_ns)),
         now_h=fresh.now_h,
         end_h=hours[-1] if hours else 0.0,
         recorder=fresh.recorder.status,

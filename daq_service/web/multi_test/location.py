@@ -15,17 +15,17 @@ from daq_service.catalogue.rows import ExperimentRow
 from daq_service.catalogue.store import open_catalogue
 from daq_service.errors import SolimonError, UsageError
 from daq_service.processes.data_folder import refuse_other_folders, settings_and_folder
-from daq_service.settings.stored import stored_settings
+from daq_service.settings.stored import restore_settings
 from daq_service.settings.tree import Settings
-from daq_service.shared_file import packaged_table
+from daq_service.shared_file import load_table
 from daq_service.web.auth.middleware import AccessPolicy
-from daq_service.web.auth.tokens import read_tokens, tokens_file
+from daq_service.web.auth.tokens import find_tokens_file, read_tokens
 
 Absence = Literal[
     "no_data", "missing", "foreign", "misconfigured", "damaged", "other_version", "locked", "unreadable"
 ]
 
-REMEDIES = TypeAdapter(dict[Absence, str]).validate_python(packaged_table(__file__))
+REMEDIES = TypeAdapter(dict[Absence, str]).validate_python(load_table(__file__))
 
 
 class AbsentError(SolimonError):
@@ -46,7 +46,7 @@ def is_configuration(path: Path) -> bool:
     return path.is_file() or (not path.is_dir() and path.suffix in {".toml", ".json"})
 
 
-def folder_of(path: Path) -> Path:
+def find_folder(path: Path) -> Path:
     """Return the data folder of a path; for an invalid configuration, the path itself."""
     if not is_configuration(path):
         return path.absolute()
@@ -56,11 +56,11 @@ def folder_of(path: Path) -> Path:
         return path.absolute()
 
 
-def title_of(path: Path) -> str:
+def read_title(path: Path) -> str:
     """Return the name of the test, or that of its folder or file while it cannot be read."""
     try:
-        with absent_errors():
-            return _settings_and_folder(path)[0].name
+        with translate_to_absent():
+            return _read_settings_and_folder(path)[0].name
     except AbsentError:
         return path.absolute().stem if is_configuration(path) else path.absolute().name
 
@@ -78,17 +78,17 @@ def locate_test(path: Path, access_policy: AccessPolicy) -> tuple[Settings, Path
     AbsentError
         The test cannot be shown now.
     """
-    with absent_errors():
-        settings, folder = _settings_and_folder(path)
+    with translate_to_absent():
+        settings, folder = _read_settings_and_folder(path)
         if not folder.is_dir():
             raise AbsentError("missing", f"There is no data folder {folder}.")
-        tokens_path = tokens_file(settings.web, folder)
+        tokens_path = find_tokens_file(settings.web, folder)
         if access_policy.is_open and read_tokens(tokens_path):
             raise AbsentError("locked", f"{tokens_path} holds access tokens, and this service asks for none.")
         return settings, folder
 
 
-def _settings_and_folder(path: Path) -> tuple[Settings, Path]:
+def _read_settings_and_folder(path: Path) -> tuple[Settings, Path]:
     """Return settings and data folder of a configuration or a data folder."""
     if is_configuration(path):
         try:
@@ -104,16 +104,16 @@ def _settings_and_folder(path: Path) -> tuple[Settings, Path]:
     except UsageError as error:
         raise AbsentError("foreign", f"{error}") from error
     try:
-        return stored_settings(_experiment(folder).configuration), folder
+        return restore_settings(_read_experiment(folder).configuration), folder
     except ValidationError as error:
         raise AbsentError("other_version", f"This version knows no such test: {error}") from error
 
 
-def _experiment(folder: Path) -> ExperimentRow:
+def _read_experiment(folder: Path) -> ExperimentRow:
     """Return the row of the test, from its file if the catalogue is lost."""
     try:
         with open_catalogue(folder) as catalogue:
-            return catalogue.experiment_row()
+            return catalogue.read_experiment()
     except NoDataYetError:
         stored = read_experiment(folder)  # where the catalogue is lost
         if stored is None:
@@ -122,7 +122,7 @@ def _experiment(folder: Path) -> ExperimentRow:
 
 
 @contextmanager
-def absent_errors() -> Iterator[None]:
+def translate_to_absent() -> Iterator[None]:
     """Convert errors of a data folder to `AbsentError`.
 
     Raises

@@ -9,7 +9,7 @@ from collections.abc import Iterable
 LONGEST_NAME = 60
 
 
-def url_name(text: str) -> str:
+def build_url_name(text: str) -> str:
     """Return a name of lower-case letters, digits and hyphens; "test" where nothing of the text remains.
 
     >>> url_name("Größe: Loch Nr. 2")
@@ -19,11 +19,11 @@ def url_name(text: str) -> str:
     return re.sub(r"[^a-z0-9]+", "-", plain)[:LONGEST_NAME].strip("-") or "test"
 
 
-def url_names(texts: Iterable[str]) -> list[str]:
+def build_unique_url_names(texts: Iterable[str]) -> list[str]:
     """Return unique names in order; a repeated name gets a number as suffix, starting with 2."""
     names: list[str] = []
     for text in texts:
-        plain = name = url_name(text)
+        plain = name = build_url_name(text)
         number = 1
         while name in names:
             number += 1

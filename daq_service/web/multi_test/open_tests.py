@@ -13,8 +13,8 @@ from daq_service.errors import UsageError
 from daq_service.web.answers.problem import PROBLEM_TYPES, Problem, not_found
 from daq_service.web.auth.middleware import AccessPolicy
 from daq_service.web.context import Context
-from daq_service.web.multi_test.location import AbsentError, folder_of, locate_test, title_of
-from daq_service.web.multi_test.names import url_names
+from daq_service.web.multi_test.location import AbsentError, find_folder, locate_test, read_title
+from daq_service.web.multi_test.names import build_unique_url_names
 
 log = logging.getLogger(__name__)
 
@@ -51,15 +51,15 @@ class ServedTests:
     def __init__(self, paths: Sequence[Path], access_policy: AccessPolicy) -> None:
         folders: dict[Path, Path] = {}
         for path in paths:
-            other = folders.setdefault(folder_of(path).resolve(), path)
+            other = folders.setdefault(find_folder(path).resolve(), path)
             if other is not path:
                 raise UsageError(f"{other} and {path} mean the same test; leave one of them out")
         self.access_policy = access_policy
-        titles = [title_of(path) for path in paths]
-        entries = zip(url_names(titles), titles, paths, strict=True)
+        titles = [read_title(path) for path in paths]
+        entries = zip(build_unique_url_names(titles), titles, paths, strict=True)
         self.all = {name: ServedTest(name, title, path) for name, title, path in entries}
 
-    def streams(self) -> int:
+    def count_streams(self) -> int:
         """Count the open streams of events of all tests."""
         return sum(test.context.hub.clients for test in self.all.values() if test.context is not None)
 
@@ -93,26 +93,26 @@ class ServedTests:
         test.users += 1
         try:
             async with test.changing:
-                context = test.context or await self._open(test)
+                context = test.context or await self._open_test(test)
             yield context
         finally:
             test.users -= 1
             test.used_s = time.monotonic()
 
-    async def _open(self, test: ServedTest) -> Context:
+    async def _open_test(self, test: ServedTest) -> Context:
         """Open a test with its background tasks."""
-        await self.close_idle(keep=MOST_IDLE - 1)
+        await self.close_idle_tests(keep=MOST_IDLE - 1)
         try:
             settings, folder = await asyncio.to_thread(locate_test, test.path, self.access_policy)
         except AbsentError as error:
-            raise unavailable(error) from None
-        context = Context(settings, folder, access_policy=self.access_policy, open_streams=self.streams)
+            raise create_unavailable(error) from None
+        context = Context(settings, folder, access_policy=self.access_policy, open_streams=self.count_streams)
         await test.resources.enter_async_context(context.run_background_tasks())
         test.context = context
         log.info("opened %s: %s", test.name, folder)
         return context
 
-    async def close_idle(self, *, keep: int = MOST_IDLE, for_s: float = 0.0) -> None:
+    async def close_idle_tests(self, *, keep: int = MOST_IDLE, for_s: float = 0.0) -> None:
         """Close idle tests except the ``keep`` most recent ones, and those idle for ``for_s``."""
         now_s = time.monotonic()
         shown = [test for test in self.all.values() if test.context is not None and not test.notifies]
@@ -122,22 +122,22 @@ class ServedTests:
             if rank >= keep or now_s - test.used_s >= for_s > 0.0:
                 async with test.changing:
                     if not test.users:  # a request may have come meanwhile
-                        await self._close(test)
+                        await self._close_test(test)
 
-    async def _close(self, test: ServedTest) -> None:
+    async def _close_test(self, test: ServedTest) -> None:
         """Close the data of a test that is not asked for any more."""
         test.context = None
         await test.resources.aclose()
         log.info("closed %s", test.name)
 
-    async def maintain(self) -> None:
+    async def maintain_tests(self) -> None:
         """Open tests with receivers and close idle ones, periodically without end."""
         while True:
-            await self.open_notifying()
+            await self.open_notifying_tests()
             await asyncio.sleep(LOOK_EVERY_S)
-            await self.close_idle(for_s=IDLE_S)
+            await self.close_idle_tests(for_s=IDLE_S)
 
-    async def open_notifying(self) -> None:
+    async def open_notifying_tests(self) -> None:
         """Open the tests with receivers of notifications; retry an unreadable one later."""
         for test in self.all.values():
             with suppress(Problem, AbsentError):
@@ -152,10 +152,10 @@ class ServedTests:
         """Close all tests."""
         for test in self.all.values():
             async with test.changing:
-                await self._close(test)
+                await self._close_test(test)
 
 
-def unavailable(error: AbsentError) -> Problem:
+def create_unavailable(error: AbsentError) -> Problem:
     """Return the problem that a test cannot be shown, with the remedy (503)."""
     return Problem(
         "no-data-yet" if error.state == "no_data" else "test-unavailable",

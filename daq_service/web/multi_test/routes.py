@@ -9,7 +9,7 @@ from prometheus_client.metrics_core import GaugeMetricFamily, Metric
 from starlette.responses import Response
 
 from daq_service.web.answers.json_answer import JsonAnswer
-from daq_service.web.answers.models import problems
+from daq_service.web.answers.models import list_errors
 from daq_service.web.answers.problem import Problem, not_found
 from daq_service.web.assets import answer_asset, get_asset
 from daq_service.web.context import Context
@@ -17,7 +17,13 @@ from daq_service.web.multi_test.answers import ListedTests, ServiceLiveness
 from daq_service.web.multi_test.listing import Listing
 from daq_service.web.multi_test.location import AbsentError, locate_test
 from daq_service.web.multi_test.open_tests import ServedTests
-from daq_service.web.routes.metrics import OPENMETRICS, exposition, of_clients, of_service, of_test
+from daq_service.web.routes.metrics import (
+    OPENMETRICS,
+    collect_clients,
+    collect_service,
+    collect_test,
+    render_metrics,
+)
 
 router = APIRouter(tags=["tests"])
 probes = APIRouter(tags=["health"])
@@ -25,7 +31,7 @@ pages = APIRouter(include_in_schema=False)
 pages.add_api_route("/static/{name:path}", get_asset)
 
 
-def _listing(request: Request) -> Listing:
+def _find_listing(request: Request) -> Listing:
     """Return the listing of the application."""
     listing = request.app.state.listing
     assert isinstance(listing, Listing)
@@ -35,31 +41,31 @@ def _listing(request: Request) -> Listing:
 @router.get("/tests", response_model=ListedTests)
 def list_tests(request: Request) -> JsonAnswer:
     """List the tests of this service with their states, and the remedy for those that cannot be shown."""
-    return JsonAnswer({"items": _listing(request).entries()})
+    return JsonAnswer({"items": _find_listing(request).read_entries()})
 
 
 @probes.get("/healthz", response_model=ServiceLiveness)
 async def get_liveness(request: Request) -> JsonAnswer:
     """Return that the process of the service responds, without reading a folder."""
-    return JsonAnswer(_liveness(request))
+    return JsonAnswer(_build_liveness(request))
 
 
-@probes.get("/readyz", response_model=ServiceLiveness, responses=problems(503))
+@probes.get("/readyz", response_model=ServiceLiveness, responses=list_errors(503))
 def get_readiness(request: Request) -> JsonAnswer:
     """Return whether any test can be shown."""
-    entries = _listing(request).entries()
+    entries = _find_listing(request).read_entries()
     if not any(entry["state"] == "shown" for entry in entries):
         raise Problem(
             "no-data-yet",
             f"None of {len(entries)} tests can be shown.",
             "/api/v1/tests says why of each, and what helps.",
         )
-    return JsonAnswer(_liveness(request))
+    return JsonAnswer(_build_liveness(request))
 
 
-def _liveness(request: Request) -> dict[str, object]:
+def _build_liveness(request: Request) -> dict[str, object]:
     """Return the answer of the liveness check."""
-    shown = _listing(request).shown()
+    shown = _find_listing(request).shown()
     return {"status": "ok", "data": shown > 0, "tests": len(request.app.state.tests.all), "shown": shown}
 
 
@@ -67,22 +73,22 @@ def _liveness(request: Request) -> dict[str, object]:
 def get_metrics(request: Request) -> Response:
     """Return the metrics of every test with a label `test`, and which tests can be shown."""
     tests: ServedTests = request.app.state.tests
-    merged = {metric.name: metric for metric in of_service()}
+    merged = {metric.name: metric for metric in collect_service()}
     shown = GaugeMetricFamily("solimon_test_shown", "1: the test can be shown", labels=["test"])
     for name, test in list(tests.all.items()):
-        metrics = list(_metrics_of_test(tests, name))
+        metrics = list(_collect_test_metrics(tests, name))
         shown.add_metric([name], float(bool(metrics)))
         if test.context is not None:
-            metrics += of_clients(test.context)
+            metrics += collect_clients(test.context)
         for metric in metrics:
             family = merged.setdefault(metric.name, Metric(metric.name, metric.documentation, metric.type))
             family.samples += [
                 sample._replace(labels={"test": name, **sample.labels}) for sample in metric.samples
             ]
-    return exposition([*merged.values(), shown], request)
+    return render_metrics([*merged.values(), shown], request)
 
 
-def _metrics_of_test(tests: ServedTests, name: str) -> Iterator[Metric]:
+def _collect_test_metrics(tests: ServedTests, name: str) -> Iterator[Metric]:
     """Yield the metrics of a test without opening it, so that scraping does not keep every test open."""
     try:
         settings, folder = locate_test(tests.all[name].path, tests.access_policy)
@@ -90,7 +96,7 @@ def _metrics_of_test(tests: ServedTests, name: str) -> Iterator[Metric]:
         return
     context = Context(settings, folder, access_policy=tests.access_policy)
     try:
-        yield from of_test(context)
+        yield from collect_test(context)
     finally:
         context.catalogue_access.close()
 

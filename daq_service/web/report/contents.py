@@ -13,12 +13,12 @@ from pathlib import Path
 from typing import Any
 
 from daq_service.assessment.position_status import (
-    age_of,
-    data_hour,
+    find_data_age_h,
+    find_data_hour,
+    find_limit,
+    find_status,
     is_stale,
-    latest_rows,
-    limit_of,
-    status_of,
+    read_latest_rows,
 )
 from daq_service.catalogue import Catalogue, open_catalogue
 from daq_service.catalogue.reader import Filters, LatestRows
@@ -35,10 +35,10 @@ from daq_service.catalogue.rows import (
     ThicknessRow,
 )
 from daq_service.commands.audit import AuditEntry, read_audit
-from daq_service.commands.deadline import remaining_now_s, with_expiry
+from daq_service.commands.deadline import apply_expiry, remaining_now_s
 from daq_service.errors import UsageError
 from daq_service.processes.freshness import Freshness
-from daq_service.settings.stored import stored_settings
+from daq_service.settings.stored import restore_settings
 from daq_service.settings.tree import Settings
 from hardware_drivers.methods import PULSE_ECHO
 from hardware_drivers.nanoseconds import NS_PER_H
@@ -143,7 +143,7 @@ class Contents:
     audit: Sequence[AuditEntry] | None
 
 
-def read_contents(
+def read_report_contents(
     folder: Path, *, from_h: float | None = None, to_h: float | None = None, audited: bool = False
 ) -> Contents:
     """Read the contents of a report, also of a running test.
@@ -163,8 +163,8 @@ def read_contents(
         There is no test, or it cannot be read.
     """
     with open_catalogue(folder) as catalogue:
-        experiment = catalogue.experiment_row()
-        settings = stored_settings(experiment.configuration)
+        experiment = catalogue.read_experiment()
+        settings = restore_settings(experiment.configuration)
         fresh = Freshness(folder, catalogue, experiment.clock)
         begin_h = 0.0 if from_h is None else from_h
         end_h = math.nextafter(fresh.now_h, math.inf) if to_h is None else to_h
@@ -176,21 +176,21 @@ def read_contents(
             "first_h": from_h,
             "last_h": None if to_h is None else math.nextafter(to_h, -math.inf),
         }
-        sets = {name: _sets(catalogue, name, filters) for name in settings.positions}
-        latest = latest_rows(catalogue, fresh, settings.positions)
+        sets = {name: _read_sets_in_range(catalogue, name, filters) for name in settings.positions}
+        latest = read_latest_rows(catalogue, fresh, settings.positions)
         positions = [
-            _position_report(catalogue, settings, fresh, last, sets[name], filters)
+            _build_position_report(catalogue, settings, fresh, last, sets[name], filters)
             for name, last in latest.items()
         ]
         features = [last.last_feature for last in latest.values() if last.last_feature]
         files = {row.file: row.file_sha256 or "" for rows in sets.values() for row in rows if row.file}
         file_list = "".join(f"{file} {sha256}\n" for file, sha256 in sorted(files.items()))
         alarms = [
-            fresh.standing(row)
+            fresh.with_present_state(row)
             for row in catalogue.rows(AlarmRow)
             if _was_active(row, experiment, begin_h, end_h)
         ]
-        started = catalogue.last_service_event("recorder_started")
+        started = catalogue.read_last_service_event("recorder_started")
         return Contents(
             experiment=experiment,
             settings=settings,
@@ -207,19 +207,19 @@ def read_contents(
             files_sha256=hashlib.sha256(file_list.encode()).hexdigest(),
             extractors=sorted({feature.extractor_version for feature in features}),
             positions=positions,
-            gaps=[gap for name in settings.positions for gap in _gaps(sets[name])],
-            baselines=catalogue.baselines_by_id(),
+            gaps=[gap for name in settings.positions for gap in _group_gaps(sets[name])],
+            baselines=catalogue.read_baselines_by_id(),
             alarms=alarms[-MOST_LINES:],
-            history=_history(catalogue, {row.id for row in alarms[-MOST_LINES:]}),
+            history=_read_alarm_history(catalogue, {row.id for row in alarms[-MOST_LINES:]}),
             annotations=catalogue.rows(AnnotationRow, **filters)[-MOST_LINES:],
             orders=[
-                with_expiry(row, remaining_now_s(row)) for row in catalogue.rows(CommandRow)[-MOST_LINES:]
+                apply_expiry(row, remaining_now_s(row)) for row in catalogue.rows(CommandRow)[-MOST_LINES:]
             ],
             audit=[entry for _, entry in read_audit(folder, limit=MOST_LINES)[0]] if audited else None,
         )
 
 
-def _sets(catalogue: Catalogue, position: str, filters: Filters) -> list[SetRow]:
+def _read_sets_in_range(catalogue: Catalogue, position: str, filters: Filters) -> list[SetRow]:
     """Return the sets of a position in the range; raise an error if they are too many."""
     position_filters: Filters = {**filters, "position": position}
     rows = catalogue.rows(SetRow, limit=MOST_SETS + 1, **position_filters)
@@ -231,7 +231,7 @@ def _sets(catalogue: Catalogue, position: str, filters: Filters) -> list[SetRow]
     return rows
 
 
-def _position_report(
+def _build_position_report(
     catalogue: Catalogue,
     settings: Settings,
     fresh: Freshness,
@@ -240,7 +240,7 @@ def _position_report(
     filters: Filters,
 ) -> PositionReport:
     """Return the present state and the columns of a position."""
-    name, age_h = last.position, age_of(last, fresh)
+    name, age_h = last.position, find_data_age_h(last, fresh)
     position_settings = settings.positions[name]
     is_probe = position_settings.method == PULSE_ECHO
     kind, columns = (ThicknessRow, OF_ECHOES) if is_probe else (FeatureRow, OF_WAVES)
@@ -253,11 +253,11 @@ def _position_report(
         method=position_settings.method,
         serial_number=position_settings.serial_number,
         last=last,
-        state=status_of(last),
-        data_h=data_hour(last),
+        state=find_status(last),
+        data_h=find_data_hour(last),
         age_h=age_h,
         stale=is_stale(settings.schedule, fresh, age_h),
-        limit=limit_of(last, settings.thinnest_m),
+        limit=find_limit(last, settings.thinnest_m),
         values=catalogue.columns(kind, columns, **set_filters),
         assessments=None
         if is_probe
@@ -266,7 +266,7 @@ def _position_report(
     )
 
 
-def _gaps(sets: Sequence[SetRow]) -> list[Gap]:
+def _group_gaps(sets: Sequence[SetRow]) -> list[Gap]:
     """Return the sets that are not done, consecutive ones with the same reason as one gap."""
     incomplete = [row for row in sets if row.state != "done"]
     runs: list[list[SetRow]] = []
@@ -299,7 +299,7 @@ def _was_active(row: AlarmRow, experiment: ExperimentRow, from_h: float, to_h: f
     return row.raised_h < to_h and cleared_h >= from_h
 
 
-def _history(catalogue: Catalogue, ids: set[int | None]) -> dict[int, list[EventRow]]:
+def _read_alarm_history(catalogue: Catalogue, ids: set[int | None]) -> dict[int, list[EventRow]]:
     """Return the events of alarms by the id of the alarm."""
     events_by_alarm: dict[int, list[EventRow]] = {}
     for event in catalogue.rows(EventRow, topic="alarms"):

@@ -15,7 +15,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogFormatter
 
-from daq_service.shared_file import packaged_table
+from daq_service.shared_file import load_table
 from daq_service.web.report.contents import Columns, Contents, PositionReport
 from hardware_drivers.methods import PULSE_ECHO
 
@@ -27,54 +27,56 @@ MARGIN = 0.01
 POOR = "suspect or bad"
 ABOVE: Any = {"loc": "lower left", "bbox_to_anchor": (0.0, 0.98), "ncols": 4}
 """Position of a legend above the axes."""
-RULES: Any = packaged_table(__file__)
+RULES: Any = load_table(__file__)
 _NO_METADATA = {"Date": None, "Creator": None, "Format": None, "Type": None}
 
 
-def figure_of(contents: Contents, position: PositionReport) -> str:
+def draw_position_figure(contents: Contents, position: PositionReport) -> str:
     """Return the figure of a position over the hours of the test as SVG element; empty without values."""
     if not position.values["due_h"]:
         return ""
     with mpl.rc_context(RULES):
-        panels = _echo_panels if position.method == PULSE_ECHO else _wave_panels
+        panels = _draw_echo_panels if position.method == PULSE_ECHO else _draw_wave_panels
         number = 1 if position.method == PULSE_ECHO else 3
         figure = Figure(figsize=(WIDTH_IN, 0.35 + PANEL_IN * number), layout="constrained")
         axes = [axis for (axis,) in figure.subplots(number, 1, squeeze=False, sharex=True)]
         panels(contents, position, axes)
         for axis in axes:
-            _mark(contents, position, axis)
+            _mark_gaps_and_alarms(contents, position, axis)
         to_h = min(contents.to_h, contents.now_h)
         margin_h = MARGIN * (to_h - contents.from_h)
         axes[0].set_xlim(contents.from_h - margin_h, to_h + margin_h)
         axes[-1].set_xlabel("time since start (h)")
-        return svg_of(figure, f"figure-{position.name}")
+        return render_svg(figure, f"figure-{position.name}")
 
 
-def svg_of(figure: Figure, prefix: str) -> str:
+def render_svg(figure: Figure, prefix: str) -> str:
     """Return a figure as SVG element of a page; ``prefix`` makes its ids unique."""
     content = io.StringIO()
     figure.savefig(content, format="svg", metadata=_NO_METADATA)
-    return _page_element(content.getvalue(), prefix)
+    return _extract_svg_element(content.getvalue(), prefix)
 
 
-def _wave_panels(contents: Contents, position: PositionReport, axes: Sequence[Axes]) -> None:
+def _draw_wave_panels(contents: Contents, position: PositionReport, axes: Sequence[Axes]) -> None:
     """Draw time of flight, amplitude ratio and squared distance of a transducer."""
     assert position.assessments is not None, "these have them"
     for axis, name, factor, label in (
         (axes[0], "tof_pp_s", 1e6, "time of flight (µs)"),
         (axes[1], "amplitude_ratio", 1.0, "amplitude ratio"),
     ):
-        _points(axis, position.values, name, factor, label)
+        _draw_points(axis, position.values, name, factor, label)
     distance = axes[2]
     assessments = position.assessments
     dots = {"linestyle": "none", "marker": "o", "color": BLUE, "label": "D²"}
     diamonds = {"marker": "D", "markersize": 5, "markerfacecolor": "none", "color": VERMILLION}
     outliers = dots | diamonds | {"label": "outlier"}
-    _line(distance, assessments, "distance_squared", dots)
-    _line(distance, assessments, "distance_squared", outliers, rows=assessments["outlier"], gid="outliers")
-    _line(distance, assessments, "limit_f_predictive", {"color": VERMILLION, "label": "F limit"})
+    _draw_line(distance, assessments, "distance_squared", dots)
+    _draw_line(
+        distance, assessments, "distance_squared", outliers, rows=assessments["outlier"], gid="outliers"
+    )
+    _draw_line(distance, assessments, "limit_f_predictive", {"color": VERMILLION, "label": "F limit"})
     dashed = {"color": PURPLE, "linestyle": "--", "label": "paper's limit"}
-    _line(distance, assessments, "limit_mean_3sd", dashed)
+    _draw_line(distance, assessments, "limit_mean_3sd", dashed)
     if any(value is not None and value > 0.0 for value in assessments["distance_squared"]):
         distance.set_yscale("log")
         distance.yaxis.set_major_formatter(LogFormatter())
@@ -83,9 +85,9 @@ def _wave_panels(contents: Contents, position: PositionReport, axes: Sequence[Ax
     distance.legend(**ABOVE)
 
 
-def _echo_panels(contents: Contents, position: PositionReport, axes: Sequence[Axes]) -> None:
+def _draw_echo_panels(contents: Contents, position: PositionReport, axes: Sequence[Axes]) -> None:
     """Draw the wall thickness of a probe with limit and interval."""
-    _points(axes[0], position.values, "thickness_m", 1e3, "wall (mm)")
+    _draw_points(axes[0], position.values, "thickness_m", 1e3, "wall (mm)")
     if position.limit is not None:
         axes[0].axhline(1e3 * position.limit, color=VERMILLION, label="alarm below")
     last = position.last.last_thickness
@@ -96,7 +98,7 @@ def _echo_panels(contents: Contents, position: PositionReport, axes: Sequence[Ax
     axes[0].legend(**ABOVE)
 
 
-def _points(axis: Axes, columns: Columns, name: str, factor: float, label: str) -> None:
+def _draw_points(axis: Axes, columns: Columns, name: str, factor: float, label: str) -> None:
     """Draw each set as a point, or as a cross where its quality is not good."""
     for gid, good, style in (
         (name, True, {"linestyle": "none", "marker": "o", "color": BLUE}),
@@ -104,13 +106,13 @@ def _points(axis: Axes, columns: Columns, name: str, factor: float, label: str) 
     ):
         rows = [(quality == "good") is good for quality in columns["quality"]]
         if any(rows):
-            _line(axis, columns, name, style, rows=rows, factor=factor, gid=gid)
+            _draw_line(axis, columns, name, style, rows=rows, factor=factor, gid=gid)
     axis.set_ylabel(label)
     if axis.get_legend_handles_labels()[1]:
         axis.legend(**ABOVE)
 
 
-def _line(
+def _draw_line(
     axis: Axes,
     columns: Columns,
     name: str,
@@ -127,7 +129,7 @@ def _line(
     axis.plot([hour for hour, _ in points], [value for _, value in points], gid=gid or name, **style)
 
 
-def _mark(contents: Contents, position: PositionReport, axis: Axes) -> None:
+def _mark_gaps_and_alarms(contents: Contents, position: PositionReport, axis: Axes) -> None:
     """Shade gaps, and draw lines at alarms and at the ends of annotations."""
     for gap in contents.gaps:
         if gap.position == position.name:
@@ -142,7 +144,7 @@ def _mark(contents: Contents, position: PositionReport, axis: Axes) -> None:
                     axis.axvline(hour, color=GREEN, linewidth=0.9, linestyle=":")
 
 
-def _page_element(svg: str, prefix: str) -> str:
+def _extract_svg_element(svg: str, prefix: str) -> str:
     """Return only the SVG element, with ids that are unique in the page."""
     element = svg[svg.index("<svg") :]
     element = re.sub(r'\bid="', f'id="{prefix}-', element)

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from daq_service.web.report.contents import read_contents
+from daq_service.web.report.contents import read_report_contents
 
 
-def report_page(
+def build_report_page(
     folder: Path, *, from_h: float | None = None, to_h: float | None = None, audited: bool = False
 ) -> bytes:
     """Return the HTML of a report (`contents.read_contents`).
@@ -20,8 +20,10 @@ def report_page(
         There is no test, or it cannot be read.
     """
     # Imports matplotlib, which nothing else of the service needs.
-    from daq_service.web.report.figures import figure_of
-    from daq_service.web.report.page import page
+    from daq_service.web.report.figures import draw_position_figure
+    from daq_service.web.report.page import render_report_page
 
-    contents = read_contents(folder, from_h=from_h, to_h=to_h, audited=audited)
-    return page(contents, {position.name: figure_of(contents, position) for position in contents.positions})
+    contents = read_report_contents(folder, from_h=from_h, to_h=to_h, audited=audited)
+    return render_report_page(
+        contents, {position.name: draw_position_figure(contents, position) for position in contents.positions}
+    )

@@ -6,58 +6,60 @@ import json
 import math
 from collections.abc import Iterator, Mapping, Sequence
 
-from daq_service.alarms.evidence import evidence_sentences
+from daq_service.alarms.evidence import build_evidence_sentences
 from daq_service.alarms.states import NOT_ASSESSED
-from daq_service.alarms.transitions import transition
-from daq_service.assessment.stored_limits import deciding_chart
+from daq_service.alarms.transitions import build_transition
+from daq_service.assessment.stored_limits import find_chart
 from daq_service.catalogue.rows import AlarmRow, EventRow
 from daq_service.settings.tree import AlarmSettings, NoveltySettings
 from daq_service.web.report.contents import MOST_LINES, Columns, Contents, PositionReport
-from daq_service.web.templates import NOT_KNOWN, quantity, render, significant
+from daq_service.web.templates import NOT_KNOWN, format_quantity, format_significant, render_template
 from hardware_drivers.nanoseconds import NS_PER_H
 
 Row = Sequence[str]
 
 
-def page(contents: Contents, figures: Mapping[str, str]) -> bytes:
+def render_report_page(contents: Contents, figures: Mapping[str, str]) -> bytes:
     """Return the HTML page; ``figures`` are SVG elements by position, empty without values."""
 
-    def sentences(alarm: AlarmRow) -> list[str]:
-        return evidence_sentences(alarm, contents.baselines)
+    def explain_alarm(alarm: AlarmRow) -> list[str]:
+        return build_evidence_sentences(alarm, contents.baselines)
 
-    def hour(utc_ns: int) -> str:
-        return quantity((utc_ns - contents.experiment.epoch_utc_ns) / NS_PER_H)
+    def format_hour(utc_ns: int) -> str:
+        return format_quantity((utc_ns - contents.experiment.epoch_utc_ns) / NS_PER_H)
 
-    return render(
+    return render_template(
         "report.html.j2",
         title=f"Report of the test {contents.experiment.name}",
         contents=contents,
         figures=figures,
-        alarm_rule=_alarm_rule_rows(
+        alarm_rule=_list_alarm_rules(
             contents.settings.alarms,
             contents.settings.novelty,
             contents.settings.false_alarms_per_sensor_year(),
         ),
         most_lines=MOST_LINES,
         configuration=json.dumps(contents.experiment.configuration, indent=1, sort_keys=True),
-        newest=lambda position: _newest(position, contents.settings.alarms),
-        series=_series_rows,
-        sentences=sentences,
-        history_cells=history_cells,
-        hour=hour,
+        newest=lambda position: _build_newest_row(position, contents.settings.alarms),
+        series=_build_series_rows,
+        sentences=explain_alarm,
+        history_cells=build_history_cells,
+        hour=format_hour,
     )
 
 
-def history_cells(event: EventRow) -> Row:
+def build_history_cells(event: EventRow) -> Row:
     """Return kind, state, person and reason of an alarm's event."""
-    change = transition(event)
+    change = build_transition(event)
     states = ", ".join(filter(None, (change["state"], change["suppressed"])))
     # Without a person the reason is the message of the alarm, which the page has anyway.
     reason = change["reason"] or "" if change["author"] else ""
     return (event.kind.replace("_", " "), states.replace("_", " "), change["author"] or "", reason)
 
 
-def _alarm_rule_rows(alarms: AlarmSettings, novelty: NoveltySettings, budget: float) -> list[tuple[str, str]]:
+def _list_alarm_rules(
+    alarms: AlarmSettings, novelty: NoveltySettings, budget: float
+) -> list[tuple[str, str]]:
     """Return the rule of the wall alarm and the limit of an outlier as rows of a table."""
     outlier = f"{novelty.limit}, {novelty.false_alarm_rate:g} false alarms a set"
     of_sets = f"at {alarms.k} of {alarms.n} sets"
@@ -73,32 +75,34 @@ def _alarm_rule_rows(alarms: AlarmSettings, novelty: NoveltySettings, budget: fl
     ]
 
 
-def _newest(position: PositionReport, alarms: AlarmSettings) -> Row:
+def _build_newest_row(position: PositionReport, alarms: AlarmSettings) -> Row:
     """Return the newest value of a position and its limit."""
     assessment, thickness = position.last.last_assessment, position.last.last_thickness
     if thickness is not None:
-        return quantity(thickness.thickness_m, 1e3, 3, "mm"), quantity(position.limit, 1e3, 3, "mm")
-    value = f"D² {significant(assessment.distance_squared if assessment else None)}"
+        return format_quantity(thickness.thickness_m, 1e3, 3, "mm"), format_quantity(
+            position.limit, 1e3, 3, "mm"
+        )
+    value = f"D² {format_significant(assessment.distance_squared if assessment else None)}"
     if position.state == NOT_ASSESSED and assessment is not None and assessment.reason:
         value = f"not judged: {assessment.reason}"
-    limit = significant(position.limit)
-    if (chart := deciding_chart(assessment, alarms)) is None:
+    limit = format_significant(position.limit)
+    if (chart := find_chart(assessment, alarms)) is None:
         return value, limit
-    return f"{value}; chart {significant(chart[0])}", f"{limit}; chart {significant(chart[1])}"
+    return f"{value}; chart {format_significant(chart[0])}", f"{limit}; chart {format_significant(chart[1])}"
 
 
-def _series_rows(position: PositionReport) -> Iterator[Row]:
+def _build_series_rows(position: PositionReport) -> Iterator[Row]:
     """Yield the statistics of each quantity over the range."""
     if position.assessments is None:
-        yield _series_row("Wall thickness", position.values, "thickness_m", 1e3, 4, "mm")
-        yield _series_row("Lost thickness", position.values, "thickness_loss_m", 1e6, 2, "µm")
+        yield _build_series_row("Wall thickness", position.values, "thickness_m", 1e3, 4, "mm")
+        yield _build_series_row("Lost thickness", position.values, "thickness_loss_m", 1e6, 2, "µm")
     else:
-        yield _series_row("Time of flight", position.values, "tof_pp_s", 1e6, 3, "µs")
-        yield _series_row("Amplitude ratio", position.values, "amplitude_ratio", 1.0, 4, "")
-        yield _series_row("Squared distance", position.assessments, "distance_squared", 1.0, 3, "")
+        yield _build_series_row("Time of flight", position.values, "tof_pp_s", 1e6, 3, "µs")
+        yield _build_series_row("Amplitude ratio", position.values, "amplitude_ratio", 1.0, 4, "")
+        yield _build_series_row("Squared distance", position.assessments, "distance_squared", 1.0, 3, "")
 
 
-def _series_row(
+def _build_series_row(
     quantity_name: str, columns: Columns, name: str, factor: float, digits: int, unit: str
 ) -> Row:
     """Return the statistics of a quantity as a row of a table."""
@@ -110,6 +114,6 @@ def _series_row(
     return (
         quantity_name,
         str(len(values)),
-        *(quantity(value, factor, digits, unit) for value in shown),
+        *(format_quantity(value, factor, digits, unit) for value in shown),
         n_poor,
     )

@@ -11,23 +11,23 @@ from starlette.requests import HTTPConnection
 
 from daq_service.commands.audit import Result
 from daq_service.web.answers.problem import Problem
-from daq_service.web.auth.middleware import address_of, person_at
+from daq_service.web.auth.middleware import find_address, read_request_person
 from daq_service.web.auth.roles import OPERATIONS, Person, Role
-from daq_service.web.context import context_at
+from daq_service.web.context import find_request_context
 
 TOKEN_OPERATIONS = frozenset({"log_in", "log_out", "create_token", "revoke_token"})
 """Audited in the folder of the tokens; all other operations in that of the test."""
 
 
-async def _person_dependency(connection: HTTPConnection) -> Person:
+async def _provide_person(connection: HTTPConnection) -> Person:
     """Return `person_at`; as a coroutine it needs no thread of the pool."""
-    return person_at(connection)
+    return read_request_person(connection)
 
 
-PersonOf = Annotated[Person, Depends(_person_dependency)]
+PersonOf = Annotated[Person, Depends(_provide_person)]
 
 
-async def admit(connection: HTTPConnection) -> None:
+async def check_role(connection: HTTPConnection) -> None:
     """Check that the role allows an operation; a dependency of every route of the API.
 
     Raises
@@ -38,16 +38,16 @@ async def admit(connection: HTTPConnection) -> None:
     operation: str = connection.scope["route"].name
     needed = OPERATIONS.get(operation, "admin")
     if needed is not None:
-        person = person_at(connection)
+        person = read_request_person(connection)
         if not person.may(needed):
-            problem = role_too_low(person, operation, needed)
+            problem = create_role_too_low(person, operation, needed)
             await asyncio.to_thread(
                 write_audit_entry, connection, person, operation, "rejected", problem.detail
             )
             raise problem
 
 
-def role_too_low(person: Person, operation: str, needed: Role) -> Problem:
+def create_role_too_low(person: Person, operation: str, needed: Role) -> Problem:
     """Return the problem that a higher role is needed (403)."""
     return Problem("role-too-low", f"{operation} needs the role {needed}; {person.name} is {person.role}.")
 
@@ -64,12 +64,12 @@ def write_audit_entry(
     command_id: int | None = None,
 ) -> None:
     """Write a request of a person and its result to the audit log."""
-    context = context_at(connection)
+    context = find_request_context(connection)
     audit = context.access_policy.audit if operation in TOKEN_OPERATIONS else context.audit
     audit.add(
         author=person.name or claimed,
         role=person.role,
-        source=address_of(connection.scope),
+        source=find_address(connection.scope),
         what=operation,
         arguments=dict(arguments or {}),
         result=result,

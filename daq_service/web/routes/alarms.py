@@ -7,31 +7,31 @@ from dataclasses import asdict
 from fastapi import APIRouter
 
 from daq_service.alarms.guidance import GUIDANCE
-from daq_service.alarms.transitions import transition
+from daq_service.alarms.transitions import build_transition
 from daq_service.catalogue.rows import AlarmRow, EventRow
 from daq_service.web.answers import models
-from daq_service.web.answers.json_answer import JsonAnswer, with_utc
+from daq_service.web.answers.json_answer import JsonAnswer, add_utc
 from daq_service.web.answers.problem import not_found
 from daq_service.web.context import Context, ContextOf
 from daq_service.web.routes.listing import RowId
 
 router = APIRouter(tags=["alarms"])
-ERRORS = models.problems(404, 503)
+ERRORS = models.list_errors(404, 503)
 
 
 @router.get("/alarms/{alarm_id}", response_model=models.AlarmRow, responses=ERRORS)
 def get_alarm(alarm_id: RowId, context: ContextOf) -> JsonAnswer:
     """Return one alarm with its evidence."""
-    return JsonAnswer(context.freshness().row(_alarm(context, alarm_id)))
+    return JsonAnswer(context.compute_freshness().row(_read_alarm(context, alarm_id)))
 
 
 @router.get("/alarms/{alarm_id}/history", response_model=models.AlarmHistory, responses=ERRORS)
 def get_alarm_history(alarm_id: RowId, context: ContextOf) -> JsonAnswer:
     """Return every transition of an alarm, the oldest first, with time, person and reason."""
-    row, fresh = _alarm(context, alarm_id), context.freshness()
+    row, fresh = _read_alarm(context, alarm_id), context.compute_freshness()
     events = context.catalogue().rows(EventRow, topic="alarms", position=row.position)
     items = [
-        with_utc(transition(event), fresh.epoch_utc_ns)
+        add_utc(build_transition(event), fresh.epoch_utc_ns)
         for event in events
         if event.payload.get("alarm_id") == alarm_id
     ]
@@ -44,7 +44,7 @@ def list_guidance() -> JsonAnswer:
     return JsonAnswer({"items": [{"kind": kind, **asdict(guidance)} for kind, guidance in GUIDANCE.items()]})
 
 
-def _alarm(context: Context, alarm_id: int) -> AlarmRow:
+def _read_alarm(context: Context, alarm_id: int) -> AlarmRow:
     row = context.catalogue().alarm(alarm_id)
     if row is None:
         raise not_found(f"There is no alarm {alarm_id}.", "/api/v1/alarms lists them.")

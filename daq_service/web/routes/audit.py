@@ -11,15 +11,15 @@ from fastapi import APIRouter, Query
 from pydantic import AwareDatetime, BeforeValidator
 
 from daq_service.commands.audit import AUDIT_FILE, AuditEntry, Result, read_audit
-from daq_service.commands.deadline import command_state
+from daq_service.commands.deadline import read_command_state
 from daq_service.errors import SolimonError, StorageUnavailableError
 from daq_service.web.answers import cursors
-from daq_service.web.answers.json_answer import JsonAnswer, with_utc
-from daq_service.web.answers.models import AuditPage, problems
+from daq_service.web.answers.json_answer import JsonAnswer, add_utc
+from daq_service.web.answers.models import AuditPage, list_errors
 from daq_service.web.answers.problem import invalid
 from daq_service.web.auth.roles import OPERATIONS, ORDERS
 from daq_service.web.context import Context, ContextOf
-from daq_service.web.routes.listing import CursorText, Limit, listing_name
+from daq_service.web.routes.listing import CursorText, Limit, build_listing_name
 
 router = APIRouter(tags=["audit"])
 AUDITED_OPERATIONS = sorted({*OPERATIONS, *ORDERS, "enter"})
@@ -30,19 +30,19 @@ WithResult = Annotated[Result | None, Query(description="Only with this result")
 RFC_3339 = re.compile(r"\d{4}-\d\d-\d\d[Tt]\d\d:\d\d:\d\d(\.\d+)?([Zz]|[+-]\d\d:\d\d)", re.ASCII)
 
 
-def _rfc3339_text(text: str) -> str:
+def _validate_rfc3339_text(text: str) -> str:
     """Return a text in RFC 3339 form; pydantic also accepts a number as seconds since 1970."""
     if not RFC_3339.fullmatch(text):
         raise ValueError("give a time with its offset, such as 2024-01-01T00:00:00Z")
     return text
 
 
-Moment = Annotated[AwareDatetime, BeforeValidator(_rfc3339_text)]
+Moment = Annotated[AwareDatetime, BeforeValidator(_validate_rfc3339_text)]
 FromUtc = Annotated[Moment | None, Query(description="First moment, included")]
 ToUtc = Annotated[Moment | None, Query(description="Last moment, excluded")]
 
 
-@router.get("/audit", response_model=AuditPage, responses=problems(503))
+@router.get("/audit", response_model=AuditPage, responses=list_errors(503))
 def list_audit(
     context: ContextOf,
     author: Author = None,
@@ -58,8 +58,8 @@ def list_audit(
     One answer covers a limited part of the file: with filters it may have few items, or none, and a cursor
     for earlier ones.
     """
-    kinds = _kinds(what)
-    first_ns, end_ns = _utc_ns(from_utc), _utc_ns(to_utc)
+    kinds = _parse_operations(what)
+    first_ns, end_ns = _to_utc_ns(from_utc), _to_utc_ns(to_utc)
     _check_range(first_ns, end_ns)
 
     def is_selected(entry: AuditEntry) -> bool:
@@ -71,19 +71,19 @@ def list_audit(
             and (end_ns is None or entry.utc_ns < end_ns)
         )
 
-    listing = listing_name("audit", author=author, what=what, result=result, first=first_ns, end=end_ns)
+    listing = build_listing_name("audit", author=author, what=what, result=result, first=first_ns, end=end_ns)
     try:
         entries, previous_end = read_audit(
-            context.data_folder, limit=limit, end=cursors.decode(listing, cursor), wanted=is_selected
+            context.data_folder, limit=limit, end=cursors.decode_cursor(listing, cursor), wanted=is_selected
         )
     except OSError as error:
         raise StorageUnavailableError(f"{AUDIT_FILE} cannot be read: {error.strerror}") from error
-    items = [_item(context, number, entry) for number, entry in entries]
-    next_cursor = None if previous_end is None else cursors.encode(listing, previous_end)
+    items = [_build_item(context, number, entry) for number, entry in entries]
+    next_cursor = None if previous_end is None else cursors.encode_cursor(listing, previous_end)
     return JsonAnswer({"next_cursor": next_cursor, "items": items})
 
 
-def _kinds(what: str | None) -> frozenset[str] | None:
+def _parse_operations(what: str | None) -> frozenset[str] | None:
     """Return the requested operations; raise a problem for an unknown one."""
     kinds = None if what is None else frozenset(what.split(","))
     if kinds is not None and not kinds <= set(AUDITED_OPERATIONS):
@@ -106,21 +106,21 @@ def _check_range(first_ns: int | None, end_ns: int | None) -> None:
         )
 
 
-def _utc_ns(moment: datetime | None) -> int | None:
+def _to_utc_ns(moment: datetime | None) -> int | None:
     """Return nanoseconds of UTC by subtraction: a conversion to UTC fails in year 1 east of Greenwich."""
     return None if moment is None else (moment - EPOCH) // timedelta(microseconds=1) * 1000
 
 
-def _item(context: Context, number: int, entry: AuditEntry) -> dict[str, object]:
+def _build_item(context: Context, number: int, entry: AuditEntry) -> dict[str, object]:
     """Return an audit entry as JSON, with the outcome of its command."""
-    outcome = None if entry.command_id is None else _outcome(context, entry.command_id)
-    return with_utc({"id": number, **asdict(entry), "outcome": outcome}, 0)
+    outcome = None if entry.command_id is None else _read_outcome(context, entry.command_id)
+    return add_utc({"id": number, **asdict(entry), "outcome": outcome}, 0)
 
 
-def _outcome(context: Context, command_id: int) -> str | None:
+def _read_outcome(context: Context, command_id: int) -> str | None:
     """Return the result of a command; None where the catalogue is unavailable."""
     try:
-        state_and_time = command_state(context.catalogue_access.get(), command_id)
+        state_and_time = read_command_state(context.catalogue_access.get(), command_id)
     except SolimonError:
         return None
     return (

@@ -13,20 +13,20 @@ from starlette.responses import Response
 
 from daq_service.alarms.states import Moment
 from daq_service.catalogue import Catalogue
-from daq_service.catalogue.rows import AlarmRow, AnnotationRow, values
+from daq_service.catalogue.rows import AlarmRow, AnnotationRow, to_columns
 from daq_service.commands import kinds
 from daq_service.commands.audit import Result
-from daq_service.commands.deadline import command_state
+from daq_service.commands.deadline import read_command_state
 from daq_service.commands.registry import AnyCommand
 from daq_service.commands.without_recorder import carry_out_unattended
 from daq_service.errors import BusyError, StorageError
 from daq_service.processes.data_folder import is_owned
-from daq_service.web.answers.json_answer import JsonAnswer, with_utc
-from daq_service.web.answers.models import CommandRow, problems
+from daq_service.web.answers.json_answer import JsonAnswer, add_utc
+from daq_service.web.answers.models import CommandRow, list_errors
 from daq_service.web.answers.problem import Problem, conflict, not_found
 from daq_service.web.auth.roles import ORDERS, Person
 from daq_service.web.context import Context, ContextOf
-from daq_service.web.routes.admission import PersonOf, role_too_low, write_audit_entry
+from daq_service.web.routes.admission import PersonOf, create_role_too_low, write_audit_entry
 from daq_service.web.routes.listing import RowId
 from hardware_drivers.methods import SOLITARY_WAVE
 
@@ -44,14 +44,17 @@ ExecuteCommand = Callable[[kinds.Command], Response]
 """Stores a command in the name of its author, or executes it, and returns the response with its row."""
 
 
-async def _execute_dependency(context: ContextOf, request: Request, person: PersonOf) -> ExecuteCommand:
+async def _provide_execute(context: ContextOf, request: Request, person: PersonOf) -> ExecuteCommand:
     """Return the function that executes a command for the person of the request."""
     return partial(_execute_audited, context, request, person)
 
 
-ExecuteOf = Annotated[ExecuteCommand, Depends(_execute_dependency)]
+ExecuteOf = Annotated[ExecuteCommand, Depends(_provide_execute)]
 _accepts = partial(
-    router.post, status_code=202, response_model=CommandRow, responses=problems(400, 403, 404, 409, 413, 503)
+    router.post,
+    status_code=202,
+    response_model=CommandRow,
+    responses=list_errors(400, 403, 404, 409, 413, 503),
 )
 
 
@@ -72,10 +75,10 @@ def acknowledge_alarm(alarm_id: RowId, body: Acknowledgement, execute: ExecuteOf
     return execute(kinds.AcknowledgeAlarm(kind="acknowledge_alarm", author=body.author, arguments=arguments))
 
 
-@router.get("/commands/{command_id}", response_model=CommandRow, responses=problems(404, 503))
+@router.get("/commands/{command_id}", response_model=CommandRow, responses=list_errors(404, 503))
 def get_command(command_id: RowId, context: ContextOf) -> JsonAnswer:
     """Return a command with its state and result."""
-    return JsonAnswer(_row(context, command_id))
+    return JsonAnswer(_read_row(context, command_id))
 
 
 def _execute_audited(context: Context, request: Request, person: Person, command: kinds.Command) -> Response:
@@ -90,7 +93,7 @@ def _execute_audited(context: Context, request: Request, person: Person, command
     )
     try:
         if not person.may(ORDERS.get(command.kind, "admin")):
-            raise role_too_low(person, command.kind, ORDERS.get(command.kind, "admin"))
+            raise create_role_too_low(person, command.kind, ORDERS.get(command.kind, "admin"))
         command = command.model_copy(update={"author": person.name or command.author})
         command_id, result = _write_or_execute(context, command)
     except (Problem, StorageError) as refusal:
@@ -98,7 +101,9 @@ def _execute_audited(context: Context, request: Request, person: Person, command
         raise
     audit(result, command_id=command_id)
     return JsonAnswer(
-        _row(context, command_id), status_code=202, headers={"Location": f"/api/v1/commands/{command_id}"}
+        _read_row(context, command_id),
+        status_code=202,
+        headers={"Location": f"/api/v1/commands/{command_id}"},
     )
 
 
@@ -109,7 +114,7 @@ def _write_or_execute(context: Context, command: kinds.Command) -> tuple[int, Re
         if isinstance(command, kinds.StoredCommand) and is_owned(context.data_folder) is False:
             with suppress(BusyError):  # a recorder has started meanwhile: it gets the command
                 return _execute_here(context, command), "done"
-        command.refuse_forbidden(_facts(context, catalogue))
+        command.refuse_forbidden(_collect_facts(context, catalogue))
     except kinds.CommandRejectedError as error:
         refusal = error.refusal
         raise (not_found if refusal.missing else conflict)(refusal.detail, refusal.hint) from None
@@ -119,37 +124,37 @@ def _write_or_execute(context: Context, command: kinds.Command) -> tuple[int, Re
 def _execute_here(context: Context, command: kinds.StoredCommand) -> int:
     """Execute a command in the web service, without a recorder; return its id."""
 
-    def moment() -> Moment:
-        now = context.freshness()
+    def read_moment() -> Moment:
+        now = context.compute_freshness()
         return Moment(utc_ns=now.now_utc_ns, due_h=now.now_h, set_index=None)
 
-    facts = partial(_facts, context)
-    return carry_out_unattended(context.data_folder, command, facts=facts, moment=moment)
+    facts = partial(_collect_facts, context)
+    return carry_out_unattended(context.data_folder, command, facts=facts, moment=read_moment)
 
 
-def _facts(context: Context, catalogue: Catalogue) -> kinds.Facts:
+def _collect_facts(context: Context, catalogue: Catalogue) -> kinds.Facts:
     """Return the facts that decide whether a command can be executed."""
     return kinds.Facts(
-        recorder=context.freshness().recorder.status,
+        recorder=context.compute_freshness().recorder.status,
         recorded=is_owned(context.data_folder) is not False,
         can_skip_time=context.settings.clock.is_paced,
         paused=catalogue.paused() or "",
-        positions=context.settings.names_of(SOLITARY_WAVE),
+        positions=context.settings.list_positions(SOLITARY_WAVE),
         has_supply=context.settings.rig.driven is not None,
-        alarms=list(map(context.freshness().standing, catalogue.rows(AlarmRow))),
-        places=catalogue.position_names(),
+        alarms=list(map(context.compute_freshness().with_present_state, catalogue.rows(AlarmRow))),
+        places=catalogue.list_position_names(),
         annotations=catalogue.rows(AnnotationRow),
-        baselines=catalogue.newest_baselines(),
+        baselines=catalogue.read_newest_baselines(),
     )
 
 
-def _row(context: Context, command_id: int) -> dict[str, object]:
+def _read_row(context: Context, command_id: int) -> dict[str, object]:
     """Return a command with the time that it has left; raise a problem if it does not exist."""
-    state_and_time = command_state(context.catalogue(), command_id)
+    state_and_time = read_command_state(context.catalogue(), command_id)
     if state_and_time is None:
         raise not_found(
             f"There is no command {command_id}.", "Ids come from the answer that accepted the command."
         )
     row, seconds_left = state_and_time
     expires_in_s = seconds_left if row.state == "pending" else None
-    return with_utc({**values(row), "expires_in_s": expires_in_s}, 0)
+    return add_utc({**to_columns(row), "expires_in_s": expires_in_s}, 0)

@@ -10,9 +10,9 @@ from typing import Any
 
 from daq_service.shared_file import read_shared
 from daq_service.web.answers.models import PROBLEMS
-from daq_service.web.answers.vocabulary import MEANINGS, RATIOS, VOCABULARY, look_up
+from daq_service.web.answers.vocabulary import MEANINGS, RATIOS, VOCABULARY, look_up_scoped_value
 from daq_service.web.auth.roles import OPERATIONS, ORDERS
-from hardware_drivers.units import unit_of
+from hardware_drivers.units import find_unit
 
 OpenApi = dict[str, Any]
 """Document of OpenAPI, or a part of it, as FastAPI makes it."""
@@ -40,7 +40,7 @@ def describe_roles(document: OpenApi) -> None:
 
 
 @cache
-def examples() -> OpenApi:
+def load_examples() -> OpenApi:
     """Return example answers of a real service by operation (`python tests/contract/test_openapi.py`)."""
     example_answers: OpenApi = json.loads(
         read_shared(Path(__file__).parents[1] / "answers" / "examples.json")
@@ -57,40 +57,40 @@ def describe_names(document: OpenApi) -> None:
     ]
     for schema, documented in document["components"]["schemas"].items():
         for name, part in documented.get("properties", {}).items():
-            _describe(part, schema, name, part)
+            _describe_name(part, schema, name, part)
     for operation in operations:
         for parameter in operation.get("parameters", ()):
-            _describe(parameter, operation["operationId"], parameter["name"], parameter["schema"])
-            example = look_up(VOCABULARY.examples, operation["operationId"], parameter["name"])
+            _describe_name(parameter, operation["operationId"], parameter["name"], parameter["schema"])
+            example = look_up_scoped_value(VOCABULARY.examples, operation["operationId"], parameter["name"])
             if parameter["required"] and example is not None:
                 parameter["example"] = example
-        _give_example(operation)
+        _add_example(operation)
 
 
-def _describe(documented: OpenApi, scope: str, name: str, schema: OpenApi) -> None:
+def _describe_name(documented: OpenApi, scope: str, name: str, schema: OpenApi) -> None:
     """Add the description of a name, and the unit of a number (UDUNITS; `own`: stated with the number)."""
-    if (text := look_up(MEANINGS, scope, name)) is not None:
+    if (text := look_up_scoped_value(MEANINGS, scope, name)) is not None:
         documented.setdefault("description", text)
-    if not holds_numbers(schema):
+    if not is_numeric_schema(schema):
         return
-    unit = unit_of(name) or VOCABULARY.units.get(name)
-    if unit is None and (name.endswith(RATIOS) or not holds_numbers(schema, {"number"})):
+    unit = find_unit(name) or VOCABULARY.units.get(name)
+    if unit is None and (name.endswith(RATIOS) or not is_numeric_schema(schema, {"number"})):
         unit = "1"
     if unit:
         documented["x-unit"] = unit
 
 
-def holds_numbers(schema: object, kinds: Collection[str] = ("number", "integer")) -> bool:
+def is_numeric_schema(schema: object, kinds: Collection[str] = ("number", "integer")) -> bool:
     """Return whether values of a schema are numbers of these kinds, or contain them."""
     if not isinstance(schema, dict):
         return False
     parts = [*schema.get("anyOf", ()), schema.get("items"), schema.get("additionalProperties")]
-    return schema.get("type") in kinds or any(holds_numbers(part, kinds) for part in parts)
+    return schema.get("type") in kinds or any(is_numeric_schema(part, kinds) for part in parts)
 
 
-def _give_example(operation: OpenApi) -> None:
+def _add_example(operation: OpenApi) -> None:
     """Add the stored example to the responses of an operation."""
-    example = examples().get(operation["operationId"])
+    example = load_examples().get(operation["operationId"])
     if example is None:
         return
     status, media_type = example["status"], example["media_type"]

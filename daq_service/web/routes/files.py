@@ -9,9 +9,9 @@ from fastapi import APIRouter, Path, Request
 from starlette.responses import FileResponse, Response
 
 from daq_service.catalogue.rows import SetRow
-from daq_service.web.answers.models import files, problems
+from daq_service.web.answers.models import describe_file_answer, list_errors
 from daq_service.web.answers.problem import Problem, not_found
-from daq_service.web.answers.unchanged import unchanged
+from daq_service.web.answers.unchanged import check_etag
 from daq_service.web.context import Context, ContextOf
 from hardware_drivers.measurement import SetKey
 
@@ -25,10 +25,10 @@ RANGE = re.compile(r"bytes=(\d{0,18})-(\d{0,18})", re.ASCII)
 @router.get(
     "/files/{name}",
     response_class=Response,
-    responses=files(HDF5)
-    | {206: files(HDF5)[200] | {"description": "The range that was asked for."}}
+    responses=describe_file_answer(HDF5)
+    | {206: describe_file_answer(HDF5)[200] | {"description": "The range that was asked for."}}
     | {304: {"description": "The client's copy, named by If-None-Match, is the file."}}
-    | problems(404, 416, 503),
+    | list_errors(404, 416, 503),
 )
 def get_file(
     request: Request,
@@ -36,7 +36,7 @@ def get_file(
     name: Annotated[str, Path(max_length=80, description="As `sets` names it, without its folder")],
 ) -> Response:
     """Send the file of a set; it never changes, so ranges of it can be requested at any time."""
-    row = _row_of(context, name)
+    row = _find_set_of_file(context, name)
     path = None if row is None or row.file is None else context.data_folder / row.file
     # A link may lead out of the data folder: it is not followed.
     if row is None or path is None or path.is_symlink() or not path.is_file():
@@ -48,23 +48,23 @@ def get_file(
     # With compression, a range would refer to other bytes; the data in the file are already compressed.
     headers = {"Content-Encoding": "identity"}
     if row.file_sha256 is not None:
-        cache_headers, not_modified = unchanged(request, f'"{row.file_sha256}"')
+        cache_headers, not_modified = check_etag(request, f'"{row.file_sha256}"')
         if not_modified is not None:
             return not_modified
         headers |= cache_headers
     response = FileResponse(path, headers=headers, media_type=HDF5, filename=name, stat_result=size)
     byte_range, only_if = request.headers.get("range"), request.headers.get("if-range")
     if byte_range is not None and only_if in (None, response.headers["etag"]):
-        _check_range(byte_range, size.st_size)
+        _check_byte_range(byte_range, size.st_size)
     return response
 
 
-def _row_of(context: Context, name: str) -> SetRow | None:
+def _find_set_of_file(context: Context, name: str) -> SetRow | None:
     """Return the set of a file; the path comes from the catalogue, never from the request."""
     match = NAME.fullmatch(name)
     if match is None:
         return None
-    catalogue, index = context.catalogue(), SetKey.of_number(int(match[1])).set_index
+    catalogue, index = context.catalogue(), SetKey.from_number(int(match[1])).set_index
     rows = (
         row
         for position in context.settings.positions
@@ -73,7 +73,7 @@ def _row_of(context: Context, name: str) -> SetRow | None:
     return next((row for row in rows if row.file is not None and row.file.rpartition("/")[2] == name), None)
 
 
-def _check_range(byte_range: str, n_bytes: int) -> None:
+def _check_byte_range(byte_range: str, n_bytes: int) -> None:
     """Raise a problem for a range that the file does not have."""
     match = RANGE.fullmatch(byte_range.replace(" ", ""))
     first, last = match.groups() if match else ("", "")

@@ -8,7 +8,7 @@ from fastapi import APIRouter
 
 from daq_service.processes.disk_policy import outlook
 from daq_service.web.answers.json_answer import JsonAnswer
-from daq_service.web.answers.models import Liveness, ServiceHealth, problems
+from daq_service.web.answers.models import Liveness, ServiceHealth, list_errors
 from daq_service.web.context import ContextOf
 
 probes = APIRouter(tags=["health"])
@@ -21,17 +21,17 @@ def get_liveness(context: ContextOf) -> JsonAnswer:
     return JsonAnswer({"status": "ok", "data": context.has_data()})
 
 
-@probes.get("/readyz", response_model=Liveness, responses=problems(503))
+@probes.get("/readyz", response_model=Liveness, responses=list_errors(503))
 def get_readiness(context: ContextOf) -> JsonAnswer:
     """Return 200 where data are stored, else 503."""
     context.catalogue().last_event_id()
     return JsonAnswer({"status": "ok", "data": True})
 
 
-@router.get("/health", response_model=ServiceHealth, responses=problems(503))
+@router.get("/health", response_model=ServiceHealth, responses=list_errors(503))
 def get_health(context: ContextOf) -> JsonAnswer:
     """Return the heartbeat of the recorder, counts of stored data, open streams, and free disk space."""
-    fresh = context.freshness()
+    fresh = context.compute_freshness()
     beat = fresh.recorder.beat
     settings, catalogue = context.settings, context.catalogue()
     disk = outlook(context.data_folder, settings.storage, settings.schedule, catalogue)

@@ -6,9 +6,9 @@ from fastapi import APIRouter
 
 from daq_service.acquisition import schedule
 from daq_service.catalogue import Catalogue
-from daq_service.web.answers.json_answer import JsonAnswer, rfc3339
-from daq_service.web.answers.models import Info, SupplyInfo, problems
-from daq_service.web.answers.version import distribution_version
+from daq_service.web.answers.json_answer import JsonAnswer, format_rfc3339
+from daq_service.web.answers.models import Info, SupplyInfo, list_errors
+from daq_service.web.answers.version import read_installed_version
 from daq_service.web.context import ContextOf, Freshness
 from hardware_drivers.nanoseconds import NS_PER_S
 
@@ -21,30 +21,30 @@ RIG_LABELS = {
 }
 
 
-@router.get("/info", response_model=Info, responses=problems(503))
+@router.get("/info", response_model=Info, responses=list_errors(503))
 def get_info(context: ContextOf) -> JsonAnswer:
     """Return name, rig, clock, schedule, limits and positions of the test."""
     settings = context.settings
-    fresh = context.freshness()
+    fresh = context.compute_freshness()
     catalogue = context.catalogue()
-    row = catalogue.experiment_row()
-    started = catalogue.last_service_event("recorder_started")
-    hours = schedule.due_hours(settings.schedule.phases, end_h=settings.schedule.end_h)
+    row = catalogue.read_experiment()
+    started = catalogue.read_last_service_event("recorder_started")
+    hours = schedule.list_due_hours(settings.schedule.phases, end_h=settings.schedule.end_h)
     return JsonAnswer(
         {
             **{name: getattr(row, name) for name in ("name", "uuid", "site")},
-            "version": distribution_version(),
+            "version": read_installed_version(),
             "configuration_hash": row.configuration_hash,
             "rig": settings.rig.kind,
             "rig_label": RIG_LABELS.get(settings.rig.kind, settings.rig.kind),
             "rig_identity": {} if started is None else started.payload.get("rig_identity", {}),
             "instruments": [
-                {"name": name, "kind": item.kind, "serves": settings.rig.served_by(name)}
+                {"name": name, "kind": item.kind, "serves": settings.rig.find_served_positions(name)}
                 for name, item in settings.rig.instruments.items()
             ],
             "clock": {
                 "kind": settings.clock.kind,
-                "epoch_utc": rfc3339(fresh.epoch_utc_ns),
+                "epoch_utc": format_rfc3339(fresh.epoch_utc_ns),
                 "pace_h_per_s": settings.clock.pace_h_per_s,
                 "system_ahead_s": fresh.system_ahead_s,
                 "can_finish_now": settings.clock.is_paced and fresh.recorder.status == "running",
@@ -59,7 +59,7 @@ def get_info(context: ContextOf) -> JsonAnswer:
                 "deciding": settings.novelty.limit,
                 "decides_by": settings.alarms.decides_by,
                 "false_alarms_per_sensor_year": settings.false_alarms_per_sensor_year(),
-                "named": _named_limits(),
+                "named": _list_limits(),
                 "false_alarm_rate": settings.novelty.false_alarm_rate,
                 "k": settings.alarms.k,
                 "n": settings.alarms.n,
@@ -76,7 +76,7 @@ def get_info(context: ContextOf) -> JsonAnswer:
                 for name, place in settings.positions.items()
             ],
             "paused": catalogue.paused(),
-            "asked": _current_request(catalogue, fresh),
+            "asked": _read_current_request(catalogue, fresh),
             "dry_run": None if started is None else started.payload.get("dry_run"),
             "last_event_id": fresh.last_event_id,
             "as_of": fresh.as_of(),
@@ -84,7 +84,7 @@ def get_info(context: ContextOf) -> JsonAnswer:
     )
 
 
-def _named_limits() -> list[dict[str, str]]:
+def _list_limits() -> list[dict[str, str]]:
     """Return all limits with their descriptions."""
     from analysis.statistics.named_limits import LIMITS  # with SciPy, which is slow to import
 
@@ -94,9 +94,9 @@ def _named_limits() -> list[dict[str, str]]:
     ]
 
 
-def _current_request(catalogue: Catalogue, fresh: Freshness) -> dict[str, object] | None:
+def _read_current_request(catalogue: Catalogue, fresh: Freshness) -> dict[str, object] | None:
     """Return the present request to a person, while a recorder waits for it."""
-    event = catalogue.last_service_event("asked", "asked_over")
+    event = catalogue.read_last_service_event("asked", "asked_over")
     if event is None or event.kind != "asked" or fresh.recorder.status != "running":
         return None
     remaining_s = event.payload["within_s"] - (fresh.now_utc_ns - event.utc_ns) / NS_PER_S

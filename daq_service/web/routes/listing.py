@@ -39,7 +39,7 @@ PurposeFilter = Annotated[
 ]
 
 
-def last_hour(from_h: float | None, to_h: float | None) -> float | None:
+def find_last_hour(from_h: float | None, to_h: float | None) -> float | None:
     """Return the last hour inside a half-open range, for the catalogue.
 
     Raises
@@ -58,7 +58,7 @@ def last_hour(from_h: float | None, to_h: float | None) -> float | None:
     return math.nextafter(to_h, -math.inf)
 
 
-def listing_name(resource: str, **filters: object) -> str:
+def build_listing_name(resource: str, **filters: object) -> str:
     """Return the name of a listing with its filters, for its cursors."""
     return resource + "".join(
         f"&{key}={value}" for key, value in sorted(filters.items()) if value is not None

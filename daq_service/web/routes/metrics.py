@@ -17,41 +17,41 @@ from starlette.responses import Response
 
 from daq_service.assessment.position_status import (
     PositionStatus,
-    age_of,
+    find_data_age_h,
+    find_limit,
+    find_status,
     is_stale,
-    latest_rows,
-    limit_of,
-    status_of,
+    read_latest_rows,
 )
 from daq_service.catalogue.reader import LatestRows
 from daq_service.catalogue.rows import AlarmRow, CommandRow, Quality
 from daq_service.processes.disk_policy import LEVELS, outlook
 from daq_service.processes.recorder_state import RecorderStatus, read_recorder_state
 from daq_service.settings.tree import ScheduleSettings
-from daq_service.shared_file import packaged_table
-from daq_service.web.answers.models import problems
-from daq_service.web.answers.version import distribution_version
+from daq_service.shared_file import load_table
+from daq_service.web.answers.models import list_errors
+from daq_service.web.answers.version import read_installed_version
 from daq_service.web.context import Context, ContextOf, Freshness
 from hardware_drivers.nanoseconds import NS_PER_S
 
 probes = APIRouter(tags=["health"])
-DESCRIPTIONS = TypeAdapter(dict[str, str]).validate_python(packaged_table(__file__))
+DESCRIPTIONS = TypeAdapter(dict[str, str]).validate_python(load_table(__file__))
 S_PER_H = 3600.0
 
 Labels = tuple[str, ...]
 OPENMETRICS: dict[int | str, dict[str, object]] = {
     200: {"content": {"application/openmetrics-text": {"schema": {"type": "string"}}}},
-    **problems(503),
+    **list_errors(503),
 }
 
 
 @probes.get("/metrics", response_class=Response, responses=OPENMETRICS)
 def get_metrics(request: Request, context: ContextOf) -> Response:
     """Return state, age and newest values of positions, and metrics of alarms, recorder, disk and service."""
-    return exposition(chain(of_service(), of_clients(context), of_test(context)), request)
+    return render_metrics(chain(collect_service(), collect_clients(context), collect_test(context)), request)
 
 
-def exposition(metrics: Iterable[Metric], request: Request) -> Response:
+def render_metrics(metrics: Iterable[Metric], request: Request) -> Response:
     """Return metrics in the format of Prometheus, followed by the response times of this service."""
     registry = CollectorRegistry()
     registry.register(_FixedMetrics(metrics))
@@ -73,29 +73,29 @@ class _FixedMetrics(Collector):
         return self._metrics
 
 
-def of_service() -> Iterator[Metric]:
+def collect_service() -> Iterator[Metric]:
     """Yield the version of the service."""
-    yield InfoMetricFamily("solimon", "Version of solimon", {"version": distribution_version()})
+    yield InfoMetricFamily("solimon", "Version of solimon", {"version": read_installed_version()})
 
 
-def of_clients(context: Context) -> Iterator[Metric]:
+def collect_clients(context: Context) -> Iterator[Metric]:
     """Yield the numbers of open streams of a test."""
-    yield _gauge("stream_clients", context.hub.clients)
-    yield _gauge("waveform_clients", context.live.clients)
+    yield _build_gauge("stream_clients", context.hub.clients)
+    yield _build_gauge("waveform_clients", context.live.clients)
 
 
-def of_test(context: Context) -> Iterator[Metric]:
+def collect_test(context: Context) -> Iterator[Metric]:
     """Yield the present metrics of a test; without data, only the status of its recorder."""
-    yield from _of_notifications(context)
+    yield from _collect_receiver_metrics(context)
     has_data = context.has_data()
-    yield _gauge("has_data", has_data)
+    yield _build_gauge("has_data", has_data)
     if has_data:
-        yield from _of_data(context, context.freshness())
+        yield from _collect_data_metrics(context, context.compute_freshness())
     else:
-        yield _recorder(read_recorder_state(context.data_folder, []).status)
+        yield _build_recorder_metric(read_recorder_state(context.data_folder, []).status)
 
 
-def _of_notifications(context: Context) -> Iterator[Metric]:
+def _collect_receiver_metrics(context: Context) -> Iterator[Metric]:
     """Yield the metrics of the receivers of notifications."""
     queues = context.notifications.queues.values()
     sent = CounterMetricFamily("solimon_notifications_sent", "Messages taken", labels=("receiver",))
@@ -106,38 +106,38 @@ def _of_notifications(context: Context) -> Iterator[Metric]:
     yield sent
     yield failed
     waiting: dict[Labels, int] = {(queue.name,): queue.state.waiting for queue in queues}
-    yield _gauges("notifications_waiting", waiting, "receiver")
+    yield _build_gauges("notifications_waiting", waiting, "receiver")
 
 
 COUNTS = ("sets", "missed_sets", "partial_sets", "shots", "pulse_echo_records")
 
 
-def _of_data(context: Context, fresh: Freshness) -> Iterator[Metric]:
+def _collect_data_metrics(context: Context, fresh: Freshness) -> Iterator[Metric]:
     """Yield the metrics of recorder, stored data and disk."""
     catalogue = context.catalogue()
-    yield _recorder(fresh.recorder.status)
-    yield _gauge("heartbeat_age_seconds", fresh.recorder.beat_age_s)
-    yield _gauge("write_age_seconds", fresh.wall_age_s)
-    yield _gauge("test_hours", fresh.now_h)
-    yield _gauge("paused", catalogue.paused() is not None)
+    yield _build_recorder_metric(fresh.recorder.status)
+    yield _build_gauge("heartbeat_age_seconds", fresh.recorder.beat_age_s)
+    yield _build_gauge("write_age_seconds", fresh.wall_age_s)
+    yield _build_gauge("test_hours", fresh.now_h)
+    yield _build_gauge("paused", catalogue.paused() is not None)
     counts = catalogue.counts()
     for name in COUNTS:
-        yield _counter(name, counts[name])
-    yield _counter("alarms", catalogue.newest_id(AlarmRow))
-    yield _counter("orders", catalogue.newest_id(CommandRow))
+        yield _build_counter(name, counts[name])
+    yield _build_counter("alarms", catalogue.find_newest_id(AlarmRow))
+    yield _build_counter("orders", catalogue.find_newest_id(CommandRow))
     disk = outlook(context.data_folder, context.settings.storage, context.settings.schedule, catalogue)
-    yield _gauge("disk_free_bytes", disk.free_bytes)
-    yield _gauge("disk_size_bytes", disk.total_bytes)
-    yield _gauge("disk_needed_bytes", disk.needed_bytes)
-    yield _states("disk_level", {(): disk.level}, LEVELS)
-    active = map(fresh.standing, catalogue.rows(AlarmRow, active=True))
+    yield _build_gauge("disk_free_bytes", disk.free_bytes)
+    yield _build_gauge("disk_size_bytes", disk.total_bytes)
+    yield _build_gauge("disk_needed_bytes", disk.needed_bytes)
+    yield _build_states("disk_level", {(): disk.level}, LEVELS)
+    active = map(fresh.with_present_state, catalogue.rows(AlarmRow, active=True))
     numbers: Counter[Labels] = Counter(
         (row.kind, row.priority, row.state, row.position or "", row.suppressed or "") for row in active
     )
     labels = ("kind", "priority", "state", "position", "suppressed")
-    yield _gauges("alarms_active", numbers, *labels)
-    latest = latest_rows(catalogue, fresh, context.settings.positions)
-    yield from _of_positions(context.settings.schedule, context.settings.thinnest_m, fresh, latest)
+    yield _build_gauges("alarms_active", numbers, *labels)
+    latest = read_latest_rows(catalogue, fresh, context.settings.positions)
+    yield from _collect_positions(context.settings.schedule, context.settings.thinnest_m, fresh, latest)
 
 
 VALUES = (
@@ -153,50 +153,50 @@ VALUES = (
 """Newest values of a position: metric, row and its column."""
 
 
-def _of_positions(
+def _collect_positions(
     schedule: ScheduleSettings, thinnest_m: float, fresh: Freshness, summaries: Mapping[str, LatestRows]
 ) -> Iterator[Metric]:
     """Yield the metrics of each position, from its latest rows."""
 
-    def gauge(name: str, value: Callable[[LatestRows], float | None]) -> Metric:
+    def build_gauge(name: str, value: Callable[[LatestRows], float | None]) -> Metric:
         samples: dict[Labels, float | None] = {(place,): value(last) for place, last in summaries.items()}
-        return _gauges(name, samples, "position")
+        return _build_gauges(name, samples, "position")
 
-    def states(name: str, state: Callable[[LatestRows], str | None], known: object) -> Metric:
+    def build_states(name: str, state: Callable[[LatestRows], str | None], known: object) -> Metric:
         present: dict[Labels, str | None] = {(place,): state(last) for place, last in summaries.items()}
-        return _states(name, present, get_args(known), "position")
+        return _build_states(name, present, get_args(known), "position")
 
-    def age_s(last: LatestRows) -> float | None:
-        hours = age_of(last, fresh)
+    def compute_age_s(last: LatestRows) -> float | None:
+        hours = find_data_age_h(last, fresh)
         return None if hours is None else S_PER_H * hours
 
-    def value_of(row: str, column: str) -> Callable[[LatestRows], float | None]:
+    def select_value(row: str, column: str) -> Callable[[LatestRows], float | None]:
         return lambda last: getattr(getattr(last, row), column, None)
 
-    def limit_of_row(row: str) -> Callable[[LatestRows], float | None]:
-        return lambda last: None if getattr(last, row) is None else limit_of(last, thinnest_m)
+    def select_limit(row: str) -> Callable[[LatestRows], float | None]:
+        return lambda last: None if getattr(last, row) is None else find_limit(last, thinnest_m)
 
-    yield states("position_state", status_of, PositionStatus)
-    yield states("quality", _quality, Quality)
-    yield gauge(
+    yield build_states("position_state", find_status, PositionStatus)
+    yield build_states("quality", _read_quality, Quality)
+    yield build_gauge(
         "stale",
-        lambda last: is_stale(schedule, fresh, age_of(last, fresh)),
+        lambda last: is_stale(schedule, fresh, find_data_age_h(last, fresh)),
     )
-    yield gauge("data_age_seconds", age_s)
+    yield build_gauge("data_age_seconds", compute_age_s)
     for name, row, column in VALUES:
-        yield gauge(name, value_of(row, column))
-    yield gauge("distance_squared_limit", limit_of_row("last_assessment"))
-    yield gauge("thickness_limit_meters", limit_of_row("last_thickness"))
-    yield gauge("last_set_start_delay_seconds", _delay_s)
+        yield build_gauge(name, select_value(row, column))
+    yield build_gauge("distance_squared_limit", select_limit("last_assessment"))
+    yield build_gauge("thickness_limit_meters", select_limit("last_thickness"))
+    yield build_gauge("last_set_start_delay_seconds", _compute_delay_s)
 
 
-def _quality(summary: LatestRows) -> str | None:
+def _read_quality(summary: LatestRows) -> str | None:
     """Return the quality of the newest result of a position."""
     measured = summary.last_feature or summary.last_thickness
     return None if measured is None else measured.quality
 
 
-def _delay_s(summary: LatestRows) -> float | None:
+def _compute_delay_s(summary: LatestRows) -> float | None:
     """Return the time in s from the due time of the newest set to its first strike."""
     row = summary.last_set
     if row is None or row.started_utc_ns is None:
@@ -204,22 +204,22 @@ def _delay_s(summary: LatestRows) -> float | None:
     return (row.started_utc_ns - row.due_utc_ns) / NS_PER_S
 
 
-def _recorder(status: str) -> Metric:
+def _build_recorder_metric(status: str) -> Metric:
     """Return the metric of the recorder's state."""
-    return _states("recorder_state", {(): status}, get_args(RecorderStatus))
+    return _build_states("recorder_state", {(): status}, get_args(RecorderStatus))
 
 
-def _counter(name: str, number: int) -> Metric:
+def _build_counter(name: str, number: int) -> Metric:
     """Return a counter."""
     return CounterMetricFamily(f"solimon_{name}", DESCRIPTIONS[name], value=number)
 
 
-def _gauge(name: str, number: float | None) -> Metric:
+def _build_gauge(name: str, number: float | None) -> Metric:
     """Return a gauge; without a value it is absent."""
-    return _gauges(name, {(): number})
+    return _build_gauges(name, {(): number})
 
 
-def _gauges(name: str, samples: Mapping[Labels, float | None], *labels: str) -> Metric:
+def _build_gauges(name: str, samples: Mapping[Labels, float | None], *labels: str) -> Metric:
     """Return a number by the values of its labels; None is omitted."""
     family = GaugeMetricFamily(f"solimon_{name}", DESCRIPTIONS[name], labels=labels)
     for of_labels, number in samples.items():
@@ -228,7 +228,9 @@ def _gauges(name: str, samples: Mapping[Labels, float | None], *labels: str) -> 
     return family
 
 
-def _states(name: str, present: Mapping[Labels, str | None], known: Iterable[str], *labels: str) -> Metric:
+def _build_states(
+    name: str, present: Mapping[Labels, str | None], known: Iterable[str], *labels: str
+) -> Metric:
     """Return one sample per state, 1 for the present one."""
     samples = {
         (*of_labels, state): float(state == status)
@@ -236,4 +238,4 @@ def _states(name: str, present: Mapping[Labels, str | None], known: Iterable[str
         for state in known
         if status
     }
-    return _gauges(name, samples, *labels, "state")
+    return _build_gauges(name, samples, *labels, "state")

@@ -9,13 +9,13 @@ from typing import Annotated
 from fastapi import APIRouter, Path, Request
 
 from daq_service.errors import BusyError, StorageUnavailableError
-from daq_service.processes.notifications.addresses import shown_address
+from daq_service.processes.notifications.addresses import hide_address_secrets
 from daq_service.processes.notifications.delivery_log import LOG_FILE
 from daq_service.processes.notifications.receiver import ReceiverQueue, State, is_dead
 from daq_service.settings.notifications import ReceiverSettings
 from daq_service.web.answers import cursors
-from daq_service.web.answers.json_answer import JsonAnswer, with_utc
-from daq_service.web.answers.models import DeliveryPage, NotificationsState, TrialResult, problems
+from daq_service.web.answers.json_answer import JsonAnswer, add_utc
+from daq_service.web.answers.models import DeliveryPage, NotificationsState, TrialResult, list_errors
 from daq_service.web.answers.problem import conflict, not_found
 from daq_service.web.context import Context, ContextOf
 from daq_service.web.routes.admission import PersonOf, write_audit_entry
@@ -29,7 +29,7 @@ router = APIRouter(tags=["notifications"])
 def get_notifications(context: ContextOf) -> JsonAnswer:
     """Return the receivers without secrets: last delivery, failures, waiting changes, next heartbeat."""
     service = context.notifications
-    receivers = [_receiver(context, queue) for queue in service.queues.values()]
+    receivers = [_build_receiver_state(context, queue) for queue in service.queues.values()]
     return JsonAnswer(
         {
             "sending": not service.silent_reason,
@@ -39,10 +39,10 @@ def get_notifications(context: ContextOf) -> JsonAnswer:
     )
 
 
-@router.get("/notifications/log", response_model=DeliveryPage, responses=problems(503))
+@router.get("/notifications/log", response_model=DeliveryPage, responses=list_errors(503))
 def list_deliveries(context: ContextOf, cursor: CursorText = None, limit: Limit = 100) -> JsonAnswer:
     """List the delivery log (sent, failed and given-up messages), the newest first."""
-    end = cursors.decode("deliveries", cursor)
+    end = cursors.decode_cursor("deliveries", cursor)
     try:
         lines, previous_end = context.notifications.deliveries.read(limit=limit, end=end)
     except OSError as error:
@@ -51,13 +51,13 @@ def list_deliveries(context: ContextOf, cursor: CursorText = None, limit: Limit 
     for number, delivery in lines:
         row = {"id": number, **asdict(delivery)}
         del row["place"]
-        items.append(with_utc(row, 0))
-    next_cursor = None if previous_end is None else cursors.encode("deliveries", previous_end)
+        items.append(add_utc(row, 0))
+    next_cursor = None if previous_end is None else cursors.encode_cursor("deliveries", previous_end)
     return JsonAnswer({"next_cursor": next_cursor, "items": items})
 
 
 @router.post(
-    "/notifications/{receiver}/test", response_model=TrialResult, responses=problems(403, 404, 409, 413)
+    "/notifications/{receiver}/test", response_model=TrialResult, responses=list_errors(403, 404, 409, 413)
 )
 def test_receiver(
     receiver: Annotated[str, Path(max_length=32)], request: Request, person: PersonOf, context: ContextOf
@@ -87,7 +87,7 @@ def test_receiver(
     )
 
 
-def _receiver(context: Context, queue: ReceiverQueue) -> dict[str, object]:
+def _build_receiver_state(context: Context, queue: ReceiverQueue) -> dict[str, object]:
     """Return the state of a receiver."""
     settings, state, now_ns = (
         context.notifications.settings.receivers[queue.name],
@@ -96,33 +96,33 @@ def _receiver(context: Context, queue: ReceiverQueue) -> dict[str, object]:
     )
     rules = enumerate(context.notifications.settings.rules, start=1)
     sent_ns = state.last_sent_utc_ns
-    return with_utc(
+    return add_utc(
         {
             "name": queue.name,
             "kind": settings.kind,
-            "address": shown_address(settings),
+            "address": hide_address_secrets(settings),
             "rules": [number for number, rule in rules if not rule.receivers or queue.name in rule.receivers],
-            "state": _state_name(state, now_ns),
+            "state": _name_state(state, now_ns),
             **{name: value for name, value in asdict(state).items() if "heartbeat" not in name},
             "last_sent_age_s": None if sent_ns is None else max(0.0, (now_ns - sent_ns) / NS_PER_S),
-            "heartbeat": _heartbeat(settings, state),
+            "heartbeat": _build_heartbeat_state(settings, state),
         },
         0,
     )
 
 
-def _state_name(state: State, now_ns: int) -> str:
+def _name_state(state: State, now_ns: int) -> str:
     """Return the state of a receiver in a word."""
     if state.failing_since_utc_ns is not None:
         return "dead" if is_dead(state, now_ns) else "failing"
     return "waiting" if state.waiting else "idle"
 
 
-def _heartbeat(settings: ReceiverSettings, state: State) -> dict[str, object] | None:
+def _build_heartbeat_state(settings: ReceiverSettings, state: State) -> dict[str, object] | None:
     """Return the state of a receiver's heartbeat; None if it has none."""
     if settings.heartbeat_s is None:
         return None
-    return with_utc(
+    return add_utc(
         {
             "every_s": settings.heartbeat_s,
             "state": state.heartbeat,

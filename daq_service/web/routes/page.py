@@ -11,8 +11,8 @@ from starlette.responses import Response
 
 from daq_service.errors import SolimonError
 from daq_service.web.answers.problem import Problem
-from daq_service.web.assets import MEDIA_TYPES, PAGE, assets
-from daq_service.web.context import Context, context_at
+from daq_service.web.assets import MEDIA_TYPES, PAGE, load_assets
+from daq_service.web.context import Context, find_request_context
 from daq_service.web.routes.health import get_liveness
 from daq_service.web.routes.info import get_info
 from daq_service.web.routes.session import get_session
@@ -29,10 +29,10 @@ async def get_dashboard(request: Request) -> Response:
     """Serve the page, with embedded answers as far as the person may read them."""
     answers = {b"/api/v1/session": bytes((await get_session(request)).body)}
     if request.state.person is not None and _has_test(request):
-        answers |= await _first_answers(context_at(request))
+        answers |= await _load_first_answers(find_request_context(request))
     # "<" is escaped, as it could end the script element; in JSON it occurs only within strings.
     embedded = b",".join(b'"%b":%b' % answer for answer in answers.items()).replace(b"<", rb"\u003c")
-    page = assets()[PAGE].content.replace(ANSWERS, ANSWERS + embedded)
+    page = load_assets()[PAGE].content.replace(ANSWERS, ANSWERS + embedded)
     return Response(page, media_type=MEDIA_TYPES[".html"])
 
 
@@ -41,7 +41,7 @@ def _has_test(request: Request) -> bool:
     return hasattr(request.state, "test") or hasattr(request.app.state, "context")
 
 
-async def _first_answers(context: Context) -> Mapping[bytes, bytes]:
+async def _load_first_answers(context: Context) -> Mapping[bytes, bytes]:
     """Return the first answers, at most `KEPT_S` old."""
     read_s, answers = context.first_answers
     if time.monotonic() - read_s > KEPT_S:

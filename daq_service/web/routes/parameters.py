@@ -26,11 +26,11 @@ async def refuse_unknown_parameters(connection: HTTPConnection) -> None:
     unknown = [name for name in connection.query_params if name not in known]
     if unknown:
         raise RequestValidationError(
-            [{"loc": ("query", name), "msg": _remedy(name, known)} for name in dict.fromkeys(unknown)]
+            [{"loc": ("query", name), "msg": _suggest_remedy(name, known)} for name in dict.fromkeys(unknown)]
         )
 
 
-def _remedy(name: str, known: list[str]) -> str:
+def _suggest_remedy(name: str, known: list[str]) -> str:
     """Return the remedy for an unknown parameter."""
     near = difflib.get_close_matches(name, known, n=1, cutoff=0.6)
     if near:

@@ -8,13 +8,13 @@ from fastapi import APIRouter
 from starlette.responses import Response
 
 from daq_service.errors import UsageError
-from daq_service.processes.worker import one_worker
-from daq_service.web.answers.models import problems
+from daq_service.processes.worker import start_one_worker
+from daq_service.web.answers.models import list_errors
 from daq_service.web.answers.problem import Problem, invalid
 from daq_service.web.context import ContextOf
-from daq_service.web.report.make import report_page
+from daq_service.web.report.make import build_report_page
 from daq_service.web.routes.admission import PersonOf
-from daq_service.web.routes.listing import FromHour, ToHour, last_hour
+from daq_service.web.routes.listing import FromHour, ToHour, find_last_hour
 
 router = APIRouter(tags=["report"])
 _making = threading.Lock()
@@ -25,7 +25,7 @@ _making = threading.Lock()
     response_class=Response,
     responses={
         200: {"content": {"text/html": {"schema": {"type": "string"}}}},
-        **problems(503),
+        **list_errors(503),
     },
 )
 def get_report(
@@ -36,15 +36,15 @@ def get_report(
     It contains the audit log for persons who may read it. One report is created at a time, in a separate
     process.
     """
-    last_hour(from_h, to_h)
+    find_last_hour(from_h, to_h)
     context.catalogue()
     if not _making.acquire(blocking=False):
         raise Problem("too-many-reports", "One report is made at a time.")
     try:
-        with one_worker() as worker:
+        with start_one_worker() as worker:
             audited = person.may("admin")
             content = worker.submit(
-                report_page, context.data_folder, from_h=from_h, to_h=to_h, audited=audited
+                build_report_page, context.data_folder, from_h=from_h, to_h=to_h, audited=audited
             ).result()
     except UsageError as error:
         raise invalid("No such report", str(error), "Choose other hours with from_h and to_h.") from error

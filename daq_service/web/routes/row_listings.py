@@ -13,13 +13,13 @@ from daq_service.catalogue import rows
 from daq_service.catalogue.reader import Filters
 from daq_service.web.answers import cursors, models
 from daq_service.web.answers.json_answer import JsonAnswer
-from daq_service.web.answers.models import problems
+from daq_service.web.answers.models import list_errors
 from daq_service.web.answers.problem import not_found
 from daq_service.web.answers.vocabulary import VOCABULARY
 from daq_service.web.context import Context, ContextOf, Freshness
 from daq_service.web.routes import listing
-from daq_service.web.tables.baselines import published_baselines
-from daq_service.web.tables.quality import assessed_qualities
+from daq_service.web.tables.baselines import list_published_baselines
+from daq_service.web.tables.quality import find_assessed_qualities
 from hardware_drivers.measurement import SetKey
 
 router = APIRouter()
@@ -52,28 +52,28 @@ def add_listing(
         Converts rows to JSON; None: the row with its age.
     """
 
-    def page_of(context: Context, cursor: str | None, limit: int, **query: Any) -> JsonAnswer:
+    def answer_page(context: Context, cursor: str | None, limit: int, **query: Any) -> JsonAnswer:
         if query.get("position") is not None:
-            context.checked_position(query["position"])
-        name = listing.listing_name(resource, **query)
+            context.validate_position(query["position"])
+        name = listing.build_listing_name(resource, **query)
         chosen = {key: value for key, value in query.items() if key not in HOURS}
         if query.get("set_index") is not None:  # the key alone decides whether the set is a scheduled one
             chosen |= {**SetKey.parse(query["set_index"])._asdict(), "purpose": None}
         chosen["first_h"] = query.get("from_h")
-        chosen["last_h"] = listing.last_hour(query.get("from_h"), query.get("to_h"))
-        chosen["after_id"] = cursors.decode(name, cursor)
-        catalogue, fresh = context.catalogue(), context.freshness()
+        chosen["last_h"] = listing.find_last_hour(query.get("from_h"), query.get("to_h"))
+        chosen["after_id"] = cursors.decode_cursor(name, cursor)
+        catalogue, fresh = context.catalogue(), context.compute_freshness()
         found: Sequence[Any] = catalogue.rows(kind, limit=limit + 1, **cast(Filters, chosen))
         page_rows = found[:limit]
         items = (
             render_rows(context, fresh, page_rows) if render_rows else [fresh.row(row) for row in page_rows]
         )
-        next_cursor = cursors.encode(name, page_rows[-1].id) if len(found) > limit else None
+        next_cursor = cursors.encode_cursor(name, page_rows[-1].id) if len(found) > limit else None
         return JsonAnswer({"as_of": fresh.as_of(), "next_cursor": next_cursor, "items": items})
 
     parameters = {**filters, "cursor": (listing.CursorText, None), "limit": (listing.Limit, 100)}
     # FastAPI reads from the signature which parameters there are.
-    page_of.__signature__ = Signature(  # type: ignore[attr-defined]  # `inspect` documents it, mypy lacks it
+    answer_page.__signature__ = Signature(  # type: ignore[attr-defined]  # `inspect` documents it, mypy lacks it
         [
             Parameter("context", Parameter.KEYWORD_ONLY, annotation=ContextOf),
             *(
@@ -82,22 +82,22 @@ def add_listing(
             ),
         ]
     )
-    page_of.__doc__ = VOCABULARY.listings[resource]
+    answer_page.__doc__ = VOCABULARY.listings[resource]
     router.get(
         f"/{resource}",
         tags=[resource],
         name=f"list_{resource}",
         response_model=page,
-        responses=problems(404, 503) if "position" in filters else problems(503),
-    )(page_of)
+        responses=list_errors(404, 503) if "position" in filters else list_errors(503),
+    )(answer_page)
 
 
-def with_quality(
+def add_quality(
     context: Context, fresh: Freshness, assessments: Sequence[rows.AssessmentRow]
 ) -> list[dict[str, object]]:
     """Return assessments for an answer, each with the quality of its feature or thickness."""
     methods = {name: place.method for name, place in context.settings.positions.items()}
-    qualities = assessed_qualities(context.catalogue(), methods, assessments)
+    qualities = find_assessed_qualities(context.catalogue(), methods, assessments)
     return [fresh.row(row, quality=quality) for row, quality in zip(assessments, qualities, strict=True)]
 
 
@@ -117,7 +117,7 @@ OF_ANNOTATIONS: Parameters = {"withdrawn": (Annotated[bool | None, WITHDRAWN], N
 add_listing("sets", rows.SetRow, models.SetPage, POSITION | STATE | BY_SET)
 add_listing("features", rows.FeatureRow, models.FeaturePage, POSITION | SCOPE | BY_SET)
 add_listing("thickness", rows.ThicknessRow, models.ThicknessPage, POSITION | SET_INDEX | HOURS)
-add_listing("assessments", rows.AssessmentRow, models.AssessmentPage, POSITION | BY_SET, with_quality)
+add_listing("assessments", rows.AssessmentRow, models.AssessmentPage, POSITION | BY_SET, add_quality)
 add_listing("environment", rows.EnvironmentRow, models.EnvironmentPage, HOURS)
 add_listing("alarms", rows.AlarmRow, models.AlarmPage, POSITION | HOURS | OF_ALARMS)
 add_listing("annotations", rows.AnnotationRow, models.AnnotationPage, POSITION | HOURS | OF_ANNOTATIONS)
@@ -127,12 +127,12 @@ add_listing("annotations", rows.AnnotationRow, models.AnnotationPage, POSITION |
     "/sets/{position}/{set_index}/shots",
     tags=["sets"],
     response_model=models.ShotPage,
-    responses=problems(404, 503),
+    responses=list_errors(404, 503),
 )
 def list_shots(context: ContextOf, position: str, set_index: listing.SetOfPath) -> JsonAnswer:
     """List the stored shots of one set, in one page."""
-    context.checked_position(position)
-    fresh = context.freshness()
+    context.validate_position(position)
+    fresh = context.compute_freshness()
     shots = context.catalogue().rows(rows.ShotRow, position=position, **SetKey.parse(set_index)._asdict())
     if not shots:
         raise not_found(
@@ -143,14 +143,14 @@ def list_shots(context: ContextOf, position: str, set_index: listing.SetOfPath) 
 
 
 @router.get(
-    "/baselines", tags=["assessments"], response_model=models.BaselineList, responses=problems(404, 503)
+    "/baselines", tags=["assessments"], response_model=models.BaselineList, responses=list_errors(404, 503)
 )
 def list_baselines(context: ContextOf, position: listing.PositionFilter = None) -> JsonAnswer:
     """List the baselines of each position, the newest last: lifecycle, statistics, limits, provenance."""
     if position is not None:
-        context.checked_position(position)
-    fresh = context.freshness()
-    baselines = published_baselines(context.catalogue(), context.settings, fresh.epoch_utc_ns, position)
+        context.validate_position(position)
+    fresh = context.compute_freshness()
+    baselines = list_published_baselines(context.catalogue(), context.settings, fresh.epoch_utc_ns, position)
     return JsonAnswer(
         {
             "as_of": fresh.as_of(),

@@ -10,9 +10,9 @@ from starlette.responses import Response
 
 from daq_service.commands.kinds import Strict
 from daq_service.web.answers.json_answer import JsonAnswer
-from daq_service.web.answers.models import Session, problems
+from daq_service.web.answers.models import Session, list_errors
 from daq_service.web.answers.problem import Problem
-from daq_service.web.auth.middleware import LONGEST_TOKEN, address_of, is_encrypted
+from daq_service.web.auth.middleware import LONGEST_TOKEN, find_address, is_encrypted
 from daq_service.web.auth.roles import CLAIMED, Person
 from daq_service.web.context import ContextOf
 from daq_service.web.routes.admission import write_audit_entry
@@ -31,26 +31,26 @@ class LogIn(Strict):
 @router.get("/session", response_model=Session)
 async def get_session(request: Request) -> JsonAnswer:
     """Return the person of the request and their permissions, or that a token is needed."""
-    return JsonAnswer(_session_of(request.state.person))
+    return JsonAnswer(_build_session(request.state.person))
 
 
-@router.post("/session", response_model=Session, responses=problems(400, 403, 413))
+@router.post("/session", response_model=Session, responses=list_errors(400, 403, 413))
 async def log_in(body: LogIn, request: Request, context: ContextOf) -> Response:
     """Log the page in: sets a cookie (HttpOnly, SameSite=Strict, over TLS Secure)."""
     try:
-        person = context.access_policy.person_of_token(body.token, address_of(request.scope))
+        person = context.access_policy.authenticate_token(body.token, find_address(request.scope))
     except Problem as problem:
         if problem.status == 429:
-            context.access_policy.audit.leave_out()
+            context.access_policy.audit.count_omitted_rejection()
         else:
             await to_thread(
                 write_audit_entry, request, Person(name="", role=""), "log_in", "rejected", problem.detail
             )
         raise
     await to_thread(write_audit_entry, request, person, "log_in", "done")
-    response = JsonAnswer(_session_of(person))
+    response = JsonAnswer(_build_session(person))
     response.set_cookie(
-        context.access_policy.cookie_name(request.scope),
+        context.access_policy.choose_cookie_name(request.scope),
         body.token,
         max_age=COOKIE_S,
         secure=is_encrypted(request.scope),
@@ -60,15 +60,15 @@ async def log_in(body: LogIn, request: Request, context: ContextOf) -> Response:
     return response
 
 
-@router.delete("/session", response_model=Session, responses=problems(403))
+@router.delete("/session", response_model=Session, responses=list_errors(403))
 async def log_out(request: Request, context: ContextOf) -> Response:
     """Log the page out by deleting the cookie; the token stays valid until it is revoked."""
     person = request.state.person
     if person is not None and person.role != CLAIMED:
         await to_thread(write_audit_entry, request, person, "log_out", "done")
-    response = JsonAnswer(_session_of(person if person is not None and person.role == CLAIMED else None))
+    response = JsonAnswer(_build_session(person if person is not None and person.role == CLAIMED else None))
     response.delete_cookie(
-        context.access_policy.cookie_name(request.scope),
+        context.access_policy.choose_cookie_name(request.scope),
         secure=is_encrypted(request.scope),
         httponly=True,
         samesite="strict",
@@ -76,7 +76,7 @@ async def log_out(request: Request, context: ContextOf) -> Response:
     return response
 
 
-def _session_of(person: Person | None) -> dict[str, object]:
+def _build_session(person: Person | None) -> dict[str, object]:
     """Return what a person may do; None is a person without a valid token."""
     if person is None:
         return {"token_needed": True, "name": None, "role": None, "may": []}
@@ -84,5 +84,5 @@ def _session_of(person: Person | None) -> dict[str, object]:
         "token_needed": person.role != CLAIMED,
         "name": person.name or None,
         "role": person.role,
-        "may": person.may_do(),
+        "may": person.list_permissions(),
     }

@@ -6,20 +6,20 @@ from fastapi import APIRouter, Request
 from starlette.responses import Response
 
 from analysis.ultrasound.thickness import THICKEST_FRACTION, THINNEST_FRACTION
-from analysis.waves.pulses import search_windows_s
+from analysis.waves.pulses import compute_search_windows_s
 from analysis.waves.quality_gate import ACCEPTED
 from analysis.waves.record_reduction import ExtractionSettings
 from daq_service.archive import SetNotFoundError, SetReference
 from daq_service.assessment.methods import METHODS
 from daq_service.catalogue.reader import Filters
 from daq_service.catalogue.rows import FeatureRow, SetRow, ShotRow, ThicknessRow
-from daq_service.web.answers.json_answer import framed
-from daq_service.web.answers.models import UNCHANGED, files, problems
+from daq_service.web.answers.json_answer import build_framed_body
+from daq_service.web.answers.models import UNCHANGED, describe_file_answer, list_errors
 from daq_service.web.answers.problem import not_found
-from daq_service.web.answers.unchanged import unchanged
+from daq_service.web.answers.unchanged import check_etag
 from daq_service.web.context import Context, ContextOf
 from daq_service.web.routes.listing import SetOfPath
-from daq_service.web.routes.waveforms import OCTET_STREAM, little_endian
+from daq_service.web.routes.waveforms import OCTET_STREAM, to_little_endian_bytes
 from hardware_drivers.measurement import SetKey
 from hardware_drivers.methods import SOLITARY_WAVE
 
@@ -29,7 +29,7 @@ router = APIRouter(tags=["waveforms"])
 @router.get(
     "/sets/{position}/{set_index}/waveforms",
     response_class=Response,
-    responses=files(OCTET_STREAM) | UNCHANGED | problems(404, 503),
+    responses=describe_file_answer(OCTET_STREAM) | UNCHANGED | list_errors(404, 503),
 )
 def get_set_waveforms(request: Request, context: ContextOf, position: str, set_index: SetOfPath) -> Response:
     """Return the accepted waveforms of a set: u32 header length, JSON header, then all samples.
@@ -38,7 +38,7 @@ def get_set_waveforms(request: Request, context: ContextOf, position: str, set_i
     volts = sum of coefficients_v[k] counts^k) and the windows in which pulses or echoes are searched.
     """
     catalogue, key = context.catalogue(), SetKey.parse(set_index)._asdict()
-    set_row = next(iter(catalogue.rows(SetRow, position=context.checked_position(position), **key)), None)
+    set_row = next(iter(catalogue.rows(SetRow, position=context.validate_position(position), **key)), None)
     accepted = {
         row.sequence for row in catalogue.rows(ShotRow, position=position, **key) if row.outcome == ACCEPTED
     }
@@ -49,7 +49,7 @@ def get_set_waveforms(request: Request, context: ContextOf, position: str, set_i
         )
     headers: dict[str, str] = {}
     if set_row.file_sha256 is not None:
-        headers, not_modified = unchanged(request, f'"{set_row.file_sha256[:20]}-{position}"')
+        headers, not_modified = check_etag(request, f'"{set_row.file_sha256[:20]}-{position}"')
         if not_modified is not None:
             return not_modified
     try:
@@ -62,7 +62,7 @@ def get_set_waveforms(request: Request, context: ContextOf, position: str, set_i
         **key,
         "method": set_row.method,
         "n_damaged": len(accepted) - len(records),
-        "windows_s": _windows_s(context, set_row),
+        "windows_s": _compute_windows_s(context, set_row),
         "records": [
             {
                 "shot_index": record.key.shot_index,
@@ -76,11 +76,11 @@ def get_set_waveforms(request: Request, context: ContextOf, position: str, set_i
             for record in records
         ],
     }
-    content = framed(header, *(little_endian(record.waveform) for record in records))
+    content = build_framed_body(header, *(to_little_endian_bytes(record.waveform) for record in records))
     return Response(content, media_type=OCTET_STREAM, headers=headers)
 
 
-def _windows_s(context: Context, set_row: SetRow) -> dict[str, tuple[float, float]]:
+def _compute_windows_s(context: Context, set_row: SetRow) -> dict[str, tuple[float, float]]:
     """Return the search windows of a set, s from the trigger; none without a reference time."""
     catalogue, method = context.catalogue(), METHODS[set_row.method]
     filters: Filters = {"position": set_row.position, "set_index": set_row.set_index, **method.of_sets}
@@ -89,9 +89,9 @@ def _windows_s(context: Context, set_row: SetRow) -> dict[str, tuple[float, floa
     if set_row.method == SOLITARY_WAVE:
         if not isinstance(result, FeatureRow) or result.isw_time_s is None:
             return {}
-        return search_windows_s(result.isw_time_s, result.psw_time_s, ExtractionSettings())
+        return compute_search_windows_s(result.isw_time_s, result.psw_time_s, ExtractionSettings())
     # The reference echo of the test, as in the assessment.
-    first = catalogue.first_reading(set_row.position)
+    first = catalogue.read_first_thickness(set_row.position)
     delay_s = context.settings.ultrasound.delay_s
     if first is None or first.travel_time_s is None or first.travel_time_s <= delay_s:
         return {}

@@ -17,7 +17,7 @@ import orjson
 from fastapi import APIRouter, Header, Query
 from starlette.responses import StreamingResponse
 
-from daq_service.web.answers.models import problems
+from daq_service.web.answers.models import list_errors
 from daq_service.web.answers.problem import Problem, invalid
 from daq_service.web.answers.vocabulary import VOCABULARY
 from daq_service.web.context import Context, ContextOf
@@ -36,7 +36,7 @@ RETRY_MS = 1000
     "/stream",
     summary="Events as they are committed (server-sent events)",
     response_class=StreamingResponse,
-    responses={200: {"content": {"text/event-stream": {"schema": {"type": "string"}}}}, **problems(503)},
+    responses={200: {"content": {"text/event-stream": {"schema": {"type": "string"}}}}, **list_errors(503)},
 )
 async def stream_events(
     context: ContextOf,
@@ -50,21 +50,23 @@ async def stream_events(
     last_event_id: Annotated[str | None, Header(description="Set by EventSource when it reconnects")] = None,
 ) -> StreamingResponse:
     """Stream events after `Last-Event-ID` (or `after`), or from the next event."""
-    selected = _topics(topics)
+    selected = _parse_topics(topics)
     if context.open_streams() >= MOST_CLIENTS:
         raise Problem("too-many-streams", f"{MOST_CLIENTS} streams are open, and no more are served.")
-    start_after = after if last_event_id in (None, "") else _event_id(last_event_id or "")
+    start_after = after if last_event_id in (None, "") else _parse_event_id(last_event_id or "")
     if start_after is None and context.hub.complete_after is not None:
         # Now, before the client is connected: all later events are new to it.
         start_after = context.hub.last_id
     return StreamingResponse(
-        frames(context, context.hub, selected, start_after, partial(context.access_policy.may_stay, person)),
+        send_frames(
+            context, context.hub, selected, start_after, partial(context.access_policy.has_access, person)
+        ),
         media_type="text/event-stream",
         headers={"Cache-Control": "no-store", "X-Accel-Buffering": "no"},
     )
 
 
-def _topics(text: str | None) -> frozenset[str] | None:
+def _parse_topics(text: str | None) -> frozenset[str] | None:
     """Return the requested topics; raise a problem for an unknown one."""
     if text is None:
         return None
@@ -79,7 +81,7 @@ def _topics(text: str | None) -> frozenset[str] | None:
     return selected
 
 
-def _event_id(text: str) -> int:
+def _parse_event_id(text: str) -> int:
     """Return an event id from a header; raise a problem for other text."""
     if not text.isascii() or not text.isdigit() or len(text) > 18:
         raise invalid(
@@ -90,13 +92,13 @@ def _event_id(text: str) -> int:
     return int(text)
 
 
-def gap_frame(after: int, until: int, reason: str) -> bytes:
+def encode_gap(after: int, until: int, reason: str) -> bytes:
     """Return the frame of a gap with the skipped ids; it moves the cursor of a client to its end."""
     data = orjson.dumps({"after": after, "until": until, "reason": reason})
     return b"id: %d\nevent: gap\ndata: %s\n\n" % (until, data)
 
 
-async def frames(
+async def send_frames(
     context: Context,
     hub: EventHub,
     topics: frozenset[str] | None,
@@ -115,7 +117,7 @@ async def frames(
         cursor = hub.last_id if start_after is None else start_after
         if cursor > hub.last_id and cursor > (await asyncio.to_thread(context.events.last_id) or 0):
             # The id is not merely newer than the hub: it belongs to another data folder.
-            yield gap_frame(cursor, hub.last_id, "this event id is not known here")
+            yield encode_gap(cursor, hub.last_id, "this event id is not known here")
             cursor = hub.last_id
         reason = "it is too long ago"
         loop = asyncio.get_running_loop()
@@ -124,7 +126,7 @@ async def frames(
             chunk = b""
             start = hub.complete_after or 0
             if cursor < start:
-                chunk = gap_frame(cursor, start, reason)
+                chunk = encode_gap(cursor, start, reason)
                 cursor = start
             events = hub.after(cursor, LARGEST_CHUNK_EVENTS)
             if events:

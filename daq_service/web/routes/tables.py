@@ -12,7 +12,7 @@ from starlette.responses import Response, StreamingResponse
 
 from daq_service.errors import UsageError
 from daq_service.web.answers.json_answer import JsonAnswer
-from daq_service.web.answers.models import TableList, files, problems
+from daq_service.web.answers.models import TableList, describe_file_answer, list_errors
 from daq_service.web.answers.problem import Problem, invalid, not_found
 from daq_service.web.context import ContextOf
 from daq_service.web.routes.listing import (
@@ -21,13 +21,13 @@ from daq_service.web.routes.listing import (
     PositionFilter,
     PurposeFilter,
     ToHour,
-    last_hour,
+    find_last_hour,
 )
 from daq_service.web.tables.choice import TABLES, Choice
-from daq_service.web.tables.export import exported
-from daq_service.web.tables.formats import FORMATS, available
-from daq_service.web.tables.record_formats import exported_records
-from daq_service.web.tables.records import NoRecordError, RecordChoice, read_slice
+from daq_service.web.tables.export import encode_table
+from daq_service.web.tables.formats import FORMATS, list_available_formats
+from daq_service.web.tables.record_formats import encode_records
+from daq_service.web.tables.records import NoRecordError, RecordChoice, read_record_slice
 
 router = APIRouter()
 MOST_ROWS = 100_000
@@ -36,7 +36,7 @@ MOST_RECORD_BYTES = 32_000_000
 """Limit of records in volts; creating their file needs some three times as much memory."""
 AT_ONCE = 2
 _making = threading.BoundedSemaphore(AT_ONCE)
-EXPORTS = files(*(kind.media_type for kind in FORMATS.values())) | problems(404, 503)
+EXPORTS = describe_file_answer(*(kind.media_type for kind in FORMATS.values())) | list_errors(404, 503)
 """Exported files for OpenAPI."""
 Form = Annotated[
     Literal["csv", "parquet", "arrow", "npz", "mat", "h5"] | None,
@@ -55,7 +55,7 @@ def list_tables() -> JsonAnswer:
         }
         for name, kind in TABLES.items()
     ]
-    return JsonAnswer({"formats": available(), "items": items})
+    return JsonAnswer({"formats": list_available_formats(), "items": items})
 
 
 @router.get("/tables/{table}", tags=["tables"], response_class=Response, responses=EXPORTS)
@@ -74,20 +74,20 @@ def get_table(
     if table not in TABLES:
         raise not_found(f"There is no table {table!r}.", f"The tables are {', '.join(TABLES)}.")
     if position is not None:
-        context.checked_position(position)
-    last_hour(from_h, to_h)
-    name = form or accepted(request.headers.get("accept", ""))
-    catalogue, fresh = context.catalogue(), context.freshness()
+        context.validate_position(position)
+    find_last_hour(from_h, to_h)
+    name = form or choose_format(request.headers.get("accept", ""))
+    catalogue, fresh = context.catalogue(), context.compute_freshness()
     headers = {"Vary": "Accept"}
     try:
         choice = Choice(
             table=table, position=position, from_h=from_h, to_h=to_h, fields=fields, purpose=purpose
         )
         headers["Content-Disposition"] = f'attachment; filename="{choice.name}.{name}"'
-        parts = exported(catalogue, fresh, choice, name, most_rows=MOST_ROWS)
+        parts = encode_table(catalogue, fresh, choice, name, most_rows=MOST_ROWS)
         if FORMATS[name].whole:
             return Response(
-                alone(lambda: b"".join(parts)), media_type=FORMATS[name].media_type, headers=headers
+                run_in_turn(lambda: b"".join(parts)), media_type=FORMATS[name].media_type, headers=headers
             )
         first = next(parts, b"")  # errors occur before the response starts
     except UsageError as error:
@@ -118,22 +118,22 @@ def get_waveforms(
     All must have the same length and rate, and at most 32 MB in volts; their features are in the table
     `shot_features`.
     """
-    context.checked_position(position)
-    name = form or accepted(request.headers.get("accept", ""))
-    catalogue, fresh = context.catalogue(), context.freshness()
+    context.validate_position(position)
+    name = form or choose_format(request.headers.get("accept", ""))
+    catalogue, fresh = context.catalogue(), context.compute_freshness()
 
-    def made() -> bytes:
+    def export_selected() -> bytes:
         choice = RecordChoice(
             position=position, from_h=from_h, to_h=to_h, first_set=first_set, last_set=last_set
         )
         headers["Content-Disposition"] = f'attachment; filename="{choice.name}.{name}"'
-        records = read_slice(catalogue, context.archive, choice, most_bytes=MOST_RECORD_BYTES)
-        return exported_records(catalogue, fresh, choice, records, name)
+        records = read_record_slice(catalogue, context.archive, choice, most_bytes=MOST_RECORD_BYTES)
+        return encode_records(catalogue, fresh, choice, records, name)
 
     # Compression of such a response would block the event loop.
     headers = {"Vary": "Accept", "Content-Encoding": "identity"}
     try:
-        content = alone(made)
+        content = run_in_turn(export_selected)
     except NoRecordError as error:
         raise not_found(str(error), "/api/v1/sets lists the sets, and why one is missed.") from error
     except UsageError as error:
@@ -145,7 +145,7 @@ def get_waveforms(
     return Response(content, media_type=FORMATS[name].media_type, headers=headers)
 
 
-def accepted(accept: str) -> str:
+def choose_format(accept: str) -> str:
     """Return the format for an ``Accept`` header: the first known type of the highest quality, else csv."""
     types = {kind.media_type: name for name, kind in FORMATS.items()}
     offers: list[tuple[float, str]] = []
@@ -158,7 +158,7 @@ def accepted(accept: str) -> str:
     return best[1] if best[0] > 0.0 else "csv"
 
 
-def alone(make: Callable[[], bytes]) -> bytes:
+def run_in_turn(make: Callable[[], bytes]) -> bytes:
     """Create a complete file, at most `AT_ONCE` at a time, since each holds all its rows in memory.
 
     Raises

@@ -11,7 +11,7 @@ from starlette.responses import Response
 from daq_service.commands.kinds import Strict
 from daq_service.errors import UsageError
 from daq_service.web.answers.json_answer import JsonAnswer
-from daq_service.web.answers.models import NewToken, TokenEntry, TokenList, problems
+from daq_service.web.answers.models import NewToken, TokenEntry, TokenList, list_errors
 from daq_service.web.answers.problem import conflict
 from daq_service.web.auth.roles import CLAIMED, Role
 from daq_service.web.auth.tokens import Token, create_token, read_tokens, revoke_token
@@ -29,11 +29,11 @@ class TokenRequest(Strict):
     days: float | None = Field(default=None, gt=0.0, le=36_500.0, description="Until it expires; null: never")
 
 
-@router.get("/tokens", response_model=TokenList, responses=problems(503))
+@router.get("/tokens", response_model=TokenList, responses=list_errors(503))
 def list_tokens(context: ContextOf) -> JsonAnswer:
     """List all tokens, also revoked and expired ones, without their secret text."""
     return JsonAnswer(
-        {"items": [token_row(token) for token in read_tokens(context.access_policy.tokens_path)]}
+        {"items": [build_token_row(token) for token in read_tokens(context.access_policy.tokens_path)]}
     )
 
 
@@ -42,7 +42,7 @@ def list_tokens(context: ContextOf) -> JsonAnswer:
     name="create_token",
     status_code=201,
     response_model=NewToken,
-    responses=problems(400, 403, 409, 413, 503),
+    responses=list_errors(400, 403, 409, 413, 503),
 )
 def create_access_token(
     token_request: TokenRequest, request: Request, person: PersonOf, context: ContextOf
@@ -63,11 +63,11 @@ def create_access_token(
         )
         raise conflict(f"{error}.", "Choose another name, or revoke the one there is.") from None
     write_audit_entry(request, person, "create_token", "done", arguments=token_request.model_dump())
-    return JsonAnswer({**token_row(token), "token": text}, status_code=201)
+    return JsonAnswer({**build_token_row(token), "token": text}, status_code=201)
 
 
 @router.delete(
-    "/tokens/{name}", name="revoke_token", response_model=TokenEntry, responses=problems(403, 409, 503)
+    "/tokens/{name}", name="revoke_token", response_model=TokenEntry, responses=list_errors(403, 409, 503)
 )
 def revoke_access_token(
     name: Annotated[str, Path(max_length=40)], request: Request, person: PersonOf, context: ContextOf
@@ -79,10 +79,10 @@ def revoke_access_token(
         write_audit_entry(request, person, "revoke_token", "rejected", str(error), arguments={"name": name})
         raise conflict(f"{error}.", "/api/v1/tokens lists them.") from None
     write_audit_entry(request, person, "revoke_token", "done", arguments={"name": name})
-    return JsonAnswer(token_row(token))
+    return JsonAnswer(build_token_row(token))
 
 
-def token_row(token: Token) -> dict[str, object]:
+def build_token_row(token: Token) -> dict[str, object]:
     """Return the public data of a token."""
     return {
         name: getattr(token, name)

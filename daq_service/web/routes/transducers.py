@@ -6,33 +6,39 @@ from dataclasses import asdict
 
 from fastapi import APIRouter
 
-from daq_service.alarms.states import PRIORITIES, disabled_positions
-from daq_service.assessment.position_status import age_of, data_hour, is_stale, latest_rows, status_of
+from daq_service.alarms.states import PRIORITIES, find_disabled
+from daq_service.assessment.position_status import (
+    find_data_age_h,
+    find_data_hour,
+    find_status,
+    is_stale,
+    read_latest_rows,
+)
 from daq_service.catalogue.reader import LatestRows
 from daq_service.catalogue.rows import Row
 from daq_service.corrosion_drive.supply_state import read_supply_status
 from daq_service.processes import freshness
 from daq_service.settings.tree import PositionSettings, ScheduleSettings
-from daq_service.web.answers.json_answer import JsonAnswer, rfc3339
+from daq_service.web.answers.json_answer import JsonAnswer, format_rfc3339
 from daq_service.web.answers.models import (
     EnvironmentNow,
     PositionList,
     PositionStanding,
     PositionState,
-    problems,
+    list_errors,
 )
 from daq_service.web.context import Context, ContextOf, Freshness
-from daq_service.web.routes.row_listings import with_quality
+from daq_service.web.routes.row_listings import add_quality
 
 router = APIRouter()
 
 
-@router.get("/transducers", tags=["transducers"], response_model=PositionList, responses=problems(503))
+@router.get("/transducers", tags=["transducers"], response_model=PositionList, responses=list_errors(503))
 def list_transducers(context: ContextOf) -> JsonAnswer:
     """Return state, newest values, quality and age of every position."""
-    fresh = context.freshness()
-    latest = latest_rows(context.catalogue(), fresh, context.settings.positions)
-    items = [_state(context, fresh, last) for last in latest.values()]
+    fresh = context.compute_freshness()
+    latest = read_latest_rows(context.catalogue(), fresh, context.settings.positions)
+    items = [_build_state(context, fresh, last) for last in latest.values()]
     return JsonAnswer({"as_of": fresh.as_of(), "items": items})
 
 
@@ -40,23 +46,23 @@ def list_transducers(context: ContextOf) -> JsonAnswer:
     "/transducers/{position}",
     tags=["transducers"],
     response_model=PositionState,
-    responses=problems(404, 503),
+    responses=list_errors(404, 503),
 )
 def get_transducer(position: str, context: ContextOf) -> JsonAnswer:
     """Return state, newest values, quality and age of one position."""
-    context.checked_position(position)
-    fresh, place = context.freshness(), {position: context.settings.positions[position]}
-    (last,) = latest_rows(context.catalogue(), fresh, place).values()
-    return JsonAnswer(_state(context, fresh, last))
+    context.validate_position(position)
+    fresh, place = context.compute_freshness(), {position: context.settings.positions[position]}
+    (last,) = read_latest_rows(context.catalogue(), fresh, place).values()
+    return JsonAnswer(_build_state(context, fresh, last))
 
 
 @router.get(
-    "/environment/latest", tags=["environment"], response_model=EnvironmentNow, responses=problems(503)
+    "/environment/latest", tags=["environment"], response_model=EnvironmentNow, responses=list_errors(503)
 )
 def get_latest_environment(context: ContextOf) -> JsonAnswer:
     """Return the newest row, and the present status of the supply; null where there is none."""
-    fresh = context.freshness()
-    row, drive = context.catalogue().last_environment(), read_supply_status(context.data_folder)
+    fresh = context.compute_freshness()
+    row, drive = context.catalogue().read_last_environment(), read_supply_status(context.data_folder)
     return JsonAnswer(
         {
             "as_of": fresh.as_of(),
@@ -66,45 +72,45 @@ def get_latest_environment(context: ContextOf) -> JsonAnswer:
     )
 
 
-def _state(context: Context, fresh: Freshness, last: LatestRows) -> dict[str, object]:
+def _build_state(context: Context, fresh: Freshness, last: LatestRows) -> dict[str, object]:
     """Return the present state of a position with its newest rows."""
     place = context.settings.positions[last.position]
     assessment, alarms = last.last_assessment, last.active_alarms
     visible_alarms = [row for row in alarms if row.suppressed is None]
     shelves = [row.shelved_until_utc_ns for row in alarms if row.shelved_until_utc_ns is not None]
-    standing = position_standing(place, context.settings.schedule, fresh, last)
+    standing = assess_position(place, context.settings.schedule, fresh, last)
     return {
         **standing.model_dump(),
         "serial_number": place.serial_number,
-        "data_utc": None if standing.data_h is None else fresh.utc_of(standing.data_h),
-        "last_set": _row(fresh, last.last_set),
-        "last_feature": _row(fresh, last.last_feature),
-        "last_thickness": _row(fresh, last.last_thickness),
-        "last_assessment": None if assessment is None else with_quality(context, fresh, [assessment])[0],
-        "disabled_reason": disabled_positions(alarms).get(last.position),
+        "data_utc": None if standing.data_h is None else fresh.format_utc_of_hour(standing.data_h),
+        "last_set": _to_json_row(fresh, last.last_set),
+        "last_feature": _to_json_row(fresh, last.last_feature),
+        "last_thickness": _to_json_row(fresh, last.last_thickness),
+        "last_assessment": None if assessment is None else add_quality(context, fresh, [assessment])[0],
+        "disabled_reason": find_disabled(alarms).get(last.position),
         "active_alarms": len(visible_alarms),
         "suppressed_alarms": len(alarms) - len(visible_alarms),
-        "shelved_until_utc": rfc3339(min(shelves, default=None)),
+        "shelved_until_utc": format_rfc3339(min(shelves, default=None)),
         "highest_priority": max((row.priority for row in visible_alarms), key=PRIORITIES.index, default=None),
     }
 
 
-def position_standing(
+def assess_position(
     place: PositionSettings, schedule: ScheduleSettings, fresh: freshness.Freshness, last: LatestRows
 ) -> PositionStanding:
     """Return the status of a position from its latest rows, with its alarms in their present state."""
-    age_h = age_of(last, fresh)
+    age_h = find_data_age_h(last, fresh)
     return PositionStanding(
         position=last.position,
         label=place.label,
         method=place.method,
-        state=status_of(last),
+        state=find_status(last),
         stale=is_stale(schedule, fresh, age_h),
-        data_h=data_hour(last),
+        data_h=find_data_hour(last),
         age_h=age_h,
     )
 
 
-def _row(fresh: Freshness, row: Row | None) -> dict[str, object] | None:
+def _to_json_row(fresh: Freshness, row: Row | None) -> dict[str, object] | None:
     """Return a row as JSON; None stays None."""
     return None if row is None else fresh.row(row)

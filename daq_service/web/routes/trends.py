@@ -13,14 +13,14 @@ from pydantic import StringConstraints, WithJsonSchema
 
 from daq_service.assessment.methods import METHODS
 from daq_service.catalogue.reader import Filters
-from daq_service.catalogue.rollups import QUALITIES, Kind, values_of
+from daq_service.catalogue.rollups import QUALITIES, Kind, list_bin_values
 from daq_service.catalogue.rows import AssessmentRow
-from daq_service.catalogue.trends import trend_bins, trend_part
-from daq_service.web.answers.json_answer import JsonAnswer, rfc3339_of_hours
-from daq_service.web.answers.models import TREND_ASSESSMENTS, TREND_FIELDS, Fit, Trend, problems
+from daq_service.catalogue.trends import compute_trend_part, read_trend_bins
+from daq_service.web.answers.json_answer import JsonAnswer, format_hours_as_rfc3339
+from daq_service.web.answers.models import TREND_ASSESSMENTS, TREND_FIELDS, Fit, Trend, list_errors
 from daq_service.web.answers.problem import invalid
 from daq_service.web.context import Context, ContextOf
-from daq_service.web.routes.listing import FromHour, ToHour, last_hour
+from daq_service.web.routes.listing import FromHour, ToHour, find_last_hour
 from daq_service.web.tables.choice import Columns
 
 router = APIRouter(tags=["trends"])
@@ -42,7 +42,7 @@ FieldName = Annotated[
 ]
 
 
-def unit_of(field: str) -> str:
+def find_unit(field: str) -> str:
     """Return the unit of a column from its name; 1 is a pure number."""
     for suffix, unit in (("_v_s", "V s"), ("_s", "s"), ("_v", "V"), ("_m", "m"), ("_h", "h")):
         if field.endswith(suffix):
@@ -50,7 +50,7 @@ def unit_of(field: str) -> str:
     return "1"
 
 
-def checked_fields(method: str, fields: str | None, *, known: Sequence[str]) -> list[str]:
+def parse_fields(method: str, fields: str | None, *, known: Sequence[str]) -> list[str]:
     """Return the names of a comma-separated list.
 
     Raises
@@ -71,7 +71,7 @@ def checked_fields(method: str, fields: str | None, *, known: Sequence[str]) -> 
     return chosen
 
 
-@router.get("/trends/{position}", response_model=Trend, responses=problems(404, 503))
+@router.get("/trends/{position}", response_model=Trend, responses=list_errors(404, 503))
 def get_trend(
     context: ContextOf,
     position: str,
@@ -86,14 +86,14 @@ def get_trend(
     hold means, the worst quality, the first set and hour, and whether any set is an outlier. A narrower
     range has smaller bins, at last single sets.
     """
-    method = context.settings.positions[context.checked_position(position)].method
+    method = context.settings.positions[context.validate_position(position)].method
     field_list = None if fields is None else ",".join(fields)
-    chosen = checked_fields(method, field_list, known=(*METHODS[method].values, *ASSESSMENTS))
-    last_h = last_hour(from_h, to_h)
-    fresh = context.freshness()
+    chosen = parse_fields(method, field_list, known=(*METHODS[method].values, *ASSESSMENTS))
+    last_h = find_last_hour(from_h, to_h)
+    fresh = context.compute_freshness()
     kind = METHODS[method].row
-    set_bytes, bin_bytes = entry_bytes(chosen)
-    binned = trend_bins(
+    set_bytes, bin_bytes = estimate_entry_bytes(chosen)
+    binned = read_trend_bins(
         context.catalogue(),
         position,
         first_h=from_h,
@@ -106,15 +106,15 @@ def get_trend(
         columns = read_columns(context, position, chosen, from_h, last_h)
     else:
         bin_sets, bins = binned
-        columns, bins_json = columns_of_bins(kind, bins, chosen), published_bins(kind, bins, chosen)
-    columns["due_utc"] = rfc3339_of_hours(fresh.epoch_utc_ns, columns["due_h"])
+        columns, bins_json = build_bin_columns(kind, bins, chosen), build_published_bins(kind, bins, chosen)
+    columns["due_utc"] = format_hours_as_rfc3339(fresh.epoch_utc_ns, columns["due_h"])
     columns["age_h"] = [fresh.age_h(hour) for hour in columns["due_h"]]
     return JsonAnswer(
         {
             "position": position,
             "method": method,
             "as_of": fresh.as_of(),
-            "units": {name: unit_of(name) for name in ("due_h", "age_h", *chosen) if name not in _UNITLESS},
+            "units": {name: find_unit(name) for name in ("due_h", "age_h", *chosen) if name not in _UNITLESS},
             "bin_sets": bin_sets,
             "columns": columns,
             "bins": bins_json,
@@ -122,7 +122,7 @@ def get_trend(
     )
 
 
-def entry_bytes(fields: Sequence[str]) -> tuple[int, int]:
+def estimate_entry_bytes(fields: Sequence[str]) -> tuple[int, int]:
     """Return the maximum bytes of a set and of a bin in an answer with these columns."""
     numbers = [name for name in fields if name not in _UNITLESS]
     words = _WORD_BYTES * (len(fields) - len(numbers))
@@ -134,7 +134,7 @@ def entry_bytes(fields: Sequence[str]) -> tuple[int, int]:
 _UNITLESS = frozenset({"outlier", "outlier_mean_3sd", "in_baseline", "reason"})
 
 
-def measured_columns(
+def read_measured_columns(
     context: Context, position: str, names: Sequence[str], first_h: float | None, last_h: float | None
 ) -> Columns:
     """Read columns of the measured values of a position, one entry per set."""
@@ -151,7 +151,7 @@ def read_columns(
         name for name in fields if name in METHODS[context.settings.positions[position].method].values
     ]
     assessment_names = [name for name in fields if name in ASSESSMENTS]
-    columns = measured_columns(context, position, [*COMMON, *measured_names], from_h, last_h)
+    columns = read_measured_columns(context, position, [*COMMON, *measured_names], from_h, last_h)
     if assessment_names:
         assessments = context.catalogue().columns(
             AssessmentRow, ["set_index", *assessment_names], position=position, first_h=from_h, last_h=last_h
@@ -178,7 +178,7 @@ _SETS_IN_A_BIN = {
 }
 
 
-def columns_of_bins(kind: Kind, bins: NDArray[np.void], fields: Sequence[str]) -> Columns:
+def build_bin_columns(kind: Kind, bins: NDArray[np.void], fields: Sequence[str]) -> Columns:
     """Return columns as `read_columns`, with one entry per bin."""
     columns: Columns = {
         "set_index": bins["first_set"].astype(int).tolist(),
@@ -196,12 +196,12 @@ def columns_of_bins(kind: Kind, bins: NDArray[np.void], fields: Sequence[str]) -
                 bool(n) if known else None for known, n in zip(known_counts, true_counts, strict=True)
             ]
         else:
-            column = values_of(kind).index(name) if name in values_of(kind) else None
-            columns[name] = [None] * bins.size if column is None else _means(bins, column)
+            column = list_bin_values(kind).index(name) if name in list_bin_values(kind) else None
+            columns[name] = [None] * bins.size if column is None else _compute_means(bins, column)
     return columns
 
 
-def _means(bins: NDArray[np.void], column: int) -> list[float]:
+def _compute_means(bins: NDArray[np.void], column: int) -> list[float]:
     """Return the mean of a column in each bin; NaN without values."""
     count, total = bins["count"][:, column], bins["sum"][:, column]
     mean = np.divide(total, count, out=np.full(bins.size, np.nan), where=count > 0.0)
@@ -209,13 +209,13 @@ def _means(bins: NDArray[np.void], column: int) -> list[float]:
     return np.clip(mean, bins["minimum"][:, column], bins["maximum"][:, column]).tolist()  # type: ignore[no-any-return] # of NumPy
 
 
-def published_bins(kind: Kind, bins: NDArray[np.void], fields: Sequence[str]) -> dict[str, object]:
+def build_published_bins(kind: Kind, bins: NDArray[np.void], fields: Sequence[str]) -> dict[str, object]:
     """Return the further values of bins: extremes, counts, first outliers and alarms."""
-    names = [name for name in values_of(kind) if name in fields]
-    column_of = {name: values_of(kind).index(name) for name in names}
+    names = [name for name in list_bin_values(kind) if name in fields]
+    column_of = {name: list_bin_values(kind).index(name) for name in names}
     return {
-        "minimum": {name: _finite(bins["minimum"][:, column]) for name, column in column_of.items()},
-        "maximum": {name: _finite(bins["maximum"][:, column]) for name, column in column_of.items()},
+        "minimum": {name: _nan_to_none(bins["minimum"][:, column]) for name, column in column_of.items()},
+        "maximum": {name: _nan_to_none(bins["maximum"][:, column]) for name, column in column_of.items()},
         "count": {name: bins["count"][:, column].astype(int).tolist() for name, column in column_of.items()},
         "last_h": bins["last_h"].tolist(),
         **{name: bins[name].astype(int).tolist() for name in _COUNTS},
@@ -226,12 +226,12 @@ def published_bins(kind: Kind, bins: NDArray[np.void], fields: Sequence[str]) ->
     }
 
 
-def _finite(column: NDArray[np.float64]) -> list[float | None]:
+def _nan_to_none(column: NDArray[np.float64]) -> list[float | None]:
     """Return a column with None for values that are not finite."""
     return [value if math.isfinite(value) else None for value in column.tolist()]
 
 
-@router.get("/fits/{position}", response_model=Fit, responses=problems(404, 503))
+@router.get("/fits/{position}", response_model=Fit, responses=list_errors(404, 503))
 def get_fit(
     context: ContextOf,
     position: str,
@@ -241,22 +241,24 @@ def get_fit(
 ) -> JsonAnswer:
     """Fit the sets in the range; sets without a value (null) are excluded."""
     from analysis.errors import NotEnoughPointsError
-    from analysis.statistics.trend import trend_of_part
+    from analysis.statistics.trend import fit_trend_of_part
 
-    method = context.settings.positions[context.checked_position(position)].method
-    (name,) = checked_fields(method, field.replace(",", " "), known=METHODS[method].values)
-    fresh = context.freshness()
-    part = trend_part(context.catalogue(), position, name, first_h=from_h, last_h=last_hour(from_h, to_h))
+    method = context.settings.positions[context.validate_position(position)].method
+    (name,) = parse_fields(method, field.replace(",", " "), known=METHODS[method].values)
+    fresh = context.compute_freshness()
+    part = compute_trend_part(
+        context.catalogue(), position, name, first_h=from_h, last_h=find_last_hour(from_h, to_h)
+    )
     n, trend, reason = int(part["n"]), None, None
     try:
-        trend = trend_of_part(part)
+        trend = fit_trend_of_part(part)
     except NotEnoughPointsError as error:
         reason = str(error)
     return JsonAnswer(
         {
             "position": position,
             "field": name,
-            "unit": unit_of(name),
+            "unit": find_unit(name),
             "n": n,
             "coefficients": None if trend is None else [trend.constant, trend.linear, trend.quadratic],
             "r_squared": None if trend is None else trend.r_squared,

@@ -13,19 +13,19 @@ from numpy.typing import NDArray
 from starlette.responses import Response
 
 from daq_service.archive import SetReference
-from daq_service.archive.waterfall.cells import anchors_of
+from daq_service.archive.waterfall.cells import extract_anchors
 from daq_service.archive.waterfall.image import Picture, Wanted
-from daq_service.assessment.baseline_lifecycle import baseline_range
-from daq_service.assessment.results_in_file import results_in
+from daq_service.assessment.baseline_lifecycle import find_baseline_range
+from daq_service.assessment.results_in_file import read_set_results
 from daq_service.catalogue import Catalogue
-from daq_service.catalogue.owner import experiment_identity
+from daq_service.catalogue.owner import build_experiment_identity
 from daq_service.catalogue.rows import AssessmentRow, SetRow
-from daq_service.web.answers.json_answer import JsonAnswer, framed
-from daq_service.web.answers.models import UNCHANGED, Waterfall, files, problems
+from daq_service.web.answers.json_answer import JsonAnswer, build_framed_body
+from daq_service.web.answers.models import UNCHANGED, Waterfall, describe_file_answer, list_errors
 from daq_service.web.answers.problem import invalid, not_found
-from daq_service.web.answers.unchanged import unchanged
+from daq_service.web.answers.unchanged import check_etag
 from daq_service.web.context import Context, ContextOf
-from daq_service.web.routes.listing import FromHour, ToHour, last_hour
+from daq_service.web.routes.listing import FromHour, ToHour, find_last_hour
 from daq_service.web.routes.waveforms import OCTET_STREAM
 from hardware_drivers.measurement import SetKey
 from hardware_drivers.methods import PULSE_ECHO
@@ -49,10 +49,10 @@ Seconds = Annotated[
 @router.get(
     "/waterfall/{position}",
     response_model=Waterfall,
-    responses=files(OCTET_STREAM)
+    responses=describe_file_answer(OCTET_STREAM)
     | {204: {"description": "No record of the position is stored; /api/v1/sets tells why"}}
     | UNCHANGED
-    | problems(404, 503),
+    | list_errors(404, 503),
 )
 def get_waterfall(
     request: Request,
@@ -75,22 +75,22 @@ def get_waterfall(
     rows and columns; edges of rows are at multiples of `row_sets`, so the first and last may exceed the
     range. The time of a record counts from its anchor; a record without one is in no aligned image.
     """
-    method = context.settings.positions[context.checked_position(position)].method
-    _check(method, align, from_s, to_s, rows * columns if form == "json" else 0)
+    method = context.settings.positions[context.validate_position(position)].method
+    _check_parameters(method, align, from_s, to_s, rows * columns if form == "json" else 0)
     catalogue = context.catalogue()
     index = _CatalogueIndex(catalogue, position)
-    last_h = last_hour(from_h, to_h)
+    last_h = find_last_hour(from_h, to_h)
     tiles = context.waterfall.tiles(
         context.data_folder,
-        experiment_identity(catalogue.experiment_row()),
+        build_experiment_identity(catalogue.read_experiment()),
         position,
         "trigger" if align == "trigger" else "first",
-        index.first_files(),
+        index.list_first_files(),
     )
     if tiles is None:
         return Response(status_code=204)
     first_rows = catalogue.rows(SetRow, position=position, first_h=from_h, limit=1)
-    last_rows = catalogue.last_rows(SetRow, position, 1, last_h=last_h)
+    last_rows = catalogue.read_last_rows(SetRow, position, 1, last_h=last_h)
     wanted = Wanted(
         first=first_rows[0].set_index if first_rows else 0,
         last=last_rows[0].set_index if first_rows and last_rows else -1,
@@ -101,10 +101,10 @@ def get_waterfall(
     )
     baseline, baseline_sets, baseline_pending = None, None, 0
     if shown == "difference":
-        sets = _baseline(context, catalogue, position)
+        sets = _list_baseline_sets(context, catalogue, position)
         baseline, baseline_sets, baseline_pending = context.waterfall.mean(tiles, index, sets)
-    picture = context.waterfall.figure_of_sets(tiles, index, wanted, baseline)
-    planes = _planes(picture, normalised=shown == "normalised")
+    picture = context.waterfall.compute_figure(tiles, index, wanted, baseline)
+    planes = _stack_planes(picture, normalised=shown == "normalised")
     is_echo = method == PULSE_ECHO
     header = {
         "position": position,
@@ -126,17 +126,17 @@ def get_waterfall(
             name: [getattr(row, name) for row in picture.rows]
             for name in ("first_set", "last_set", "n_sets", "first_h", "last_h")
         },
-        "until_h": _until_h(picture),
+        "until_h": _compute_row_ends_h(picture),
         "pending_sets": picture.pending + baseline_pending,
         "unreadable_sets": picture.unreadable,
     }
-    content = framed(header, planes.astype("<f4", copy=False).tobytes())
+    content = build_framed_body(header, planes.astype("<f4", copy=False).tobytes())
     etag = f'"{hashlib.blake2b(content, digest_size=16).hexdigest()}-{form}"'
-    headers, not_modified = unchanged(request, etag)
+    headers, not_modified = check_etag(request, etag)
     if not_modified is not None:
         return not_modified
     if form == "json":
-        extremes = {"minimum": _nested_lists(planes[0]), "maximum": _nested_lists(planes[1])}
+        extremes = {"minimum": _to_nested_lists(planes[0]), "maximum": _to_nested_lists(planes[1])}
         return JsonAnswer({**header, **extremes}, headers=headers)
     return Response(content, media_type=OCTET_STREAM, headers=headers)
 
@@ -147,26 +147,28 @@ class _CatalogueIndex:
     def __init__(self, catalogue: Catalogue, position: str) -> None:
         self._catalogue, self._position = catalogue, position
 
-    def n_stored(self, first: int, last: int) -> int:
+    def count_stored_sets(self, first: int, last: int) -> int:
         """Return how many sets with records lie between two indices."""
-        return self._catalogue.n_stored(self._position, first, last)
+        return self._catalogue.count_stored_sets(self._position, first, last)
 
     def file(self, set_index: int) -> SetReference | None:
         """Return the file of a set; None if it has none."""
         rows = self._catalogue.rows(SetRow, position=self._position, set_index=set_index)
         return next((SetReference(row.file) for row in rows if row.file is not None), None)
 
-    def anchors(self, set_index: int) -> Mapping[int, float]:
+    def read_anchors(self, set_index: int) -> Mapping[int, float]:
         """Return the time that aligns each shot of a set."""
-        return anchors_of(results_in(self._catalogue, SetKey(set_index)))
+        return extract_anchors(read_set_results(self._catalogue, SetKey(set_index)))
 
-    def first_files(self) -> list[SetReference]:
+    def list_first_files(self) -> list[SetReference]:
         """Return the files of the first sets."""
         rows = self._catalogue.rows(SetRow, position=self._position, tried=True, limit=_MOST_FIRST_SETS)
         return [SetReference(row.file) for row in rows if row.file is not None]
 
 
-def _check(method: str, align: str, from_s: float | None, to_s: float | None, json_cells: int) -> None:
+def _check_parameters(
+    method: str, align: str, from_s: float | None, to_s: float | None, json_cells: int
+) -> None:
     """Check the parameters of an image.
 
     Raises
@@ -194,7 +196,7 @@ def _check(method: str, align: str, from_s: float | None, to_s: float | None, js
         )
 
 
-def _baseline(context: Context, catalogue: Catalogue, position: str) -> list[int]:
+def _list_baseline_sets(context: Context, catalogue: Catalogue, position: str) -> list[int]:
     """Return the sets of the present baseline; for pulse echo, its first reading.
 
     Raises
@@ -203,10 +205,10 @@ def _baseline(context: Context, catalogue: Catalogue, position: str) -> list[int
         404: there is no baseline yet.
     """
     if context.settings.positions[position].method == PULSE_ECHO:
-        reading = catalogue.first_reading(position)
+        reading = catalogue.read_first_thickness(position)
         set_indices = [] if reading is None else [reading.set_index]
     else:
-        plan = baseline_range(position, context.settings, catalogue.baseline(position))
+        plan = find_baseline_range(position, context.settings, catalogue.baseline(position))
         assessments = catalogue.rows(
             AssessmentRow, position=position, first_set=plan.first_set, last_set=plan.last_set
         )
@@ -219,7 +221,7 @@ def _baseline(context: Context, catalogue: Catalogue, position: str) -> list[int
     return set_indices
 
 
-def _planes(picture: Picture, *, normalised: bool) -> NDArray[np.float32]:
+def _stack_planes(picture: Picture, *, normalised: bool) -> NDArray[np.float32]:
     """Return the minima and maxima of the cells, shape (2, rows, columns)."""
     if not picture.rows:
         return np.zeros((2, 0, picture.frame.n_cells), dtype=np.float32)
@@ -230,7 +232,7 @@ def _planes(picture: Picture, *, normalised: bool) -> NDArray[np.float32]:
     return planes
 
 
-def _until_h(picture: Picture) -> list[float]:
+def _compute_row_ends_h(picture: Picture) -> list[float]:
     """Return the end of each row, h, with the set interval around it."""
     rows, ends, step_h = picture.rows, [], math.nan
     for row, following in zip(rows, [*rows[1:], None][: len(rows)], strict=True):
@@ -242,6 +244,6 @@ def _until_h(picture: Picture) -> list[float]:
     return ends
 
 
-def _nested_lists(plane: NDArray[np.float32]) -> list[list[float | None]]:
+def _to_nested_lists(plane: NDArray[np.float32]) -> list[list[float | None]]:
     """Return an image as nested lists with None for gaps."""
     return [[None if math.isnan(value) else value for value in row] for row in plane.tolist()]

@@ -18,14 +18,14 @@ from daq_service.archive import SetNotFoundError, SetReference
 from daq_service.assessment.methods import METHODS
 from daq_service.catalogue.rows import FeatureRow, SetRow, ShotRow, ThicknessRow
 from daq_service.shared_file import read_shared
-from daq_service.web.answers.json_answer import JsonAnswer, rfc3339, with_utc
-from daq_service.web.answers.models import UNCHANGED, WaveformAnswer, files, problems
+from daq_service.web.answers.json_answer import JsonAnswer, add_utc, format_rfc3339
+from daq_service.web.answers.models import UNCHANGED, WaveformAnswer, describe_file_answer, list_errors
 from daq_service.web.answers.problem import not_found
-from daq_service.web.answers.unchanged import unchanged
+from daq_service.web.answers.unchanged import check_etag
 from daq_service.web.context import Context, ContextOf
 from daq_service.web.routes.admission import PersonOf
 from daq_service.web.routes.listing import Index, SetOfPath
-from daq_service.web.streams.live_figures import Picture, decode_header, unreadable_picture
+from daq_service.web.streams.live_figures import Picture, create_unreadable_figure, decode_figure_header
 from hardware_drivers.measurement import SetKey, Waveform
 
 router = APIRouter(tags=["waveforms"])
@@ -34,17 +34,17 @@ NPY = "application/x-npy"
 MOST_POINTS = 100_000
 LOOK_AT_TOKEN_S = 5.0
 """Interval of checks of the token, also without a new figure."""
-ERRORS = problems(404, 503)
+ERRORS = list_errors(404, 503)
 
 
 @router.get(
     "/waveforms/live/{position}",
     response_class=Response,
-    responses=files(OCTET_STREAM) | ERRORS,
+    responses=describe_file_answer(OCTET_STREAM) | ERRORS,
 )
 def get_live_waveform(position: str, context: ContextOf) -> Response:
     """Return the live figure: u32 header length, JSON header (volts = sum c[k] counts^k), samples."""
-    path = context.data_folder / "live" / f"{context.checked_position(position)}.bin"
+    path = context.data_folder / "live" / f"{context.validate_position(position)}.bin"
     try:
         content = read_shared(path)
     except FileNotFoundError:
@@ -52,14 +52,14 @@ def get_live_waveform(position: str, context: ContextOf) -> Response:
             f"Position {position} has no live picture yet.", "The recorder writes one with its next record."
         ) from None
     except OSError as error:
-        raise unreadable_picture(str(error)) from None
-    header = decode_header(content)
+        raise create_unreadable_figure(str(error)) from None
+    header = decode_figure_header(content)
     return Response(
         content,
         media_type=OCTET_STREAM,
         headers={
             "X-Sequence": str(header["sequence"]),
-            "X-Written": rfc3339(header["written_wall_utc_ns"]) or "",
+            "X-Written": format_rfc3339(header["written_wall_utc_ns"]) or "",
         },
     )
 
@@ -67,7 +67,7 @@ def get_live_waveform(position: str, context: ContextOf) -> Response:
 @router.get(
     "/waveforms/{position}/{set_index}/{shot_index}",
     response_model=WaveformAnswer,
-    responses=files(NPY, OCTET_STREAM) | UNCHANGED | ERRORS,
+    responses=describe_file_answer(NPY, OCTET_STREAM) | UNCHANGED | ERRORS,
 )
 def get_waveform(
     request: Request,
@@ -79,7 +79,7 @@ def get_waveform(
     points: Annotated[int | None, Query(ge=4, le=MOST_POINTS)] = None,
 ) -> Response:
     """Return one stored waveform, the accepted one of a repeated shot; pulse echo has shot index 0."""
-    context.checked_position(position)
+    context.validate_position(position)
     catalogue, set_key = context.catalogue(), SetKey.parse(set_index)
     shots = catalogue.rows(ShotRow, position=position, **set_key._asdict())
     row = next((shot for shot in shots if shot.shot_index == shot_index and shot.outcome == ACCEPTED), None)
@@ -92,7 +92,7 @@ def get_waveform(
     headers: dict[str, str] = {}
     if form != "json" and set_row.file_sha256 is not None:  # JSON also has the age
         etag = f'"{set_row.file_sha256[:20]}-{position}-{shot_index}-{form}-{points}"'
-        headers, not_modified = unchanged(request, etag)
+        headers, not_modified = check_etag(request, etag)
         if not_modified is not None:
             return not_modified
     try:
@@ -102,7 +102,7 @@ def get_waveform(
     disposition = f'attachment; filename="{position}_{set_index.zfill(6)}_{shot_index:03d}'
     if form == "octets":
         return Response(
-            little_endian(waveform),
+            to_little_endian_bytes(waveform),
             media_type=OCTET_STREAM,
             headers={
                 **headers,
@@ -115,16 +115,16 @@ def get_waveform(
         )
     time_s, voltage_v = waveform.time_s(), waveform.volts()
     if points is not None and points < time_s.size:
-        indices = extremes_per_bin(voltage_v, points)
+        indices = find_extremes_per_bin(voltage_v, points)
         time_s, voltage_v = time_s[indices], voltage_v[indices]
     if form == "npy":
         buffer = io.BytesIO()
         np.save(buffer, np.stack([time_s, voltage_v]))
         headers["Content-Disposition"] = disposition + '.npy"'
         return Response(buffer.getvalue(), media_type=NPY, headers=headers)
-    fresh = context.freshness()
-    quality = _quality(context, position, set_key, row.sequence)
-    due = with_utc({"due_h": set_row.due_h}, fresh.epoch_utc_ns)
+    fresh = context.compute_freshness()
+    quality = _find_quality(context, position, set_key, row.sequence)
+    due = add_utc({"due_h": set_row.due_h}, fresh.epoch_utc_ns)
     return JsonAnswer(
         {
             "position": position,
@@ -132,7 +132,7 @@ def get_waveform(
             **set_key._asdict(),
             "shot_index": shot_index,
             "sequence": row.sequence,
-            "utc": rfc3339(row.utc_ns),
+            "utc": format_rfc3339(row.utc_ns),
             **due,
             "valid": row.valid,
             "flags": row.flags,
@@ -149,12 +149,12 @@ def get_waveform(
     )
 
 
-def little_endian(waveform: Waveform) -> bytes:
+def to_little_endian_bytes(waveform: Waveform) -> bytes:
     """Return the counts as stored, low byte first."""
     return waveform.counts.astype(waveform.counts.dtype.newbyteorder("<"), copy=False).tobytes()
 
 
-def extremes_per_bin(values: NDArray[np.float64], points: int) -> NDArray[np.intp]:
+def find_extremes_per_bin(values: NDArray[np.float64], points: int) -> NDArray[np.intp]:
     """Return the indices of the minimum and maximum of each of ``points // 2`` equal bins, in order.
 
     No peak is lost: a chart with one pixel per bin looks the same as with all samples.
@@ -174,7 +174,7 @@ def extremes_per_bin(values: NDArray[np.float64], points: int) -> NDArray[np.int
     return np.unique(np.asarray(indices, dtype=np.intp))
 
 
-def _quality(context: Context, position: str, set_key: SetKey, sequence: int) -> str | None:
+def _find_quality(context: Context, position: str, set_key: SetKey, sequence: int) -> str | None:
     """Return the quality of the features or the thickness of a record."""
     kind: type[FeatureRow] | type[ThicknessRow] = METHODS[context.settings.positions[position].method].row
     rows = context.catalogue().rows(kind, position=position, **set_key._asdict())
@@ -202,12 +202,12 @@ async def live_waveforms(
     await websocket.accept()
     live = context.live
     live.clients += 1
-    left = asyncio.create_task(_until_left(websocket))
+    left = asyncio.create_task(_wait_until_left(websocket))
     seen = dict.fromkeys(chosen, 0)
     beat_s, sent_s = context.hub.heartbeat_interval_s, time.monotonic()
     try:
-        while not left.done() and not live.closed and context.access_policy.may_stay(person):
-            newer: dict[str, Picture] = live.newer(seen)
+        while not left.done() and not live.closed and context.access_policy.has_access(person):
+            newer: dict[str, Picture] = live.find_newer_figures(seen)
             for position, picture in newer.items():
                 seen[position], sent_s = picture.version, time.monotonic()
                 await websocket.send_bytes(picture.content)
@@ -231,7 +231,7 @@ async def live_waveforms(
         left.cancel()
 
 
-async def _until_left(websocket: WebSocket) -> None:
+async def _wait_until_left(websocket: WebSocket) -> None:
     """Read and ignore messages until the client leaves."""
     while (await websocket.receive())["type"] != "websocket.disconnect":
         pass

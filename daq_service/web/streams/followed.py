@@ -31,7 +31,7 @@ class Followed:
         """End every client; may be called again."""
         self._closed = True
         self._stop.set()
-        self._wake()
+        self._wake_clients()
 
     async def join(self) -> None:
         """Wait for the end of the thread after `close`."""
@@ -51,7 +51,7 @@ class Followed:
             self._waiting.append(waiter)
             await waiter
 
-    def _wake(self) -> None:
+    def _wake_clients(self) -> None:
         """Wake the clients that wait for a change."""
         woken, self._waiting = self._waiting, []
         for waiter in woken:

@@ -84,7 +84,7 @@ class EventHub(Followed):
     async def start(self) -> None:
         """Start to follow events and to send heartbeats."""
         await super().start()
-        self._beat()
+        self._send_heartbeat()
 
     def close(self) -> None:
         """End every stream with `bye`; may be called again."""
@@ -112,26 +112,26 @@ class EventHub(Followed):
         async with self._turns:
             await asyncio.sleep(TURN_S)
 
-    def _beat(self) -> None:
+    def _send_heartbeat(self) -> None:
         """Wake all clients for a heartbeat and schedule the next one."""
-        self._wake()
-        self._heartbeat = self._loop.call_later(self.heartbeat_interval_s, self._beat)
+        self._wake_clients()
+        self._heartbeat = self._loop.call_later(self.heartbeat_interval_s, self._send_heartbeat)
 
-    def _begin(self, event_id: int, events: list[EncodedEvent]) -> None:
+    def _start_ring(self, event_id: int, events: list[EncodedEvent]) -> None:
         """Start with the newest events."""
         self._complete_after, self._events = event_id, events
-        self._wake()
+        self._wake_clients()
 
-    def _append(self, events: list[EncodedEvent]) -> None:
+    def _append_events(self, events: list[EncodedEvent]) -> None:
         """Append events to the ring buffer and wake the clients."""
         self._events.extend(events)
         # Cut only at twice the size, so that the cost an event stays constant.
         if len(self._events) > 2 * self._ring_events:
             self._complete_after = self._events[-self._ring_events - 1].id
             del self._events[: -self._ring_events]
-        self._wake()
+        self._wake_clients()
 
-    def _read_stored(self, event_id: int, last: int) -> list[EncodedEvent]:
+    def _read_stored_events(self, event_id: int, last: int) -> list[EncodedEvent]:
         """Return the events of the catalogue after an id, at least until the last one."""
         events: list[EncodedEvent] = []
         while event_id < last and (rows := self._source.after(event_id, PAGE_EVENTS)):
@@ -151,20 +151,20 @@ class EventHub(Followed):
                     last = self._source.last_id()
                     if last is None:
                         # No catalogue yet: whoever waits now sees the experiment from its first event.
-                        self._pass_on(self._begin, 0, []) if not began else None
+                        self._pass_on(self._start_ring, 0, []) if not began else None
                         began, pause_s = True, UNREADABLE_INTERVAL_S
                     elif began:
                         last = 0
                     else:
                         first = max(0, last - self._ring_events)
-                        stored = self._read_stored(first, last)
-                        self._pass_on(self._begin, first, stored)
+                        stored = self._read_stored_events(first, last)
+                        self._pass_on(self._start_ring, first, stored)
                         last = stored[-1].id if stored else last
                 else:
                     rows = self._source.after(last, PAGE_EVENTS)
                     if rows:
                         last = rows[-1]["id"]
-                        self._pass_on(self._append, [encode_event(row) for row in rows])
+                        self._pass_on(self._append_events, [encode_event(row) for row in rows])
                         pause_s = 0.0 if len(rows) == PAGE_EVENTS else pause_s
                 last_error = ""
             except Exception as error:  # noqa: BLE001 - without this thread no page has news

@@ -39,7 +39,7 @@ class LiveFigures(Followed):
         self._poll_interval_s = poll_interval_s
         self._pictures: dict[str, Picture] = {}
 
-    def newer(self, seen: Mapping[str, int]) -> dict[str, Picture]:
+    def find_newer_figures(self, seen: Mapping[str, int]) -> dict[str, Picture]:
         """Return the figures of the positions in ``seen`` that are newer than the version there."""
         return {
             position: picture
@@ -47,10 +47,10 @@ class LiveFigures(Followed):
             if (picture := self._pictures.get(position)) is not None and picture.version > version
         }
 
-    def _take(self, position: str, picture: Picture) -> None:
+    def _update_figure(self, position: str, picture: Picture) -> None:
         """Keep the newest picture of a position and wake its clients."""
         self._pictures[position] = picture
-        self._wake()
+        self._wake_clients()
 
     def _follow(self) -> None:
         """Check the marks of the files, and read changed ones (body of the thread)."""
@@ -72,11 +72,11 @@ class LiveFigures(Followed):
                     continue
                 seen[position] = mark
                 version += 1
-                self._pass_on(self._take, position, Picture(version, content))
+                self._pass_on(self._update_figure, position, Picture(version, content))
             self._stop.wait(self._poll_interval_s)
 
 
-def decode_header(content: bytes) -> dict[str, Any]:
+def decode_figure_header(content: bytes) -> dict[str, Any]:
     """Return the JSON header of a live figure.
 
     Raises
@@ -90,11 +90,11 @@ def decode_header(content: bytes) -> dict[str, Any]:
         if not isinstance(header, dict) or len(content) < 4 + length:
             raise ValueError("the header is cut off")
     except (struct.error, ValueError) as error:
-        raise unreadable_picture(f"it is damaged, {error}") from None
+        raise create_unreadable_figure(f"it is damaged, {error}") from None
     return header
 
 
-def unreadable_picture(why: str) -> Problem:
+def create_unreadable_figure(why: str) -> Problem:
     """Return the problem that a live figure is unreadable (503)."""
     return Problem(
         "storage-unavailable",

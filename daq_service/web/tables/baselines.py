@@ -7,8 +7,8 @@ from functools import cache, partial
 from typing import TypedDict
 
 from analysis.waves.features import FEATURE_NAMES
-from daq_service.acquisition.schedule import due_hours
-from daq_service.assessment.baseline_lifecycle import first_baseline
+from daq_service.acquisition.schedule import list_due_hours
+from daq_service.assessment.baseline_lifecycle import build_first_baseline
 from daq_service.catalogue import Catalogue
 from daq_service.catalogue.rows import BaselineRow, EnvironmentRow, FeatureRow
 from daq_service.settings.tree import Settings
@@ -23,23 +23,23 @@ class BaselineHours(TypedDict):
     temperature_c: list[float] | None
 
 
-def published_baselines(
+def list_published_baselines(
     catalogue: Catalogue, settings: Settings, epoch_utc_ns: int, position: str | None
 ) -> list[tuple[BaselineRow, BaselineHours]]:
     """Return the baselines of a position (None: of all), the newest last, each with extra columns."""
     rows = catalogue.rows(BaselineRow, position=position)
     positions_with_baseline = {row.position for row in rows}
     rows += [
-        first_baseline(name, settings, epoch_utc_ns)
+        build_first_baseline(name, settings, epoch_utc_ns)
         for name, place in settings.positions.items()
         if place.method == SOLITARY_WAVE and name not in positions_with_baseline and position in (None, name)
     ]
-    hours = due_hours(settings.schedule.phases)
+    hours = list_due_hours(settings.schedule.phases)
     # Baselines of many positions have the same sets: their environment is read once.
-    temperatures_c = cache(partial(_temperatures_c, catalogue))
+    temperatures_c = cache(partial(_read_temperatures_c, catalogue))
     return [
         (
-            replace(row, n_sets=_usable_sets(catalogue, row)) if row.state == "collecting" else row,
+            replace(row, n_sets=_count_usable_sets(catalogue, row)) if row.state == "collecting" else row,
             {
                 "from_h": hours[row.first_set_index],
                 "to_h": hours[min(row.last_set_index, len(hours) - 1)],
@@ -50,7 +50,7 @@ def published_baselines(
     ]
 
 
-def _usable_sets(catalogue: Catalogue, row: BaselineRow) -> int:
+def _count_usable_sets(catalogue: Catalogue, row: BaselineRow) -> int:
     """Count the sets of a baseline that have every feature."""
     first, last = row.first_set_index, row.last_set_index
     columns = catalogue.columns(
@@ -67,7 +67,7 @@ def _usable_sets(catalogue: Catalogue, row: BaselineRow) -> int:
     )
 
 
-def _temperatures_c(catalogue: Catalogue, first: int, last: int) -> list[float] | None:
+def _read_temperatures_c(catalogue: Catalogue, first: int, last: int) -> list[float] | None:
     """Return the minimum and maximum temperature around sets; None: none was measured."""
     around = catalogue.columns(EnvironmentRow, ["temperature_c"], first_set=first, last_set=last)
     measured_c = [temperature_c for temperature_c in around["temperature_c"] if temperature_c is not None]

@@ -8,16 +8,16 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from daq_service.alarms.evidence import evidence_sentences
+from daq_service.alarms.evidence import build_evidence_sentences
 from daq_service.catalogue import Catalogue, rows
-from daq_service.catalogue.published_columns import PublishedColumn, Purposes, described_columns, with_parts
+from daq_service.catalogue.published_columns import PublishedColumn, Purposes, add_parts, describe_columns
 from daq_service.catalogue.reader import Filters
 from daq_service.errors import UsageError
 from daq_service.processes.freshness import Freshness
-from daq_service.settings.stored import stored_settings
-from daq_service.web.answers.json_answer import with_utc
-from daq_service.web.tables.baselines import published_baselines
-from daq_service.web.tables.quality import assessed_qualities
+from daq_service.settings.stored import restore_settings
+from daq_service.web.answers.json_answer import add_utc
+from daq_service.web.tables.baselines import list_published_baselines
+from daq_service.web.tables.quality import find_assessed_qualities
 
 PAGE_ROWS = 1000
 ALWAYS = (
@@ -43,7 +43,7 @@ class TableKind:
     @property
     def columns(self) -> tuple[PublishedColumn, ...]:
         """Return all columns of the table."""
-        return described_columns(self.row)
+        return describe_columns(self.row)
 
 
 TABLES: Mapping[str, TableKind] = {
@@ -114,32 +114,32 @@ class Choice:
         return "_".join(filter(None, (self.table, self.position, None if is_planned else self.purpose)))
 
 
-def pages(catalogue: Catalogue, fresh: Freshness, choice: Choice) -> Iterator[Columns]:
+def read_pages(catalogue: Catalogue, fresh: Freshness, choice: Choice) -> Iterator[Columns]:
     """Yield the selected rows in pages of `PAGE_ROWS`, in the order of the table; at least one page.
 
     Alarms are in their state at the moment of ``fresh``.
     """
-    experiment = catalogue.experiment_row()
+    experiment = catalogue.read_experiment()
     kind, names = TABLES[choice.table], [column.name for column in choice.columns]
     if kind.row is rows.BaselineRow:
-        settings = stored_settings(experiment.configuration)
+        settings = restore_settings(experiment.configuration)
         rows_json = [
-            with_parts(
-                rows.BaselineRow, with_utc({**rows.values(row), **extra_columns}, experiment.epoch_utc_ns)
+            add_parts(
+                rows.BaselineRow, add_utc({**rows.to_columns(row), **extra_columns}, experiment.epoch_utc_ns)
             )
-            for row, extra_columns in published_baselines(
+            for row, extra_columns in list_published_baselines(
                 catalogue, settings, experiment.epoch_utc_ns, choice.position
             )
             if _is_inside(choice, extra_columns["from_h"], extra_columns["to_h"])
         ]
-        yield _by_column(rows_json, names)
+        yield _to_columns(rows_json, names)
         return
     filters: Filters = {**kind.fixed, "position": choice.position}
     if kind.unscheduled_set:
         filters |= {"purpose": choice.purpose}
     by_set = kind.row is not rows.AlarmRow
     if by_set:
-        filters |= {"first_h": choice.from_h, "last_h": last_hour_inside(choice.to_h)}
+        filters |= {"first_h": choice.from_h, "last_h": find_last_hour_inside(choice.to_h)}
     is_first = True
     while True:
         stored: Sequence[Any] = catalogue.rows(kind.row, limit=PAGE_ROWS, **filters)
@@ -148,28 +148,28 @@ def pages(catalogue: Catalogue, fresh: Freshness, choice: Choice) -> Iterator[Co
                 row for row in stored if by_set or _is_inside(choice, row.raised_h, row.raised_h)
             ]
             if not by_set:
-                selected = list(map(fresh.standing, selected))
-            rows_json = [with_utc(rows.values(row), experiment.epoch_utc_ns) for row in selected]
+                selected = list(map(fresh.with_present_state, selected))
+            rows_json = [add_utc(rows.to_columns(row), experiment.epoch_utc_ns) for row in selected]
             if kind.row is rows.AssessmentRow:
                 methods = {
                     name: place["method"] for name, place in experiment.configuration["positions"].items()
                 }
                 for row, quality in zip(
-                    rows_json, assessed_qualities(catalogue, methods, selected), strict=True
+                    rows_json, find_assessed_qualities(catalogue, methods, selected), strict=True
                 ):
                     row["quality"] = quality
             if kind.row is rows.AlarmRow:
-                baselines = catalogue.baselines_by_id()
+                baselines = catalogue.read_baselines_by_id()
                 for row, alarm in zip(rows_json, selected, strict=True):
-                    row["evidence_sentences"] = evidence_sentences(alarm, baselines)
-            yield _by_column([with_parts(kind.row, row) for row in rows_json], names)
+                    row["evidence_sentences"] = build_evidence_sentences(alarm, baselines)
+            yield _to_columns([add_parts(kind.row, row) for row in rows_json], names)
         if len(stored) < PAGE_ROWS:
             return
         filters["after_id"] = stored[-1].id
         is_first = False
 
 
-def last_hour_inside(to_h: float | None) -> float | None:
+def find_last_hour_inside(to_h: float | None) -> float | None:
     """Return the last hour before the end of a range, for the catalogue."""
     return None if to_h is None else math.nextafter(to_h, -math.inf)
 
@@ -181,11 +181,11 @@ def _is_inside(choice: Choice, first_h: float, last_h: float) -> bool:
     )
 
 
-def _by_column(rows_json: Sequence[Mapping[str, object]], names: Sequence[str]) -> Columns:
+def _to_columns(rows_json: Sequence[Mapping[str, object]], names: Sequence[str]) -> Columns:
     """Return rows as columns of plain values."""
-    return {name: [_plain(row[name]) for row in rows_json] for name in names}
+    return {name: [_to_plain_value(row[name]) for row in rows_json] for name in names}
 
 
-def _plain(value: object) -> object:
+def _to_plain_value(value: object) -> object:
     """Return a value as a file can hold it: nested ones as JSON."""
     return json.dumps(value) if isinstance(value, dict | list) else value

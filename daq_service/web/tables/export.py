@@ -10,11 +10,11 @@ from daq_service.catalogue.rows import ExperimentRow
 from daq_service.clock import format_utc
 from daq_service.errors import UsageError
 from daq_service.processes.freshness import Freshness
-from daq_service.web.tables.choice import Choice, Columns, pages
+from daq_service.web.tables.choice import Choice, Columns, read_pages
 from daq_service.web.tables.formats import FORMATS, Facts
 
 
-def exported(
+def encode_table(
     catalogue: Catalogue, fresh: Freshness, choice: Choice, form: str, *, most_rows: int | None = None
 ) -> Iterator[bytes]:
     """Return the bytes of a file in parts; streamed formats read a page for each part.
@@ -32,9 +32,9 @@ def exported(
         There are more rows, or a package for the format is missing; before the first part.
     """
     kind = FORMATS[form]
-    read = pages(catalogue, fresh, choice)
+    read = read_pages(catalogue, fresh, choice)
     if kind.whole and most_rows is not None:
-        read = _bounded(read, form, most_rows)
+        read = _limit_rows(read, form, most_rows)
     about = {
         "table": choice.table,
         "position": choice.position,
@@ -43,10 +43,10 @@ def exported(
         "purpose": choice.purpose,
         "units": {column.name: column.unit for column in choice.columns if column.unit},
     }
-    return kind.write(choice, facts_of(catalogue.experiment_row(), fresh, about), read)
+    return kind.write(choice, build_facts(catalogue.read_experiment(), fresh, about), read)
 
 
-def _bounded(read: Iterator[Columns], form: str, most_rows: int) -> Iterator[Columns]:
+def _limit_rows(read: Iterator[Columns], form: str, most_rows: int) -> Iterator[Columns]:
     """Yield pages of a table; raise an error above a number of rows."""
     n_rows = 0
     for page in read:
@@ -59,7 +59,7 @@ def _bounded(read: Iterator[Columns], form: str, most_rows: int) -> Iterator[Col
         yield page
 
 
-def facts_of(experiment: ExperimentRow, fresh: Freshness, about: Facts) -> Facts:
+def build_facts(experiment: ExperimentRow, fresh: Freshness, about: Facts) -> Facts:
     """Return the facts of a file: test, time and recorder, plus ``about``."""
     return {
         **about,

@@ -26,10 +26,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from daq_service.archive.table_file import table_image
+from daq_service.archive.table_file import build_table_image
 from daq_service.catalogue.published_columns import Form, PublishedColumn
 from daq_service.errors import UsageError
-from daq_service.settings.foreign_text import spreadsheet_cell
+from daq_service.settings.foreign_text import escape_spreadsheet_cell
 from daq_service.web.tables.choice import Choice, Columns
 
 if TYPE_CHECKING:
@@ -54,33 +54,33 @@ class Format:
     write: Write
 
 
-def facts_text(facts: Facts) -> str:
+def format_facts(facts: Facts) -> str:
     """Return facts as JSON text."""
     return json.dumps(facts, sort_keys=True)
 
 
-def _csv(choice: Choice, facts: Facts, pages: Iterable[Columns]) -> Iterator[bytes]:
+def _write_csv(choice: Choice, facts: Facts, pages: Iterable[Columns]) -> Iterator[bytes]:
     """Yield a table as CSV."""
     names = [column.name for column in choice.columns]
     text = io.StringIO(newline="")
     writer = csv.writer(text)
     writer.writerow(names)
     for page in pages:
-        columns = [[cell_text(value) for value in page[name]] for name in names]
+        columns = [[format_cell(value) for value in page[name]] for name in names]
         writer.writerows(zip(*columns, strict=True))
         yield text.getvalue().encode()
         text.seek(0)
         text.truncate()
 
 
-def cell_text(value: object) -> str:
+def format_cell(value: object) -> str:
     """Return a value as a cell of a CSV file."""
     if value is None:
         return ""
     if isinstance(value, bool):
         return str(value).lower()
     if isinstance(value, str):
-        return spreadsheet_cell(value)
+        return escape_spreadsheet_cell(value)
     return repr(value) if isinstance(value, float) else str(value)
 
 
@@ -106,29 +106,29 @@ class _Drain(io.RawIOBase):
         """Return the number of bytes written so far."""
         return self._place
 
-    def taken(self) -> bytes:
+    def drain_bytes(self) -> bytes:
         """Return and clear the bytes since the last call."""
         content = bytes(self._waiting)
         self._waiting.clear()
         return content
 
 
-def _arrow_like(kind: str) -> Write:
+def _make_writer(kind: str) -> Write:
     """Return a writer of tables in a format of Arrow."""
 
-    def write(choice: Choice, facts: Facts, pages: Iterable[Columns]) -> Iterator[bytes]:
-        arrow = pyarrow()
+    def write_arrow(choice: Choice, facts: Facts, pages: Iterable[Columns]) -> Iterator[bytes]:
+        arrow = import_pyarrow()
         schema = arrow.schema(
-            [arrow_field(arrow, column) for column in choice.columns],
-            metadata={"solimon": facts_text(facts)},
+            [build_arrow_field(arrow, column) for column in choice.columns],
+            metadata={"solimon": format_facts(facts)},
         )
-        batches = ([arrow_array(arrow, field.type, page[field.name]) for field in schema] for page in pages)
-        yield from written_arrow(arrow, kind, schema, batches)
+        batches = ([to_arrow(arrow, field.type, page[field.name]) for field in schema] for page in pages)
+        yield from encode_arrow(arrow, kind, schema, batches)
 
-    return write
+    return write_arrow
 
 
-def written_arrow(
+def encode_arrow(
     arrow: Arrow, form: str, schema: Arrow, batches: Iterable[Sequence[Arrow]]
 ) -> Iterator[bytes]:
     """Yield the bytes of a file, ``parquet`` or ``arrow``, after each batch of arrays."""
@@ -142,25 +142,25 @@ def written_arrow(
     with writing as writer:
         for arrays in batches:
             writer.write(arrow.record_batch(arrays, schema=schema))
-            yield drain.taken()
-    yield drain.taken()
+            yield drain.drain_bytes()
+    yield drain.drain_bytes()
 
 
-def arrow_field(arrow: Arrow, column: PublishedColumn) -> Arrow:
+def build_arrow_field(arrow: Arrow, column: PublishedColumn) -> Arrow:
     """Return the Arrow field of a column, with its unit."""
     kind = arrow.timestamp("ns", tz="UTC") if column.form == "time" else None
     kind = kind or getattr(arrow, _ARROW.get(column.form, "string"))()
     return arrow.field(column.name, kind, metadata={"unit": column.unit} if column.unit else None)
 
 
-def arrow_array(arrow: Arrow, of_type: Arrow, values: Sequence[object]) -> Arrow:
+def to_arrow(arrow: Arrow, of_type: Arrow, values: Sequence[object]) -> Arrow:
     """Return the values of a column as Arrow array; None is null."""
     if arrow.types.is_timestamp(of_type):
         return arrow.array(values, type=arrow.string()).cast(of_type)
     return arrow.array(values, type=of_type)
 
 
-def pyarrow(otherwise: str = "take csv, npz, mat or h5") -> Arrow:
+def import_pyarrow(otherwise: str = "take csv, npz, mat or h5") -> Arrow:
     """Import and return the package pyarrow.
 
     Raises
@@ -178,14 +178,14 @@ def pyarrow(otherwise: str = "take csv, npz, mat or h5") -> Arrow:
     return arrow
 
 
-def _arrays(columns: Sequence[PublishedColumn], pages: Iterable[Columns]) -> dict[str, Array]:
+def _collect_arrays(columns: Sequence[PublishedColumn], pages: Iterable[Columns]) -> dict[str, Array]:
     """Return all rows as one array per column."""
-    parts = [[as_array(column.form, page[column.name]) for column in columns] for page in pages]
+    parts = [[to_array(column.form, page[column.name]) for column in columns] for page in pages]
     joined = [np.concatenate(of_column) for of_column in zip(*parts, strict=True)]
     return dict(zip([column.name for column in columns], joined, strict=True))
 
 
-def as_array(form: Form, values: list[object]) -> Array:
+def to_array(form: Form, values: list[object]) -> Array:
     """Return the values of a column as an array; missing ones are NaN, -1 or empty."""
     if form == "number":
         return np.array([np.nan if value is None else value for value in values], dtype=np.float64)
@@ -195,34 +195,34 @@ def as_array(form: Form, values: list[object]) -> Array:
     return np.array(["" if value is None else value for value in values], dtype=np.str_)
 
 
-def with_texts(array: Array) -> Array | list[str]:
+def to_h5py_texts(array: Array) -> Array | list[str]:
     """Return texts as a list, as h5py takes them, and other arrays unchanged."""
     return [str(text) for text in array] if array.dtype.kind == "U" else array
 
 
-def _npz(choice: Choice, facts: Facts, pages: Iterable[Columns]) -> Iterator[bytes]:
+def _write_npz(choice: Choice, facts: Facts, pages: Iterable[Columns]) -> Iterator[bytes]:
     """Yield the table as a NumPy file."""
-    yield npz_image(_arrays(choice.columns, pages), facts)
+    yield build_npz(_collect_arrays(choice.columns, pages), facts)
 
 
-def npz_image(arrays: Mapping[str, Array], facts: Facts) -> bytes:
+def build_npz(arrays: Mapping[str, Array], facts: Facts) -> bytes:
     """Return the bytes of a NumPy file: an array a name, and ``solimon``."""
     content = io.BytesIO()
     # `numpy.savez` has parameters of its own, such as ``file``, which is a column of sets.
     with zipfile.ZipFile(content, "w", zipfile.ZIP_DEFLATED) as members:
-        for name, array in {**arrays, "solimon": np.array(facts_text(facts))}.items():
+        for name, array in {**arrays, "solimon": np.array(format_facts(facts))}.items():
             with members.open(f"{name}.npy", "w") as member:
                 np.lib.format.write_array(member, array, allow_pickle=False)
     return content.getvalue()
 
 
-def _mat(choice: Choice, facts: Facts, pages: Iterable[Columns]) -> Iterator[bytes]:
+def _write_mat(choice: Choice, facts: Facts, pages: Iterable[Columns]) -> Iterator[bytes]:
     """Yield the table as a MATLAB file."""
     units = {column.name: column.unit for column in choice.columns if column.unit}
-    yield mat_image(choice.table, _arrays(choice.columns, pages), units, facts)
+    yield build_mat(choice.table, _collect_arrays(choice.columns, pages), units, facts)
 
 
-def mat_image(name: str, arrays: Mapping[str, Array], units: Mapping[str, str], facts: Facts) -> bytes:
+def build_mat(name: str, arrays: Mapping[str, Array], units: Mapping[str, str], facts: Facts) -> bytes:
     """Return the bytes of a MATLAB 5 file: a struct of the arrays, one of their units, and ``facts``."""
     # Imports SciPy only here: it would delay the start of a service by half a second.
     from scipy.io import savemat
@@ -233,39 +233,41 @@ def mat_image(name: str, arrays: Mapping[str, Array], units: Mapping[str, str], 
         key: array.astype(np.object_) if array.dtype.kind == "U" else array
         for key, array in arrays.items()
     }
-    stored = {name: columns, "units": units, "facts": facts_text(facts)}
+    stored = {name: columns, "units": units, "facts": format_facts(facts)}
     savemat(content, stored, long_field_names=True, oned_as="column", do_compression=True)
     return content.getvalue()
 
 
-def _h5(choice: Choice, facts: Facts, pages: Iterable[Columns]) -> Iterator[bytes]:
+def _write_hdf5(choice: Choice, facts: Facts, pages: Iterable[Columns]) -> Iterator[bytes]:
     """Yield a table as HDF5."""
-    arrays = _arrays(choice.columns, pages)
+    arrays = _collect_arrays(choice.columns, pages)
     names = choice.chosen or tuple(arrays)
     numbers = [c.name for c in choice.columns if c.form == "number" and c.unit != "h" and c.name in names]
     hours = next(name for name in ("due_h", "raised_h", "from_h") if name in arrays)
-    yield table_image(
+    yield build_table_image(
         choice.table,
-        {name: with_texts(array) for name, array in arrays.items()},
+        {name: to_h5py_texts(array) for name, array in arrays.items()},
         signal=numbers[0] if numbers else None,
         axis=hours,
-        facts_text=facts_text(facts),
+        facts_text=format_facts(facts),
     )
 
 
 FORMATS: Mapping[str, Format] = {
-    "csv": Format(media_type="text/csv", whole=False, write=_csv),
-    "parquet": Format(media_type="application/vnd.apache.parquet", whole=False, write=_arrow_like("parquet")),
-    "arrow": Format(
-        media_type="application/vnd.apache.arrow.stream", whole=False, write=_arrow_like("arrow")
+    "csv": Format(media_type="text/csv", whole=False, write=_write_csv),
+    "parquet": Format(
+        media_type="application/vnd.apache.parquet", whole=False, write=_make_writer("parquet")
     ),
-    "npz": Format(media_type="application/x-npz", whole=True, write=_npz),
-    "mat": Format(media_type="application/x-matlab-data", whole=True, write=_mat),
-    "h5": Format(media_type="application/x-hdf5", whole=True, write=_h5),
+    "arrow": Format(
+        media_type="application/vnd.apache.arrow.stream", whole=False, write=_make_writer("arrow")
+    ),
+    "npz": Format(media_type="application/x-npz", whole=True, write=_write_npz),
+    "mat": Format(media_type="application/x-matlab-data", whole=True, write=_write_mat),
+    "h5": Format(media_type="application/x-hdf5", whole=True, write=_write_hdf5),
 }
 
 
-def available() -> list[str]:
+def list_available_formats() -> list[str]:
     """Return the formats that this installation can write."""
     from importlib.util import find_spec
 

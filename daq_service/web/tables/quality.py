@@ -12,7 +12,7 @@ from hardware_drivers.measurement import SetKey
 from hardware_drivers.methods import Method
 
 
-def assessed_qualities(
+def find_assessed_qualities(
     catalogue: Catalogue, methods: Mapping[str, Method], rows: Sequence[AssessmentRow]
 ) -> list[str | None]:
     """Return the quality of each assessed set; ``methods`` are those of the positions."""

@@ -18,18 +18,18 @@ import io
 import numpy as np
 import orjson
 
-from daq_service.archive.table_file import records_image
+from daq_service.archive.table_file import build_records_image
 from daq_service.catalogue import Catalogue
 from daq_service.processes.freshness import Freshness
 from daq_service.web.tables import formats
-from daq_service.web.tables.export import facts_of
+from daq_service.web.tables.export import build_facts
 from daq_service.web.tables.records import OF_RECORD, RecordChoice, RecordSlice
 
 NAME = "waveforms"
 UNITS = {"time_s": "s", "voltage_v": "V", **{column.name: column.unit for column in OF_RECORD if column.unit}}
 
 
-def exported_records(
+def encode_records(
     catalogue: Catalogue, fresh: Freshness, choice: RecordChoice, records: RecordSlice, form: str
 ) -> bytes:
     """Return the bytes of a file of records in one of `formats.FORMATS`.
@@ -45,32 +45,32 @@ def exported_records(
         "units": UNITS,
         "n_unreadable": records.columns["readable"].count(False),
     }
-    facts = facts_of(catalogue.experiment_row(), fresh, about)
+    facts = build_facts(catalogue.read_experiment(), fresh, about)
     if form == "csv":
-        return _csv(records)
+        return _write_csv(records)
     if form in ("parquet", "arrow"):
-        return _arrow(records, facts, form)
+        return _write_arrow(records, facts, form)
     arrays = {
         "time_s": records.time_s,
         "voltage_v": records.voltage_v,
-        **{column.name: formats.as_array(column.form, records.columns[column.name]) for column in OF_RECORD},
+        **{column.name: formats.to_array(column.form, records.columns[column.name]) for column in OF_RECORD},
     }
     if form == "npz":
-        return formats.npz_image(arrays, facts)
+        return formats.build_npz(arrays, facts)
     if form == "mat":
-        return formats.mat_image(NAME, arrays, UNITS, facts)
-    columns = {column.name: formats.with_texts(arrays[column.name]) for column in OF_RECORD}
-    return records_image(
+        return formats.build_mat(NAME, arrays, UNITS, facts)
+    columns = {column.name: formats.to_h5py_texts(arrays[column.name]) for column in OF_RECORD}
+    return build_records_image(
         NAME,
         columns,
         records.time_s,
         records.voltage_v,
         axis="sequence",
-        facts_text=formats.facts_text(facts),
+        facts_text=formats.format_facts(facts),
     )
 
 
-def _csv(records: RecordSlice) -> bytes:
+def _write_csv(records: RecordSlice) -> bytes:
     """Return waveforms as CSV, one column each."""
     text = io.StringIO(newline="")
     writer = csv.writer(text)
@@ -83,17 +83,17 @@ def _csv(records: RecordSlice) -> bytes:
     return text.getvalue().encode() + cells.replace(b"],[", b"\r\n").replace(b"null", b"") + b"\r\n"
 
 
-def _arrow(records: RecordSlice, facts: formats.Facts, form: str) -> bytes:
+def _write_arrow(records: RecordSlice, facts: formats.Facts, form: str) -> bytes:
     """Return waveforms in a format of Arrow, one row each."""
-    arrow = formats.pyarrow()
+    arrow = formats.import_pyarrow()
     n_samples = records.time_s.size
     volts = arrow.field("voltage_v", arrow.list_(arrow.float64(), n_samples), metadata={"unit": "V"})
     schema = arrow.schema(
-        [*(formats.arrow_field(arrow, column) for column in OF_RECORD), volts],
-        metadata={"solimon": formats.facts_text(facts)},
+        [*(formats.build_arrow_field(arrow, column) for column in OF_RECORD), volts],
+        metadata={"solimon": formats.format_facts(facts)},
     )
     arrays = [
-        *(formats.arrow_array(arrow, schema.field(c.name).type, records.columns[c.name]) for c in OF_RECORD),
+        *(formats.to_arrow(arrow, schema.field(c.name).type, records.columns[c.name]) for c in OF_RECORD),
         arrow.FixedSizeListArray.from_arrays(arrow.array(records.voltage_v.ravel()), n_samples),
     ]
-    return b"".join(formats.written_arrow(arrow, form, schema, [arrays]))
+    return b"".join(formats.encode_arrow(arrow, form, schema, [arrays]))

@@ -17,8 +17,8 @@ from daq_service.catalogue.published_columns import Form, PublishedColumn
 from daq_service.catalogue.reader import Filters
 from daq_service.catalogue.rows import SetRow, ShotRow
 from daq_service.errors import UsageError
-from daq_service.web.answers.json_answer import rfc3339, rfc3339_of_hours
-from daq_service.web.tables.choice import Columns, last_hour_inside
+from daq_service.web.answers.json_answer import format_hours_as_rfc3339, format_rfc3339
+from daq_service.web.tables.choice import Columns, find_last_hour_inside
 from hardware_drivers.measurement import Waveform
 
 MOST_SETS = 100_000
@@ -26,17 +26,17 @@ MOST_SETS = 100_000
 BYTES_A_SAMPLE = 8
 
 
-def _column(name: str, form: Form, unit: str = "") -> PublishedColumn:
+def _build_column(name: str, form: Form, unit: str = "") -> PublishedColumn:
     """Return a column of the table of records."""
     return PublishedColumn(name=name, form=form, unit=unit, nullable=name in ("quality",))
 
 
 OF_RECORD = (
-    *(_column(name, "integer") for name in ("set_index", "shot_index", "sequence")),
-    *(_column("due_h", "number", "h"), _column("due_utc", "time"), _column("utc", "time")),
-    *(_column("valid", "truth"), _column("flags", "text"), _column("quality", "text")),
-    *(_column("readable", "truth"), _column("sample_rate_hz", "number", "Hz")),
-    _column("pretrigger_samples", "integer"),
+    *(_build_column(name, "integer") for name in ("set_index", "shot_index", "sequence")),
+    *(_build_column("due_h", "number", "h"), _build_column("due_utc", "time"), _build_column("utc", "time")),
+    *(_build_column("valid", "truth"), _build_column("flags", "text"), _build_column("quality", "text")),
+    *(_build_column("readable", "truth"), _build_column("sample_rate_hz", "number", "Hz")),
+    _build_column("pretrigger_samples", "integer"),
 )
 """Columns of each record; an unreadable one has no volts."""
 
@@ -86,7 +86,7 @@ class RecordSlice:
     voltage_v: NDArray[np.float64]
 
 
-def read_slice(
+def read_record_slice(
     catalogue: Catalogue, archive: FolderSetReader, choice: RecordChoice, *, most_bytes: int
 ) -> RecordSlice:
     """Read the accepted records of the chosen sets.
@@ -103,7 +103,7 @@ def read_slice(
         "first_set": choice.first_set,
         "last_set": choice.last_set,
         "first_h": choice.from_h,
-        "last_h": last_hour_inside(choice.to_h),
+        "last_h": find_last_hour_inside(choice.to_h),
     }
     rows = catalogue.rows(SetRow, limit=MOST_SETS + 1, **filters)
     sets = {row.set_index: row for row in rows if row.file is not None}
@@ -113,7 +113,7 @@ def read_slice(
         raise UsageError(f"these are more than {MOST_SETS} sets; choose a shorter range")
     n_records = sum(row.n_taken for row in sets.values())
     # The first record shows whether all of them are too large: nothing else is read before.
-    waveforms = _waveforms(archive, choice.position, sets)
+    waveforms = _read_waveforms(archive, choice.position, sets)
     read_first = next(waveforms, None)
     if read_first is None:
         raise NoRecordError(
@@ -143,7 +143,7 @@ def read_slice(
     results = catalogue.columns(method.row, ("sequence", "quality"), **filters)
     quality = dict(zip(results["sequence"], results["quality"], strict=True))
     hours = [sets[row.set_index].due_h for row in shots]
-    epoch_utc_ns = catalogue.experiment_row().epoch_utc_ns
+    epoch_utc_ns = catalogue.read_experiment().epoch_utc_ns
     return RecordSlice(
         time_s=first.time_s(),
         voltage_v=voltage_v,
@@ -151,8 +151,8 @@ def read_slice(
             **{name: [getattr(row, name) for row in shots] for name in ("set_index", "shot_index")},
             "sequence": [row.sequence for row in shots],
             "due_h": hours,
-            "due_utc": rfc3339_of_hours(epoch_utc_ns, hours),
-            "utc": [rfc3339(row.utc_ns) for row in shots],
+            "due_utc": format_hours_as_rfc3339(epoch_utc_ns, hours),
+            "utc": [format_rfc3339(row.utc_ns) for row in shots],
             "valid": [row.valid for row in shots],
             "flags": [" ".join(row.flags) for row in shots],
             "quality": [quality.get(row.sequence) for row in shots],
@@ -163,7 +163,7 @@ def read_slice(
     )
 
 
-def _waveforms(
+def _read_waveforms(
     archive: FolderSetReader, position: str, sets: Mapping[int, SetRow]
 ) -> Iterator[tuple[int, Waveform]]:
     """Yield sequence and waveform of each readable record, one set file at a time."""

@@ -18,7 +18,7 @@ from daq_service.clock import format_utc
 NOT_KNOWN = "not known"
 
 
-def render(template: str, **context: object) -> bytes:
+def render_template(template: str, **context: object) -> bytes:
     """Return the HTML of a page.
 
     Raises
@@ -26,11 +26,11 @@ def render(template: str, **context: object) -> bytes:
     jinja2.UndefinedError
         The template uses a name that the context does not have.
     """
-    return _environment().get_template(template).render(context).encode()
+    return _create_environment().get_template(template).render(context).encode()
 
 
 @cache
-def _environment() -> Environment:
+def _create_environment() -> Environment:
     """Return the environment of the templates with its filters."""
     environment = Environment(
         loader=FileSystemLoader(Path(__file__).parent),
@@ -41,9 +41,9 @@ def _environment() -> Environment:
     )
     environment.filters |= {
         "base64": lambda content: base64.b64encode(content).decode(),
-        "plain": plain_text,
-        "quantity": quantity,
-        "significant": significant,
+        "plain": format_plain_text,
+        "quantity": format_quantity,
+        "significant": format_significant,
         "utc": lambda utc_ns: format_utc(utc_ns, 0),
         "words": lambda name: name.replace("_", " "),
     }
@@ -51,22 +51,22 @@ def _environment() -> Environment:
     return environment
 
 
-def quantity(value: float | None, factor: float = 1.0, digits: int = 2, unit: str = "") -> str:
+def format_quantity(value: float | None, factor: float = 1.0, digits: int = 2, unit: str = "") -> str:
     """Return a value as text with its unit."""
     if value is None:
         return NOT_KNOWN
     return f"{value * factor:.{digits}f} {unit}".rstrip()
 
 
-def significant(value: float | None, digits: int = 4) -> str:
+def format_significant(value: float | None, digits: int = 4) -> str:
     """Return a number as text with so many significant digits."""
     return NOT_KNOWN if value is None else f"{value:.{digits}g}"
 
 
-def plain_text(value: object) -> str:
+def format_plain_text(value: object) -> str:
     """Return any value of a row as text."""
     if isinstance(value, Mapping):
-        return ", ".join(f"{name} {plain_text(item)}" for name, item in value.items())
+        return ", ".join(f"{name} {format_plain_text(item)}" for name, item in value.items())
     if isinstance(value, list | tuple):
-        return ", ".join(map(plain_text, value))
-    return significant(value) if isinstance(value, float) or value is None else str(value)
+        return ", ".join(map(format_plain_text, value))
+    return format_significant(value) if isinstance(value, float) or value is None else str(value)

@@ -17,7 +17,7 @@ from block_scope import api
 from block_scope.unit import Unit
 from hardware_drivers.errors import ConfigurationError, InstrumentError
 from hardware_drivers.instruments import Acquired, require_timeout
-from hardware_drivers.kinds import Finding, Kind, Opened, Opening, Role, finding_of_error
+from hardware_drivers.kinds import Finding, Kind, Opened, Opening, Role, build_error_finding
 from hardware_drivers.measurement import Calibration, ShotKey, Waveform
 
 log = logging.getLogger(__name__)
@@ -170,7 +170,7 @@ def _check(parameters: BlockScopeParameters, opening: Opening) -> Iterator[Findi
             yield Finding(subject=subject, check="answers", state="ok", detail=detail)
             unit.timebase(parameters.sample_rate_hz)
     except InstrumentError as error:
-        yield finding_of_error(subject, "answers", error, "check its cable and its power")
+        yield build_error_finding(subject, "answers", error, "check its cable and its power")
 
 
 def _require(parameters: BlockScopeParameters, serves: Mapping[Role, tuple[str, ...]]) -> None:

@@ -15,7 +15,7 @@ from typing import Annotated, Any
 from pydantic import BaseModel, ConfigDict, Field
 
 from hardware_drivers.errors import BusyError, ConfigurationError, ConnectionLostError, InstrumentError
-from hardware_drivers.kinds import Finding, Kind, Opened, Opening, Role, finding_of_error
+from hardware_drivers.kinds import Finding, Kind, Opened, Opening, Role, build_error_finding
 from hardware_drivers.measurement import ShotKey
 
 LONGEST_PULSE_S = 0.5
@@ -159,7 +159,7 @@ def _check(parameters: RelayParameters, opening: Opening) -> Iterator[Finding]:
     try:
         yield Finding(subject=subject, check="answers", state="ok", detail=f"firmware {board.version()}")
     except InstrumentError as error:
-        yield finding_of_error(subject, "answers", error, CABLE)
+        yield build_error_finding(subject, "answers", error, CABLE)
     finally:
         board.close()
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from hardware_drivers.measurement import Calibration
-from simulator.electronics.transduction import adc_calibration
+from simulator.electronics.transduction import make_adc_calibration
 from simulator.parameters.electronics import AdcParameters
 
 
@@ -106,7 +106,7 @@ def board_calibration(adc: AdcParameters, offset_shift_v: float = 0.0) -> Calibr
 
     `offset_shift_v` is the effect of self-calibration.
     """
-    calibration = adc_calibration(adc)
+    calibration = make_adc_calibration(adc)
     coefficients_v = calibration.coefficients_v.copy()
     coefficients_v[0] += offset_shift_v
     return replace(calibration, coefficients_v=coefficients_v)

@@ -23,8 +23,8 @@ from simulator.doubles.daqmx.strikes import Strike
 from simulator.doubles.daqmx.tasks import Bench, Task
 from simulator.doubles.vendor_api import statuses
 from simulator.doubles.vendor_api.statuses import Status
-from simulator.electronics.sampling_kernel import rising_edge
-from simulator.electronics.transduction import EARLY_TRIGGER_S, counts_of
+from simulator.electronics.sampling_kernel import find_rising_edge
+from simulator.electronics.transduction import EARLY_TRIGGER_S, quantise_volts
 from simulator.errors import SimulatorError
 from simulator.numerics.arrays import FloatArray
 from simulator.parameters.electronics import AdcParameters
@@ -137,7 +137,7 @@ class AnalogInput:
         """Start sampling now, or at the start trigger."""
         task.n_starts += 1
         if task.device.parameters.simulated:
-            codes = counts_of(_simulated_volts(task), task.channel.calibration)
+            codes = quantise_volts(_simulated_volts(task), task.channel.calibration)
             task.run = Acquisition(begin_ns=now_ns, done_ns=now_ns, codes=codes)
             return
         task.run = Acquisition(begin_ns=None if start_trigger_of(task) else now_ns)
@@ -355,10 +355,10 @@ def _false_trigger(bench: Bench, task: Task, run: Acquisition, position: str, wa
     )
     key = ShotKey(position=position, set_index=0, shot_index=task.n_starts)
     volts = bench.strikes.free_volts(key, first_ns, adc, task.channel.calibration)
-    at: int = rising_edge(volts, level_v, pretrigger, looked_at - pretrigger)
+    at: int = find_rising_edge(volts, level_v, pretrigger, looked_at - pretrigger)
     if at < 0:
         return False
-    run.codes = counts_of(volts[at - pretrigger :][: record_samples(task)], task.channel.calibration)
+    run.codes = quantise_volts(volts[at - pretrigger :][: record_samples(task)], task.channel.calibration)
     run.done_ns = first_ns + round(at / rate * NS_PER_S) + _after_trigger_ns(task)
     run.strike = bench.strikes.planned[-1] if bench.strikes.planned else None
     return True
@@ -377,7 +377,7 @@ def recorded_codes(bench: Bench, task: Task) -> Counts | None:
     key = ShotKey(position=place, set_index=0, shot_index=task.n_starts)
     adc = _adc(task, SMALLEST_RECORD, 0.5 * channel.range_v)
     volts = bench.strikes.free_volts(key, run.begin_ns, adc, channel.calibration)
-    run.codes = counts_of(volts, channel.calibration)
+    run.codes = quantise_volts(volts, channel.calibration)
     return run.codes
 
 

@@ -19,9 +19,9 @@ from simulator.doubles.chassis.crosstalk import Crosstalk
 from simulator.doubles.chassis.description import Description
 from simulator.electronics.transduction import add_noise_volts
 from simulator.errors import SimulatorError
-from simulator.experiment.corrosion import patch_of
+from simulator.experiment.corrosion import make_patch
 from simulator.numerics.arrays import FloatArray
-from simulator.numerics.keyed_random import Purpose, generator
+from simulator.numerics.keyed_random import Purpose, create_keyed_generator
 from simulator.parameters.electronics import AdcParameters
 from simulator.shot.model import ShotModel
 from simulator.specimen import Specimen, Transducer, build_specimen
@@ -194,7 +194,7 @@ class Strikes:
         twin, rate_hz = self.specimen.twin, adc.sample_rate_hz
         volts = np.zeros(adc.record_samples)
         if twin.noise.enabled:
-            random = generator(twin.seed, Purpose.NOISE, key=key)
+            random = create_keyed_generator(twin.seed, Purpose.NOISE, key=key)
             add_noise_volts(volts, rate_hz, twin.noise, random)
         usual = rate_hz / WAVE.sample_rate_hz
         wave_adc = replace(
@@ -259,7 +259,7 @@ def _specimen(description: Description) -> Specimen:
         position: Transducer(
             chain=wiring.chain,
             model=ShotModel(
-                wiring.chain, wiring.plate, patch_of(description.twin, position, wiring.corrosion)
+                wiring.chain, wiring.plate, make_patch(description.twin, position, wiring.corrosion)
             ),
         )
         for position, wiring in description.transducers.items()

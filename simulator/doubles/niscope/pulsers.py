@@ -16,7 +16,7 @@ from simulator.doubles.chassis.description import ProbeWiring
 from simulator.doubles.chassis.scopes import ScopeParameters
 from simulator.doubles.niscope.records import RecordShape, single_records
 from simulator.doubles.niscope.session import Acquisition, Channel, Session
-from simulator.electronics.transduction import counts_of
+from simulator.electronics.transduction import quantise_volts
 from simulator.specimen import Specimen
 
 WAVEFORM_INFO = "<dddi4xdddd"
@@ -127,7 +127,7 @@ class Pulsers:
         """Return the codes of all records of a channel; one without a probe is a grounded input."""
         probe = self._probes[running.position]
         if probe.channel != channel:
-            quiet = counts_of(np.zeros((running.shape.records, running.shape.samples)), calibration)
+            quiet = quantise_volts(np.zeros((running.shape.records, running.shape.samples)), calibration)
             return quiet.astype(np.int32)
         if running.codes is None:
             key, hour_h = self._next_echo(running.position)

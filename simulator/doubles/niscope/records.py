@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from hardware_drivers.measurement import Calibration, ShotKey
 from simulator.doubles.chassis.description import ProbeWiring
-from simulator.echo.records import Disturbance, disturbance, disturbed_records
-from simulator.electronics.transduction import counts_of
-from simulator.numerics.keyed_random import Purpose, generator
+from simulator.echo.records import Disturbance, draw_disturbance, simulate_disturbed_records
+from simulator.electronics.transduction import quantise_volts
+from simulator.numerics.keyed_random import Purpose, create_keyed_generator
 from simulator.specimen import Specimen
 
 
@@ -52,10 +52,10 @@ def single_records(
             record_samples=shape.samples,
             delay_s=delay_s,
         )
-        found = disturbance(echo, seed=twin.seed, key=key)[0] if twin.noise.enabled else Disturbance()
+        found = draw_disturbance(echo, seed=twin.seed, key=key)[0] if twin.noise.enabled else Disturbance()
         wall = specimen.probed_wall(key.position, hour_h)
-        volts += disturbed_records(wall, echo, found, seed=twin.seed, key=key, records=shape.records)
+        volts += simulate_disturbed_records(wall, echo, found, seed=twin.seed, key=key, records=shape.records)
     if twin.noise.enabled:
-        random = generator(twin.seed, Purpose.ECHO_NOISE, key=key)
+        random = create_keyed_generator(twin.seed, Purpose.ECHO_NOISE, key=key)
         volts += twin.echo.noise_rms_v * random.standard_normal(volts.shape)
-    return counts_of(volts, calibration).astype(np.int32)
+    return quantise_volts(volts, calibration).astype(np.int32)

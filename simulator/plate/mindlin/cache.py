@@ -5,18 +5,18 @@ from __future__ import annotations
 from dataclasses import asdict
 from pathlib import Path
 
-from simulator.numerics.array_cache import DEFAULT_CACHE_FOLDER, cached_arrays, content_key
+from simulator.numerics.array_cache import DEFAULT_CACHE_FOLDER, hash_content, read_or_compute_arrays
 from simulator.numerics.arrays import FloatArray
-from simulator.numerics.one_thread import one_blas_thread
+from simulator.numerics.one_thread import use_one_blas_thread
 from simulator.parameters.plate import CorrosionParameters, PlateParameters
 from simulator.plate.mindlin.plate import build_plate
 from simulator.plate.mindlin.reduction import reduce_plate
 from simulator.plate.reduced import ReducedPlate
 
-__all__ = ["DEFAULT_CACHE_FOLDER", "reduced_plate", "reduction_key"]
+__all__ = ["DEFAULT_CACHE_FOLDER", "hash_reduction", "load_reduced_plate"]
 
 
-def reduced_plate(
+def load_reduced_plate(
     plate: PlateParameters, corrosion: CorrosionParameters, folder: Path | None = DEFAULT_CACHE_FOLDER
 ) -> ReducedPlate:
     """Return the reduced plate for this outline of the patch, from the cache if it is there.
@@ -29,16 +29,16 @@ def reduced_plate(
         None computes without any disk. Cached or not, the answer is the same to the last bit.
     """
 
-    def compute() -> dict[str, FloatArray]:
+    def compute_arrays() -> dict[str, FloatArray]:
         """Reduce the plate in one BLAS thread; return its arrays by name."""
-        with one_blas_thread():
+        with use_one_blas_thread():
             return asdict(reduce_plate(build_plate(plate, corrosion)))
 
-    return ReducedPlate(**cached_arrays(folder, reduction_key(plate, corrosion), compute))
+    return ReducedPlate(**read_or_compute_arrays(folder, hash_reduction(plate, corrosion), compute_arrays))
 
 
-def reduction_key(plate: PlateParameters, corrosion: CorrosionParameters) -> str:
+def hash_reduction(plate: PlateParameters, corrosion: CorrosionParameters) -> str:
     """Hash the specimen, the code that reduces it and the libraries that compute it."""
     footprint = asdict(corrosion)
     del footprint["depth_fraction"]
-    return content_key({"reduction": "mindlin", "plate": asdict(plate), "patch": footprint})
+    return hash_content({"reduction": "mindlin", "plate": asdict(plate), "patch": footprint})

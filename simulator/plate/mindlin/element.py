@@ -27,7 +27,7 @@ GAUSS_POINTS = tuple(
 """Natural coordinates (xi, eta) in the order in which the elements are integrated."""
 
 
-def element_matrices(
+def compute_element_matrices(
     plate: PlateParameters, width_m: FloatArray, height_m: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """Compute bending, shear, translational and rotary matrices of rectangles of full thickness.
@@ -46,13 +46,13 @@ def element_matrices(
     """
     a, b = (side.ravel() for side in np.meshgrid(width_m, height_m, indexing="ij"))
     sums = [np.zeros((len(a), 12, 12)) for _ in range(4)]
-    for kinds in _gauss_matrices(plate, a, b):
+    for kinds in _compute_gauss_point_matrices(plate, a, b):
         for kind, matrices in enumerate(kinds):
             sums[kind] += matrices
     return sums[0], sums[1], sums[2], sums[3]
 
 
-def thinned_element_matrices(
+def compute_thinned_element_matrices(
     plate: PlateParameters, a: FloatArray, b: FloatArray, linear: FloatArray, cubic: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Compute stiffness and mass of rectangles whose thickness varies between Gauss points.
@@ -72,7 +72,9 @@ def thinned_element_matrices(
     Two float64 arrays, shape (4, n, 12, 12): coefficient, element.
     """
     stiffness, mass = np.zeros((2, 4, len(a), 12, 12))
-    for point, (bending, shear, translation, rotation) in enumerate(_gauss_matrices(plate, a, b)):
+    for point, (bending, shear, translation, rotation) in enumerate(
+        _compute_gauss_point_matrices(plate, a, b)
+    ):
         for j in range(4):
             in_thickness, in_cube = linear[j, point, :, None, None], cubic[j, point, :, None, None]
             stiffness[j] += in_cube * bending + in_thickness * shear
@@ -80,7 +82,7 @@ def thinned_element_matrices(
     return stiffness, mass
 
 
-def _gauss_matrices(
+def _compute_gauss_point_matrices(
     plate: PlateParameters, a: FloatArray, b: FloatArray
 ) -> Iterator[tuple[FloatArray, FloatArray, FloatArray, FloatArray]]:
     """Yield the contribution of each Gauss point to the four matrices, each shape (len(a), 12, 12)."""
@@ -94,7 +96,7 @@ def _gauss_matrices(
     inertia_law = plate.density_kg_per_m3 * h**3 / 12.0 * np.diag([0.0, 1.0, 1.0])
     area = (0.25 * a * b)[:, None, None]
     for xi, eta in GAUSS_POINTS:
-        curvature, shear, value = _strain_rows(xi, eta, a, b)
+        curvature, shear, value = _strain_displacement_rows(xi, eta, a, b)
         yield (
             np.swapaxes(curvature, 1, 2) @ (area * (bending_law @ curvature)),
             np.swapaxes(shear, 1, 2) @ (area * (shear_law @ shear)),
@@ -103,7 +105,7 @@ def _gauss_matrices(
         )
 
 
-def _strain_rows(
+def _strain_displacement_rows(
     xi: float, eta: float, a: FloatArray, b: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Compute rows that turn 12 nodal values into curvatures, shear strains and values, 3, 2 and 3."""

@@ -15,7 +15,7 @@ SAME_LINE = 1e-9
 """Lines nearer to each other than this part of the edge are one: rounding of offset and size."""
 
 
-def graded_half_edge(length_m: float, elements: int, first_m: float, edge_m: float) -> FloatArray:
+def make_graded_half_edge(length_m: float, elements: int, first_m: float, edge_m: float) -> FloatArray:
     """Place grid lines from 0 to `length_m`, the first at `first_m`, one at `edge_m`.
 
     Two geometric progressions meet at the edge of the patch, the second continuing the sizes of the
@@ -31,22 +31,26 @@ def graded_half_edge(length_m: float, elements: int, first_m: float, edge_m: flo
             f"make plate.contact_element_m smaller"
         )
     if edge_m > length_m * (1.0 - SAME_LINE):
-        return _lines(0.0, length_m, first_m, _growth(first_m, elements, length_m), elements)
+        return _grid_lines_of_growth(
+            0.0, length_m, first_m, _growth_of_sum(first_m, elements, length_m), elements
+        )
     best: tuple[float, FloatArray] | None = None
     for inner in range(1, elements):
-        growth = _growth(first_m, inner, edge_m)
-        left = _lines(0.0, edge_m, first_m, growth, inner)
+        growth = _growth_of_sum(first_m, inner, edge_m)
+        left = _grid_lines_of_growth(0.0, edge_m, first_m, growth, inner)
         last = left[-1] - left[-2]
         outer_growth = _continued_growth(last, elements - inner, length_m - edge_m)
         misfit = abs(math.log(growth / outer_growth))
         if best is None or misfit < best[0]:
-            right = _lines(edge_m, length_m, last * outer_growth, outer_growth, elements - inner)
+            right = _grid_lines_of_growth(
+                edge_m, length_m, last * outer_growth, outer_growth, elements - inner
+            )
             best = misfit, np.concatenate((left, right[1:]))
     assert best is not None  # elements >= 4
     return best[1]
 
 
-def _growth(first_m: float, elements: int, length_m: float) -> float:
+def _growth_of_sum(first_m: float, elements: int, length_m: float) -> float:
     """Find the growth r with ``first (1 + r + ... + r^(n-1)) = length``.
 
     A single element takes the complete length.
@@ -69,14 +73,16 @@ def _solve_growth(excess: Callable[[float], float], largest: float) -> float:
     return float(scipy.optimize.brentq(excess, 0.0, largest * (1.0 + 1e-9), xtol=1e-15, rtol=1e-14))
 
 
-def _lines(start_m: float, end_m: float, first_m: float, growth: float, elements: int) -> FloatArray:
+def _grid_lines_of_growth(
+    start_m: float, end_m: float, first_m: float, growth: float, elements: int
+) -> FloatArray:
     """Place grid lines whose distances grow by a constant factor."""
     lines = start_m + np.concatenate(([0.0], np.cumsum(first_m * growth ** np.arange(elements))))
     lines[-1] = end_m
     return np.asarray(lines)
 
 
-def graded_edge(
+def make_graded_edge(
     start_m: float, end_m: float, elements: int, first_m: float, lines_m: Sequence[float]
 ) -> FloatArray:
     """Place grid lines from `start_m` <= 0 to `end_m`, the contact at 0, one at each of `lines_m`.
@@ -94,7 +100,7 @@ def graded_edge(
     SpecimenError
         A line crosses the elements at the contact, or there are more lines than elements.
     """
-    corners = _corners(start_m, end_m, first_m, lines_m)
+    corners = _required_lines(start_m, end_m, first_m, lines_m)
     left, right = corners[:-1], corners[1:]
     graded = ~((np.minimum(np.abs(left), np.abs(right)) == 0.0) & (right - left <= 1.5 * first_m))
     spare = elements - int(np.sum(~graded))
@@ -105,18 +111,18 @@ def graded_edge(
         )
     near = np.minimum(np.abs(left), np.abs(right))[graded] - first_m
     far = np.maximum(np.abs(left), np.abs(right))[graded] - first_m
-    growth = _sharing_growth(near / first_m, far / first_m, spare)
+    growth = _solve_shared_growth(near / first_m, far / first_m, spare)
     steps = np.log1p(growth * far / first_m) - np.log1p(growth * near / first_m)
     counts = np.ones(len(left), dtype=np.int64)
-    counts[graded] = _distribute(steps * (spare / steps.sum()), spare)
+    counts[graded] = _distribute_elements(steps * (spare / steps.sum()), spare)
     pieces = [
-        _graded_piece(float(a), float(b), int(n), first_m, growth)
+        _divide_graded_piece(float(a), float(b), int(n), first_m, growth)
         for a, b, n in zip(left, right, counts, strict=True)
     ]
     return np.concatenate([*pieces, corners[-1:]])
 
 
-def _corners(start_m: float, end_m: float, first_m: float, lines_m: Sequence[float]) -> FloatArray:
+def _required_lines(start_m: float, end_m: float, first_m: float, lines_m: Sequence[float]) -> FloatArray:
     """Return the required grid lines, rising and each once.
 
     Raise SpecimenError for a patch's edge within the contact's elements.
@@ -135,7 +141,7 @@ def _corners(start_m: float, end_m: float, first_m: float, lines_m: Sequence[flo
     return np.array(sorted(fixed))
 
 
-def _sharing_growth(near: FloatArray, far: FloatArray, elements: int) -> float:
+def _solve_shared_growth(near: FloatArray, far: FloatArray, elements: int) -> float:
     """Find the growth g at which the graded pieces need the given number of elements.
 
     It solves ``sum ln((1 + g far) / (1 + g near)) / g = elements``.
@@ -153,7 +159,7 @@ def _sharing_growth(near: FloatArray, far: FloatArray, elements: int) -> float:
     return float(scipy.optimize.brentq(excess, smallest, largest, rtol=1e-12))
 
 
-def _distribute(wanted: FloatArray, total: int) -> IntArray:
+def _distribute_elements(wanted: FloatArray, total: int) -> IntArray:
     """Round numbers to integers of at least 1 that add up to `total`."""
     counts = np.maximum(1, np.floor(wanted)).astype(np.int64)
     while counts.sum() < total:
@@ -164,7 +170,7 @@ def _distribute(wanted: FloatArray, total: int) -> IntArray:
     return counts
 
 
-def _graded_piece(a_m: float, b_m: float, count: int, first_m: float, growth: float) -> FloatArray:
+def _divide_graded_piece(a_m: float, b_m: float, count: int, first_m: float, growth: float) -> FloatArray:
     """Divide [a, b] into `count` elements whose sizes grow with the distance from 0.
 
     Return the lines without b.

@@ -34,7 +34,7 @@ FEWEST_TERMS = 64
 MOST_TERMS = 4096
 
 
-def sine_terms(plate: PlateParameters) -> tuple[int, int]:
+def choose_sine_terms(plate: PlateParameters) -> tuple[int, int]:
     """Choose the numbers of sine terms along x and y that resolve the liquid about the contact.
 
     Raises
@@ -56,7 +56,7 @@ def sine_terms(plate: PlateParameters) -> tuple[int, int]:
     return along_x, along_y
 
 
-def layer_mass(
+def compute_layer_mass(
     liquid: LiquidParameters,
     plate: PlateParameters,
     x_m: FloatArray,
@@ -86,7 +86,7 @@ def layer_mass(
     -------
     Symmetric operator, shape (len(free), len(free)), also for several columns at once.
     """
-    highest = sine_terms(plate) if terms is None else terms
+    highest = choose_sine_terms(plate) if terms is None else terms
     sines, wave_numbers = [], []
     for lines, edge_m, contact_m, half, highest_order in zip(
         (x_m, y_m),
@@ -97,7 +97,7 @@ def layer_mass(
         strict=True,
     ):
         orders = np.arange(1, highest_order + 1, 2 if half else 1, dtype=np.float64)
-        integrals = sine_integrals(lines, -0.5 * edge_m - contact_m, edge_m, orders)
+        integrals = integrate_hats_times_sines(lines, -0.5 * edge_m - contact_m, edge_m, orders)
         sines.append(2.0 * integrals if half else integrals)
         wave_numbers.append(orders * math.pi / edge_m)
     k = np.hypot(wave_numbers[0][:, None], wave_numbers[1])
@@ -123,7 +123,9 @@ def layer_mass(
     )
 
 
-def sine_integrals(lines_m: FloatArray, start_m: float, edge_m: float, orders: FloatArray) -> FloatArray:
+def integrate_hats_times_sines(
+    lines_m: FloatArray, start_m: float, edge_m: float, orders: FloatArray
+) -> FloatArray:
     """Integrate hat functions on `lines_m` times ``sqrt(2 / a) sin(m pi (x - start) / a)``.
 
     They are exact, for any size of element against the wave.

@@ -50,14 +50,14 @@ def check_patches(plate: PlateParameters, corrosion: CorrosionParameters) -> Non
                     f"change its offset_{axis}_m ({offset_m} m from the contact at {contact_m} m)"
                 )
     for one, other in itertools.combinations(corrosion.patches, 2):
-        if _overlap(one, other):
+        if _outlines_overlap(one, other):
             raise SpecimenError(
                 f"the patches at ({one.offset_x_m}, {one.offset_y_m}) m and ({other.offset_x_m}, "
                 f"{other.offset_y_m}) m from the contact overlap; move them apart or make them smaller"
             )
 
 
-def _overlap(one: PatchParameters, other: PatchParameters) -> bool:
+def _outlines_overlap(one: PatchParameters, other: PatchParameters) -> bool:
     """Check whether two outlines overlap by more than their edges."""
     distances = abs(one.offset_x_m - other.offset_x_m), abs(one.offset_y_m - other.offset_y_m)
     reach = [a + b for a, b in zip(one.half_sizes_m, other.half_sizes_m, strict=True)]
@@ -73,7 +73,9 @@ def _overlap(one: PatchParameters, other: PatchParameters) -> bool:
     return True
 
 
-def patch_lines(corrosion: CorrosionParameters, contact_element_m: float) -> tuple[list[float], list[float]]:
+def list_patch_lines(
+    corrosion: CorrosionParameters, contact_element_m: float
+) -> tuple[list[float], list[float]]:
     """Return the coordinates x and y, in m, that need a grid line in addition to the contact's.
 
     They are the edges of all patches; a circle has those of its bounding square. A smooth profile also
@@ -91,7 +93,7 @@ def patch_lines(corrosion: CorrosionParameters, contact_element_m: float) -> tup
     return sorted(lines[0]), sorted(lines[1])
 
 
-def symmetric_axes(plate: PlateParameters, corrosion: CorrosionParameters) -> tuple[bool, bool]:
+def find_symmetric_axes(plate: PlateParameters, corrosion: CorrosionParameters) -> tuple[bool, bool]:
     """Check whether plate, contact and patches are symmetric in x, and in y."""
     patches = set(corrosion.patches)
     in_x = plate.contact_x_m == 0.0 and {replace(p, offset_x_m=-p.offset_x_m) for p in patches} == patches
@@ -99,7 +101,7 @@ def symmetric_axes(plate: PlateParameters, corrosion: CorrosionParameters) -> tu
     return in_x, in_y
 
 
-def patch_fraction(
+def compute_patch_fraction(
     x_m: FloatArray, y_m: FloatArray, patch: PatchParameters | CorrosionParameters
 ) -> FloatArray:
     """Compute the fraction of each element's area within one patch's outline.
@@ -138,19 +140,19 @@ def _disk_corner_area(x_m: FloatArray, y_m: FloatArray, radius_m: float) -> Floa
     return np.asarray(np.sign(x_m) * np.sign(y_m) * area)
 
 
-def profile_depth(x_m: FloatArray, y_m: FloatArray, patch: PatchParameters) -> FloatArray:
+def evaluate_profile_depth(x_m: FloatArray, y_m: FloatArray, patch: PatchParameters) -> FloatArray:
     """Evaluate the depth of a smooth patch at points, relative to its middle; 0 outside."""
     half_x, half_y = patch.half_sizes_m
     u, v = (x_m - patch.offset_x_m) / half_x, (y_m - patch.offset_y_m) / half_y
-    law = _bowl if patch.profile == "bowl" else _cosine
+    law = _bowl_profile if patch.profile == "bowl" else _cosine_profile
     return np.asarray(law(np.hypot(u, v)) if patch.shape == "round" else law(u) * law(v))
 
 
-def _bowl(r: FloatArray) -> FloatArray:
+def _bowl_profile(r: FloatArray) -> FloatArray:
     """Return the depth profile of a bowl over the relative radius."""
     return np.asarray(np.maximum(1.0 - r**2, 0.0))
 
 
-def _cosine(r: FloatArray) -> FloatArray:
+def _cosine_profile(r: FloatArray) -> FloatArray:
     """Return the depth profile of a raised cosine over the relative radius."""
     return np.asarray(0.5 * (1.0 + np.cos(math.pi * np.minimum(np.abs(r), 1.0))))

@@ -27,18 +27,18 @@ from simulator.parameters.plate import CorrosionParameters, PlateParameters
 from simulator.plate.mindlin.element import (
     DOF_PER_NODE,
     GAUSS_POINTS,
-    element_matrices,
-    thinned_element_matrices,
+    compute_element_matrices,
+    compute_thinned_element_matrices,
 )
-from simulator.plate.mindlin.grid import SAME_LINE, graded_edge, graded_half_edge
-from simulator.plate.mindlin.hertz_pressure import hertz_nodal_weights
-from simulator.plate.mindlin.liquid_layer import layer_mass
+from simulator.plate.mindlin.grid import SAME_LINE, make_graded_edge, make_graded_half_edge
+from simulator.plate.mindlin.hertz_pressure import compute_hertz_nodal_weights
+from simulator.plate.mindlin.liquid_layer import compute_layer_mass
 from simulator.plate.mindlin.patches import (
     check_patches,
-    patch_fraction,
-    patch_lines,
-    profile_depth,
-    symmetric_axes,
+    compute_patch_fraction,
+    evaluate_profile_depth,
+    find_symmetric_axes,
+    list_patch_lines,
 )
 
 _Elements = tuple[IntArray, FloatArray]
@@ -79,10 +79,10 @@ class AffinePlate:
     def at_depth(self, depth_fraction: float) -> tuple[sparse.csc_matrix, sparse.csc_matrix]:
         """Compute stiffness and mass with the patch thinned by `depth_fraction`, without a liquid's mass."""
         s = 1.0 - depth_fraction
-        return _at(self.stiffness, s), _at(self.mass, s)
+        return _evaluate_cubic(self.stiffness, s), _evaluate_cubic(self.mass, s)
 
 
-def _at(coefficients: Cubic, s: float) -> sparse.csc_matrix:
+def _evaluate_cubic(coefficients: Cubic, s: float) -> sparse.csc_matrix:
     """Evaluate a cubic matrix polynomial at the relative thickness s."""
     c0, c1, c2, c3 = coefficients
     lower = c0 + s * c1
@@ -115,13 +115,13 @@ class PlateThinning:
         Shape (4, Gauss points, elements).
         """
         rest = 1.0 - self.covered.sum(axis=0)
-        total = rest * _binomial(self.profile, power)
+        total = rest * _binomial_coefficients(self.profile, power)
         for fraction, factor in zip(self.covered, self.depth_factor, strict=True):
-            total += fraction * _binomial(np.full((1, 1), factor), power)
+            total += fraction * _binomial_coefficients(np.full((1, 1), factor), power)
         return np.asarray(total)
 
 
-def _binomial(p: FloatArray, power: int) -> FloatArray:
+def _binomial_coefficients(p: FloatArray, power: int) -> FloatArray:
     """Expand ``((1 - p) + s p)^power`` in 1, s, s^2, s^3; coefficients along a new first axis."""
     terms = [math.comb(power, j) * (1.0 - p) ** (power - j) * p**j for j in range(power + 1)]
     return np.stack([*terms, *[np.zeros_like(p)] * (3 - power)])
@@ -147,42 +147,44 @@ def build_plate(
         A patch does not fit on the plate, overlaps another one or cannot be meshed.
     """
     check_patches(plate, corrosion)
-    symmetric = symmetric_axes(plate, corrosion)
+    symmetric = find_symmetric_axes(plate, corrosion)
     along_x, along_y = zip(
         (plate.width_m, plate.height_m),
         (plate.contact_x_m, plate.contact_y_m),
-        patch_lines(corrosion, plate.contact_element_m),
+        list_patch_lines(corrosion, plate.contact_element_m),
         symmetric,
         strict=True,
     )
-    x = _edge_lines(plate, *along_x)
-    y = x.copy() if along_y == along_x else _edge_lines(plate, *along_y)
+    x = _make_edge_lines(plate, *along_x)
+    y = x.copy() if along_y == along_x else _make_edge_lines(plate, *along_y)
     if whole:
         x, y = (
             np.concatenate((-s[:0:-1], s)) if half else s for s, half in zip((x, y), symmetric, strict=True)
         )
         symmetric = False, False
-    return assemble(plate, x, y, plate_thinning(x, y, corrosion), symmetric=symmetric)
+    return assemble_plate(plate, x, y, evaluate_thinning(x, y, corrosion), symmetric=symmetric)
 
 
-def _edge_lines(
+def _make_edge_lines(
     plate: PlateParameters, edge_m: float, contact_m: float, lines_m: list[float], half: bool
 ) -> FloatArray:
     """Place grid lines along one edge, or along its half with positive coordinates."""
     first_m, elements = plate.contact_element_m, plate.elements_per_edge
     if not half:
-        return graded_edge(-0.5 * edge_m - contact_m, 0.5 * edge_m - contact_m, elements, first_m, lines_m)
+        return make_graded_edge(
+            -0.5 * edge_m - contact_m, 0.5 * edge_m - contact_m, elements, first_m, lines_m
+        )
     beyond = [line for line in lines_m if line > SAME_LINE * edge_m]
     if len(beyond) == 1:
-        return graded_half_edge(0.5 * edge_m, elements // 2, first_m, beyond[0])
-    return graded_edge(0.0, 0.5 * edge_m, elements // 2, first_m, beyond)
+        return make_graded_half_edge(0.5 * edge_m, elements // 2, first_m, beyond[0])
+    return make_graded_edge(0.0, 0.5 * edge_m, elements // 2, first_m, beyond)
 
 
-def plate_thinning(x_m: FloatArray, y_m: FloatArray, corrosion: CorrosionParameters) -> PlateThinning:
+def evaluate_thinning(x_m: FloatArray, y_m: FloatArray, corrosion: CorrosionParameters) -> PlateThinning:
     """Evaluate the patches of `corrosion` on the elements of a grid with its origin at the contact."""
     flat = [patch for patch in corrosion.patches if patch.profile == "flat"]
     elements = (len(x_m) - 1) * (len(y_m) - 1)
-    covered = [patch_fraction(x_m, y_m, patch).ravel() for patch in flat]
+    covered = [compute_patch_fraction(x_m, y_m, patch).ravel() for patch in flat]
     profile = np.zeros((len(GAUSS_POINTS), elements))
     for patch in corrosion.patches:
         if patch.profile != "flat":
@@ -190,7 +192,7 @@ def plate_thinning(x_m: FloatArray, y_m: FloatArray, corrosion: CorrosionParamet
                 points_x, points_y = (
                     0.5 * (s[1:] + s[:-1]) + 0.5 * at * np.diff(s) for s, at in ((x_m, xi), (y_m, eta))
                 )
-                depth = profile_depth(points_x[:, None], points_y[None, :], patch)
+                depth = evaluate_profile_depth(points_x[:, None], points_y[None, :], patch)
                 profile[k] += patch.depth_factor * depth.ravel()
     return PlateThinning(
         covered=np.array(covered).reshape(len(flat), elements),
@@ -199,7 +201,7 @@ def plate_thinning(x_m: FloatArray, y_m: FloatArray, corrosion: CorrosionParamet
     )
 
 
-def assemble(
+def assemble_plate(
     plate: PlateParameters,
     x_m: FloatArray,
     y_m: FloatArray,
@@ -220,9 +222,9 @@ def assemble(
     symmetric
         Whether the grid is the part with x >= 0 (y >= 0) of a plate symmetric in x (y).
     """
-    nodes = _element_nodes(len(x_m), len(y_m))
+    nodes = _number_element_nodes(len(x_m), len(y_m))
     dof = (nodes[:, :, None] * DOF_PER_NODE + np.arange(DOF_PER_NODE)).reshape(len(nodes), -1)
-    free = _free_unknowns(plate, x_m, y_m, symmetric)
+    free = _find_free_unknowns(plate, x_m, y_m, symmetric)
     number = np.full(DOF_PER_NODE * len(x_m) * len(y_m), -1)
     number[free] = np.arange(len(free))
     scale = 2.0 ** sum(symmetric)
@@ -237,8 +239,8 @@ def assemble(
         entries = scale * matrices[held], (rows[held], columns[held])
         return sparse.csc_matrix(entries, shape=(len(free), len(free)))
 
-    pristine = element_matrices(plate, np.diff(x_m), np.diff(y_m))
-    stiffness, mass = _element_coefficients(plate, x_m, y_m, pristine, thinning)
+    pristine = compute_element_matrices(plate, np.diff(x_m), np.diff(y_m))
+    stiffness, mass = _compute_element_coefficients(plate, x_m, y_m, pristine, thinning)
     k0, k1, k2, k3 = (matrix(elements) for elements in stiffness)
     m0, m1, m2, m3 = (matrix(elements) for elements in mass)
     if plate.support == "free":
@@ -248,15 +250,17 @@ def assemble(
     return AffinePlate(
         stiffness=(k0, k1, k2, k3),
         mass=(m0, m1, m2, m3),
-        load=_load(plate, x_m, y_m, symmetric)[free],
+        load=_make_unit_load(plate, x_m, y_m, symmetric)[free],
         x_m=x_m,
         y_m=y_m,
         free=free,
-        added_mass=None if liquid is None else layer_mass(liquid, plate, x_m, y_m, free, symmetric=symmetric),
+        added_mass=None
+        if liquid is None
+        else compute_layer_mass(liquid, plate, x_m, y_m, free, symmetric=symmetric),
     )
 
 
-def _element_coefficients(
+def _compute_element_coefficients(
     plate: PlateParameters,
     x_m: FloatArray,
     y_m: FloatArray,
@@ -272,7 +276,7 @@ def _element_coefficients(
     is_uneven = thinning.profile.any(axis=0)
     uneven = np.flatnonzero(is_uneven)
     a, b = (s.ravel()[uneven] for s in np.meshgrid(np.diff(x_m), np.diff(y_m), indexing="ij"))
-    varied = thinned_element_matrices(plate, a, b, linear[:, :, uneven], cubic[:, :, uneven])
+    varied = compute_thinned_element_matrices(plate, a, b, linear[:, :, uneven], cubic[:, :, uneven])
     stiffness, mass = [], []
     for j in range(4):
         # An element that is thinned evenly has the same coefficients at all its Gauss points.
@@ -291,25 +295,25 @@ def _element_coefficients(
     return stiffness, mass
 
 
-def _load(
+def _make_unit_load(
     plate: PlateParameters, x_m: FloatArray, y_m: FloatArray, symmetric: tuple[bool, bool]
 ) -> FloatArray:
     """Return a unit force on all unknowns, at the contact's node or spread over its circle."""
     load = np.zeros((len(x_m), len(y_m), DOF_PER_NODE))
     if plate.contact == "patch":
-        load[:, :, 0] = hertz_nodal_weights(x_m, y_m, plate.contact_radius_m, symmetric=symmetric)
+        load[:, :, 0] = compute_hertz_nodal_weights(x_m, y_m, plate.contact_radius_m, symmetric=symmetric)
     else:
         load[np.searchsorted(x_m, 0.0), np.searchsorted(y_m, 0.0), 0] = 1.0
     return load.ravel()
 
 
-def _element_nodes(n_x: int, n_y: int) -> IntArray:
+def _number_element_nodes(n_x: int, n_y: int) -> IntArray:
     """Return the node numbers of each element, counter-clockwise, shape (elements, 4)."""
     first = (np.arange(n_x - 1)[:, None] * n_y + np.arange(n_y - 1)).ravel()
     return np.stack((first, first + n_y, first + n_y + 1, first + 1), axis=1)
 
 
-def _free_unknowns(
+def _find_free_unknowns(
     plate: PlateParameters, x_m: FloatArray, y_m: FloatArray, symmetric: tuple[bool, bool]
 ) -> IntArray:
     """Return the numbers of the free unknowns: w and, along an edge, the tangential rotation.

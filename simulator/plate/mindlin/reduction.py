@@ -22,7 +22,7 @@ from simulator.numerics.band_factor import FactorFamily
 from simulator.numerics.krylov import SHIFT_RAD_PER_S, lanczos
 from simulator.plate.mindlin.element import DOF_PER_NODE
 from simulator.plate.mindlin.plate import AffinePlate
-from simulator.plate.reduced import ReducedPlate, merge
+from simulator.plate.reduced import ReducedPlate, merge_vectors
 
 BASIS = ((0.0, 50), (0.3, 28), (0.6, 28), (0.8, 28), (0.9, 28), (0.95, 32))
 """Depths whose Krylov vectors enter the basis, and how many of each: what lies between can use those of
@@ -38,7 +38,7 @@ of the liquid, so that its own space alone would stop converging at some 1e-5.""
 
 def reduce_plate(plate: AffinePlate, *, basis: tuple[tuple[float, int], ...] = BASIS) -> ReducedPlate:
     """Project a plate onto merged Krylov spaces; `basis` pairs depths with numbers of vectors."""
-    order = _far_end_first(plate)
+    order = _order_from_far_end(plate)
     shifted = tuple(k + SHIFT_RAD_PER_S**2 * m for k, m in zip(plate.stiffness, plate.mass, strict=True))
     factors, static_factors = FactorFamily(shifted, order), FactorFamily(plate.stiffness, order)
     tasks = [(plate, depth, count) for depth, count in basis]
@@ -50,22 +50,22 @@ def reduce_plate(plate: AffinePlate, *, basis: tuple[tuple[float, int], ...] = B
     raw = np.empty((total + len(STATIC_DEPTHS), len(plate.load)))
     strengths, at = [], 0
     for system, depth, count in tasks:
-        strengths.append(_space(system, factors, depth, raw[at : at + count]))
+        strengths.append(_fill_krylov_space(system, factors, depth, raw[at : at + count]))
         at += count
     for row, depth in zip(raw[total:], STATIC_DEPTHS, strict=True):
         row[:] = static_factors.solve(static_factors.factor(1.0 - depth), plate.load)
         strengths.append(np.ones((1, 1)))
-    vectors = merge(raw, np.sqrt(plate.at_depth(0.0)[1].diagonal()), strengths).T @ raw
+    vectors = merge_vectors(raw, np.sqrt(plate.at_depth(0.0)[1].diagonal()), strengths).T @ raw
     _turn_load_last(vectors, vectors @ plate.load)
-    mass = _projected(plate.mass, vectors)
+    mass = _project_terms(plate.mass, vectors)
     if plate.added_mass is not None:
         mass[0] += vectors @ (plate.added_mass @ vectors.T)
     return ReducedPlate(
-        stiffness=_projected(plate.stiffness, vectors), mass=mass, load=vectors[-1:] @ plate.load
+        stiffness=_project_terms(plate.stiffness, vectors), mass=mass, load=vectors[-1:] @ plate.load
     )
 
 
-def _far_end_first(plate: AffinePlate) -> NDArray[np.int64]:
+def _order_from_far_end(plate: AffinePlate) -> NDArray[np.int64]:
     """Return the elimination order: line by line towards the first grid line, along the shorter lines."""
     node, kind = np.divmod(plate.free, DOF_PER_NODE)
     line, place = np.divmod(node, len(plate.y_m))
@@ -74,7 +74,9 @@ def _far_end_first(plate: AffinePlate) -> NDArray[np.int64]:
     return np.lexsort((kind, place, line))[::-1].copy()
 
 
-def _space(plate: AffinePlate, factors: FactorFamily, depth: float, vectors: FloatArray) -> FloatArray:
+def _fill_krylov_space(
+    plate: AffinePlate, factors: FactorFamily, depth: float, vectors: FloatArray
+) -> FloatArray:
     """Write a Krylov space into the rows of `vectors`; return columns that make modes of them.
 
     Each mode is as strong as its part in the response.
@@ -105,7 +107,7 @@ def _turn_load_last(vectors: FloatArray, load: FloatArray) -> None:
     vectors -= np.outer(2.0 / (normal @ normal) * normal, normal @ vectors)
 
 
-def _projected(terms: tuple[sparse.csc_matrix, ...], vectors: FloatArray) -> FloatArray:
+def _project_terms(terms: tuple[sparse.csc_matrix, ...], vectors: FloatArray) -> FloatArray:
     """Project each term onto the rows of `vectors` (Galerkin), shape (4, r, r)."""
     projected = np.zeros((len(terms), len(vectors), len(vectors)))
     columns = np.ascontiguousarray(vectors.T)

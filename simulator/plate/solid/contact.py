@@ -38,7 +38,9 @@ def half_space_indentation_m_per_n(
     return 0.6 / (plane_modulus_pa(youngs_modulus_pa, poisson_ratio) * contact_radius_m)
 
 
-def surface_flexibility_m_per_pa(plate: PlateParameters, thickness_m: float, k: FloatArray) -> FloatArray:
+def compute_surface_flexibility_m_per_pa(
+    plate: PlateParameters, thickness_m: float, k: FloatArray
+) -> FloatArray:
     """Compute the loaded face's deflection per pressure ``sin ax sin by``, ``k^2 = a^2 + b^2``.
 
     Exact for hard simple support: half the load presses both faces against each other, half bends,
@@ -56,7 +58,7 @@ def surface_flexibility_m_per_pa(plate: PlateParameters, thickness_m: float, k: 
     )
 
 
-def hertz_transform(q: FloatArray) -> FloatArray:
+def transform_hertz_pressure(q: FloatArray) -> FloatArray:
     """Return the Fourier transform of Hertz's pressure per force at q = k a.
 
     It is ``3 (sin q - q cos q) / q^3``.
@@ -78,15 +80,17 @@ def exact_contact_compliance_m_per_n(
 
     def beyond_half_space(k: FloatArray) -> FloatArray:
         """Return the plate's flexibility at wave number k less the half-space's."""
-        return surface_flexibility_m_per_pa(plate, thickness_m, k) - 2.0 / (plane_pa * k)
+        return compute_surface_flexibility_m_per_pa(plate, thickness_m, k) - 2.0 / (plane_pa * k)
 
-    total = _series(sizes, plate.contact_radius_m, WAVES_PER_THICKNESS / thickness_m, beyond_half_space)
+    total = _sum_wave_series(
+        sizes, plate.contact_radius_m, WAVES_PER_THICKNESS / thickness_m, beyond_half_space
+    )
     wide_m = WIDE_RADIUS * min(sizes)
-    total += _series(sizes, wide_m, WAVES_PER_RADIUS / wide_m, lambda k: 2.0 / (plane_pa * k))
+    total += _sum_wave_series(sizes, wide_m, WAVES_PER_RADIUS / wide_m, lambda k: 2.0 / (plane_pa * k))
     return total + 0.6 / plane_pa * (1.0 / plate.contact_radius_m - 1.0 / wide_m)
 
 
-def _series(
+def _sum_wave_series(
     sizes: tuple[float, float],
     radius_m: float,
     highest_per_m: float,
@@ -99,5 +103,5 @@ def _series(
     total = 0.0
     for b in beta:
         k = np.hypot(alpha, b)
-        total += float(np.sum(hertz_transform(k * radius_m) ** 2 * flexibility(k)))
+        total += float(np.sum(transform_hertz_pressure(k * radius_m) ** 2 * flexibility(k)))
     return 4.0 / (sizes[0] * sizes[1]) * total

@@ -22,10 +22,10 @@ from simulator.plate.reduced import PlateModes
 from simulator.plate.solid.plate import build_solid_plate
 from simulator.plate.solid.reduction import (
     ProjectedSolid,
-    contact_residual_m_per_n,
-    krylov_fields,
-    passive_modes,
-    project,
+    compute_contact_residual_m_per_n,
+    compute_krylov_fields,
+    make_modes_passive,
+    project_layers,
 )
 
 FAMILY = (
@@ -69,21 +69,21 @@ class SolidFamily:
 
         They are ready for a shot: no negative residual compliance.
         """
-        added = float(chebyshev.chebval(_log_place(remaining), self.residual))
-        return passive_modes(self.projected.modes(remaining, added))
+        added = float(chebyshev.chebval(_position_of_depth(remaining), self.residual))
+        return make_modes_passive(self.projected.modes(remaining, added))
 
     def arrays(self) -> dict[str, FloatArray]:
         """Return the arrays that `family_of` needs to restore it."""
         return asdict(self.projected) | {"residual": self.residual}
 
 
-def family_of(arrays: Mapping[str, FloatArray]) -> SolidFamily:
+def restore_family(arrays: Mapping[str, FloatArray]) -> SolidFamily:
     """Restore the family from its `arrays`."""
     projected = {name: values for name, values in arrays.items() if name != "residual"}
     return SolidFamily(projected=ProjectedSolid(**projected), residual=arrays["residual"])
 
 
-def _log_place(remaining: float) -> float:
+def _position_of_depth(remaining: float) -> float:
     """Map a remaining fraction of the thickness to -1..1 by its logarithm.
 
     The ends are the deepest patch and the full thickness.
@@ -91,7 +91,7 @@ def _log_place(remaining: float) -> float:
     return 1.0 - 2.0 * math.log(remaining) / math.log(1.0 - DEEPEST_PATCH_FRACTION)
 
 
-def solid_family(
+def build_solid_family(
     plate: PlateParameters,
     corrosion: CorrosionParameters,
     depths: tuple[tuple[float, int], ...] = FAMILY,
@@ -107,9 +107,9 @@ def solid_family(
     """
     spaces = []
     for lost, vectors in depths:
-        built = build_solid_plate(plate, _at(corrosion, lost))
-        spaces.append(krylov_fields(built, vectors))
-    built = build_solid_plate(plate, _at(corrosion, 0.5))
+        built = build_solid_plate(plate, _patch_at_loss(corrosion, lost))
+        spaces.append(compute_krylov_fields(built, vectors))
+    built = build_solid_plate(plate, _patch_at_loss(corrosion, 0.5))
     fields = np.hstack(spaces)
     strength, directions = linalg.eigh(fields.T @ fields, check_finite=False)
     is_strong = strength > MERGE_TOLERANCE**2 * strength[-1]
@@ -118,12 +118,12 @@ def solid_family(
     deepest = math.log(1.0 - DEEPEST_PATCH_FRACTION)
     residuals = []
     for place in places:
-        patch = _at(corrosion, 1.0 - math.exp(0.5 * (1.0 - place) * deepest))
-        residuals.append(contact_residual_m_per_n(build_solid_plate(plate, patch), patch))
+        patch = _patch_at_loss(corrosion, 1.0 - math.exp(0.5 * (1.0 - place) * deepest))
+        residuals.append(compute_contact_residual_m_per_n(build_solid_plate(plate, patch), patch))
     coefficients = chebyshev.chebfit(places, np.array(residuals), RESIDUAL_NODES - 1)
-    return SolidFamily(projected=project(built, basis), residual=np.asarray(coefficients))
+    return SolidFamily(projected=project_layers(built, basis), residual=np.asarray(coefficients))
 
 
-def _at(corrosion: CorrosionParameters, lost: float) -> CorrosionParameters:
+def _patch_at_loss(corrosion: CorrosionParameters, lost: float) -> CorrosionParameters:
     """Return the patch with this fraction of the thickness lost."""
     return replace(corrosion, depth_fraction=lost, depth_factor=1.0)

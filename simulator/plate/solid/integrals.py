@@ -15,7 +15,7 @@ from simulator.materials import shear_modulus_pa
 from simulator.numerics.arrays import FloatArray
 from simulator.numerics.tensor_basis import Axis, lagrange
 from simulator.parameters.plate import CorrosionParameters, PlateParameters
-from simulator.plate.quadrature import gauss, hertz_points
+from simulator.plate.quadrature import gauss_legendre_rule, hertz_pressure_points
 
 COMPONENTS = 3
 
@@ -27,7 +27,7 @@ CUT_POINTS = 16
 """Points of each of the integrals over an element that a circle cuts."""
 
 
-def patch_integrals(
+def integrate_over_patch(
     x: Axis, y: Axis, corrosion: CorrosionParameters
 ) -> tuple[FloatArray, dict[tuple[int, int], tuple[FloatArray, ...]]]:
     """Compute the fraction of each element within the patch, and the integrals over a circle's part."""
@@ -41,14 +41,14 @@ def patch_integrals(
     touched = (np.hypot(near_x[:, None], near_y[None, :]) < half_x * (1.0 - 1e-9)) & (inside == 0.0)
     cut = {}
     for ex, ey in np.argwhere(touched):
-        whole = in_plane_integrals(x, y, int(ex), int(ey))
-        lost = _integrals_within(x, y, int(ex), int(ey), half_x)
+        whole = integrate_in_plane(x, y, int(ex), int(ey))
+        lost = _integrate_within_circle(x, y, int(ex), int(ey), half_x)
         inside[ex, ey] = lost[0].sum() / whole[0].sum()
         cut[int(ex), int(ey)] = tuple(w - (1.0 - VOID) * part for w, part in zip(whole, lost, strict=True))
     return inside, cut
 
 
-def in_plane_integrals(x: Axis, y: Axis, ex: int, ey: int) -> tuple[FloatArray, ...]:
+def integrate_in_plane(x: Axis, y: Axis, ex: int, ey: int) -> tuple[FloatArray, ...]:
     """Integrate over one element, numbered (x, y), with N_,x for a derivative.
 
     ``N N``, ``N_,x N_,x``, ``N_,y N_,y``, ``N_,x N``, ``N_,y N`` and ``N_,x N_,y``, the first factor by row.
@@ -66,7 +66,7 @@ def in_plane_integrals(x: Axis, y: Axis, ex: int, ey: int) -> tuple[FloatArray, 
     return tuple(np.asarray(product, dtype=np.float64) for product in products)
 
 
-def _integrals_within(x: Axis, y: Axis, ex: int, ey: int, radius_m: float) -> tuple[FloatArray, ...]:
+def _integrate_within_circle(x: Axis, y: Axis, ex: int, ey: int, radius_m: float) -> tuple[FloatArray, ...]:
     """Integrate over the part of an element within a circle about the origin."""
     left, right = np.sort(np.abs(x.breaks_m[ex : ex + 2]))
     bottom, top = np.sort(np.abs(y.breaks_m[ey : ey + 2]))
@@ -75,13 +75,13 @@ def _integrals_within(x: Axis, y: Axis, ex: int, ey: int, radius_m: float) -> tu
     at_x, at_y, weights = [], [], []
     for start, end in itertools.pairwise(ends):
         # Squared towards the end: there the arc may stand upright.
-        t, t_weight = gauss(CUT_POINTS, 1.0)
+        t, t_weight = gauss_legendre_rule(CUT_POINTS, 1.0)
         across = end - (end - start) * t**2
         for a, a_weight in zip(across, 2.0 * (end - start) * t * t_weight, strict=True):
             reach = min(top, math.sqrt(max(radius_m**2 - a**2, 0.0))) - bottom
             if reach <= 0.0:
                 continue
-            up, up_weight = gauss(CUT_POINTS, reach)
+            up, up_weight = gauss_legendre_rule(CUT_POINTS, reach)
             at_x.append(np.full(CUT_POINTS, a))
             at_y.append(bottom + up)
             weights.append(a_weight * up_weight)
@@ -90,8 +90,8 @@ def _integrals_within(x: Axis, y: Axis, ex: int, ey: int, radius_m: float) -> tu
         return (np.zeros((nodes, nodes)),) * 6
     sign_x = math.copysign(1.0, x.breaks_m[ex] + x.breaks_m[ex + 1])
     sign_y = math.copysign(1.0, y.breaks_m[ey] + y.breaks_m[ey + 1])
-    value_x, along_x = _values_on(x, ex, sign_x * np.concatenate(at_x))
-    value_y, along_y = _values_on(y, ey, sign_y * np.concatenate(at_y))
+    value_x, along_x = _evaluate_shape_functions(x, ex, sign_x * np.concatenate(at_x))
+    value_y, along_y = _evaluate_shape_functions(y, ey, sign_y * np.concatenate(at_y))
     pairs = ((value_x, value_y), (along_x, value_y), (value_x, along_y))
     n, n_x, n_y = ((a[:, :, None] * b[:, None, :]).reshape(len(a), -1) for a, b in pairs)
     weight = np.concatenate(weights)[:, None]
@@ -99,28 +99,28 @@ def _integrals_within(x: Axis, y: Axis, ex: int, ey: int, radius_m: float) -> tu
     return tuple(np.asarray(first.T @ (weight * second)) for first, second in products)
 
 
-def _values_on(axis: Axis, interval: int, at_m: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _evaluate_shape_functions(axis: Axis, interval: int, at_m: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Evaluate the shape functions of an element, and their slopes per m, at some coordinates."""
     start, end = axis.breaks_m[interval], axis.breaks_m[interval + 1]
     value, slope = lagrange(axis.degrees[interval], 2.0 * (at_m - start) / (end - start) - 1.0)
     return value, slope * (2.0 / (end - start))
 
 
-def hertz_nodal_weights(x: Axis, y: Axis, radius_m: float, *, whole: bool) -> FloatArray:
+def compute_hertz_nodal_weights(x: Axis, y: Axis, radius_m: float, *, whole: bool) -> FloatArray:
     """Compute nodal loads of a unit force of Hertz's pressure about the origin.
 
     The shape is (nodes of x, nodes of y).
 
     The loads add up to one, for a quarter of the plate, too.
     """
-    at_x, at_y, share = hertz_points(radius_m)
+    at_x, at_y, share = hertz_pressure_points(radius_m)
     signs = (1.0, -1.0) if whole else (1.0,)
     along_x, along_y = (sum(axis.values(sign * at) for sign in signs) for axis, at in ((x, at_x), (y, at_y)))
     weights = np.asarray(along_x).T @ ((share / share.sum())[:, None] * np.asarray(along_y))
     return np.asarray(weights / len(signs) ** 2)
 
 
-def in_plane_terms(
+def compute_in_plane_elasticity(
     plate: PlateParameters, integrals: tuple[FloatArray, ...]
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """Compute isotropic elasticity of one element, dependence on z split off.

@@ -29,9 +29,9 @@ from scipy import sparse
 
 from simulator.errors import SpecimenError
 from simulator.numerics.arrays import FloatArray, IntArray
-from simulator.numerics.tensor_basis import Axis, graded_breaks_m, lagrange
+from simulator.numerics.tensor_basis import Axis, lagrange, make_graded_breaks_m
 from simulator.parameters.plate import CorrosionParameters, PlateParameters, SolidMesh
-from simulator.plate.solid.integrals import COMPONENTS, hertz_nodal_weights, patch_integrals
+from simulator.plate.solid.integrals import COMPONENTS, compute_hertz_nodal_weights, integrate_over_patch
 
 Symmetry = Literal["eighth", "quarter", "none"]
 
@@ -154,7 +154,7 @@ def build_solid_plate(
         symmetry = "eighth" if plate.width_m == plate.height_m and half_x == half_y else "quarter"
     mesh, h = plate.solid, plate.thickness_m
     x, y = (
-        _in_plane_axis(0.5 * length, half, mesh, h, round_patch=corrosion.shape == "round")
+        _mesh_in_plane_axis(0.5 * length, half, mesh, h, round_patch=corrosion.shape == "round")
         for length, half in ((plate.width_m, half_x), (plate.height_m, half_y))
     )
     if symmetry == "none":
@@ -163,10 +163,10 @@ def build_solid_plate(
             for a in (x, y)
         )
     lost = corrosion.depth_fraction * corrosion.depth_factor
-    return assembled_solid(plate, corrosion, x, y, _through_axis(lost, mesh, h), symmetry)
+    return assemble_solid(plate, corrosion, x, y, _mesh_thickness_axis(lost, mesh, h), symmetry)
 
 
-def plate_under_contact(plate: SolidPlate, corrosion: CorrosionParameters) -> SolidPlate:
+def cut_out_remaining_wall(plate: SolidPlate, corrosion: CorrosionParameters) -> SolidPlate:
     """Cut the remaining wall within the patch out of `plate`: same elements, simply supported edges."""
     half_x, half_y = corrosion.half_sizes_m
     x, y = (
@@ -178,7 +178,7 @@ def plate_under_contact(plate: SolidPlate, corrosion: CorrosionParameters) -> So
     )
     z = Axis(breaks_m=plate.z.breaks_m[: plate.upper + 1], degrees=plate.z.degrees[: plate.upper])
     symmetry: Symmetry = "eighth" if len(x.degrees) == len(y.degrees) and half_x == half_y else "quarter"
-    return assembled_solid(plate.parameters, corrosion, x, y, z, symmetry, support="simply_supported")
+    return assemble_solid(plate.parameters, corrosion, x, y, z, symmetry, support="simply_supported")
 
 
 def check_solid(plate: PlateParameters, corrosion: CorrosionParameters) -> None:
@@ -226,12 +226,14 @@ def check_solid(plate: PlateParameters, corrosion: CorrosionParameters) -> None:
         )
 
 
-def _in_plane_axis(length_m: float, half_m: float, mesh: SolidMesh, h: float, *, round_patch: bool) -> Axis:
+def _mesh_in_plane_axis(
+    length_m: float, half_m: float, mesh: SolidMesh, h: float, *, round_patch: bool
+) -> Axis:
     """Mesh an axis in the plane, refined at contact and patch."""
     features = [(0.0, mesh.contact_element * h), (half_m, mesh.edge_element * h)]
     if round_patch:  # the circle crosses every line up to half_m
         features += [(half_m * t, max(mesh.edge_element, 0.25) * h) for t in np.linspace(0.5, 1.0, 9)]
-    breaks = graded_breaks_m(
+    breaks = make_graded_breaks_m(
         length_m,
         features=features,
         growth=mesh.growth,
@@ -241,7 +243,7 @@ def _in_plane_axis(length_m: float, half_m: float, mesh: SolidMesh, h: float, *,
     return Axis(breaks_m=breaks, degrees=(mesh.degree,) * (len(breaks) - 1))
 
 
-def _through_axis(lost: float, mesh: SolidMesh, h: float) -> Axis:
+def _mesh_thickness_axis(lost: float, mesh: SolidMesh, h: float) -> Axis:
     """Mesh the thickness, with grid lines at the same fractions of both layers at any depth.
 
     So shots change smoothly with the depth.
@@ -256,7 +258,7 @@ def _through_axis(lost: float, mesh: SolidMesh, h: float) -> Axis:
     return Axis(breaks_m=breaks, degrees=degrees)
 
 
-def assembled_solid(
+def assemble_solid(
     plate: PlateParameters,
     corrosion: CorrosionParameters,
     x: Axis,
@@ -277,21 +279,21 @@ def assembled_solid(
         )
     upper = len(UPPER_LINES) - 1
     upper_nodes = int(z.first[upper]) + 1
-    inside, cut = patch_integrals(x, y, corrosion)
-    kinds = _kinds(x, y, inside, corrosion, EDGE_STRIP * plate.thickness_m)
+    inside, cut = integrate_over_patch(x, y, corrosion)
+    kinds = _kinds_of_nodes(x, y, inside, corrosion, EDGE_STRIP * plate.thickness_m)
     q = plate.solid.degree - 1
     z_m = z.nodes_m
     shapes = (
         lagrange(q, 2.0 * z_m[:upper_nodes] / z_m[upper_nodes - 1] - 1.0)[0],
         lagrange(q, 2.0 * z_m / z_m[-1] - 1.0)[0],
     )
-    existing = _existing_nodes(x, y, len(z_m), upper_nodes, inside)
+    existing = _find_existing_nodes(x, y, len(z_m), upper_nodes, inside)
     for kind in (1, 2):
         existing[kinds == kind] = np.arange(len(z_m)) < q + 1
-    fixed = _fixed_displacements(plate.support if support is None else support, existing.shape, symmetry)
-    numbers = _numbered(existing[..., None] & ~fixed, symmetry)
-    lift = _lift_matrix(numbers, kinds, shapes)
-    weights = hertz_nodal_weights(x, y, plate.contact_radius_m, whole=symmetry == "none")
+    fixed = _find_fixed_displacements(plate.support if support is None else support, existing.shape, symmetry)
+    numbers = _number_free_displacements(existing[..., None] & ~fixed, symmetry)
+    lift = _build_lift_matrix(numbers, kinds, shapes)
+    weights = compute_hertz_nodal_weights(x, y, plate.contact_radius_m, whole=symmetry == "none")
     force = np.zeros((*kinds.shape, COMPONENTS, len(z_m)))
     force[:, :, 2, 0] = weights
     columns = np.argwhere(np.ones((len(x.degrees), len(y.degrees)), dtype=bool))
@@ -318,7 +320,9 @@ def assembled_solid(
     )
 
 
-def _kinds(x: Axis, y: Axis, inside: FloatArray, corrosion: CorrosionParameters, strip_m: float) -> IntArray:
+def _kinds_of_nodes(
+    x: Axis, y: Axis, inside: FloatArray, corrosion: CorrosionParameters, strip_m: float
+) -> IntArray:
     """Classify the unknowns of each node (`SolidPlate.kinds`); where a circle cuts, all layers stay."""
     half_x, half_y = corrosion.half_sizes_m
     at_x, at_y = np.abs(x.nodes_m)[:, None], np.abs(y.nodes_m)[None, :]
@@ -334,7 +338,7 @@ def _kinds(x: Axis, y: Axis, inside: FloatArray, corrosion: CorrosionParameters,
     return np.asarray(kinds)
 
 
-def _existing_nodes(
+def _find_existing_nodes(
     x: Axis, y: Axis, z_nodes: int, upper_nodes: int, inside: FloatArray
 ) -> NDArray[np.bool_]:
     """Mark the nodes that belong to an element, shape (nodes of x, of y, of z)."""
@@ -345,7 +349,7 @@ def _existing_nodes(
     return existing
 
 
-def _fixed_displacements(support: str, shape: tuple[int, ...], symmetry: Symmetry) -> NDArray[np.bool_]:
+def _find_fixed_displacements(support: str, shape: tuple[int, ...], symmetry: Symmetry) -> NDArray[np.bool_]:
     """Mark the displacements that the supports and the symmetry planes fix."""
     fixed = np.zeros((*shape, COMPONENTS), dtype=bool)
     clamped = support == "clamped"
@@ -362,7 +366,7 @@ def _fixed_displacements(support: str, shape: tuple[int, ...], symmetry: Symmetr
     return fixed
 
 
-def _numbered(free: NDArray[np.bool_], symmetry: Symmetry) -> IntArray:
+def _number_free_displacements(free: NDArray[np.bool_], symmetry: Symmetry) -> IntArray:
     """Assign numbers to the free displacements; -1 marks a fixed one.
 
     Across the diagonal of an eighth u and v change places.
@@ -382,7 +386,7 @@ def _numbered(free: NDArray[np.bool_], symmetry: Symmetry) -> IntArray:
     return numbers
 
 
-def _lift_matrix(
+def _build_lift_matrix(
     numbers: IntArray, kinds: IntArray, shapes: tuple[FloatArray, FloatArray]
 ) -> sparse.csr_matrix:
     """Build the sparse map from the unknowns to the displacements of all nodes."""

@@ -25,12 +25,12 @@ from scipy import linalg, sparse
 
 from simulator.errors import SpecimenError
 from simulator.numerics.arrays import FloatArray, IntArray
-from simulator.numerics.nested_dissection import dissect, factorize
+from simulator.numerics.nested_dissection import factorize, order_elimination
 from simulator.parameters.plate import CorrosionParameters, PlateParameters
 from simulator.plate.reduced import PlateModes
 from simulator.plate.solid.contact import exact_contact_compliance_m_per_n, half_space_indentation_m_per_n
-from simulator.plate.solid.integrals import COMPONENTS, in_plane_integrals, in_plane_terms
-from simulator.plate.solid.plate import SolidPlate, build_solid_plate, plate_under_contact
+from simulator.plate.solid.integrals import COMPONENTS, compute_in_plane_elasticity, integrate_in_plane
+from simulator.plate.solid.plate import SolidPlate, build_solid_plate, cut_out_remaining_wall
 
 SOLID_VECTORS = 60
 """Krylov vectors: the plate's response is kept to 1e-5 up to 10 kHz and to 1e-3 at 20 kHz."""
@@ -42,14 +42,14 @@ SHALLOWEST_FRACTION = 1e-4
 """A shallower patch is taken as none: rounding in so thin a layer would change more than the patch."""
 
 
-def contact_correction_m_per_n(plate: SolidPlate, corrosion: CorrosionParameters) -> float:
+def compute_contact_correction_m_per_n(plate: SolidPlate, corrosion: CorrosionParameters) -> float:
     """Compute the compliance that the mesh lacks under the contact, in m/N, from an exact case.
 
     The same elements as those within the patch make a plate of its remaining thickness, simply supported at
     the patch's edge: its averaged deflection is too small, by nearly what that of the whole plate is.
     """
-    under = plate_under_contact(plate, corrosion)
-    solver = shifted_solver(under, 0.0)
+    under = cut_out_remaining_wall(plate, corrosion)
+    solver = make_shifted_solver(under, 0.0)
     thickness_m = float(under.z.breaks_m[-1])
     width_m, height_m = (2.0 * float(axis.breaks_m[-1]) for axis in (under.x, under.y))
     exact = exact_contact_compliance_m_per_n(plate.parameters, width_m, height_m, thickness_m)
@@ -59,14 +59,14 @@ def contact_correction_m_per_n(plate: SolidPlate, corrosion: CorrosionParameters
 Fold = tuple[IntArray, sparse.csr_matrix]
 
 
-def column_folds(plate: SolidPlate) -> list[Fold]:
+def list_column_folds(plate: SolidPlate) -> list[Fold]:
     """Return the sorted unknowns of each column, and the map from them to its displacements."""
-    return [_fold(plate, int(ex), int(ey)) for ex, ey in plate.columns]
+    return [_fold_column(plate, int(ex), int(ey)) for ex, ey in plate.columns]
 
 
-def _fold(plate: SolidPlate, ex: int, ey: int) -> Fold:
+def _fold_column(plate: SolidPlate, ex: int, ey: int) -> Fold:
     """Return the sorted unknowns of one column, and the matrix that maps them to its nodes."""
-    kind, nodes = _column_kind(plate, ex, ey)
+    kind, nodes = _find_column_kind(plate, ex, ey)
     if kind:
         at = np.ix_(plate.x.nodes_of(ex), plate.y.nodes_of(ey))
         numbers = plate.numbers[at][:, :, :nodes].transpose(0, 1, 3, 2).ravel()
@@ -80,7 +80,7 @@ def _fold(plate: SolidPlate, ex: int, ey: int) -> Fold:
     return unknowns, sparse.csr_matrix((lifted.data, (row, lifted.row)), shape=size)
 
 
-def _column_kind(plate: SolidPlate, ex: int, ey: int) -> tuple[int, int]:
+def _find_column_kind(plate: SolidPlate, ex: int, ey: int) -> tuple[int, int]:
     """Return the kind of a column's nodes, 0 if they differ, and the unknowns or nodes along z."""
     kinds = plate.kinds[np.ix_(plate.x.nodes_of(ex), plate.y.nodes_of(ey))]
     if kinds.flat[0] and np.all(kinds == kinds.flat[0]):
@@ -89,11 +89,13 @@ def _column_kind(plate: SolidPlate, ex: int, ey: int) -> tuple[int, int]:
     return 0, plate.upper_nodes if plate.inside[ex, ey] == 1.0 else plate.numbers.shape[2]
 
 
-def column_matrices(plate: SolidPlate, column: int, fold: sparse.csr_matrix) -> tuple[FloatArray, FloatArray]:
+def compute_column_matrices(
+    plate: SolidPlate, column: int, fold: sparse.csr_matrix
+) -> tuple[FloatArray, FloatArray]:
     """Compute stiffness and mass of one column over its unknowns, times its symmetric copies."""
     ex, ey = (int(e) for e in plate.columns[column])
-    kind, nodes = _column_kind(plate, ex, ey)
-    whole = in_plane_integrals(plate.x, plate.y, ex, ey)
+    kind, nodes = _find_column_kind(plate, ex, ey)
+    whole = integrate_in_plane(plate.x, plate.y, ex, ey)
     upper, lower = (
         tuple(matrix[:nodes, :nodes] for matrix in plate.layer_matrices(kind, upper=u)) for u in (True, False)
     )
@@ -105,32 +107,32 @@ def column_matrices(plate: SolidPlate, column: int, fold: sparse.csr_matrix) -> 
         parts = [(whole, tuple(a + b for a, b in zip(upper, lower, strict=True)))]
     stiffness, mass = (np.zeros((fold.shape[1],) * 2) for _ in range(2))
     for integrals, (through_mass, through_slope, through_stiffness) in parts:
-        a, b, c, d = in_plane_terms(plate.parameters, integrals)
+        a, b, c, d = compute_in_plane_elasticity(plate.parameters, integrals)
         slope = np.kron(c, through_slope)
         stiffness += np.kron(a, through_mass) + np.kron(b, through_stiffness) + slope + slope.T
         mass += np.kron(d, through_mass)
     repeats = float(plate.repeats[column])
-    return repeats * _folded(stiffness, fold), repeats * _folded(mass, fold)
+    return repeats * _fold_matrix(stiffness, fold), repeats * _fold_matrix(mass, fold)
 
 
-def _folded(matrix: FloatArray, fold: sparse.csr_matrix) -> FloatArray:
+def _fold_matrix(matrix: FloatArray, fold: sparse.csr_matrix) -> FloatArray:
     """Reduce a symmetric matrix to the degrees of freedom that symmetry leaves."""
     return np.asarray(fold @ np.ascontiguousarray((fold @ matrix).T))
 
 
-def shifted_solver(plate: SolidPlate, shift_rad_per_s: float) -> Callable[[FloatArray], FloatArray]:
+def make_shifted_solver(plate: SolidPlate, shift_rad_per_s: float) -> Callable[[FloatArray], FloatArray]:
     """Factorize ``K + sigma^2 M`` and return its solver."""
-    folds = column_folds(plate)
+    folds = list_column_folds(plate)
 
     def cell(column: int) -> FloatArray:
         """Compute the shifted matrix of one column of elements."""
-        stiffness, mass = column_matrices(plate, column, folds[column][1])
+        stiffness, mass = compute_column_matrices(plate, column, folds[column][1])
         return stiffness + shift_rad_per_s**2 * mass
 
-    return factorize(dissect(plate.columns, [unknowns for unknowns, _ in folds]), cell).solve
+    return factorize(order_elimination(plate.columns, [unknowns for unknowns, _ in folds]), cell).solve
 
 
-def mass_product(plate: SolidPlate) -> Callable[[FloatArray], FloatArray]:
+def make_mass_product(plate: SolidPlate) -> Callable[[FloatArray], FloatArray]:
     """Return a function that multiplies by the mass matrix without assembling it.
 
     Each layer has an in-plane matrix and one through the thickness.
@@ -145,7 +147,7 @@ def mass_product(plate: SolidPlate) -> Callable[[FloatArray], FloatArray]:
             if not upper and plate.inside[ex, ey] == 1.0:
                 continue
             integrals = None if upper else plate.cut.get((ex, ey))
-            part = (in_plane_integrals(plate.x, plate.y, ex, ey) if integrals is None else integrals)[0]
+            part = (integrate_in_plane(plate.x, plate.y, ex, ey) if integrals is None else integrals)[0]
             at = (plate.x.nodes_of(ex)[:, None] * shape[1] + plate.y.nodes_of(ey)).ravel()
             rows.append(np.repeat(at, len(at)))
             columns.append(np.tile(at, len(at)))
@@ -166,9 +168,9 @@ def mass_product(plate: SolidPlate) -> Callable[[FloatArray], FloatArray]:
     return product
 
 
-def krylov_fields(plate: SolidPlate, vectors: int) -> FloatArray:
+def compute_krylov_fields(plate: SolidPlate, vectors: int) -> FloatArray:
     """Build the load's mass-orthonormal Krylov space as nodal displacements, shape (n, vectors)."""
-    solve, mass = shifted_solver(plate, SHIFT_RAD_PER_S), mass_product(plate)
+    solve, mass = make_shifted_solver(plate, SHIFT_RAD_PER_S), make_mass_product(plate)
     basis = np.empty((vectors, len(plate.load)))
     mass_basis = np.empty_like(basis)
     right = plate.load
@@ -217,7 +219,7 @@ class ProjectedSolid:
         )
 
 
-def project(plate: SolidPlate, fields: FloatArray) -> ProjectedSolid:
+def project_layers(plate: SolidPlate, fields: FloatArray) -> ProjectedSolid:
     """Project each layer onto `fields` (Galerkin), displacements of all nodes, shape (n, r)."""
     count = fields.shape[1]
     stiffness, mass = np.zeros((6, count, count)), np.zeros((2, count, count))
@@ -225,38 +227,39 @@ def project(plate: SolidPlate, fields: FloatArray) -> ProjectedSolid:
     upper_m = float(plate.z.breaks_m[plate.upper])
     for column, (ex, ey) in enumerate(plate.columns):
         field = fields[plate.displacements_of(ex, ey)]
-        whole = in_plane_integrals(plate.x, plate.y, ex, ey)
+        whole = integrate_in_plane(plate.x, plate.y, ex, ey)
         layers = [(0, whole, upper_m)]
         if plate.upper < len(plate.z.degrees) and plate.inside[ex, ey] < 1.0:
             layers.append((1, plate.cut.get((ex, ey), whole), h - upper_m))
         for layer, integrals, thickness_m in layers:
             through_mass, through_slope, through_stiffness = plate.layer_matrices(0, upper=layer == 0)
             a, b, c, d = (
-                plate.repeats[column] * term for term in in_plane_terms(plate.parameters, integrals)
+                plate.repeats[column] * term
+                for term in compute_in_plane_elasticity(plate.parameters, integrals)
             )
-            displaced = _through(through_mass * (h / thickness_m), field)
-            stiffness[3 * layer] += _energy(field, a, displaced)
-            mass[layer] += _energy(field, d, displaced)
-            steep = _through(through_stiffness * (thickness_m / h), field)
-            stiffness[3 * layer + 1] += _energy(field, b, steep)
-            mixed = _energy(field, c, _through(through_slope, field))
+            displaced = _multiply_field(through_mass * (h / thickness_m), field)
+            stiffness[3 * layer] += _energy_products(field, a, displaced)
+            mass[layer] += _energy_products(field, d, displaced)
+            steep = _multiply_field(through_stiffness * (thickness_m / h), field)
+            stiffness[3 * layer + 1] += _energy_products(field, b, steep)
+            mixed = _energy_products(field, c, _multiply_field(through_slope, field))
             stiffness[3 * layer + 2] += mixed + mixed.T
     return ProjectedSolid(stiffness=stiffness, mass=mass, load=np.asarray(fields.T @ plate.force))
 
 
-def _through(matrix: FloatArray, field: FloatArray) -> FloatArray:
+def _multiply_field(matrix: FloatArray, field: FloatArray) -> FloatArray:
     """Multiply a field by a matrix through the thickness."""
     return np.asarray(np.matmul(matrix, field))
 
 
-def _energy(field: FloatArray, in_plane: FloatArray, through: FloatArray) -> FloatArray:
+def _energy_products(field: FloatArray, in_plane: FloatArray, through: FloatArray) -> FloatArray:
     """Compute energy products of fields from an in-plane and a through-thickness factor."""
     count = field.shape[-1]
     product = in_plane @ through.reshape(len(in_plane), -1)
     return np.asarray(field.reshape(-1, count).T @ product.reshape(-1, count))
 
 
-def solid_modes(
+def compute_solid_modes(
     plate: PlateParameters, corrosion: CorrosionParameters, vectors: int = SOLID_VECTORS
 ) -> PlateModes:
     """Compute modes of the solid plate at the depth of `corrosion`, ready for a shot.
@@ -266,31 +269,31 @@ def solid_modes(
     SpecimenError
         The model does not know such a plate or patch; see `build_solid_plate`.
     """
-    corrosion = _without_patch(corrosion)
+    corrosion = _remove_shallow_patch(corrosion)
     built = build_solid_plate(plate, corrosion)
-    projected = project(built, krylov_fields(built, vectors))
+    projected = project_layers(built, compute_krylov_fields(built, vectors))
     remaining = 1.0 - corrosion.depth_fraction * corrosion.depth_factor
-    return passive_modes(projected.modes(remaining, contact_residual_m_per_n(built, corrosion)))
+    return make_modes_passive(projected.modes(remaining, compute_contact_residual_m_per_n(built, corrosion)))
 
 
-def contact_residual_m_per_n(plate: SolidPlate, corrosion: CorrosionParameters) -> float:
+def compute_contact_residual_m_per_n(plate: SolidPlate, corrosion: CorrosionParameters) -> float:
     """Return the mesh's missing compliance under the contact in m/N, less the half-space's part."""
     indentation = half_space_indentation_m_per_n(
         plate.parameters.warm_youngs_modulus_pa,
         plate.parameters.poisson_ratio,
         plate.parameters.contact_radius_m,
     )
-    return contact_correction_m_per_n(plate, corrosion) - indentation
+    return compute_contact_correction_m_per_n(plate, corrosion) - indentation
 
 
-def _without_patch(corrosion: CorrosionParameters) -> CorrosionParameters:
+def _remove_shallow_patch(corrosion: CorrosionParameters) -> CorrosionParameters:
     """Remove a patch that is too shallow to matter; return other patches as they are."""
     if corrosion.depth_fraction * corrosion.depth_factor < SHALLOWEST_FRACTION:
         return replace(corrosion, depth_fraction=0.0)
     return corrosion
 
 
-def passive_modes(modes: PlateModes) -> PlateModes:
+def make_modes_passive(modes: PlateModes) -> PlateModes:
     """Convert the fastest modes to residual compliance until it is no longer negative.
 
     A negative compliance in series with the contact's dashpot feeds energy in, and the explicit

@@ -1,6 +1,6 @@
 import pytest
 
-from daq_service.clock import WINDOWS_BOOT_COUNTER, boot_id, boot_name, format_utc, parse_utc
+from daq_service.clock import WINDOWS_BOOT_COUNTER, boot_name, format_utc, parse_utc, read_boot_id
 from hardware_drivers.nanoseconds import NS_PER_H, NS_PER_S
 from simulator.clock import SimulatedClock
 
@@ -131,4 +131,4 @@ def test_a_kernel_without_a_boot_name_gives_no_boot(platform):
 
 
 def test_the_frame_of_monotonic_times_stays_within_a_process():
-    assert boot_id() == boot_id() != ""
+    assert read_boot_id() == read_boot_id() != ""

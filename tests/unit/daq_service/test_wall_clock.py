@@ -8,7 +8,7 @@ import pytest
 from support.machine import NS_PER_H, NS_PER_S, Machine
 
 from daq_service.clock import Before, MachineClock, TimeLine, WallClock, parse_utc
-from daq_service.clock.machine import elapsed_source, is_synchronised
+from daq_service.clock.machine import is_synchronised, select_elapsed_clock
 
 NOW_NS = parse_utc("2026-06-01T12:00:00Z")
 
@@ -143,7 +143,9 @@ def test_a_reported_clock_step_is_not_reported_again(machine):
     ],
 )
 def test_a_clock_is_unverified_after_a_long_reboot(gap_h, synchronised, doubted):
-    reason = Before(last_utc_ns=NOW_NS).doubt(NOW_NS + round(gap_h * NS_PER_H), synchronised=synchronised)
+    reason = Before(last_utc_ns=NOW_NS).find_clock_doubt(
+        NOW_NS + round(gap_h * NS_PER_H), synchronised=synchronised
+    )
     assert bool(reason) == bool(doubted)
     assert doubted in reason
 
@@ -174,13 +176,13 @@ def test_time_stops_while_the_clock_is_unverified_and_continues_when_it_is_set(m
 def test_a_trusted_clock_never_goes_back_before_stored_times(machine):
     machine.start_again(parse_utc("2010-01-01T00:00:00Z"))
     clock = machine.clock(Before(last_utc_ns=NOW_NS))
-    answer = clock.trust()
+    answer = clock.accept_system_clock()
     assert "2010-01-01T00:00:00.000Z; the test goes on at 2026-06-01T12:00:00.000Z" in answer
     machine.sleep(10.0)
     assert clock.utc_ns() == NOW_NS + 10 * NS_PER_S
     assert clock.steps() == [], "the step was told by the answer"
     with pytest.raises(ValueError, match="is believed already"):
-        clock.trust()
+        clock.accept_system_clock()
 
 
 def test_a_wait_that_is_ended_leaves_the_doubt(machine):
@@ -196,10 +198,10 @@ def test_a_wait_that_is_ended_leaves_the_doubt(machine):
 def test_the_clock_that_counts_sleep_is_read(platform, name, monkeypatch):
     monkeypatch.setattr(time, name, 77, raising=False)
     monkeypatch.setattr(time, "clock_gettime_ns", lambda clock_id: 1000 + clock_id, raising=False)
-    assert elapsed_source(platform)() == 1077
+    assert select_elapsed_clock(platform)() == 1077
     monkeypatch.delattr(time, name)
-    assert elapsed_source(platform) is time.monotonic_ns
-    assert elapsed_source("win32") is time.monotonic_ns
+    assert select_elapsed_clock(platform) is time.monotonic_ns
+    assert select_elapsed_clock("win32") is time.monotonic_ns
 
 
 @pytest.mark.parametrize(

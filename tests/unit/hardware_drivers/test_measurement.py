@@ -37,7 +37,7 @@ def test_the_key_of_a_set_sorts_by_time_and_has_one_text_and_number():
     assert [str(key) for key in keys] == ["2", "12", "12.1", "12.2", "12.10", "13"]
     assert [SetKey.parse(str(key)) for key in keys] == keys
     assert [key.number for key in keys[1:4]] == [12, 10_000_012, 20_000_012]
-    assert [SetKey.of_number(key.number) for key in keys] == keys
+    assert [SetKey.from_number(key.number) for key in keys] == keys
     assert [key.purpose for key in keys[1:3]] == ["planned", "confirmation"]
     assert SetKey(0, MOST_UNSCHEDULED).number < 2**31
     for text in ("", "12.", "1.2.3", "x"):

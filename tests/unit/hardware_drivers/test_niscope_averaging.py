@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from hardware_drivers.errors import ConfigurationError, ConnectionLostError
-from hardware_drivers.niscope.averaging import Codes, average, check_sum_fits, codes_of
+from hardware_drivers.niscope.averaging import Codes, check_sum_fits, compute_code_scale, sum_records
 
 PADDED_14_BITS = Codes(width_bits=16, step=4)
 GAIN_V = 2.04 / 65_536  # +-1 V with 2 % over-range on a 16-bit scale
@@ -20,7 +20,7 @@ def averaged(records, **changes):
         "range_v": 1.0,
         "calibration_date": "2026-05-01",
     }
-    return average(np.asarray(records, dtype=np.int16), **(given | changes))
+    return sum_records(np.asarray(records, dtype=np.int16), **(given | changes))
 
 
 @pytest.fixture
@@ -84,13 +84,13 @@ def test_the_scale_of_the_sum_holds_the_largest_sum():
     ],
 )
 def test_the_gain_shows_how_codes_are_padded(gain_v, bits, expected):
-    assert codes_of(gain_v=gain_v, range_v=1.0, resolution_bits=bits) == expected
+    assert compute_code_scale(gain_v=gain_v, range_v=1.0, resolution_bits=bits) == expected
 
 
 @pytest.mark.parametrize("gain_v", [0.0, -1e-5, math.nan, math.inf, 1e-3, 1e-12])
 def test_a_gain_that_cannot_be_this_range_and_resolution_is_refused(gain_v):
     with pytest.raises(ConnectionLostError, match="reports"):
-        codes_of(gain_v=gain_v, range_v=1.0, resolution_bits=14)
+        compute_code_scale(gain_v=gain_v, range_v=1.0, resolution_bits=14)
 
 
 def test_a_sum_that_may_leave_32_bits_is_refused():

@@ -10,7 +10,7 @@ import pytest
 from hardware_drivers.errors import ConnectionLostError
 from hardware_drivers.niscope.averaging import Codes
 from hardware_drivers.niscope.parameters import ProbeWiring
-from hardware_drivers.niscope.session import Setup, close_session, fetch
+from hardware_drivers.niscope.session import Setup, close_session, fetch_records
 
 RECORDS, SAMPLES = 4, 64
 GAIN_V = 2.0 / 65_536
@@ -60,7 +60,7 @@ class Session:
 
 
 def test_a_sound_acquisition_is_handed_on():
-    fetched = fetch(Session(), SETUP, WIRING, 1.5)
+    fetched = fetch_records(Session(), SETUP, WIRING, 1.5)
     assert fetched.records.dtype == np.int16
     assert fetched.records.shape == (RECORDS, SAMPLES)
     np.testing.assert_array_equal(fetched.records[2], 8 + np.arange(SAMPLES))
@@ -87,7 +87,7 @@ def test_a_sound_acquisition_is_handed_on():
 )
 def test_an_inconsistent_acquisition_is_not_a_record(changes, message):
     with pytest.raises(ConnectionLostError, match=message):
-        fetch(Session(**changes), SETUP, WIRING, 1.5)
+        fetch_records(Session(**changes), SETUP, WIRING, 1.5)
 
 
 @pytest.mark.parametrize(("name", "value"), [("gain", math.nan), ("gain", 1e-3), ("offset", math.nan)])
@@ -101,16 +101,19 @@ def test_an_invalid_scaling_is_refused(monkeypatch, name, value):
 
     monkeypatch.setattr(Session, "_waveform", every)
     with pytest.raises(ConnectionLostError):
-        fetch(Session(), SETUP, WIRING, 1.5)
+        fetch_records(Session(), SETUP, WIRING, 1.5)
 
 
 def test_a_trigger_within_a_sample_or_two_is_the_firing_pulse():
     early = Session(relative_initial_x=2e-6 - 1.5e-8)
-    assert fetch(early, SETUP, WIRING, 1.5).first_sample_s[-1] == 2e-6 - 1.5e-8
+    assert fetch_records(early, SETUP, WIRING, 1.5).first_sample_s[-1] == 2e-6 - 1.5e-8
 
 
 def test_a_time_stamp_that_rolled_over_is_no_fault():
-    assert fetch(Session(absolute_initial_x=1e-6), SETUP, WIRING, 1.5).records.shape == (RECORDS, SAMPLES)
+    assert fetch_records(Session(absolute_initial_x=1e-6), SETUP, WIRING, 1.5).records.shape == (
+        RECORDS,
+        SAMPLES,
+    )
 
 
 def test_boards_without_time_stamps_report_zero(monkeypatch):
@@ -122,7 +125,7 @@ def test_boards_without_time_stamps_report_zero(monkeypatch):
         return waveform
 
     monkeypatch.setattr(Session, "_waveform", unstamped)
-    assert fetch(Session(), SETUP, WIRING, 1.5).records.shape == (RECORDS, SAMPLES)
+    assert fetch_records(Session(), SETUP, WIRING, 1.5).records.shape == (RECORDS, SAMPLES)
 
 
 def test_a_board_that_refuses_to_be_closed_is_closed_at_the_second_try():

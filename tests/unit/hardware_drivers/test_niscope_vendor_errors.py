@@ -15,12 +15,12 @@ from hardware_drivers.errors import (
     InstrumentError,
     UnknownStatusError,
 )
-from hardware_drivers.niscope.session import open_session, vendor_package
+from hardware_drivers.niscope.session import import_vendor, open_session
 from hardware_drivers.niscope.vendor_errors import (
     CLASS_OF_CODE,
     BoardAbsentError,
-    class_of,
-    vendor_calls,
+    find_error_class,
+    translate_errors,
 )
 
 niscope = pytest.importorskip("niscope", reason='needs the extra "solimon[niscope]"')
@@ -41,24 +41,24 @@ niscope = pytest.importorskip("niscope", reason='needs the extra "solimon[niscop
     ],
 )
 def test_class_of_a_code(code, kind):
-    assert class_of(code, "") is kind
+    assert find_error_class(code, "") is kind
 
 
 @pytest.mark.parametrize(("code", "kind"), CLASS_OF_CODE.items())
 def test_class_of_a_wrapped_code(code, kind):
-    assert class_of(-1074100000, f"Something happened.\n\nStatus Code: {code}") is kind
-    assert class_of(code, "") is kind
+    assert find_error_class(-1074100000, f"Something happened.\n\nStatus Code: {code}") is kind
+    assert find_error_class(code, "") is kind
 
 
 def test_an_unknown_wrapped_code_stays_unknown():
-    assert class_of(-1074100000, "Status Code: -123") is UnknownStatusError
+    assert find_error_class(-1074100000, "Status Code: -123") is UnknownStatusError
 
 
 @pytest.mark.parametrize("code", CLASS_OF_CODE)
 def test_a_driver_error_is_translated_and_kept_as_the_cause(code):
     with (
         pytest.raises(CLASS_OF_CODE[code], match=rf"opening 'X': NI-SCOPE error {code}: told\b") as raised,
-        vendor_calls(niscope, "opening 'X'"),
+        translate_errors(niscope, "opening 'X'"),
     ):
         raise niscope.errors.DriverError(code, "told")
     assert isinstance(raised.value.__cause__, niscope.errors.DriverError)
@@ -76,14 +76,14 @@ def test_a_driver_error_is_translated_and_kept_as_the_cause(code):
     ],
 )
 def test_nothing_of_the_package_crosses_the_border(error, kind):
-    with pytest.raises(kind, match="setting up") as raised, vendor_calls(niscope, "setting up"):
+    with pytest.raises(kind, match="setting up") as raised, translate_errors(niscope, "setting up"):
         raise error
     assert raised.value.__cause__ is error
 
 
 def test_an_error_of_ours_passes_unchanged():
     mine = ConfigurationError("ours")
-    with pytest.raises(InstrumentError) as raised, vendor_calls(niscope, "x"):
+    with pytest.raises(InstrumentError) as raised, translate_errors(niscope, "x"):
         raise mine
     assert raised.value is mine
 
@@ -91,7 +91,7 @@ def test_an_error_of_ours_passes_unchanged():
 def test_warnings_of_the_driver_are_kept_and_others_passed_on():
     with warnings.catch_warnings(record=True) as others:
         warnings.simplefilter("always")
-        with vendor_calls(niscope, "x") as noted:
+        with translate_errors(niscope, "x") as noted:
             for _ in range(2):
                 warnings.warn(niscope.errors.DriverWarning(0x3FFA4008, "overload"), stacklevel=1)
             warnings.warn("somebody else's", UserWarning, stacklevel=1)
@@ -102,7 +102,7 @@ def test_warnings_of_the_driver_are_kept_and_others_passed_on():
 def test_a_missing_package_names_the_extra(monkeypatch):
     monkeypatch.setitem(sys.modules, "niscope", None)
     with pytest.raises(ConfigurationError, match=r'pip install "solimon\[niscope\]"'):
-        vendor_package()
+        import_vendor()
 
 
 def test_a_missing_runtime_names_the_package_to_install(monkeypatch):
@@ -113,7 +113,7 @@ def test_a_missing_runtime_names_the_package_to_install(monkeypatch):
 
     monkeypatch.setattr(nitclk, "SessionReference", not_there)
     with pytest.raises(ConfigurationError, match=r"NI-TClk(.|\n)*Install NI-SCOPE with all of its parts"):
-        vendor_package()
+        import_vendor()
 
 
 def test_a_missing_runtime_is_reported_also_next_to_ni_tclk(monkeypatch):

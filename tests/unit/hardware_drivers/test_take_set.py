@@ -5,7 +5,7 @@ from itertools import count, islice
 import numpy as np
 import pytest
 
-from daq_service.acquisition.strikes_ahead import strikes_after
+from daq_service.acquisition.strikes_ahead import build_strike_predictor
 from hardware_drivers.errors import (
     AcquisitionTimeoutError,
     ConfigurationError,
@@ -80,7 +80,7 @@ def strikes_of_all_sets(positions, shots_per_set, now_ns=0):
 
 
 def planned(positions, shots_per_set):
-    return strikes_after(SETS, positions, shots_per_set=shots_per_set, shot_interval_s=INTERVAL_S)
+    return build_strike_predictor(SETS, positions, shots_per_set=shots_per_set, shot_interval_s=INTERVAL_S)
 
 
 @pytest.mark.parametrize("number", [0, 3, 4, 12, 31])

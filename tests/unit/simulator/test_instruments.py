@@ -21,7 +21,7 @@ from simulator.parameters.experiment import (
 )
 from simulator.parameters.plate import CorrosionParameters, PlateParameters
 from simulator.shot.model import ShotModel
-from simulator.shot.pulse_summary import summarise
+from simulator.shot.pulse_summary import summarise_pulses
 from simulator.specimen import Transducer, build_specimen
 
 EPOCH_NS = 1_704_067_200_000_000_000
@@ -336,7 +336,7 @@ def quiet(twin=TWIN):
 
 def assert_is_simulated(truth, force):
     """Check that the truth equals the model at the stored depth, drop height and tilt."""
-    pulses = summarise(force)
+    pulses = summarise_pulses(force)
     expected = {
         "isw_peak_n": pulses.isw_peak_n,
         "isw_time_s": 1e-6 * pulses.isw_time_us,
@@ -424,7 +424,7 @@ def set_means(model, scatter, n_sets):
     for i, j in np.ndindex(n_sets, 10):
         strike = specimen.strike(key(j, i, "D"), 0.0)
         force = specimen.force(wall, strike, "D")
-        pulses = summarise(force)
+        pulses = summarise_pulses(force)
         incident_v = strike.sensor_gain_v_per_n * (pulses.isw_peak_n - force.preload_n)
         table[:, i, j] = pulses.tof_us, pulses.amplitude_ratio, incident_v
     return table.mean(axis=2)

@@ -9,8 +9,8 @@ import orjson
 import sqlalchemy as sa
 from alembic import op
 
-from daq_service.catalogue.earlier_names import COLUMNS, current_row, derived_uuid
-from daq_service.catalogue.stored_rows import json_text
+from daq_service.catalogue.earlier_names import COLUMNS, derive_uuid, to_current_row
+from daq_service.catalogue.stored_rows import to_json_text
 
 revision = "0014"
 down_revision = "0013"
@@ -25,20 +25,20 @@ def upgrade() -> None:
     driver = connection.connection.driver_connection
     assert driver is not None
 
-    def current_value(table: str, name: str, value: str | None) -> str | None:
-        return None if value is None else current_row(table, {name: value})[name]
+    def to_current_value(table: str, name: str, value: str | None) -> str | None:
+        return None if value is None else to_current_row(table, {name: value})[name]
 
-    def current_json(table: str, name: str, text: str | None) -> str | None:
-        return None if text is None else json_text(current_row(table, {name: orjson.loads(text)})[name])
+    def to_current_json(table: str, name: str, text: str | None) -> str | None:
+        return None if text is None else to_json_text(to_current_row(table, {name: orjson.loads(text)})[name])
 
-    def current_event(topic: str, kind: str, payload: str) -> str:
+    def to_current_event(topic: str, kind: str, payload: str) -> str:
         event = {"topic": topic, "kind": kind, "payload": orjson.loads(payload)}
-        return json_text(current_row("events", event)["payload"])
+        return to_json_text(to_current_row("events", event)["payload"])
 
-    driver.create_function("current_value", 3, current_value, deterministic=True)
-    driver.create_function("current_json", 3, current_json, deterministic=True)
-    driver.create_function("current_event", 3, current_event, deterministic=True)
-    driver.create_function("derived_uuid", 2, derived_uuid, deterministic=True)
+    driver.create_function("current_value", 3, to_current_value, deterministic=True)
+    driver.create_function("current_json", 3, to_current_json, deterministic=True)
+    driver.create_function("current_event", 3, to_current_event, deterministic=True)
+    driver.create_function("derived_uuid", 2, derive_uuid, deterministic=True)
     _rename_assessments()
     for table, columns in COLUMNS.items():
         for old, new in columns.items():

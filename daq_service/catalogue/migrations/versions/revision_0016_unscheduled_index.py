@@ -12,8 +12,8 @@ import orjson
 import sqlalchemy as sa
 from alembic import op
 
-from daq_service.catalogue.earlier_names import current_row
-from daq_service.catalogue.stored_rows import json_text
+from daq_service.catalogue.earlier_names import to_current_row
+from daq_service.catalogue.stored_rows import to_json_text
 
 revision = "0016"
 down_revision = "0015"
@@ -28,10 +28,10 @@ _LARGE = [f'*set_index":{space}{"[0-9]" * 8}*' for space in ("", " ")]
 
 
 def upgrade() -> None:
-    indices = [sql for table in _OF_SETS for sql in _definitions("index", table)]
+    indices = [sql for table in _OF_SETS for sql in _list_definitions("index", table)]
     for table in _OF_SETS:
         _add_column(table, "unscheduled_index")
-        (definition,) = _definitions("table", table)
+        (definition,) = _list_definitions("table", table)
         copy = re.sub(
             rf"CONSTRAINT uq_{table}_\w+ UNIQUE \(position, set_index",
             f"CONSTRAINT uq_{table}_{_KEY.replace(', ', '_')} UNIQUE ({_KEY}",
@@ -41,7 +41,7 @@ def upgrade() -> None:
         )
         _execute(copy)
         _execute(f"INSERT INTO {table}_0016 SELECT * FROM {table}")
-        _split(f"{table}_0016", "set_index", "unscheduled_index")
+        _split_index(f"{table}_0016", "set_index", "unscheduled_index")
     for table in reversed(_OF_SETS):
         op.drop_table(table)
     for table in _OF_SETS:
@@ -60,16 +60,16 @@ def _split_rows(table: str, index: str, number: str, nested: str) -> None:
     """Add the column to a table whose nested values contain keys of sets, too."""
     driver = op.get_bind().connection.driver_connection
     assert driver is not None
-    driver.create_function("current_json", 1, _current_json, deterministic=True)
+    driver.create_function("current_json", 1, _to_current_json, deterministic=True)
     _add_column(table, number)
-    _split(table, index, number)
+    _split_index(table, index, number)
     has_large = " OR ".join(f"{nested} GLOB '{large}'" for large in _LARGE)
     _execute(f"UPDATE {table} SET {nested} = current_json({nested}), row_crc32 = NULL WHERE {has_large}")
 
 
-def _current_json(text: str) -> str:
+def _to_current_json(text: str) -> str:
     """Return nested values with current keys of sets."""
-    return json_text(current_row("", orjson.loads(text)))
+    return to_json_text(to_current_row("", orjson.loads(text)))
 
 
 def _add_column(table: str, name: str) -> None:
@@ -77,7 +77,7 @@ def _add_column(table: str, name: str) -> None:
     op.add_column(table, sa.Column(name, sa.Integer(), nullable=False, server_default="0"))
 
 
-def _split(table: str, index: str, number: str) -> None:
+def _split_index(table: str, index: str, number: str) -> None:
     """Split the indices of unscheduled sets."""
     _execute(
         f"UPDATE {table} SET {number} = {index} / {_SETS_OF_A_PLAN}, {index} = {index} % {_SETS_OF_A_PLAN}, "
@@ -85,7 +85,7 @@ def _split(table: str, index: str, number: str) -> None:
     )
 
 
-def _definitions(kind: str, table: str) -> list[str]:
+def _list_definitions(kind: str, table: str) -> list[str]:
     """Return the statements that made a table or its indices."""
     statement = "SELECT sql FROM sqlite_master WHERE type = ? AND tbl_name = ? AND sql IS NOT NULL"
     return [sql for (sql,) in op.get_bind().exec_driver_sql(statement, (kind, table))]

@@ -9,10 +9,10 @@ from pathlib import Path
 import click
 from pydantic import ValidationError
 
-from daq_service.cli.maintenance.acceptance.contents import AcceptanceReport, as_json, build_report
-from daq_service.cli.maintenance.acceptance.criteria import with_limits
+from daq_service.cli.maintenance.acceptance.contents import AcceptanceReport, build_report, report_to_json
+from daq_service.cli.maintenance.acceptance.criteria import apply_limits
 from daq_service.cli.maintenance.acceptance.evidence import read_evidence
-from daq_service.cli.maintenance.acceptance.page import asked, interval, page
+from daq_service.cli.maintenance.acceptance.page import format_limit, format_quantity, render_report
 from daq_service.cli.maintenance.export import refuse_target
 from daq_service.cli.maintenance.verify import verify_folder
 from daq_service.errors import EXIT_NOT_MET, EXIT_OK, StorageError
@@ -41,7 +41,7 @@ def write_acceptance_report(
     StorageError
         The catalogue cannot be read, or a file not be written.
     """
-    criteria = with_limits(limits)
+    criteria = apply_limits(limits)
     json_file = None if to_json in (None, STANDARD_OUTPUT) else Path(str(to_json))
     refuse_other_folders(data_dir)
     for target in filter(None, (html, json_file)):
@@ -56,21 +56,21 @@ def write_acceptance_report(
             "that recorded it"
         ) from error
     if html is not None:
-        from daq_service.cli.maintenance.acceptance.figures import picture
+        from daq_service.cli.maintenance.acceptance.figures import draw_series
 
-        pictures = {item.name: picture(item, report.gaps) for item in report.series if item.hours}
-        write_output(html, page(report, pictures))
-    text = json.dumps(as_json(report), allow_nan=False)
+        pictures = {item.name: draw_series(item, report.gaps) for item in report.series if item.hours}
+        write_output(html, render_report(report, pictures))
+    text = json.dumps(report_to_json(report), allow_nan=False)
     if json_file is not None:
         write_output(json_file, f"{text}\n".encode())
-    click.echo(text if to_json == STANDARD_OUTPUT else "\n".join(_lines(report)))
+    click.echo(text if to_json == STANDARD_OUTPUT else "\n".join(_format_lines(report)))
     return EXIT_OK if report.outcome == "pass" else EXIT_NOT_MET
 
 
-def _lines(report: AcceptanceReport) -> list[str]:
+def _format_lines(report: AcceptanceReport) -> list[str]:
     """Return the lines for a terminal."""
     rows = [
-        (item.state, item.quantity.text, asked(item), interval(item.quantity), item.reason)
+        (item.state, item.quantity.text, format_limit(item), format_quantity(item.quantity), item.reason)
         for item in report.comparisons
     ]
     widths = [max(len(row[n]) for row in rows) for n in range(4)]

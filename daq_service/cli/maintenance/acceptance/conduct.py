@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 
 from daq_service.catalogue.rows import EventRow
 from daq_service.cli.maintenance.acceptance.evidence import Evidence
-from daq_service.cli.maintenance.acceptance.faults import faults
+from daq_service.cli.maintenance.acceptance.faults import list_faults
 from daq_service.cli.maintenance.acceptance.quantity import (
     CONFIDENCE,
     FEWEST_READINGS,
@@ -15,37 +15,37 @@ from daq_service.cli.maintenance.acceptance.quantity import (
     WARM_UP_SETS,
     Quantity,
     Table,
-    growth,
-    quantile,
-    quantity,
+    compute_quantile,
+    estimate_growth,
+    make_quantity,
 )
 from daq_service.cli.maintenance.acceptance.readings import (
     NO_TIME,
     NOT_AVAILABLE,
     NOT_KEPT,
-    cost_s,
-    kept,
-    readings,
-    times_of_sets,
+    list_set_times,
+    read_machine_readings,
+    readings_with_value,
+    sum_stage_times_s,
 )
 from daq_service.processes.recorder_state import FAREWELLS, PROCESS_EVENTS
 from daq_service.recording.resumed_time import CLOCK_STEP
 
 QUANTILES: Mapping[str, Callable[[Sequence[float]], float]] = {
-    "p50": lambda values: quantile(values, 0.50),
-    "p99": lambda values: quantile(values, 0.99),
+    "p50": lambda values: compute_quantile(values, 0.50),
+    "p99": lambda values: compute_quantile(values, 0.99),
     "max": max,
 }
 
 
-def starts(evidence: Evidence) -> list[tuple[EventRow, EventRow | None]]:
+def list_recorder_starts(evidence: Evidence) -> list[tuple[EventRow, EventRow | None]]:
     """List the recorder's starts, each with the previous event: an orderly end, or an earlier start."""
     events = [row for row in evidence.service if row.kind in PROCESS_EVENTS]
     following = zip([None, *events], events, strict=False)
     return [(row, before) for before, row in following if row.kind == "recorder_started"]
 
 
-def restart_table(evidence: Evidence) -> Table:
+def make_restart_table(evidence: Evidence) -> Table:
     """Return the table of all starts but the first."""
     rows = [
         (
@@ -53,57 +53,61 @@ def restart_table(evidence: Evidence) -> Table:
             "no word" if before is None or before.kind not in FAREWELLS else before.kind,
             row.payload.get("before", ""),
         )
-        for row, before in starts(evidence)[1:]
+        for row, before in list_recorder_starts(evidence)[1:]
     ]
     return Table("restarts", rows)
 
 
-def recorder_quantities(evidence: Evidence) -> Iterator[Quantity]:
+def compute_recorder_quantities(evidence: Evidence) -> Iterator[Quantity]:
     """Yield time span, restarts and unplanned ends."""
-    recorder_starts = starts(evidence)
+    recorder_starts = list_recorder_starts(evidence)
     n_crashes = sum(before is not None and before.kind not in FAREWELLS for _, before in recorder_starts)
     is_gone = (
         evidence.recorder.status in ("not_responding", "not_started")
         and not evidence.is_copy
         and bool(recorder_starts)
     )
-    yield quantity("span_h", evidence.hour(evidence.now_ns))
-    yield quantity("restarts", max(0, len(recorder_starts) - 1))
-    yield quantity("unplanned_ends", n_crashes + is_gone)
+    yield make_quantity("span_h", evidence.hour(evidence.now_ns))
+    yield make_quantity("restarts", max(0, len(recorder_starts) - 1))
+    yield make_quantity("unplanned_ends", n_crashes + is_gone)
 
 
-def _quantiles(
+def _compute_quantiles(
     name: str, values: Sequence[float], missing: str, *, applies: bool = True
 ) -> Iterator[Quantity]:
     """Yield median, 99th percentile and maximum of values in s."""
     for part, function in QUANTILES.items():
-        yield quantity(f"{name}_{part}_s", function(values) if values else None, missing, applies=applies)
+        yield make_quantity(
+            f"{name}_{part}_s", function(values) if values else None, missing, applies=applies
+        )
 
 
-def time_quantities(evidence: Evidence) -> Iterator[Quantity]:
+def compute_time_quantities(evidence: Evidence) -> Iterator[Quantity]:
     """Yield start delays and durations of sets, and processing time."""
-    real, times = evidence.experiment.clock == "wall", times_of_sets(evidence)
+    real, times = evidence.experiment.clock == "wall", list_set_times(evidence)
     if real:
-        yield from _quantiles("start_delay", [late for _, late, _ in times], "no set has begun")
+        yield from _compute_quantiles("start_delay", [late for _, late, _ in times], "no set has begun")
     else:
-        yield from _quantiles("start_delay", [], NO_TIME, applies=False)
-    yield from _quantiles("set_duration", [took for _, _, took in times], "no set has ended")
-    yield from _quantiles("line_cost", [cost_s(reading) for reading in readings(evidence)], NOT_KEPT)
+        yield from _compute_quantiles("start_delay", [], NO_TIME, applies=False)
+    yield from _compute_quantiles("set_duration", [took for _, _, took in times], "no set has ended")
+    yield from _compute_quantiles(
+        "line_cost", [sum_stage_times_s(reading) for reading in read_machine_readings(evidence)], NOT_KEPT
+    )
 
 
-def growth_quantities(evidence: Evidence, name: str) -> Iterator[Quantity]:
+def compute_growth_quantities(evidence: Evidence, name: str) -> Iterator[Quantity]:
     """Yield the maximum of readings and their slope per 1,000 sets, of the longest run of a recorder."""
-    readings_of_name = kept(evidence, name)
-    missing = NOT_AVAILABLE if readings(evidence) else NOT_KEPT
-    yield quantity(f"{name}_max", max((value for _, value in readings_of_name), default=None), missing)
+    readings_of_name = readings_with_value(evidence, name)
+    missing = NOT_AVAILABLE if read_machine_readings(evidence) else NOT_KEPT
+    yield make_quantity(f"{name}_max", max((value for _, value in readings_of_name), default=None), missing)
     runs: defaultdict[tuple[int, int], list[tuple[int, float]]] = defaultdict(list)
     for reading, value in readings_of_name:
         runs[reading.recorder].append((reading.set_index, value))
     longest = max(runs.values(), key=len, default=[])
     longest = longest[max(WARM_UP_SETS, round(WARM_UP * len(longest))) :]
-    grown = growth([index for index, _ in longest], [value for _, value in longest])
+    grown = estimate_growth([index for index, _ in longest], [value for _, value in longest])
     few = f"undecided: {len(longest)} readings; {FEWEST_READINGS} are the fewest that tell"
-    yield quantity(
+    yield make_quantity(
         f"{name}_growth",
         None if grown is None else grown.slope,
         few if readings_of_name else missing,
@@ -114,33 +118,33 @@ def growth_quantities(evidence: Evidence, name: str) -> Iterator[Quantity]:
     )
 
 
-def disk_quantities(evidence: Evidence) -> Iterator[Quantity]:
+def compute_disk_quantities(evidence: Evidence) -> Iterator[Quantity]:
     """Yield the size of the files, their growth against the forecast, and the free space."""
     sizes, forecast_bytes = list(evidence.file_bytes.values()), evidence.forecast_bytes
     mean, missing = (sum(sizes) / len(sizes) if sizes else None), "no set has a file yet"
     over_forecast = None if mean is None else mean / forecast_bytes
-    free = min((value for _, value in kept(evidence, "free_bytes")), default=None)
-    yield quantity("files_bytes", sum(sizes), files=len(sizes))
-    yield quantity("growth_bytes", None if mean is None else 1e3 * mean, missing)
-    yield quantity("growth_of_forecast", over_forecast, missing, forecast_bytes=forecast_bytes)
-    yield quantity("free_bytes_min", free, NOT_KEPT)
+    free = min((value for _, value in readings_with_value(evidence, "free_bytes")), default=None)
+    yield make_quantity("files_bytes", sum(sizes), files=len(sizes))
+    yield make_quantity("growth_bytes", None if mean is None else 1e3 * mean, missing)
+    yield make_quantity("growth_of_forecast", over_forecast, missing, forecast_bytes=forecast_bytes)
+    yield make_quantity("free_bytes_min", free, NOT_KEPT)
 
 
-def clock_quantities(evidence: Evidence) -> Iterator[Quantity]:
+def compute_clock_quantities(evidence: Evidence) -> Iterator[Quantity]:
     """Yield steps, doubts, and the deviation of the computer's UTC from the test's time."""
     real = evidence.experiment.clock == "wall"
     steps = [abs(row.payload["step_s"]) for row in evidence.service if row.kind == CLOCK_STEP]
-    doubts = sum(fault.kind == "clock_unverified" for fault in faults(evidence))
+    doubts = sum(fault.kind == "clock_unverified" for fault in list_faults(evidence))
     for name, value in (
         ("clock_steps", len(steps)),
         ("clock_step_max_s", max(steps, default=0.0)),
         ("clock_doubts", doubts),
     ):
-        yield quantity(name, value if real else None, NO_TIME, applies=real)
-    ahead = [abs(value) for _, value in kept(evidence, "clock_ahead_s")]
-    known = [value for _, value in kept(evidence, "clock_synchronised")]
+        yield make_quantity(name, value if real else None, NO_TIME, applies=real)
+    ahead = [abs(value) for _, value in readings_with_value(evidence, "clock_ahead_s")]
+    known = [value for _, value in readings_with_value(evidence, "clock_synchronised")]
     for name, value_if_known in (
         ("clock_ahead_max_s", max(ahead, default=None)),
         ("clock_synchronised_fraction", sum(known) / len(known) if known else None),
     ):
-        yield quantity(name, value_if_known, NOT_KEPT if real else NO_TIME, applies=real)
+        yield make_quantity(name, value_if_known, NOT_KEPT if real else NO_TIME, applies=real)

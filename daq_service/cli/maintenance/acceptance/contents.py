@@ -8,11 +8,11 @@ from datetime import UTC, datetime
 from importlib.metadata import version
 
 from daq_service.cli.maintenance.acceptance import conduct, faults, sets
-from daq_service.cli.maintenance.acceptance.criteria import Comparison, compared, outcome
+from daq_service.cli.maintenance.acceptance.criteria import Comparison, compare_criteria, overall_outcome
 from daq_service.cli.maintenance.acceptance.evidence import Evidence
 from daq_service.cli.maintenance.acceptance.quantity import Quantity, Series, Table
-from daq_service.cli.maintenance.acceptance.readings import readings
-from daq_service.cli.maintenance.acceptance.series import series_of
+from daq_service.cli.maintenance.acceptance.readings import read_machine_readings
+from daq_service.cli.maintenance.acceptance.series import yield_series
 from daq_service.cli.maintenance.acceptance.texts import Criterion
 from daq_service.clock import format_utc
 
@@ -37,47 +37,47 @@ class AcceptanceReport:
     @property
     def outcome(self) -> str:
         """Pass, fail or incomplete."""
-        return outcome(self.comparisons)
+        return overall_outcome(self.comparisons)
 
 
 def build_report(evidence: Evidence, criteria: Sequence[Criterion]) -> AcceptanceReport:
     """Compute the contents of the report."""
     quantities = [
-        *sets.set_quantities(evidence),
-        *conduct.time_quantities(evidence),
-        *conduct.recorder_quantities(evidence),
-        *conduct.growth_quantities(evidence, "resident_bytes"),
-        *conduct.growth_quantities(evidence, "open_handles"),
-        *conduct.disk_quantities(evidence),
-        *conduct.clock_quantities(evidence),
-        *faults.fault_quantities(evidence),
+        *sets.count_sets_and_records(evidence),
+        *conduct.compute_time_quantities(evidence),
+        *conduct.compute_recorder_quantities(evidence),
+        *conduct.compute_growth_quantities(evidence, "resident_bytes"),
+        *conduct.compute_growth_quantities(evidence, "open_handles"),
+        *conduct.compute_disk_quantities(evidence),
+        *conduct.compute_clock_quantities(evidence),
+        *faults.compute_fault_quantities(evidence),
     ]
     return AcceptanceReport(
         made_utc=datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ"),
         made_by=f"solimon {version('solimon')}",
-        identity=_identity(evidence),
-        comparisons=compared(criteria, {item.name: item for item in quantities}),
+        identity=_describe_identity(evidence),
+        comparisons=compare_criteria(criteria, {item.name: item for item in quantities}),
         quantities=quantities,
         tables=[
-            sets.gap_table(evidence),
-            sets.shortfall_table(evidence),
-            conduct.restart_table(evidence),
-            faults.fault_table(evidence),
-            faults.step_table(evidence),
-            sets.flag_table(evidence),
-            faults.damage_table(evidence),
+            sets.make_gap_table(evidence),
+            sets.make_shortfall_table(evidence),
+            conduct.make_restart_table(evidence),
+            faults.make_fault_table(evidence),
+            faults.make_clock_step_table(evidence),
+            sets.make_flag_table(evidence),
+            faults.make_damage_table(evidence),
         ],
-        series=list(series_of(evidence)),
-        notes=list(_notes(evidence)),
-        gaps=[(gap.from_h, gap.until_h) for gap in sets.gaps(evidence)],
+        series=list(yield_series(evidence)),
+        notes=list(_list_notes(evidence)),
+        gaps=[(gap.from_h, gap.until_h) for gap in sets.list_gaps(evidence)],
     )
 
 
-def _identity(evidence: Evidence) -> dict[str, str]:
+def _describe_identity(evidence: Evidence) -> dict[str, str]:
     """Return what identifies the test, its configuration and its machine."""
     experiment, provenance = evidence.experiment, evidence.provenance
     runs = [row.payload for row in evidence.service if row.kind == "recorder_started"]
-    versions = dict.fromkeys(_listed(run.get("versions", {})) for run in runs)
+    versions = dict.fromkeys(_join_names_and_values(run.get("versions", {})) for run in runs)
     unknown = "unknown: no set can be read"
     configuration = evidence.settings
     return {
@@ -91,7 +91,9 @@ def _identity(evidence: Evidence) -> dict[str, str]:
         "positions": ", ".join(
             f"{name} ({place.method.replace('_', ' ')})" for name, place in configuration.positions.items()
         ),
-        "instruments": _listed({"rig": configuration.rig.kind, **provenance.get("rig_identity", {})}),
+        "instruments": _join_names_and_values(
+            {"rig": configuration.rig.kind, **provenance.get("rig_identity", {})}
+        ),
         "begun by": f"solimon {experiment.solimon_version}",
         "versions": "; then ".join(item for item in versions if item) or "unknown: no recorder told them",
         "machine": ", ".join(
@@ -105,14 +107,14 @@ def _identity(evidence: Evidence) -> dict[str, str]:
     }
 
 
-def _listed(values: Mapping[str, object]) -> str:
+def _join_names_and_values(values: Mapping[str, object]) -> str:
     """Join names and values."""
     return ", ".join(f"{name} {value}" for name, value in values.items())
 
 
-def _notes(evidence: Evidence) -> list[str]:
+def _list_notes(evidence: Evidence) -> list[str]:
     """Return notes on missing or special data."""
-    machine_readings, notes = readings(evidence), []
+    machine_readings, notes = read_machine_readings(evidence), []
     indices = {row.set_index for row in evidence.sets if row.n_taken}
     n_lacking = len(indices) - len({reading.set_index for reading in machine_readings} & indices)
     if n_lacking:
@@ -132,7 +134,7 @@ def _notes(evidence: Evidence) -> list[str]:
     return notes
 
 
-def as_json(report: AcceptanceReport) -> dict[str, object]:
+def report_to_json(report: AcceptanceReport) -> dict[str, object]:
     """Return the report as a JSON object; units are values or endings of names."""
     return {
         "solimon_acceptance_report": SHAPE,

@@ -30,7 +30,7 @@ class Comparison:
     reason: str
 
 
-def with_limits(given: Sequence[str]) -> tuple[Criterion, ...]:
+def apply_limits(given: Sequence[str]) -> tuple[Criterion, ...]:
     """Return the criteria with given limits, as ``NAME=VALUE`` or ``NAME=off``.
 
     Raises
@@ -54,7 +54,7 @@ def with_limits(given: Sequence[str]) -> tuple[Criterion, ...]:
     return tuple(replace(item, limit=limits[item.quantity]) for item in DEFAULTS)
 
 
-def compared(criteria: Iterable[Criterion], quantities: Mapping[str, Quantity]) -> list[Comparison]:
+def compare_criteria(criteria: Iterable[Criterion], quantities: Mapping[str, Quantity]) -> list[Comparison]:
     """Compare each criterion with its quantity.
 
     A quantity with an interval passes if the complete interval meets the limit, and fails if none of it does.
@@ -62,11 +62,11 @@ def compared(criteria: Iterable[Criterion], quantities: Mapping[str, Quantity]) 
     return [
         Comparison(criterion=item, quantity=quantities[item.quantity], state=state, reason=reason)
         for item in criteria
-        for state, reason in [_state(item, quantities[item.quantity])]
+        for state, reason in [_assess_criterion(item, quantities[item.quantity])]
     ]
 
 
-def _state(criterion: Criterion, quantity: Quantity) -> tuple[State, str]:
+def _assess_criterion(criterion: Criterion, quantity: Quantity) -> tuple[State, str]:
     """Return the state of a criterion and its reason."""
     if criterion.limit is None:
         return "left out", "no limit is set"
@@ -83,7 +83,7 @@ def _state(criterion: Criterion, quantity: Quantity) -> tuple[State, str]:
     return ("undecided", "the limit lies within the interval") if any(meets) else ("fail", "")
 
 
-def outcome(comparisons: Sequence[Comparison]) -> Outcome:
+def overall_outcome(comparisons: Sequence[Comparison]) -> Outcome:
     """Return fail if a criterion fails, pass if all applicable ones pass, else incomplete."""
     states = {item.state for item in comparisons}
     return "fail" if "fail" in states else "incomplete" if "undecided" in states else "pass"

@@ -12,19 +12,19 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from daq_service.acquisition.schedule import plan
+from daq_service.acquisition.schedule import plan_sets
 from daq_service.archive import ArchiveError, FolderSetReader
 from daq_service.catalogue import Catalogue, open_catalogue
 from daq_service.catalogue.connection import FILE_NAME
 from daq_service.catalogue.errors import CatalogueError
 from daq_service.catalogue.rows import AlarmRow, EventRow, ExperimentRow, SetRow, ShotRow
 from daq_service.catalogue.verification import UnchangedCatalogue
-from daq_service.cli.forecast import built_set_bytes
+from daq_service.cli.forecast import predict_set_file_bytes
 from daq_service.cli.maintenance.verify import Report
 from daq_service.processes.data_folder import BACKUP_FILE
-from daq_service.processes.heartbeat import time_now_ns
+from daq_service.processes.heartbeat import compute_test_time_ns
 from daq_service.processes.recorder_state import FAREWELLS, RecorderState, read_recorder_state
-from daq_service.settings.stored import stored_settings
+from daq_service.settings.stored import restore_settings
 from daq_service.settings.tree import Settings
 from hardware_drivers.measurement import DueSet
 from hardware_drivers.nanoseconds import NS_PER_H
@@ -98,25 +98,27 @@ def read_evidence(folder: Path, verified: Report | None = None) -> Evidence:
     ValidationError
         This version knows no such configuration.
     """
-    with _copied_catalogue(folder) as catalogue:
-        experiment = catalogue.experiment_row()
+    with _open_catalogue_copy(folder) as catalogue:
+        experiment = catalogue.read_experiment()
         sets = catalogue.rows(SetRow)
         service = catalogue.rows(EventRow, topic="service")
         machine = catalogue.rows(EventRow, topic="machine")
         alarm_events = catalogue.rows(EventRow, topic="alarms")
         alarms = catalogue.rows(AlarmRow)
-        accepted, flags = _records(catalogue)
-    settings = stored_settings(experiment.configuration)
+        accepted, flags = _count_records(catalogue)
+    settings = restore_settings(experiment.configuration)
     recorder = read_recorder_state(folder, [row.kind for row in service])
     is_copy = (folder / BACKUP_FILE).exists()
-    now_ns = _now_ns(experiment, sets, service, recorder, ended=is_copy or recorder.status in _ENDED)
-    planned = plan(settings.schedule.phases, experiment.epoch_utc_ns, end_h=settings.schedule.end_h)
+    now_ns = _evaluation_time_ns(
+        experiment, sets, service, recorder, ended=is_copy or recorder.status in _ENDED
+    )
+    planned = plan_sets(settings.schedule.phases, experiment.epoch_utc_ns, end_h=settings.schedule.end_h)
     return Evidence(
         folder=folder,
         experiment=experiment,
         settings=settings,
         planned=planned,
-        due=_due(planned, sets, now_ns),
+        due=_count_due_sets(planned, sets, now_ns),
         sets=sets,
         accepted=accepted,
         flags=flags,
@@ -124,9 +126,9 @@ def read_evidence(folder: Path, verified: Report | None = None) -> Evidence:
         machine=machine,
         alarm_events=alarm_events,
         alarms=alarms,
-        provenance=_provenance(folder),
-        file_bytes=_file_bytes(folder, sets),
-        forecast_bytes=built_set_bytes(settings),
+        provenance=_read_provenance(folder),
+        file_bytes=_read_file_sizes(folder, sets),
+        forecast_bytes=predict_set_file_bytes(settings),
         recorder=recorder,
         is_copy=is_copy,
         now_ns=now_ns,
@@ -138,7 +140,7 @@ _ENDED = tuple(word for word, _ in FAREWELLS.values())
 
 
 @contextmanager
-def _copied_catalogue(folder: Path) -> Iterator[Catalogue]:
+def _open_catalogue_copy(folder: Path) -> Iterator[Catalogue]:
     """Open a copy of one state: an older version is migrated there, the folder's own stays."""
     with tempfile.TemporaryDirectory(prefix="solimon-") as path:
         with UnchangedCatalogue(folder) as source:
@@ -151,7 +153,7 @@ def _copied_catalogue(folder: Path) -> Iterator[Catalogue]:
             yield catalogue
 
 
-def _records(catalogue: Catalogue) -> tuple[Counter[tuple[int, str]], Counter[str]]:
+def _count_records(catalogue: Catalogue) -> tuple[Counter[tuple[int, str]], Counter[str]]:
     """Count accepted records by set and position, and all by their flags."""
     accepted, flags, last = Counter[tuple[int, str]](), Counter[str](), 0
     while rows := catalogue.rows(ShotRow, after_id=last, limit=SHOTS_AT_ONCE):
@@ -161,7 +163,7 @@ def _records(catalogue: Catalogue) -> tuple[Counter[tuple[int, str]], Counter[st
     return accepted, flags
 
 
-def _now_ns(
+def _evaluation_time_ns(
     experiment: ExperimentRow,
     sets: Sequence[SetRow],
     service: Sequence[EventRow],
@@ -173,17 +175,17 @@ def _now_ns(
     last = max([experiment.epoch_utc_ns, *(row.utc_ns for row in service), *(row.due_utc_ns for row in sets)])
     if ended or experiment.clock != "wall":
         return last
-    return max(last, time_now_ns(recorder.beat) or time.time_ns())
+    return max(last, compute_test_time_ns(recorder.beat) or time.time_ns())
 
 
-def _due(planned: Sequence[DueSet], sets: Sequence[SetRow], now_ns: int) -> int:
+def _count_due_sets(planned: Sequence[DueSet], sets: Sequence[SetRow], now_ns: int) -> int:
     """Count the sets that should have rows: a set may be in progress until the next one is due."""
     n_with_rows = max((row.set_index + 1 for row in sets), default=0)
     n_ended = sum(following.due_utc_ns <= now_ns for following in planned[1:])
     return max(n_with_rows, n_ended)
 
 
-def _provenance(folder: Path) -> Mapping[str, object]:
+def _read_provenance(folder: Path) -> Mapping[str, object]:
     """Return the provenance of the newest readable set."""
     reader = FolderSetReader(folder)
     for reference in list(reader.sets().values())[::-1]:
@@ -194,7 +196,7 @@ def _provenance(folder: Path) -> Mapping[str, object]:
     return {}
 
 
-def _file_bytes(folder: Path, sets: Sequence[SetRow]) -> dict[int, int]:
+def _read_file_sizes(folder: Path, sets: Sequence[SetRow]) -> dict[int, int]:
     """Return the sizes of existing files by set index; a journaled set has none yet."""
     sizes = {}
     for row in sets:

@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 
 from daq_service.cli.maintenance.acceptance.evidence import Evidence
-from daq_service.cli.maintenance.acceptance.quantity import Quantity, Table, quantity
-from daq_service.cli.maintenance.acceptance.readings import NOT_KEPT, kept
+from daq_service.cli.maintenance.acceptance.quantity import Quantity, Table, make_quantity
+from daq_service.cli.maintenance.acceptance.readings import NOT_KEPT, readings_with_value
 from daq_service.recording.resumed_time import CLOCK_STEP
 from hardware_drivers.nanoseconds import NS_PER_H
 
@@ -24,7 +24,7 @@ class Fault:
     until_ns: int | None = None
 
 
-def faults(evidence: Evidence) -> list[Fault]:
+def list_faults(evidence: Evidence) -> list[Fault]:
     """List the faults in order; an alarm that is active again is a new fault."""
     faults_by_alarm: dict[int, list[Fault]] = {}
     for event in evidence.alarm_events:
@@ -46,10 +46,10 @@ def faults(evidence: Evidence) -> list[Fault]:
     )
 
 
-def fault_table(evidence: Evidence) -> Table:
+def make_fault_table(evidence: Evidence) -> Table:
     """Return the table of faults by kind."""
     kinds: defaultdict[str, list[Fault]] = defaultdict(list)
-    for fault in faults(evidence):
+    for fault in list_faults(evidence):
         kinds[fault.kind].append(fault)
     rows = []
     for kind, faults_of_kind in sorted(kinds.items()):
@@ -61,7 +61,7 @@ def fault_table(evidence: Evidence) -> Table:
     return Table("faults", rows)
 
 
-def damage_table(evidence: Evidence) -> Table:
+def make_damage_table(evidence: Evidence) -> Table:
     """Return the table of the specimen's alarms: findings, not faults."""
     rows = [
         (row.kind, row.position or "", row.priority, row.state, row.raised_h, row.message)
@@ -71,7 +71,7 @@ def damage_table(evidence: Evidence) -> Table:
     return Table("findings", rows)
 
 
-def step_table(evidence: Evidence) -> Table:
+def make_clock_step_table(evidence: Evidence) -> Table:
     """Return the table of steps of the computer's UTC."""
     rows = [
         (evidence.hour(row.utc_ns), row.payload["step_s"], row.payload["ahead_s"])
@@ -81,23 +81,23 @@ def step_table(evidence: Evidence) -> Table:
     return Table("clock_steps", rows)
 
 
-def fault_quantities(evidence: Evidence) -> Iterator[Quantity]:
+def compute_fault_quantities(evidence: Evidence) -> Iterator[Quantity]:
     """Yield active faults and detected corruption."""
-    yield quantity("faults_standing", sum(fault.until_ns is None for fault in faults(evidence)))
+    yield make_quantity("faults_standing", sum(fault.until_ns is None for fault in list_faults(evidence)))
     corrupt = {row.payload["file"] for row in evidence.service if row.kind == "data_corrupt"}
-    yield quantity("files_found_damaged", len(corrupt))
-    read = [reading for reading, _ in kept(evidence, "files_read")]
+    yield make_quantity("files_found_damaged", len(corrupt))
+    read = [reading for reading, _ in readings_with_value(evidence, "files_read")]
     ends = [
         reading
         for reading, following in pairwise([*read, None])
         if reading is not None and (following is None or following.recorder != reading.recorder)
     ]
     n_read = sum(reading.payload["files_read"] for reading in ends) if read else None
-    yield quantity("files_read_again", n_read, NOT_KEPT)
+    yield make_quantity("files_read_again", n_read, NOT_KEPT)
     report = evidence.verified
     if report is None:
         checked, missing = "every frame, file and row compared", "not looked at: --verify does"
-        yield quantity("damage_found", None, missing, applies=False, checked=checked)
+        yield make_quantity("damage_found", None, missing, applies=False, checked=checked)
     else:
         checked = "; ".join(f"{number} {name}" for name, number in report.checked.items())
-        yield quantity("damage_found", len(report.damage), checked=checked)
+        yield make_quantity("damage_found", len(report.damage), checked=checked)

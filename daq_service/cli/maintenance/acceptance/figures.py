@@ -7,9 +7,9 @@ from collections.abc import Iterable
 import matplotlib as mpl
 from matplotlib.figure import Figure
 
-from daq_service.cli.maintenance.acceptance.page import scale_of
+from daq_service.cli.maintenance.acceptance.page import choose_display_unit
 from daq_service.cli.maintenance.acceptance.quantity import Series
-from daq_service.cli.reproduce.style import BLUE, GREY, ORANGE, RULES, VERMILLION, rendered
+from daq_service.cli.reproduce.style import BLUE, GREY, ORANGE, RULES, VERMILLION, render_figure
 
 SIZE_IN = (4.7, 1.9)
 """Two of them side by side fill a sheet of paper."""
@@ -18,9 +18,9 @@ FEW = 120
 DASHED = ("forecast", "planned")
 
 
-def picture(series: Series, gaps: Iterable[tuple[float, float]] = ()) -> bytes:
+def draw_series(series: Series, gaps: Iterable[tuple[float, float]] = ()) -> bytes:
     """Return a series with values as PNG; ``gaps`` are shaded ranges of hours."""
-    scale, unit = scale_of(series.text.unit, max(map(abs, series.values), default=0.0))
+    scale, unit = choose_display_unit(series.text.unit, max(map(abs, series.values), default=0.0))
     with mpl.rc_context(RULES):
         figure = Figure(figsize=SIZE_IN, layout="constrained")
         axes = figure.subplots()
@@ -47,4 +47,4 @@ def picture(series: Series, gaps: Iterable[tuple[float, float]] = ()) -> bytes:
         axes.ticklabel_format(axis="y", style="plain", useOffset=False)
         if series.text.unit == "1":
             axes.set_ylim(bottom=0.0)
-        return rendered(figure, ["png"])["png"]
+        return render_figure(figure, ["png"])["png"]

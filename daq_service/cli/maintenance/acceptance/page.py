@@ -8,12 +8,12 @@ from itertools import groupby
 from daq_service.cli.maintenance.acceptance.contents import AcceptanceReport
 from daq_service.cli.maintenance.acceptance.criteria import Comparison
 from daq_service.cli.maintenance.acceptance.quantity import Quantity, Table
-from daq_service.web.templates import NOT_KNOWN, render
+from daq_service.web.templates import NOT_KNOWN, render_template
 
 SCALES = ((1e9, "GB"), (1e6, "MB"), (1e3, "kB"))
 
 
-def scale_of(unit: str, value: float) -> tuple[float, str]:
+def choose_display_unit(unit: str, value: float) -> tuple[float, str]:
     """Return the factor and the name of the unit that a value is shown in: bytes in the largest that fits."""
     if not unit.startswith("B"):
         return 1.0, unit
@@ -21,7 +21,7 @@ def scale_of(unit: str, value: float) -> tuple[float, str]:
     return scale, f"{name}{unit[1:]}"
 
 
-def page(report: AcceptanceReport, pictures: Mapping[str, bytes]) -> bytes:
+def render_report(report: AcceptanceReport, pictures: Mapping[str, bytes]) -> bytes:
     """Return the HTML of the report.
 
     Parameters
@@ -30,19 +30,19 @@ def page(report: AcceptanceReport, pictures: Mapping[str, bytes]) -> bytes:
         PNG of each series that has values, by its name.
     """
     sections = groupby(report.quantities, key=lambda item: item.section)
-    return render(
+    return render_template(
         "acceptance.html.j2",
         title=f"Acceptance report of the test {report.identity['test']}",
         report=report,
         pictures=pictures,
         sections=[(name, list(quantities)) for name, quantities in sections],
-        asked=asked,
-        interval=interval,
-        number_columns=_number_columns,
+        asked=format_limit,
+        interval=format_quantity,
+        number_columns=_list_number_columns,
     )
 
 
-def _number_columns(table: Table) -> list[str]:
+def _list_number_columns(table: Table) -> list[str]:
     """Return the names of the columns of numbers."""
     first = table.rows[0] if table.rows else ()
     return [
@@ -50,7 +50,7 @@ def _number_columns(table: Table) -> list[str]:
     ]
 
 
-def shown(unit: str, *values: float | int | None) -> str:
+def format_with_interval(unit: str, *values: float | int | None) -> str:
     """Format numbers with their unit: the first one, then the interval of the others.
 
     Four figures; bytes in the largest unit that fits the first.
@@ -58,7 +58,7 @@ def shown(unit: str, *values: float | int | None) -> str:
     value, *ends = values
     if value is None:
         return NOT_KNOWN
-    scale, scaled = scale_of(unit, value)
+    scale, scaled = choose_display_unit(unit, value)
     numbers = [
         f"{item:,}" if isinstance(item, int) and scale == 1.0 else f"{item / scale:.4g}"
         for item in values
@@ -68,14 +68,16 @@ def shown(unit: str, *values: float | int | None) -> str:
     return text if unit == "1" else f"{text} {scaled.removeprefix('1 ')}"
 
 
-def interval(item: Quantity) -> str:
+def format_quantity(item: Quantity) -> str:
     """Format a quantity with its interval, if it has one."""
-    return shown(item.unit, item.value, item.low, item.high)
+    return format_with_interval(item.unit, item.value, item.low, item.high)
 
 
-def asked(item: Comparison) -> str:
+def format_limit(item: Comparison) -> str:
     """Format a criterion's limit; empty if not required."""
     criterion = item.criterion
     return (
-        "" if criterion.limit is None else f"{criterion.sense} {shown(item.quantity.unit, criterion.limit)}"
+        ""
+        if criterion.limit is None
+        else f"{criterion.sense} {format_with_interval(item.quantity.unit, criterion.limit)}"
     )

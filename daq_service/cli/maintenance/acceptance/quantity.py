@@ -55,7 +55,7 @@ class Quantity:
             object.__setattr__(self, "missing", "")
 
 
-def quantity(
+def make_quantity(
     name: str,
     value: float | None,
     missing: str = "",
@@ -118,7 +118,7 @@ class Series:
         return TEXTS.series[self.name]
 
 
-def quantile(values: Sequence[float], part: float) -> float:
+def compute_quantile(values: Sequence[float], part: float) -> float:
     """Return the smallest value that at least this fraction of the values does not exceed."""
     return float(np.quantile(np.asarray(values, dtype=np.float64), part, method="inverted_cdf"))
 
@@ -133,7 +133,7 @@ class Growth:
     n: int
 
 
-def growth(set_indices: Sequence[int], values: Sequence[float]) -> Growth | None:
+def estimate_growth(set_indices: Sequence[int], values: Sequence[float]) -> Growth | None:
     """Compute the median slope of all pairs (Theil and Sen) with its 95 % interval (Sen 1968).
 
     A step or a burst moves it little. Neighbours are alike, so the interval of a short test is too narrow

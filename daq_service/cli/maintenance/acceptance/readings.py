@@ -29,7 +29,7 @@ class Reading:
         return self.payload["process"], self.payload["recorder_wall_utc_ns"]
 
 
-def readings(evidence: Evidence) -> list[Reading]:
+def read_machine_readings(evidence: Evidence) -> list[Reading]:
     """Return the machine readings in the order of their sets."""
     found = [
         Reading(set_index=row.set_index, hour=evidence.hour(row.utc_ns), payload=row.payload)
@@ -39,21 +39,21 @@ def readings(evidence: Evidence) -> list[Reading]:
     return sorted(found, key=lambda reading: reading.set_index)
 
 
-def kept(evidence: Evidence, name: str) -> list[tuple[Reading, float]]:
+def readings_with_value(evidence: Evidence, name: str) -> list[tuple[Reading, float]]:
     """Return the readings that have a value of this name."""
     return [
         (reading, reading.payload[name])
-        for reading in readings(evidence)
+        for reading in read_machine_readings(evidence)
         if reading.payload[name] is not None
     ]
 
 
-def cost_s(reading: Reading) -> float:
+def sum_stage_times_s(reading: Reading) -> float:
     """Return the wall time of extraction, storage, assessment and commit."""
     return float(sum(s for stage, s in reading.payload["stage_s"].items() if stage != "strike_and_read_s"))
 
 
-def times_of_sets(evidence: Evidence) -> list[tuple[float, float, float]]:
+def list_set_times(evidence: Evidence) -> list[tuple[float, float, float]]:
     """Return hour due, start delay in s, and duration in s of each set with a record."""
     found = {}
     for row in evidence.sets:

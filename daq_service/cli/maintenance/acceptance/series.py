@@ -11,33 +11,33 @@ from daq_service.cli.maintenance.acceptance.readings import (
     NO_TIME,
     NOT_AVAILABLE,
     NOT_KEPT,
-    cost_s,
-    kept,
-    readings,
-    times_of_sets,
+    list_set_times,
+    read_machine_readings,
+    readings_with_value,
+    sum_stage_times_s,
 )
-from daq_service.cli.maintenance.acceptance.sets import record_series
+from daq_service.cli.maintenance.acceptance.sets import count_records_by_set
 
 
-def series_of(evidence: Evidence) -> Iterator[Series]:
+def yield_series(evidence: Evidence) -> Iterator[Series]:
     """Yield a series for each stored quantity."""
-    yield record_series(evidence)
-    times, real = times_of_sets(evidence), evidence.experiment.clock == "wall"
+    yield count_records_by_set(evidence)
+    times, real = list_set_times(evidence), evidence.experiment.clock == "wall"
     hours, late, took = ([one[k] for one in times] for k in range(3))
     if not real:
         yield Series("start_delay_s", (), (), NO_TIME)
     else:
         yield Series("start_delay_s", hours, late, "no set has begun")
     yield Series("set_duration_s", hours, took, "no set has ended")
-    machine_readings = readings(evidence)
+    machine_readings = read_machine_readings(evidence)
     hours = [reading.hour for reading in machine_readings]
     stages = [reading.payload["stage_s"] for reading in machine_readings]
     fsync_s = [stage.get("fsync_s", 0.0) + stage.get("directory_fsync_s", 0.0) for stage in stages]
-    costs_s = [cost_s(reading) for reading in machine_readings]
+    costs_s = [sum_stage_times_s(reading) for reading in machine_readings]
     yield Series("line_cost_s", hours, costs_s, NOT_KEPT, {"fsync": (hours, fsync_s)})
     missing = NOT_AVAILABLE if machine_readings else NOT_KEPT
     for name in ("resident_bytes", "open_handles", "free_bytes"):
-        yield Series(name, *_kept(evidence, name), missing)
+        yield Series(name, *_hours_and_values(evidence, name), missing)
     due_h = {due.set_index: due.due_h for due in evidence.planned}
     files = [(due_h[index], size) for index, size in sorted(evidence.file_bytes.items()) if index in due_h]
     hours = [hour for hour, _ in files]
@@ -50,10 +50,12 @@ def series_of(evidence: Evidence) -> Iterator[Series]:
         {"forecast": (hours, forecast)},
         steps=True,
     )
-    yield Series("clock_ahead_s", *_kept(evidence, "clock_ahead_s"), NOT_KEPT if real else NO_TIME)
+    yield Series(
+        "clock_ahead_s", *_hours_and_values(evidence, "clock_ahead_s"), NOT_KEPT if real else NO_TIME
+    )
 
 
-def _kept(evidence: Evidence, name: str) -> tuple[list[float], list[float]]:
+def _hours_and_values(evidence: Evidence, name: str) -> tuple[list[float], list[float]]:
     """Return hours and values of the readings that have a value."""
-    found = kept(evidence, name)
+    found = readings_with_value(evidence, name)
     return [reading.hour for reading, _ in found], [value for _, value in found]

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from daq_service.catalogue.rows import SetRow
 from daq_service.cli.maintenance.acceptance.evidence import Evidence
-from daq_service.cli.maintenance.acceptance.quantity import Quantity, Series, Table, quantity
+from daq_service.cli.maintenance.acceptance.quantity import Quantity, Series, Table, make_quantity
 from hardware_drivers.measurement import DueSet
 from hardware_drivers.methods import PULSE_ECHO
 
@@ -31,7 +31,7 @@ class Gap:
         return self.until_h - self.from_h
 
 
-def by_set(rows: Sequence[SetRow]) -> Mapping[int, list[SetRow]]:
+def group_by_set(rows: Sequence[SetRow]) -> Mapping[int, list[SetRow]]:
     """Group rows by set."""
     found: defaultdict[int, list[SetRow]] = defaultdict(list)
     for row in rows:
@@ -39,12 +39,12 @@ def by_set(rows: Sequence[SetRow]) -> Mapping[int, list[SetRow]]:
     return found
 
 
-def gaps(evidence: Evidence) -> list[Gap]:
+def list_gaps(evidence: Evidence) -> list[Gap]:
     """List the gaps in order; a set with all transducers disabled is not a gap."""
-    rows, found = by_set(evidence.sets), list[Gap]()
+    rows, found = group_by_set(evidence.sets), list[Gap]()
     missed_sets, reasons, from_h = list[DueSet](), dict[str, None](), 0.0
 
-    def close(until_h: float) -> None:
+    def close_gap(until_h: float) -> None:
         if missed_sets:
             found.append(Gap(sets=tuple(missed_sets), reasons=tuple(reasons), from_h=from_h, until_h=until_h))
         missed_sets.clear()
@@ -53,20 +53,20 @@ def gaps(evidence: Evidence) -> list[Gap]:
     for due in evidence.planned[: evidence.due]:
         set_rows = rows.get(due.set_index, [])
         if any(row.n_taken for row in set_rows):
-            close(due.due_h)
+            close_gap(due.due_h)
             from_h = due.due_h
         elif not set_rows or any(row.state == "missed" for row in set_rows):
             missed_sets.append(due)
             reasons.update(
                 dict.fromkeys([row.reason or "" for row in set_rows if row.state == "missed"] or [UNTOLD])
             )
-    close(evidence.hour(evidence.now_ns))
+    close_gap(evidence.hour(evidence.now_ns))
     return found
 
 
-def set_quantities(evidence: Evidence) -> list[Quantity]:
+def count_sets_and_records(evidence: Evidence) -> list[Quantity]:
     """Return the numbers of sets and records: planned, taken, valid, missed; gaps."""
-    rows, found = by_set(evidence.sets), gaps(evidence)
+    rows, found = group_by_set(evidence.sets), list_gaps(evidence)
     taken = {index: set_rows for index, set_rows in rows.items() if any(row.n_taken for row in set_rows)}
     partial = [
         set_rows for set_rows in taken.values() if any(row.state in ("partial", "missed") for row in set_rows)
@@ -87,35 +87,35 @@ def set_quantities(evidence: Evidence) -> list[Quantity]:
         "sets_taken": len(taken),
         "sets_partial": len(partial),
         "sets_missed": missed,
-        "sets_taken_fraction": _fraction(len(taken), len(taken) + missed),
+        "sets_taken_fraction": _compute_fraction(len(taken), len(taken) + missed),
         "records_planned": planned,
         "records_taken": n_taken,
         "records_valid": n_valid,
         "strikes_without_record": sum(row.n_missed for row in evidence.sets),
         "restrikes": sum(row.n_restrikes for row in evidence.sets),
-        "records_taken_fraction": _fraction(n_taken, planned),
-        "records_valid_fraction": _fraction(n_valid, n_taken),
+        "records_taken_fraction": _compute_fraction(n_taken, planned),
+        "records_valid_fraction": _compute_fraction(n_valid, n_taken),
         "gaps": len(found),
         "longest_gap_h": max((gap.hours for gap in found), default=0.0),
     }
-    return [quantity(name, value, NO_SETS) for name, value in numbers.items()]
+    return [make_quantity(name, value, NO_SETS) for name, value in numbers.items()]
 
 
-def _fraction(part: int, total: int) -> float | None:
+def _compute_fraction(part: int, total: int) -> float | None:
     """Return a part of a total; None if there is nothing."""
     return part / total if total else None
 
 
-def gap_table(evidence: Evidence) -> Table:
+def make_gap_table(evidence: Evidence) -> Table:
     """Return the table of gaps with their reasons."""
     rows = [
         (gap.sets[0].set_index, len(gap.sets), gap.from_h, gap.until_h, gap.hours, "; ".join(gap.reasons))
-        for gap in gaps(evidence)
+        for gap in list_gaps(evidence)
     ]
     return Table("gaps", rows)
 
 
-def shortfall_table(evidence: Evidence) -> Table:
+def make_shortfall_table(evidence: Evidence) -> Table:
     """Return the table of missing records in sets with records, by reason."""
     found: defaultdict[tuple[str, str], list[SetRow]] = defaultdict(list)
     with_records = {row.set_index for row in evidence.sets if row.n_taken}
@@ -136,12 +136,12 @@ def shortfall_table(evidence: Evidence) -> Table:
     return Table("shortfalls", rows)
 
 
-def flag_table(evidence: Evidence) -> Table:
+def make_flag_table(evidence: Evidence) -> Table:
     """Return the table of shots by flag."""
     return Table("flags", Counter(evidence.flags).most_common())
 
 
-def record_series(evidence: Evidence) -> Series:
+def count_records_by_set(evidence: Evidence) -> Series:
     """Return the records of each set, taken and valid."""
     hours = {due.set_index: due.due_h for due in evidence.planned}
     lines: dict[str, Counter[int]] = {name: Counter() for name in ("planned", "taken", "valid")}

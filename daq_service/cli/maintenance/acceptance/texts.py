@@ -8,7 +8,7 @@ from typing import Literal
 
 from pydantic import TypeAdapter
 
-from daq_service.shared_file import packaged_table
+from daq_service.shared_file import load_table
 
 Sense = Literal["at least", "at most"]
 
@@ -60,4 +60,4 @@ class Texts:
     criteria: Sequence[Criterion]
 
 
-TEXTS = TypeAdapter(Texts).validate_python(packaged_table(__file__))
+TEXTS = TypeAdapter(Texts).validate_python(load_table(__file__))

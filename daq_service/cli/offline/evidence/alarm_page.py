@@ -6,27 +6,27 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict
 from importlib.metadata import version
 
-from daq_service.alarms.evidence import evidence_sentences
+from daq_service.alarms.evidence import build_evidence_sentences
 from daq_service.alarms.guidance import GUIDANCE
-from daq_service.alarms.transitions import transition
-from daq_service.catalogue.rows import values
+from daq_service.alarms.transitions import build_transition
+from daq_service.catalogue.rows import to_columns
 from daq_service.cli.offline.evidence.figures import Picture
 from daq_service.recording.reassessment.changes import NOT_COMPARED
 from daq_service.recording.reassessment.explanation import Explained, Recomputed
-from daq_service.web.report.page import history_cells
-from daq_service.web.templates import render
+from daq_service.web.report.page import build_history_cells
+from daq_service.web.templates import render_template
 
 NOT_SHOWN = (*NOT_COMPARED, "averages")
 """Columns of an assessment that only the JSON has; averages are the state of chart and diagnosis."""
 
 
-def title_of(found: Explained) -> str:
+def format_title(found: Explained) -> str:
     """Return the title of the alarm."""
     where = f" at position {found.alarm.position}" if found.alarm.position else ""
     return f"Alarm {found.alarm.id}: {found.alarm.kind.replace('_', ' ')}{where}"
 
 
-def recomputation_text(found: Explained) -> str:
+def describe_recomputation(found: Explained) -> str:
     """Describe the result of the recomputation."""
     recomputed = found.again
     if recomputed is None:
@@ -46,26 +46,28 @@ def recomputation_text(found: Explained) -> str:
     )
 
 
-def page_of(found: Explained, pictures: Sequence[Picture]) -> bytes:
+def render_page(found: Explained, pictures: Sequence[Picture]) -> bytes:
     """Return the HTML page."""
     recomputed = () if found.again is None else found.again.assessments
     of_set = next((row for row in recomputed if row.set_index == found.alarm.raised_set_index), None)
-    assessment = {} if of_set is None else values(of_set)
-    return render(
+    assessment = {} if of_set is None else to_columns(of_set)
+    return render_template(
         "alarm.html.j2",
-        title=title_of(found),
+        title=format_title(found),
         found=found,
-        sentences=_sentences(found),
+        sentences=_evidence_sentences(found),
         pictures=pictures,
-        recomputation=recomputation_text(found),
-        assessment=_known({name: assessment[name] for name in assessment if name not in NOT_SHOWN}),
+        recomputation=describe_recomputation(found),
+        assessment=_facts_with_value(
+            {name: assessment[name] for name in assessment if name not in NOT_SHOWN}
+        ),
         guidance=GUIDANCE.get(found.alarm.kind),
-        history_cells=history_cells,
-        evidence=_known(found.alarm.evidence),
+        history_cells=build_history_cells,
+        evidence=_facts_with_value(found.alarm.evidence),
     )
 
 
-def facts_of(found: Explained) -> dict[str, object]:
+def collect_facts(found: Explained) -> dict[str, object]:
     """Return all contents of the page, and the rows behind it, as plain values."""
     recomputed, guidance = found.again, GUIDANCE.get(found.alarm.kind)
     return {
@@ -73,18 +75,18 @@ def facts_of(found: Explained) -> dict[str, object]:
         "configuration_hash": found.experiment.configuration_hash,
         "begun_by": found.experiment.solimon_version,
         "explained_by": version("solimon"),
-        "alarm": values(found.alarm),
-        "sentences": _sentences(found),
+        "alarm": to_columns(found.alarm),
+        "sentences": _evidence_sentences(found),
         "guidance": None if guidance is None else asdict(guidance),
-        "history": [transition(event) for event in found.history],
+        "history": [build_transition(event) for event in found.history],
         "agrees": found.agrees,
         "why_not_recomputed": found.why_not or None,
-        "description": recomputation_text(found),
-        "recomputed": None if recomputed is None else _facts_of(recomputed),
+        "description": describe_recomputation(found),
+        "recomputed": None if recomputed is None else _recomputed_facts(recomputed),
     }
 
 
-def _facts_of(recomputed: Recomputed) -> dict[str, object]:
+def _recomputed_facts(recomputed: Recomputed) -> dict[str, object]:
     """Return the recomputed values."""
     pulses = recomputed.pulses
     return {
@@ -92,21 +94,21 @@ def _facts_of(recomputed: Recomputed) -> dict[str, object]:
         "n_records": recomputed.n_records,
         "raised": [asdict(one) for one in recomputed.raised],
         "differences": [asdict(one) for one in recomputed.differences],
-        "baseline": None if recomputed.baseline is None else values(recomputed.baseline),
-        "assessments": [values(row) for row in recomputed.assessments],
-        "measured": [values(row) for row in recomputed.measured],
+        "baseline": None if recomputed.baseline is None else to_columns(recomputed.baseline),
+        "assessments": [to_columns(row) for row in recomputed.assessments],
+        "measured": [to_columns(row) for row in recomputed.measured],
         "shots_without_psw": [{"set_index": index, "n": n} for index, n in recomputed.silent.items()],
         "pulses": None if pulses is None else asdict(pulses),
     }
 
 
-def _sentences(found: Explained) -> list[str]:
+def _evidence_sentences(found: Explained) -> list[str]:
     """Return the evidence in sentences."""
     baseline = None if found.again is None else found.again.baseline
-    return evidence_sentences(found.alarm, {} if baseline is None else {baseline.id or 0: baseline})
+    return build_evidence_sentences(found.alarm, {} if baseline is None else {baseline.id or 0: baseline})
 
 
-def _known(facts: Mapping[str, object]) -> Iterator[tuple[str, object]]:
+def _facts_with_value(facts: Mapping[str, object]) -> Iterator[tuple[str, object]]:
     """Yield name and value of the facts that have a value."""
     for name, value in facts.items():
         if isinstance(value, Mapping):

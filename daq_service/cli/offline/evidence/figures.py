@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 
 from analysis.statistics.named_limits import DISTANCE, LIMITS, MEWMA
 from daq_service.alarms.evidence import FEATURES
-from daq_service.assessment.stored_limits import limits_by_name, statistic_of
+from daq_service.assessment.stored_limits import collect_limits_by_name, find_limit_statistic
 from daq_service.recording.reassessment.explanation import Explained, Recomputed
 from daq_service.recording.reassessment.pulses_of_sets import Pulses
 from daq_service.web.report.figures import (
@@ -25,7 +25,7 @@ from daq_service.web.report.figures import (
     RULES,
     VERMILLION,
     WIDTH_IN,
-    svg_of,
+    render_svg,
 )
 
 LOG_FROM = 100.0
@@ -40,30 +40,30 @@ class Picture:
     svg: str
 
 
-def pictures_of(found: Explained) -> list[Picture]:
+def draw_evidence(found: Explained) -> list[Picture]:
     """Draw the evidence of the alarm; nothing without a recomputation."""
     if found.again is None:
         return []
     pictures = [
-        _waves(found, found.again.pulses) if found.again.pulses else None,
-        _over_sets(found, found.again),
+        _draw_mean_records(found, found.again.pulses) if found.again.pulses else None,
+        _draw_quantities(found, found.again),
     ]
-    pictures.append(_contributions(found.alarm.evidence.get("contributions") or {}))
+    pictures.append(_draw_contributions(found.alarm.evidence.get("contributions") or {}))
     return [picture for picture in pictures if picture is not None]
 
 
-def _waves(found: Explained, pulses: Pulses) -> Picture:
+def _draw_mean_records(found: Explained, pulses: Pulses) -> Picture:
     """Draw the mean record of the set and that of the baseline."""
     time_us = 1e6 * pulses.time_s
     with mpl.rc_context(RULES):
-        figure, axis = _figure(1.6)
+        figure, axis = _create_figure(1.6)
         low, high = (pulses.baseline_v + sign * pulses.baseline_sd_v for sign in (-1.0, 1.0))
         axis.fill_between(time_us, low, high, color=GREY, alpha=0.3, linewidth=0.0, label="its sets, 1 SD")
         axis.plot(time_us, pulses.baseline_v, color=GREY, label="mean of the baseline")
         axis.plot(time_us, pulses.set_v, color=VERMILLION, label=f"set {found.alarm.raised_set_index}")
         axis.set(xlabel="time since the peak of the incident wave (µs)", ylabel="sensor (V)")
         axis.legend(**ABOVE)
-        svg = svg_of(figure, "waves")
+        svg = render_svg(figure, "waves")
     description = (
         f"The mean record of set {found.alarm.raised_set_index} over the mean of the baseline, laid on each "
         "other at the peak of the incident wave; the reflected wave comes later."
@@ -88,9 +88,9 @@ class _Panel:
         self.limits = {name: factor * limit for name, limit in limits.items() if limit is not None}
 
 
-def _over_sets(found: Explained, recomputed: Recomputed) -> Picture | None:
+def _draw_quantities(found: Explained, recomputed: Recomputed) -> Picture | None:
     """Draw the quantities of all sets up to the alarm."""
-    panels = [panel for panel in _panels(found, recomputed) if panel.values]
+    panels = [panel for panel in _yield_panels(found, recomputed) if panel.values]
     if not panels:
         return None
     baseline_ends_h = max((row.due_h for row in recomputed.assessments if row.in_baseline), default=None)
@@ -99,20 +99,20 @@ def _over_sets(found: Explained, recomputed: Recomputed) -> Picture | None:
         figure = Figure(figsize=(WIDTH_IN, 0.35 + PANEL_IN * len(panels)), layout="constrained")
         axes = [axis for (axis,) in figure.subplots(len(panels), 1, squeeze=False, sharex=True)]
         for axis, panel in zip(axes, panels, strict=True):
-            _draw(axis, panel)
+            _draw_panel(axis, panel)
             if baseline_ends_h is not None:
                 axis.axvspan(0.0, baseline_ends_h, color=GREY, alpha=0.15, linewidth=0.0, label="baseline")
             axis.axvline(raised_h, color=VERMILLION, linewidth=0.9, linestyle=(0, (5, 2)), label="alarm")
             axis.legend(**ABOVE)
         axes[-1].set_xlabel("hour of the test at which the set was due")
-        svg = svg_of(figure, "sets")
+        svg = render_svg(figure, "sets")
     labels = " and ".join(panel.label for panel in panels)
     shaded = "" if baseline_ends_h is None else "the baseline is shaded, "
     description = f"{labels} of each set up to the alarm; {shaded}the dashed line is the alarm's set."
     return Picture(description=description[0].upper() + description[1:], svg=svg)
 
 
-def _draw(axis: Axes, panel: _Panel) -> None:
+def _draw_panel(axis: Axes, panel: _Panel) -> None:
     """Draw a panel."""
     axis.plot(panel.hours, panel.values, linestyle="none", marker="o", color=BLUE)
     for (label, limit), style in zip(panel.limits.items(), _STYLES, strict=False):
@@ -130,7 +130,7 @@ _STYLES: Sequence[Mapping[str, Any]] = (
 )
 
 
-def _panels(found: Explained, recomputed: Recomputed) -> Iterable[_Panel]:
+def _yield_panels(found: Explained, recomputed: Recomputed) -> Iterable[_Panel]:
     """Yield the quantities that the kind of alarm is about: statistics, thickness, or numbers of shots."""
     evidence, rule = found.alarm.evidence, found.alarm.evidence.get("rule") or {}
     if found.alarm.kind == "thickness_low":
@@ -143,18 +143,18 @@ def _panels(found: Explained, recomputed: Recomputed) -> Iterable[_Panel]:
         counted = [(row.due_h, float(row.n_valid)) for row in recomputed.sets if row.n_planned]
         yield _Panel("valid shots", counted, {"needed": evidence["minimum_valid_shots"]})
     elif recomputed.baseline is not None:
-        limits = limits_by_name(recomputed.baseline)
+        limits = collect_limits_by_name(recomputed.baseline)
         limit_names = (str(evidence.get("limit_name")), found.settings.novelty.limit, MEWMA)
         names = [name for name in dict.fromkeys(limit_names) if name in LIMITS]
         for statistic in dict.fromkeys(LIMITS[name].of for name in names):
             of_it = {name: limits.get(name) for name in names if LIMITS[name].of == statistic}
             a_name = next(iter(of_it))
-            values = [(row.due_h, statistic_of(row, a_name)) for row in recomputed.assessments]
+            values = [(row.due_h, find_limit_statistic(row, a_name)) for row in recomputed.assessments]
             label = "squared distance" if statistic == DISTANCE else statistic.replace("_", " ")
             yield _Panel(label, values, {f"limit {name}": limit for name, limit in of_it.items()})
 
 
-def _contributions(parts: Mapping[str, float | None]) -> Picture | None:
+def _draw_contributions(parts: Mapping[str, float | None]) -> Picture | None:
     """Draw the contributions of the features."""
     known = {name: part for name, part in parts.items() if part is not None}
     if not known:
@@ -162,16 +162,16 @@ def _contributions(parts: Mapping[str, float | None]) -> Picture | None:
     total = sum(known.values()) or 1.0
     names = sorted(known, key=lambda name: known[name])
     with mpl.rc_context(RULES):
-        figure, axis = _figure(1.0)
+        figure, axis = _create_figure(1.0)
         axis.barh(np.arange(len(names)), [100.0 * known[name] / total for name in names], color=BLUE)
         axis.set_yticks(np.arange(len(names)), [FEATURES.get(name, name.replace("_", " ")) for name in names])
         axis.set_xlabel("share (%)")
-        svg = svg_of(figure, "contributions")
+        svg = render_svg(figure, "contributions")
     description = "What each feature contributes to what was compared with the limit."
     return Picture(description=description, svg=svg)
 
 
-def _figure(panels: float) -> tuple[Figure, Axes]:
+def _create_figure(panels: float) -> tuple[Figure, Axes]:
     """Create a figure with one axis."""
     figure = Figure(figsize=(WIDTH_IN, 0.35 + PANEL_IN * panels), layout="constrained")
     return figure, figure.subplots()

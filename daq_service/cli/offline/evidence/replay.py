@@ -9,13 +9,13 @@ from pathlib import Path
 
 from daq_service.cli.terminal import print_progress_of_sets
 from daq_service.errors import UsageError
-from daq_service.processes.executors import checked_name, usable_cores
+from daq_service.processes.executors import check_executor_name, count_usable_cores
 from daq_service.processes.printing import print_result
 from daq_service.recording.reassessment.changes import (
     Difference,
     Onset,
 )
-from daq_service.recording.reassessment.replay import Replayed, replayed
+from daq_service.recording.reassessment.replay import Replayed, replay_test
 
 PROCESS_EVENTS = ("row", "cause", "outlier", "mewma_alarm")
 """Columns that are listed first: the result of a set, before its numbers."""
@@ -35,12 +35,12 @@ def run_replay(
         raise UsageError("--executor and --workers do the work of --extract; give it, or leave them out")
     by = None
     if extract:
-        by = checked_name(executor or "threads", workers), workers or usable_cores()
-    found = replayed(data_dir, given, extract_by=by, progress=print_progress_of_sets)
-    print_result(asdict(found), in_words(found), as_json=as_json)
+        by = check_executor_name(executor or "threads", workers), workers or count_usable_cores()
+    found = replay_test(data_dir, given, extract_by=by, progress=print_progress_of_sets)
+    print_result(asdict(found), describe_replay(found), as_json=as_json)
 
 
-def in_words(found: Replayed) -> Iterable[str]:
+def describe_replay(found: Replayed) -> Iterable[str]:
     """Yield the lines of the result."""
     source = "from the waveforms" if found.extracted else "as stored"
     settings_text = ", ".join(f"{key} = {json.dumps(value)}" for key, value in found.changed.items())
@@ -50,23 +50,23 @@ def in_words(found: Replayed) -> Iterable[str]:
     for one in alarms.moved:
         by_h = one.again.hour - one.stored.hour
         yield (
-            f"moves  {one.stored.position} {one.stored.kind}: {_where(one.stored)} -> {_where(one.again)}, "
+            f"moves  {one.stored.position} {one.stored.kind}: {_format_onset(one.stored)} -> {_format_onset(one.again)}, "
             f"{abs(by_h):.2f} h {'later' if by_h > 0.0 else 'earlier'}"
         )
     for change, onsets_of_change in (("comes", alarms.come), ("goes", alarms.go), ("stays", alarms.kept)):
         for onset in onsets_of_change:
-            yield f"{change:<6} {onset.position} {onset.kind}: {_where(onset)}"
+            yield f"{change:<6} {onset.position} {onset.kind}: {_format_onset(onset)}"
     for row in found.differences:
         if row.table == "baseline" and isinstance(row.stored, int | float | None):
-            yield f"baseline {row.position}: {row.column} {_short(row.stored)} -> {_short(row.again)}"
-    yield from _of_sets(found.differences)
+            yield f"baseline {row.position}: {row.column} {_format_significant(row.stored)} -> {_format_significant(row.again)}"
+    yield from _count_differing_sets(found.differences)
     for position in found.not_assessed:
         yield position.description
     if not (alarms.moved or alarms.come or alarms.go or found.differences):
         yield "nothing changes: every alarm, limit and verdict is what is stored"
 
 
-def _of_sets(found: Iterable[Difference]) -> Iterable[str]:
+def _count_differing_sets(found: Iterable[Difference]) -> Iterable[str]:
     """Yield the number of differing sets per column, one line per position; `--json` has the values.
 
     A column of named values is represented by the name that differs in most sets.
@@ -89,11 +89,11 @@ def _of_sets(found: Iterable[Difference]) -> Iterable[str]:
         yield f"{table} {position}: {'; '.join(parts)}"
 
 
-def _where(onset: Onset) -> str:
+def _format_onset(onset: Onset) -> str:
     """Return the set and the hour of an onset."""
     return f"set {onset.set_index}, hour {onset.hour:.2f}"
 
 
-def _short(value: float | None) -> str:
+def _format_significant(value: float | None) -> str:
     """Format a value with six significant digits."""
     return "none" if value is None else f"{value:.6g}"

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from analysis.assessment.baseline_quality import ALIKE, assess_baseline
-from analysis.assessment.step import Rules, SetOfShots, State, enabled, step
+from analysis.assessment.step import Rules, SetOfShots, State, assess_next_set, clear_faults
 from analysis.statistics.limits import f_predictive_limit, paper_limit
 from analysis.statistics.named_limits import LIMITS, NamedLimit
 from analysis.statistics.rules import AlarmRule, HoleRule
@@ -53,7 +53,7 @@ def states(sets, rules=RULES, state=None):
     found = []
     state = state or State()
     for item in sets:
-        state, assessment = step(state, item, rules)
+        state, assessment = assess_next_set(state, item, rules)
         found.append((state, assessment))
     return found
 
@@ -162,7 +162,7 @@ def test_a_command_resets_only_the_reason_of_the_disabled_transducer():
     )[0]
     assert state.hole.hole
     assert state.poor_sets == 3
-    again = enabled(state)
+    again = clear_faults(state)
     assert (again.hole.hole, again.hole.sets_running, again.poor_sets) == (False, 0, 0)
     assert (again.baseline, again.alarm) == (state.baseline, state.alarm)
 
@@ -171,7 +171,7 @@ def test_a_restart_with_the_same_sets_has_the_same_state():
     sets = [*baseline(), *(set_summary(LAST + 1 + k, shift=0.03 * k) for k in range(8))]
     live = states(sets)
     for cut in (0, 5, LAST, LAST + 1, len(sets) - 1):
-        fed = reduce(lambda state, one: step(state, one, RULES)[0], sets[:cut], State())
+        fed = reduce(lambda state, one: assess_next_set(state, one, RULES)[0], sets[:cut], State())
         for (expected, assessment), (found, again) in zip(
             live[cut:], states(sets[cut:], state=fed), strict=True
         ):
@@ -234,5 +234,5 @@ def test_a_feature_that_is_the_same_in_most_of_a_baseline_stops_no_recorder():
     quality = assess_baseline(state, RULES)
     assert (quality["named"], quality["n"]) == ([], LAST + 1)
     assert quality["advice"].endswith(f"; {ALIKE}")
-    state, assessment = step(state, set_summary(LAST + 1, shift=1.0), RULES)
+    state, assessment = assess_next_set(state, set_summary(LAST + 1, shift=1.0), RULES)
     assert assessment.outlier

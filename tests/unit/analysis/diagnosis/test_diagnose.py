@@ -10,11 +10,11 @@ from analysis.diagnosis.diagnose import (
     STATED,
     UNDETERMINED,
     WALL_STATED,
-    diagnosis_of,
-    state_with_diagnosis,
+    diagnose_latest_set,
+    update_state,
 )
 from analysis.diagnosis.hypotheses import COUPLING, OK, SENSOR, WALL
-from analysis.diagnosis.parameters import DiagnosisParameters, diagnosis_parameters, logs_of
+from analysis.diagnosis.parameters import DiagnosisParameters, compute_diagnosis_parameters, log_features
 from analysis.diagnosis.slopes import (
     COMPONENTS,
     DAMPING,
@@ -29,8 +29,8 @@ from analysis.diagnosis.state import (
     MOST_AVERAGED,
     SETTLING,
     DiagnosisState,
-    covariance_of_averages,
-    weights,
+    compute_average_weights,
+    compute_covariance_of_averages,
     with_confirmation,
     with_set,
 )
@@ -67,14 +67,14 @@ def diagnoses(change, seed=1, confirmation=None):
     """Yield the diagnosis of every fifth set after the baseline; a confirmation follows their 30th."""
     logs = healthy(seed)
     logs[BASELINE:] += change
-    design = diagnosis_parameters(logs[:BASELINE])
+    design = compute_diagnosis_parameters(logs[:BASELINE])
     memory = DiagnosisState()
     for index in range(BASELINE, BASELINE + AFTER):
         memory = with_set(memory, design.mean, logs[index], index)
         if confirmation is not None and index == BASELINE + 30:
             memory = with_confirmation(memory, design.mean, logs[0] + confirmation)
-        assessment = diagnosis_of(memory, design)
-        memory = state_with_diagnosis(memory, assessment)
+        assessment = diagnose_latest_set(memory, design)
+        memory = update_state(memory, assessment)
         if index % EVERY == 0:
             yield assessment
 
@@ -122,17 +122,17 @@ def test_a_change_along_the_wall_s_own_curve_is_no_wall_where_it_comes_at_once(d
 
 def test_an_alarm_that_no_cause_explains_is_undetermined():
     logs = healthy(3)
-    design = diagnosis_parameters(logs[:BASELINE])
+    design = compute_diagnosis_parameters(logs[:BASELINE])
     memory = with_set(DiagnosisState(), design.mean, logs[BASELINE], BASELINE)
-    assert diagnosis_of(memory, design).cause == OK
-    diagnosis = diagnosis_of(memory, design, suspicious=True)
+    assert diagnose_latest_set(memory, design).cause == OK
+    diagnosis = diagnose_latest_set(memory, design, suspicious=True)
     assert (diagnosis.cause, diagnosis.probability) == (UNDETERMINED, diagnosis.probabilities[OK])
     assert sum(diagnosis.probabilities.values()) == pytest.approx(1.0)
 
 
 def test_the_diagnosis_state_survives_a_restart_as_json():
     logs = healthy(4) + 0.002
-    design = diagnosis_parameters(logs[:BASELINE])
+    design = compute_diagnosis_parameters(logs[:BASELINE])
     memory = DiagnosisState()
     for index in range(BASELINE, BASELINE + 20):
         stored = json.loads(json.dumps(asdict(memory)))
@@ -147,19 +147,19 @@ def test_the_diagnosis_state_survives_a_restart_as_json():
 
 def test_a_set_without_a_feature_has_no_logarithms_and_a_wrong_history_is_reported():
     values = dict.fromkeys(COMPONENTS, 2.0)
-    assert logs_of(values) == pytest.approx(np.log(np.full(7, 2.0)))
-    assert logs_of(values | {"isw_fwhm_s": None}) is None
-    assert logs_of(values | {"psw_area_v_s": -1.0}) is None
+    assert log_features(values) == pytest.approx(np.log(np.full(7, 2.0)))
+    assert log_features(values | {"isw_fwhm_s": None}) is None
+    assert log_features(values | {"psw_area_v_s": -1.0}) is None
     with pytest.raises(InvalidInputError, match=r"shape \(200, 5\)"):
-        diagnosis_parameters(healthy(1)[:200, :5])
+        compute_diagnosis_parameters(healthy(1)[:200, :5])
 
 
 def test_few_sets_give_parameters_that_show_a_small_change_less():
-    few, many = (diagnosis_parameters(healthy(6)[:n]) for n in (24, 200))
+    few, many = (compute_diagnosis_parameters(healthy(6)[:n]) for n in (24, 200))
     assert isinstance(few, DiagnosisParameters)
     change = tuple(tuple(row) for row in np.tile(0.5 * np.array(WALL_B[0]), (3, 1)))
     diagnoses_of_both = [
-        diagnosis_of(DiagnosisState(n=60, index=300, changes=change), one) for one in (few, many)
+        diagnose_latest_set(DiagnosisState(n=60, index=300, changes=change), one) for one in (few, many)
     ]
     assert diagnoses_of_both[0].probabilities[OK] > 0.9 > 0.5 > diagnoses_of_both[1].probabilities[OK]
 
@@ -169,8 +169,10 @@ def test_a_slow_drift_decays_with_the_scheduled_sets_wherever_the_baseline_start
     change = tuple(tuple(row) for row in np.tile(0.5 * np.array(WALL_B[0]), (3, 1)))
 
     def ok(first_index, index):
-        design = diagnosis_parameters(history, first_index)
-        return diagnosis_of(DiagnosisState(n=60, index=index, changes=change), design).probabilities[OK]
+        design = compute_diagnosis_parameters(history, first_index)
+        return diagnose_latest_set(DiagnosisState(n=60, index=index, changes=change), design).probabilities[
+            OK
+        ]
 
     assert ok(0, BASELINE + 59) == ok(700, 700 + BASELINE + 59)
     # Long after the baseline the same change is more often a wander's.
@@ -180,51 +182,53 @@ def test_a_slow_drift_decays_with_the_scheduled_sets_wherever_the_baseline_start
 def test_a_wall_is_diagnosed_by_two_consecutive_sets_including_a_confirmation():
     logs = healthy(2)
     logs[BASELINE:] += wall(0.4)
-    design = diagnosis_parameters(logs[:BASELINE])
+    design = compute_diagnosis_parameters(logs[:BASELINE])
     memory = DiagnosisState()
     for index in range(BASELINE, BASELINE + AFTER):
         memory = with_set(memory, design.mean, logs[index], index)
-        assessment = diagnosis_of(memory, design)
+        assessment = diagnose_latest_set(memory, design)
         if assessment.probabilities[WALL] >= WALL_STATED:
             break
-        memory = state_with_diagnosis(memory, assessment)
+        memory = update_state(memory, assessment)
     assert assessment.cause == UNDETERMINED
-    memory = state_with_diagnosis(memory, assessment)
+    memory = update_state(memory, assessment)
     following = with_set(memory, design.mean, logs[index + 1], index + 1)
-    assert diagnosis_of(following, design).cause == WALL
+    assert diagnose_latest_set(following, design).cause == WALL
     confirmation_change = with_confirmation(memory, design.mean, logs[index + 1])
-    assert diagnosis_of(confirmation_change, design).cause == WALL
-    healthy_again = state_with_diagnosis(memory, diagnosis_of(DiagnosisState(), design))
+    assert diagnose_latest_set(confirmation_change, design).cause == WALL
+    healthy_again = update_state(memory, diagnose_latest_set(DiagnosisState(), design))
     assert not healthy_again.likely
 
 
 def test_a_first_wall_diagnosis_needs_a_higher_probability():
-    design = diagnosis_parameters(healthy(2)[:BASELINE])
+    design = compute_diagnosis_parameters(healthy(2)[:BASELINE])
     course = np.array([[1.0], [0.95], [0.6]]) * wall(0.3)[-1]  # it grows: the longest average is behind
     last = BASELINE + AFTER - 1
     looked = [
         DiagnosisState(n=AFTER, index=last, changes=tuple(map(tuple, (part * course).tolist())), likely=True)
         for part in np.linspace(0.04, 0.06, 200)
     ]
-    between = [one for one in looked if STATED < diagnosis_of(one, design).probabilities[WALL] < WALL_STATED]
+    between = [
+        one for one in looked if STATED < diagnose_latest_set(one, design).probabilities[WALL] < WALL_STATED
+    ]
     assert between
-    assert {diagnosis_of(one, design).cause for one in between} == {UNDETERMINED}
-    assert {diagnosis_of(replace(one, wall=True), design).cause for one in between} == {WALL}
-    assert not any(state_with_diagnosis(one, diagnosis_of(one, design)).likely for one in between)
+    assert {diagnose_latest_set(one, design).cause for one in between} == {UNDETERMINED}
+    assert {diagnose_latest_set(replace(one, wall=True), design).cause for one in between} == {WALL}
+    assert not any(update_state(one, diagnose_latest_set(one, design)).likely for one in between)
 
 
 def test_a_wall_diagnosis_is_withdrawn_only_by_healthy_sets():
     logs = healthy(2)
-    design = diagnosis_parameters(logs[:BASELINE])
+    design = compute_diagnosis_parameters(logs[:BASELINE])
     memory = DiagnosisState(wall=True)
     for index in range(BASELINE, BASELINE + 60):
         sick = logs[index] + (index - BASELINE) * -0.01 * np.array(GAIN)
         memory = with_set(memory, design.mean, sick, index)
-    diagnosis = diagnosis_of(memory, design)
+    diagnosis = diagnose_latest_set(memory, design)
     assert diagnosis.probabilities[SENSOR] > 0.9
     assert diagnosis.cause == UNDETERMINED
-    assert state_with_diagnosis(memory, diagnosis).wall
-    assert not state_with_diagnosis(memory, diagnosis_of(DiagnosisState(), design)).wall
+    assert update_state(memory, diagnosis).wall
+    assert not update_state(memory, diagnose_latest_set(DiagnosisState(), design)).wall
 
 
 def test_a_wall_is_diagnosed_after_a_re_seat_and_a_return_is_healthy():
@@ -249,16 +253,16 @@ def test_the_new_contact_level_is_estimated_from_the_following_sets():
 def test_growth_during_a_gap_is_not_a_step():
     logs = healthy(7)
     logs[BASELINE:] += wall(0.4)
-    design = diagnosis_parameters(logs[:BASELINE])
+    design = compute_diagnosis_parameters(logs[:BASELINE])
     memory = DiagnosisState()
     for index in (*range(BASELINE, BASELINE + 5), *range(BASELINE + 110, BASELINE + 114)):
         memory = with_set(memory, design.mean, logs[index], index)
-        assessment = diagnosis_of(memory, design)
-        memory = state_with_diagnosis(memory, assessment)
+        assessment = diagnose_latest_set(memory, design)
+        memory = update_state(memory, assessment)
     assert (memory.gap, memory.gap_ago) == (105, 4)
     assert assessment.cause == WALL
     # Had the plan been without a gap, it would have come at once.
-    assert diagnosis_of(replace(memory, gap=0, gap_ago=0), design).abrupt > 0.9
+    assert diagnose_latest_set(replace(memory, gap=0, gap_ago=0), design).abrupt > 0.9
 
 
 def test_a_gap_is_forgotten_with_the_sets_before_it_and_the_wider_of_two_is_kept():
@@ -275,8 +279,8 @@ def test_a_gap_is_forgotten_with_the_sets_before_it_and_the_wider_of_two_is_kept
 def test_averages_scatter_as_autocorrelated_sets_do(phi):
     n, confirmation_ago = 40, 3
     sets = phi ** np.abs(np.subtract.outer(np.arange(n), np.arange(n)))
-    found = covariance_of_averages(n, phi, confirmation_ago)
-    assert found[:3, :3] == pytest.approx(weights(n) @ sets @ weights(n).T)
+    found = compute_covariance_of_averages(n, phi, confirmation_ago)
+    assert found[:3, :3] == pytest.approx(compute_average_weights(n) @ sets @ compute_average_weights(n).T)
     # The unscheduled set is no copy of the scheduled one that it follows.
     confirmation_change = sets[confirmation_ago] - (1.0 - phi) * (np.arange(n) == confirmation_ago)
-    assert found[3] == pytest.approx([*(weights(n) @ confirmation_change), 1.0])
+    assert found[3] == pytest.approx([*(compute_average_weights(n) @ confirmation_change), 1.0])

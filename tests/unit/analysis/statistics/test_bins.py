@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from analysis.statistics.bins import bins_of_sets, joined_bins
+from analysis.statistics.bins import join_bins, make_bins
 
 NAN = float("nan")
 
@@ -21,11 +21,11 @@ def bins(**changed):
         "in_baseline": [True, False, False, False, False, False],
         "n_alarms": [0, 0, 1, 2, 0, 0],
     }
-    return bins_of_sets(**{**columns, **changed})
+    return make_bins(**{**columns, **changed})
 
 
 def test_a_bin_summarizes_its_sets():
-    first, last = joined_bins(bins(), [0, 4])
+    first, last = join_bins(bins(), [0, 4])
     assert (first["first_set"], first["last_set"], first["first_h"], first["last_h"]) == (0, 3, 0.5, 2.0)
     assert (last["first_set"], last["last_set"]) == (4, 7)
     assert first["count"].tolist() == [3, 2]
@@ -41,7 +41,7 @@ def test_a_bin_summarizes_its_sets():
 
 
 def test_bins_without_values_stay_empty():
-    (joined,) = joined_bins(bins(values=[[NAN, NAN]] * 6, quality=[None] * 6), [0])
+    (joined,) = join_bins(bins(values=[[NAN, NAN]] * 6, quality=[None] * 6), [0])
     assert joined["count"].tolist() == [0, 0]
     assert (joined["minimum"] == np.inf).all()
     assert (joined["maximum"] == -np.inf).all()
@@ -51,7 +51,7 @@ def test_bins_without_values_stay_empty():
 @pytest.mark.parametrize("starts", [[0, 1, 2, 3, 4, 5], [0, 2, 4], [0, 4]])
 def test_bins_of_bins_are_bins_of_sets(starts):
     """An outlier is visible at each level."""
-    whole = joined_bins(bins(), [0])
-    assert joined_bins(joined_bins(bins(), starts), [0]).tobytes() == whole.tobytes()
+    whole = join_bins(bins(), [0])
+    assert join_bins(join_bins(bins(), starts), [0]).tobytes() == whole.tobytes()
     assert whole[0]["n_outliers"] == 2
-    assert joined_bins(bins()[:0], []).size == 0
+    assert join_bins(bins()[:0], []).size == 0

@@ -23,7 +23,7 @@ from analysis.statistics.fleet import (
     typical_tails,
 )
 from analysis.statistics.mewma import averages, estimated_limit
-from analysis.statistics.sequence import assess
+from analysis.statistics.sequence import assess_sequence
 
 P = 5
 NAMES = list("abcde")
@@ -119,7 +119,7 @@ def test_the_continuous_chart_equals_the_chart_until_its_first_alarm():
     random = np.random.default_rng(6)
     x = random.standard_normal((260, P))
     x[230:] += 5.0
-    found = assess(x, np.arange(260) < 200, NAMES, Budget())
+    found = assess_sequence(x, np.arange(260) < 200, NAMES, Budget())
     first = found.onsets[0]
     assert np.array_equal(found.unbroken[: first + 1], found.chart[: first + 1], equal_nan=True)
     assert found.unbroken[-1] > found.chart_limit > found.chart[first + 1]

@@ -11,13 +11,13 @@ from analysis.statistics.design import Budget, design_of, next_alarm, next_chart
 from analysis.statistics.directions import directions_of
 from analysis.statistics.distance import distance_squared
 from analysis.statistics.heavy_tails import left_out_distances
-from analysis.statistics.sequence import assess
+from analysis.statistics.sequence import assess_sequence
 
 NAMES = list("abcde")
 
 
 def assessment_of(x, n, **options):
-    return assess(x, np.arange(len(x)) < n, NAMES[: x.shape[1]], **options)
+    return assess_sequence(x, np.arange(len(x)) < n, NAMES[: x.shape[1]], **options)
 
 
 def test_distances_and_limits_are_those_of_the_baseline_alone():
@@ -70,7 +70,7 @@ def test_a_value_too_large_to_be_squared_is_far_off_and_no_alarm():
 @pytest.mark.parametrize(("p", "n"), [(1, 20), (1, 200), (18, 20), (120, 150)])
 def test_one_feature_and_nearly_as_many_features_as_sets_are_assessed(p, n):
     x = np.random.default_rng(26).standard_normal((n + 30, p))
-    found = assess(x, np.arange(n + 30) < n, list(map(str, range(p))))
+    found = assess_sequence(x, np.arange(n + 30) < n, list(map(str, range(p))))
     assert found.refused is None
     assert found.limits["mewma_textbook"] > found.limits["mewma_known"] > 0.0
     assert np.isfinite(found.chart[n:]).all()
@@ -155,21 +155,21 @@ def test_a_constant_feature_is_dropped_and_a_nearly_constant_one_is_not():
     x = np.column_stack([healthy("independent", 60, np.random.default_rng(7)), np.full((60, 2), 5.0)])
     x[:, 6] += 1e-7 * np.random.default_rng(8).standard_normal(60)
     names = [*NAMES, "constant", "steady"]
-    found = assess(x, np.arange(60) < 30, names)
+    found = assess_sequence(x, np.arange(60) < 30, names)
     assert found.features_dropped == ("constant",)
     assert found.distances_squared.shape == (60,)
 
 
 def test_a_feature_that_is_a_straight_line_is_named_as_a_trend():
     x = np.column_stack([healthy("independent", 100, np.random.default_rng(9)), np.arange(100.0)])
-    found = assess(x, np.arange(100) < 40, [*NAMES, "hour"])
+    found = assess_sequence(x, np.arange(100) < 40, [*NAMES, "hour"])
     assert "trend" in {one.kind for one in found.named}
 
 
 def test_sets_after_a_baseline_in_the_middle_are_assessed():
     x = healthy("independent", 200, np.random.default_rng(10))
     healthy_rows = (np.arange(200) >= 20) & (np.arange(200) < 80) & (np.arange(200) != 50)
-    found = assess(x, healthy_rows, NAMES)
+    found = assess_sequence(x, healthy_rows, NAMES)
     assert found.n == 59
     assert np.isfinite(found.distances_squared).all()
     assert np.isnan(found.chart[:80]).all()

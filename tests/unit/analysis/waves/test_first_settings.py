@@ -6,7 +6,7 @@ from support.synthetic_records import cos4, waveform_of
 
 from analysis.waves.coil_spike import HOLDOFF_PART
 from analysis.waves.features import extract_features
-from analysis.waves.first_settings import HEADROOM, StruckTransducer, propose_settings, shot_within
+from analysis.waves.first_settings import HEADROOM, StruckTransducer, cut_triggered_record, propose_settings
 
 RATE_HZ = 2e6
 PULSE_S, FALL_S, PRETRIGGER_S = 20e-3, 31.9e-3, 0.1e-3
@@ -113,12 +113,14 @@ def test_the_shot_that_would_have_been_recorded_has_its_features():
     one = struck(off_v=3.0, decay_s=0.3e-3)
     found = proposed(B=one)
     samples = {"pretrigger_samples": round(found.pretrigger_s * RATE_HZ), "samples": 2720}
-    shot = shot_within(
+    shot = cut_triggered_record(
         one.strike, after_s=PULSE_S + found.holdoff_s, level_v=found.trigger_level_v, rising=True, **samples
     )
     features = extract_features(shot)
     assert "false_trigger" not in features.flags
     assert features.tof_pp_s == pytest.approx(0.33e-3, abs=0.5e-6)
-    early = shot_within(one.strike, after_s=0.0, level_v=found.trigger_level_v, rising=True, **samples)
+    early = cut_triggered_record(
+        one.strike, after_s=0.0, level_v=found.trigger_level_v, rising=True, **samples
+    )
     assert "false_trigger" in extract_features(early).flags, "without the holdoff the spike takes it"
-    assert shot_within(one.strike, after_s=0.0, level_v=9.0, rising=True, **samples) is None
+    assert cut_triggered_record(one.strike, after_s=0.0, level_v=9.0, rising=True, **samples) is None

@@ -10,7 +10,7 @@ from analysis.waves.quality_gate import (
     SUPERSEDED,
     Attempt,
     RestrikeRule,
-    outcomes,
+    decide_outcomes,
 )
 
 
@@ -67,15 +67,15 @@ def attempt(shot_index, number, quality):
     ],
 )
 def test_the_better_attempt_counts_and_of_equals_the_last(first, second, expected):
-    assert outcomes([attempt(3, 0, first), attempt(3, 1, second)]) == expected
+    assert decide_outcomes([attempt(3, 0, first), attempt(3, 1, second)]) == expected
 
 
 def test_every_shot_has_exactly_one_accepted_record():
     records = [attempt(0, 0, "good"), attempt(1, 0, "bad"), attempt(1, 1, "good"), attempt(2, 1, "suspect")]
-    assert outcomes(records) == [ACCEPTED, SUPERSEDED, ACCEPTED, ACCEPTED]
-    assert outcomes([]) == []
+    assert decide_outcomes(records) == [ACCEPTED, SUPERSEDED, ACCEPTED, ACCEPTED]
+    assert decide_outcomes([]) == []
 
 
 def test_an_unknown_quality_is_refused():
     with pytest.raises(InvalidInputError, match="splendid"):
-        outcomes([attempt(0, 0, "splendid")])
+        decide_outcomes([attempt(0, 0, "splendid")])

@@ -10,7 +10,7 @@ from support.archived_sets import SET_INDEX, make_echo, make_set, make_shot
 from analysis.waves.features import ShotFeatures
 from analysis.waves.quality_gate import RestrikeRule
 from daq_service.acquisition import shot_features
-from daq_service.acquisition.shot_features import analysed, features_of
+from daq_service.acquisition.shot_features import extract_record_features, extract_shot_features
 from daq_service.recording.acquire_set import TakenSet
 from hardware_drivers.errors import BusyError, ConnectionLostError
 from hardware_drivers.instruments import Acquired
@@ -57,10 +57,10 @@ def test_a_repeated_shot_is_one_shot():
 
 def test_a_repetition_counts_only_for_its_transducer():
     taken = taken_set(budget=1)
-    assert taken.wants_restrike(missed("B", 0))
-    assert not taken.wants_restrike(missed("B", 1)), "the budget is used up"
-    assert taken.wants_restrike(missed("C", 0))
-    assert not taken.wants_restrike(missed("C", 0, attempt=1))
+    assert taken.requires_restrike(missed("B", 0))
+    assert not taken.requires_restrike(missed("B", 1)), "the budget is used up"
+    assert taken.requires_restrike(missed("C", 0))
+    assert not taken.requires_restrike(missed("C", 0, attempt=1))
     assert taken.restrikes == {"B": 1, "C": 1}
 
 
@@ -69,7 +69,7 @@ def test_a_restrike_is_requested_according_to_the_quality_flags(features, wanted
     shot = make_shot("B", 0, 1)
     taken = taken_set(shot)
     taken.features[1] = features
-    assert taken.wants_restrike(shot) is wanted
+    assert taken.requires_restrike(shot) is wanted
 
 
 def test_a_failed_analysis_flags_only_its_shot(monkeypatch):
@@ -77,39 +77,42 @@ def test_a_failed_analysis_flags_only_its_shot(monkeypatch):
         raise ZeroDivisionError("a fault of the analysis")
 
     monkeypatch.setattr(shot_features, "extract_features", fails)
-    found = shot_features.features_of(make_shot("B", 0, 1))
+    found = shot_features.extract_shot_features(make_shot("B", 0, 1))
     assert (found.flags, found.valid, found.quality) == (("not_analysed",), False, "bad")
 
 
 def test_a_complete_position_has_no_shortfall():
     taken = taken_set(missed("B", 0), make_shot("B", 0, 1, attempt=1), make_shot("B", 1, 2))
-    assert taken.shortfall("B", 2, STOPPED) == ""
+    assert taken.find_shortfall("B", 2, STOPPED) == ""
 
 
 def test_a_shortfall_names_what_ended_the_set_and_what_was_missed():
     lost = ConnectionLostError("board 01A2 is gone")
     silence = [missed("B", 0), missed("B", 0, 1), missed("B", 1)]
-    assert taken_set(*silence).shortfall("B", 2, STOPPED) == "3 missed: no trigger within 5 s"
-    assert taken_set(make_shot("B", 0, 1)).shortfall("B", 2, STOPPED) == STOPPED
+    assert taken_set(*silence).find_shortfall("B", 2, STOPPED) == "3 missed: no trigger within 5 s"
+    assert taken_set(make_shot("B", 0, 1)).find_shortfall("B", 2, STOPPED) == STOPPED
     assert (
-        taken_set(missed("B", 0)).shortfall("B", 2, STOPPED) == f"{STOPPED}; 1 missed: no trigger within 5 s"
+        taken_set(missed("B", 0)).find_shortfall("B", 2, STOPPED)
+        == f"{STOPPED}; 1 missed: no trigger within 5 s"
     )
     cut = taken_set(missed("B", 0), trouble=lost)
-    assert cut.shortfall("B", 2, STOPPED) == "board 01A2 is gone; 1 missed: no trigger within 5 s"
+    assert cut.find_shortfall("B", 2, STOPPED) == "board 01A2 is gone; 1 missed: no trigger within 5 s"
     # All its strikes were made before the error.
-    assert taken_set(*silence, trouble=lost).shortfall("B", 2, STOPPED) == "3 missed: no trigger within 5 s"
-    assert taken_set(*silence, trouble=lost).shortfall("C", 2, STOPPED) == "board 01A2 is gone"
+    assert (
+        taken_set(*silence, trouble=lost).find_shortfall("B", 2, STOPPED) == "3 missed: no trigger within 5 s"
+    )
+    assert taken_set(*silence, trouble=lost).find_shortfall("C", 2, STOPPED) == "board 01A2 is gone"
 
 
 def test_a_shortfall_does_not_repeat_the_error_message():
     lost = ConnectionLostError("board 01A2 is gone")
     taken = taken_set(missed("B", 0, cause=str(lost)), trouble=lost)
-    assert taken.shortfall("B", 2, STOPPED) == "board 01A2 is gone"
+    assert taken.find_shortfall("B", 2, STOPPED) == "board 01A2 is gone"
 
 
 def test_an_instrument_error_has_its_class_name():
-    assert taken_set().instrument_error() == ""
-    assert taken_set(trouble=BusyError("owned by LabVIEW: slot 3")).instrument_error() == (
+    assert taken_set().format_error() == ""
+    assert taken_set(trouble=BusyError("owned by LabVIEW: slot 3")).format_error() == (
         "BusyError: owned by LabVIEW: slot 3"
     )
 
@@ -124,7 +127,7 @@ def test_outcomes_are_listed_by_position():
     ]
     taken = taken_set(*shots)
     taken.features.update({1: CLIPPED, 2: GOOD, 3: CLIPPED, 4: GOOD, 5: CLIPPED})
-    assert taken.superseded() == {1: "superseded", 5: "superseded"}
+    assert taken.find_superseded_shots() == {1: "superseded", 5: "superseded"}
 
 
 def test_a_stored_set_counts_strikes_misses_and_repetitions():
@@ -136,12 +139,14 @@ def test_a_stored_set_counts_strikes_misses_and_repetitions():
 
 def test_records_of_a_worker_bring_the_features_that_the_recorder_would_extract(monkeypatch):
     shots = [make_shot("B", index, index) for index in range(3)]
-    own = [features_of(shot) for shot in shots]
+    own = [extract_shot_features(shot) for shot in shots]
     acquired = [None, *(Acquired(waveform=shot.waveform) for shot in shots)]
-    missing, *found = pickle.loads(pickle.dumps(analysed(acquired)))
+    missing, *found = pickle.loads(pickle.dumps(extract_record_features(acquired)))
     monkeypatch.setattr("daq_service.acquisition.shot_features.extract_features", None)
     assert missing is None
-    assert [features_of(replace(s, waveform=a.waveform)) for s, a in zip(shots, found, strict=True)] == own
+    assert [
+        extract_shot_features(replace(s, waveform=a.waveform)) for s, a in zip(shots, found, strict=True)
+    ] == own
     for shot, one in zip(shots, found, strict=True):
         np.testing.assert_array_equal(one.waveform.counts, shot.waveform.counts)
 
@@ -154,4 +159,4 @@ def test_records_that_cannot_be_analysed_together_come_without_features():
         calibration=make_shot("B", 0, 1).waveform.calibration,
     )
     acquired = [Acquired(waveform=short), Acquired(waveform=make_shot("B", 0, 1).waveform)]
-    assert analysed(acquired) == acquired
+    assert extract_record_features(acquired) == acquired

@@ -9,8 +9,8 @@ from support.invented_rows import condition
 
 from daq_service.alarms.delays import apply_delays
 from daq_service.alarms.guidance import GUIDANCE
-from daq_service.alarms.operator_actions import acknowledge
-from daq_service.alarms.states import Moment, update
+from daq_service.alarms.operator_actions import acknowledge_alarm
+from daq_service.alarms.states import Moment, update_alarm
 from daq_service.settings.alarm_delays import DEAD_BAND_KINDS, LONGEST_DELAY_S, AlarmKindSettings
 from hardware_drivers.nanoseconds import NS_PER_S
 
@@ -29,14 +29,14 @@ class Alarm:
     def update(self, at_s, present, times_limit=None):
         now = condition(present, times_limit=times_limit)
         now, self.since_ns = apply_delays(self.row, now, self.since_ns, moment(at_s), self.rule)
-        change = None if now is None else update(self.row, now, moment(at_s))
+        change = None if now is None else update_alarm(self.row, now, moment(at_s))
         if change is not None:
             self.row = replace(change.row, id=1)
             self.events.append((at_s, change.event_kind))
         return self
 
     def is_seen(self, at_s):
-        self.row = acknowledge(self.row, "ann", "", moment(at_s)).row
+        self.row = acknowledge_alarm(self.row, "ann", "", moment(at_s)).row
         return self
 
 
@@ -91,7 +91,7 @@ def test_without_a_rule_an_alarm_follows_its_condition_at_once(conditions):
     alarm, row, expected = Alarm(), None, []
     for at_s, (present, times_limit) in enumerate(conditions):
         alarm.update(at_s, present, times_limit)
-        change = update(row, condition(present), moment(at_s))
+        change = update_alarm(row, condition(present), moment(at_s))
         if change is not None:
             row = replace(change.row, id=1)
             expected.append((at_s, change.event_kind))

@@ -5,8 +5,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from support.invented_rows import condition
 
-from daq_service.alarms.operator_actions import acknowledge, reset
-from daq_service.alarms.states import Moment, disabled_positions, update
+from daq_service.alarms.operator_actions import acknowledge_alarm, reset_alarm
+from daq_service.alarms.states import Moment, find_disabled, update_alarm
 from daq_service.catalogue.rows import AlarmRow
 
 
@@ -16,7 +16,7 @@ def moment(set_index=0):
 
 def changed(row, present, at=0, **values):
     """Return the change that a condition makes, which must be one."""
-    change = update(row, condition(present, **values), moment(at))
+    change = update_alarm(row, condition(present, **values), moment(at))
     assert change is not None
     return change
 
@@ -34,14 +34,14 @@ def test_a_condition_raises_an_unacknowledged_alarm():
 
 
 def test_an_active_condition_causes_one_event():
-    assert update(raised(), condition(True), moment(1)) is None
+    assert update_alarm(raised(), condition(True), moment(1)) is None
 
 
 def test_a_cleared_alarm_waits_for_its_acknowledgement():
     change = changed(raised(), False, 4)
     assert change.row.state == "returned_unacknowledged"
     assert change.row.cleared_utc_ns == moment(4).utc_ns
-    seen = acknowledge(change.row, "ann", "looked at it", moment(5))
+    seen = acknowledge_alarm(change.row, "ann", "looked at it", moment(5))
     assert (seen.row.state, seen.row.acknowledged_by, seen.row.note) == ("normal", "ann", "looked at it")
 
 
@@ -57,38 +57,40 @@ def test_a_reactivated_alarm_needs_a_new_acknowledgement_and_has_the_present_mes
 def test_an_active_alarm_reports_its_diagnosis_once(state):
     row = replace(raised(evidence={"diagnosis": "undetermined"}), state=state, suppressed="shelved")
     named = condition(True, message="WALL (99 %)", known="wall", evidence={"diagnosis": "wall"})
-    change = update(row, named, moment(9))
+    change = update_alarm(row, named, moment(9))
     assert (change.event_kind, change.row.state) == ("alarm_priority_raised", "unacknowledged")
     assert (change.row.message, change.row.evidence["diagnosis"]) == ("WALL (99 %)", "wall")
     assert change.row.suppressed is None, "it was shelved for what was known then"
     # No second event, also if the diagnosis is undetermined for a while.
     for later in (named, condition(True), named):
-        assert update(change.row, later, moment(10)) is None
-    assert update(raised(known="wall"), named, moment(10)) is None, "it was known when it was raised"
+        assert update_alarm(change.row, later, moment(10)) is None
+    assert update_alarm(raised(known="wall"), named, moment(10)) is None, "it was known when it was raised"
 
 
 def test_a_hole_alarm_is_latched():
     assert (
-        update(raised(kind="no_reflection"), condition(False, kind="no_reflection", latched=True), moment(1))
+        update_alarm(
+            raised(kind="no_reflection"), condition(False, kind="no_reflection", latched=True), moment(1)
+        )
         is None
     )
 
 
 def test_a_priority_only_rises_and_needs_a_new_acknowledgement():
-    seen = acknowledge(raised(), "ann", "", moment(1)).row
-    assert update(seen, condition(True, priority="low"), moment(2)) is None
+    seen = acknowledge_alarm(raised(), "ann", "", moment(1)).row
+    assert update_alarm(seen, condition(True, priority="low"), moment(2)) is None
     worse = changed(seen, True, 2, priority="critical")
     assert (worse.row.priority, worse.row.state) == ("critical", "unacknowledged")
 
 
 def test_a_second_acknowledgement_is_rejected():
-    seen = acknowledge(raised(), "ann", "", moment(1)).row
+    seen = acknowledge_alarm(raised(), "ann", "", moment(1)).row
     with pytest.raises(ValueError, match="nothing to acknowledge"):
-        acknowledge(seen, "ann", "", moment(2))
+        acknowledge_alarm(seen, "ann", "", moment(2))
 
 
 def test_a_reset_ends_a_latched_alarm_and_stores_its_author():
-    change = reset(raised(kind="no_reflection"), "ann", "contact put right", moment(6))
+    change = reset_alarm(raised(kind="no_reflection"), "ann", "contact put right", moment(6))
     assert change.event_kind == "alarm_reset"
     row = change.row
     assert (row.id, row.state, row.cleared_utc_ns) == (7, "normal", moment(6).utc_ns)
@@ -99,24 +101,24 @@ def test_a_reset_ends_a_latched_alarm_and_stores_its_author():
 
 
 def test_a_reset_keeps_the_acknowledging_author_and_an_old_note():
-    seen = acknowledge(raised(kind="no_reflection"), "bob", "looked at it", moment(2)).row
-    row = reset(seen, "ann", "", moment(6)).row
+    seen = acknowledge_alarm(raised(kind="no_reflection"), "bob", "looked at it", moment(2)).row
+    row = reset_alarm(seen, "ann", "", moment(6)).row
     assert (row.acknowledged_by, row.acknowledged_utc_ns) == ("bob", moment(2).utc_ns)
     assert row.note == "looked at it"
-    assert reset(seen, "ann", "new coil", moment(6)).row.note == "new coil"
+    assert reset_alarm(seen, "ann", "new coil", moment(6)).row.note == "new coil"
 
 
 def test_an_alarm_that_has_ended_cannot_be_reset():
-    ended = reset(raised(kind="no_reflection"), "ann", "", moment(1)).row
+    ended = reset_alarm(raised(kind="no_reflection"), "ann", "", moment(1)).row
     with pytest.raises(ValueError, match="nothing to reset"):
-        reset(ended, "ann", "", moment(2))
+        reset_alarm(ended, "ann", "", moment(2))
 
 
 @given(st.lists(st.booleans(), min_size=1, max_size=30))
 def test_an_alarm_is_active_while_its_condition_is_present_or_unacknowledged(history):
     row: AlarmRow | None = None
     for index, present in enumerate(history):
-        change = update(row, condition(present), moment(index))
+        change = update_alarm(row, condition(present), moment(index))
         row = row if change is None else replace(change.row, id=index)
     appeared = any(history)
     assert (row is not None and row.state != "normal") == appeared
@@ -146,4 +148,4 @@ HOLE, DISABLED = "no_reflection", "transducer_disabled"
 )
 def test_an_active_hole_or_disable_alarm_disables_a_transducer(alarms, disabled):
     expected = {position: f"{kind} at {position}" for position, kind in disabled.items()}
-    assert disabled_positions([active_alarm(*alarm) for alarm in alarms]) == expected
+    assert find_disabled([active_alarm(*alarm) for alarm in alarms]) == expected

@@ -6,14 +6,14 @@ import pytest
 from support.invented_rows import condition
 
 from daq_service.alarms.operator_actions import (
-    acknowledge,
+    acknowledge_alarm,
     end_expired_shelf,
     end_suppression,
+    remove_expired_shelf,
     shelve,
     take_out_of_service,
-    without_expired_shelf,
 )
-from daq_service.alarms.states import Moment, update
+from daq_service.alarms.states import Moment, update_alarm
 from hardware_drivers.nanoseconds import NS_PER_H
 
 WALL_NS = 10**18
@@ -24,7 +24,7 @@ def at(hour):
 
 
 def raised():
-    return replace(update(None, condition(priority="medium"), at(1.0)).row, id=1)
+    return replace(update_alarm(None, condition(priority="medium"), at(1.0)).row, id=1)
 
 
 def shelved(for_h=8.0):
@@ -48,7 +48,7 @@ def test_a_shelved_alarm_keeps_its_state_and_has_author_reason_and_end():
 )
 def test_a_shelf_ends_by_the_earlier_of_two_clocks(hour, wall_h, is_over):
     row, wall_ns = shelved(), WALL_NS + round(wall_h * NS_PER_H)
-    seen = without_expired_shelf(row, utc_ns=at(hour).utc_ns, wall_utc_ns=wall_ns)
+    seen = remove_expired_shelf(row, utc_ns=at(hour).utc_ns, wall_utc_ns=wall_ns)
     assert (seen.suppressed is None) == is_over
     change = end_expired_shelf(row, at(hour), wall_ns)
     assert (change is not None) == is_over
@@ -58,27 +58,27 @@ def test_a_shelf_ends_by_the_earlier_of_two_clocks(hour, wall_h, is_over):
 
 
 def test_a_shelf_also_holds_the_next_alarm_of_its_kind():
-    seen = acknowledge(shelved(), "ben", "", at(3.0)).row
-    over = update(seen, condition(False, priority="medium"), at(4.0))
+    seen = acknowledge_alarm(shelved(), "ben", "", at(3.0)).row
+    over = update_alarm(seen, condition(False, priority="medium"), at(4.0))
     assert (over.row.state, over.row.suppressed) == ("normal", "shelved")
-    again = update(over.row, condition(priority="medium"), at(5.0))
+    again = update_alarm(over.row, condition(priority="medium"), at(5.0))
     assert (again.row.id, again.row.suppressed) == (None, "shelved")
     assert again.row.shelved_until_utc_ns == 10 * NS_PER_H
 
 
 def test_a_raised_priority_ends_a_shelf_but_not_out_of_service():
     worse = condition(priority="high")
-    change = update(shelved(), worse, at(3.0))
+    change = update_alarm(shelved(), worse, at(3.0))
     assert (change.row.priority, change.row.suppressed) == ("high", None)
     out = take_out_of_service(raised(), "ann", "sensor is being repaired", at(2.0)).row
-    change = update(out, worse, at(3.0))
+    change = update_alarm(out, worse, at(3.0))
     assert (change.row.priority, change.row.suppressed) == ("high", "out_of_service")
 
 
 def test_out_of_service_is_ended_only_by_a_person():
     out = take_out_of_service(shelved(), "ben", "sensor is being repaired", at(3.0)).row
     assert (out.suppressed, out.shelved_until_utc_ns) == ("out_of_service", None)
-    assert without_expired_shelf(out, utc_ns=10**19, wall_utc_ns=10**19) is out
+    assert remove_expired_shelf(out, utc_ns=10**19, wall_utc_ns=10**19) is out
     back = end_suppression(out, "out_of_service", "cai", "new cable", at(4.0))
     assert (back.event_kind, back.row.suppressed) == ("alarm_in_service", None)
     assert (back.row.suppressed_by, back.row.suppressed_reason) == ("cai", "new cable")

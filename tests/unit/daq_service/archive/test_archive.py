@@ -21,12 +21,12 @@ from support.archived_sets import (
 from support.filed_archive import FiledArchive
 from support.stored_files import read_set, read_waveform, set_files, verify_set
 
-from daq_service.archive import ArchiveWriteError, CorruptArchiveError, PositionRecord, waveform_crc32
+from daq_service.archive import ArchiveWriteError, CorruptArchiveError, PositionRecord, compute_crc32
 from daq_service.archive.layout import build_image
-from daq_service.archive.nexus import image_file, image_of
+from daq_service.archive.nexus import new_image, read_image
 from daq_service.errors import StorageError
 from hardware_drivers.measurement import SetKey
-from hardware_drivers.units import unit_of
+from hardware_drivers.units import find_unit
 
 
 def store(folder, record):
@@ -43,14 +43,14 @@ def test_the_checksum_is_that_of_the_little_endian_counts():
     # CRC-32 of the ASCII digits 1 to 9 is the algorithm's published check value; with an "x": gzip's.
     counts = np.frombuffer(b"12345678", dtype="<i2").astype(np.int16)
     shot = make_shot("B", 0, 1)
-    assert waveform_crc32(replace(shot.waveform, counts=counts, pretrigger_samples=0)) == 0x9AE0DAAF
+    assert compute_crc32(replace(shot.waveform, counts=counts, pretrigger_samples=0)) == 0x9AE0DAAF
 
 
 def test_images_may_be_built_at_the_same_time_and_leave_no_file(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     expected = build_image(make_set())
-    with image_file() as one, image_file() as other:
-        assert image_of(one) == image_of(other)
+    with new_image() as one, new_image() as other:
+        assert read_image(one) == read_image(other)
         assert build_image(make_set()) == expected
     with ThreadPoolExecutor(4) as pool:
         assert set(pool.map(lambda _: build_image(make_set()), range(12))) == {expected}
@@ -250,7 +250,7 @@ def test_clipped_records_are_flagged_in_the_file(tmp_path):
     ],
 )
 def test_the_unit_follows_from_the_name(name, unit):
-    assert unit_of(name) == unit
+    assert find_unit(name) == unit
 
 
 def test_a_set_record_keeps_its_own_copy_of_the_lists():

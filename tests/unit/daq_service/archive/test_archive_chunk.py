@@ -4,8 +4,8 @@ import h5py
 import numpy as np
 import pytest
 
-from daq_service.archive.chunk import filtered_chunk, fletcher32
-from daq_service.archive.nexus import add_field, image_file, image_of, open_root
+from daq_service.archive.chunk import compute_fletcher32, filter_chunk
+from daq_service.archive.nexus import add_field, new_image, open_root, read_image
 
 SAMPLES = 13_000
 
@@ -18,9 +18,9 @@ def record(rms_counts, dtype=np.int16, n=SAMPLES, seed=1):
 
 
 def file_with(path, values, chunk):
-    with image_file() as file:
+    with new_image() as file:
         add_field(open_root(file), "values", values, chunk=chunk)
-        path.write_bytes(image_of(file))
+        path.write_bytes(read_image(file))
     return path
 
 
@@ -72,7 +72,7 @@ def test_noise_in_the_low_bytes_is_stored_and_the_high_bytes_get_shorter(tmp_pat
     ours = chunk_bytes(file_with(tmp_path / "ours.h5", values, (1, SAMPLES)))
     theirs = chunk_bytes(by_hdf5(tmp_path / "theirs.h5", values, (1, SAMPLES)))
     low = values.view(np.uint8)[0, ::2].tobytes()
-    assert low in filtered_chunk(values)
+    assert low in filter_chunk(values)
     assert ours < 0.97 * theirs
 
 
@@ -82,4 +82,4 @@ def test_a_sum_that_is_a_multiple_of_65535_is_written_as_by_hdf5(tmp_path, n):
     with h5py.File(tmp_path / "sum.h5", "w") as file:
         dataset = file.create_dataset("values", data=values, chunks=(n,), fletcher32=True)
         _, chunk = dataset.id.read_direct_chunk((0,))
-    assert fletcher32(values.tobytes()) == int.from_bytes(chunk[-4:], "little")
+    assert compute_fletcher32(values.tobytes()) == int.from_bytes(chunk[-4:], "little")

@@ -24,7 +24,7 @@ from daq_service.archive import (
 from daq_service.archive.errors import ArchiveReadError
 from daq_service.archive.finalize_set import finalize_set
 from daq_service.archive.journal import frames, writer
-from daq_service.archive.journal.reader import contents, read_journal, segments
+from daq_service.archive.journal.reader import list_segments, read_journal, read_segments
 from daq_service.archive.journal.writer import Journal
 from daq_service.archive.layout import build_image
 from hardware_drivers.measurement import SetKey
@@ -41,9 +41,9 @@ def archive(tmp_path):
 def test_positions_that_an_earlier_version_left_out_are_restored(archive, tmp_path, monkeypatch):
     def earlier_frame(set_key, *, due_utc_ns, started_utc_ns, disabled):
         facts = {"due_utc_ns": due_utc_ns, "retired": disabled}
-        return frames._frame(frames.Kind.BEGIN, set_key, facts, utc_ns=started_utc_ns)
+        return frames._build_frame(frames.Kind.BEGIN, set_key, facts, utc_ns=started_utc_ns)
 
-    monkeypatch.setattr("daq_service.archive.writer.begin_frame", earlier_frame)
+    monkeypatch.setattr("daq_service.archive.writer.build_begin_frame", earlier_frame)
     archive.begin_set(SetKey(7), due_utc_ns=5, started_utc_ns=1, disabled={"C": "worn"})
     archive.sync()
     with closing(FolderArchive(tmp_path)) as reopened:
@@ -61,7 +61,7 @@ def test_after_a_write_error_data_go_to_a_new_segment(archive, tmp_path, monkeyp
     append_set(archive, make_set())
     fail(monkeypatch, name, 1)
     assert archive.sync() == [item.sequence for item in RECORDS]
-    assert list(segments(tmp_path)) == [2]
+    assert list(list_segments(tmp_path)) == [2]
     (opened,) = FolderArchive(tmp_path).open_sets().values()
     assert bits(list(opened.records)) == bits(RECORDS)
 
@@ -94,7 +94,7 @@ def test_a_disk_that_fails_for_hours_is_not_filled_with_segments(archive, tmp_pa
         archive.append(item, 2)
         with pytest.raises(ArchiveWriteError):
             archive.sync()
-    assert list(segments(tmp_path)) == [1], "what is acknowledged stays, nothing else"
+    assert list(list_segments(tmp_path)) == [1], "what is acknowledged stays, nothing else"
     (opened,) = FolderArchive(tmp_path).open_sets().values()
     assert first.sequence in {item.sequence for item in opened.records}
 
@@ -136,7 +136,7 @@ def test_a_segment_is_removed_with_its_last_set(tmp_path):
                 bits(item) for item in sets
             ]
             assert len(list(tmp_path.glob("sets/*.h5"))) == number
-    assert list(segments(tmp_path)) == []
+    assert list(list_segments(tmp_path)) == []
 
 
 def test_the_byte_ranges_of_a_set_hold_all_its_frames_and_little_more(tmp_path):
@@ -165,8 +165,8 @@ def test_the_byte_ranges_of_a_set_hold_all_its_frames_and_little_more(tmp_path):
         # A set that this process wrote alone has no more bytes than its frames.
         places = archive.places(third.set_key)
         ((number, (start, end)),) = places.items()
-        (whole,) = (content for other, content in contents(tmp_path) if other == number)
-        assert sum(len(content) for _, content in contents(tmp_path, places)) == end - start
+        (whole,) = (content for other, content in read_segments(tmp_path) if other == number)
+        assert sum(len(content) for _, content in read_segments(tmp_path, places)) == end - start
         assert set(read_journal(tmp_path, places={number: (start, end)})) == {third.set_key}
         assert whole[start:end].strip(b"\0") == whole[start:end]
         file, *_ = finalize_set(tmp_path, second.set_key, archive.places(second.set_key))
@@ -232,13 +232,13 @@ def test_a_file_that_cannot_be_opened_for_lack_of_handles_is_no_corruption(archi
 def test_a_segment_that_cannot_be_removed_is_removed_with_the_next_set(archive, tmp_path, monkeypatch):
     for index in (SET_INDEX, SET_INDEX + 1):
         archive.store_set(other_set(make_set(), index))
-        archive._journal_writer._abandon()
+        archive._journal_writer._close_segment()
     with monkeypatch.context() as patch:
         patch.setattr(writer, "remove_quietly", lambda path: None)
         archive.settle(SetKey(SET_INDEX))
-    assert list(segments(tmp_path)) == [1, 2]
+    assert list(list_segments(tmp_path)) == [1, 2]
     archive.settle(SetKey(SET_INDEX + 1))
-    assert list(segments(tmp_path)) == []
+    assert list(list_segments(tmp_path)) == []
 
 
 def test_an_incomplete_set_is_not_finalized(archive, tmp_path):
@@ -254,7 +254,7 @@ def test_a_group_torn_by_a_power_cut_leaves_its_set_open(archive, tmp_path):
     """The end is stored and a record is missing: the set was not acknowledged and is taken again."""
     append_set(archive, make_set())
     archive.store_set(make_set())
-    (path,) = segments(tmp_path).values()
+    (path,) = list_segments(tmp_path).values()
     flip(path, path.read_bytes().find(RECORDS[1].waveform.counts.tobytes()) + 8)
     with closing(FolderArchive(tmp_path)) as again:
         (opened,) = again.open_sets().values()

@@ -4,35 +4,42 @@ import pytest
 from support.archived_sets import make_set, make_shot
 from support.memory_archive import bits
 
-from daq_service.archive.journal.frames import HEADER, begin_frame, end_frame, frames, record_frame, record_of
+from daq_service.archive.journal.frames import (
+    HEADER,
+    build_begin_frame,
+    build_end_frame,
+    build_record_frame,
+    decode_record,
+    parse_frames,
+)
 from hardware_drivers.measurement import SetKey
 
 RECORDS = make_set().records
 WRITTEN = [
-    begin_frame(SetKey(7), due_utc_ns=5, started_utc_ns=6, disabled={"C": "worn"}),
-    *map(record_frame, RECORDS),
-    end_frame(make_set()),
+    build_begin_frame(SetKey(7), due_utc_ns=5, started_utc_ns=6, disabled={"C": "worn"}),
+    *map(build_record_frame, RECORDS),
+    build_end_frame(make_set()),
 ]
 WRITTEN = [b"".join(frame) for frame in WRITTEN]
 SEGMENT = b"".join(WRITTEN) + bytes(4096)
 
 
 def sound(content):
-    return {(frame.kind, frame.sequence): bits(frame) for frame in frames(content) if frame.sound}
+    return {(frame.kind, frame.sequence): bits(frame) for frame in parse_frames(content) if frame.sound}
 
 
 ALL = sound(SEGMENT)
 
 
 def test_the_header_holds_the_number_of_an_unscheduled_set_as_in_earlier_versions():
-    content = b"".join(begin_frame(SetKey(7, 2), due_utc_ns=5, started_utc_ns=6, disabled={}))
+    content = b"".join(build_begin_frame(SetKey(7, 2), due_utc_ns=5, started_utc_ns=6, disabled={}))
     assert HEADER.unpack_from(content)[6] == 20_000_007
-    assert [frame.set_key for frame in frames(content)] == [SetKey(7, 2)]
-    assert list(frames(content, of_set=SetKey(7))) == []
+    assert [frame.set_key for frame in parse_frames(content)] == [SetKey(7, 2)]
+    assert list(parse_frames(content, of_set=SetKey(7))) == []
 
 
 def test_every_record_is_restored_bit_for_bit():
-    found = [record_of(frame) for frame in frames(SEGMENT) if frame.sequence >= 0]
+    found = [decode_record(frame) for frame in parse_frames(SEGMENT) if frame.sequence >= 0]
     assert bits(found) == bits(RECORDS)
     assert len(ALL) == len(WRITTEN)
 
@@ -40,8 +47,8 @@ def test_every_record_is_restored_bit_for_bit():
 @pytest.mark.parametrize("odd", [float("nan"), float("inf"), -0.0, 5e-324])
 def test_a_number_without_json_representation_is_restored(odd):
     shot = make_shot("B", 0, 1, truth={"depth_m": odd}, settings={"note": "null", "gain": odd})
-    (frame,) = frames(b"".join(record_frame(shot)))
-    assert bits(record_of(frame)) == bits(shot)
+    (frame,) = parse_frames(b"".join(build_record_frame(shot)))
+    assert bits(decode_record(frame)) == bits(shot)
 
 
 def test_a_flipped_bit_costs_one_frame_at_most():

@@ -11,9 +11,9 @@ from h5py import h5d, h5p, h5s, h5t, h5z
 from support.archived_sets import make_set
 
 from daq_service.archive import CorruptArchiveError
-from daq_service.archive.consolidated import blocks_of
+from daq_service.archive.consolidated import list_blocks
 from daq_service.archive.layout import build_image
-from daq_service.archive.reader import read_file
+from daq_service.archive.reader import read_set_file
 from daq_service.archive.verification import check_file
 from daq_service.cli.offline.record_file import FileParameters, open_records
 from daq_service.errors import UsageError
@@ -143,9 +143,9 @@ def test_external_links_and_wrong_sizes_are_rejected(path, change):
     pattern = re.compile(REFUSED[change])
     tracemalloc.start()
     with pytest.raises(CorruptArchiveError, match=pattern):
-        read_file(path, skip_damaged=True)
+        read_set_file(path, skip_damaged=True)
     with pytest.raises(CorruptArchiveError, match=pattern):
-        blocks_of(path.parent, path.name)
+        list_blocks(path.parent, path.name)
     with pytest.raises(UsageError, match=pattern):
         open_records(path, FileParameters())
     assert any(pattern.search(str(damage)) for damage in check_file(path).damages)
@@ -160,7 +160,7 @@ def test_a_link_in_a_data_folder_is_rejected(path):
     link = path.with_name("link.h5")
     link.symlink_to(path)
     with pytest.raises(CorruptArchiveError, match="it is a link"):
-        read_file(link)
+        read_set_file(link)
     assert "it is a link" in str(check_file(link).damages[0])
     # A link as an argument of a command means the linked file.
     assert open_records(link, FileParameters()).n == len(make_set().shots)
@@ -170,6 +170,6 @@ def test_a_file_too_large_for_memory_is_not_read(path):
     with path.open("r+b") as file:
         file.truncate(2**40)  # a hole
     with pytest.raises(CorruptArchiveError, match="too large"):
-        read_file(path)
+        read_set_file(path)
     with pytest.raises(UsageError, match="too large"):
         open_records(path, FileParameters())

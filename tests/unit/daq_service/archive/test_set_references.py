@@ -2,7 +2,7 @@
 
 from pathlib import PurePosixPath
 
-from daq_service.archive.records import due_utc_ns, referenced_sets, set_keys, set_reference
+from daq_service.archive.records import parse_due_utc_ns, parse_set_keys, to_reference, to_references
 from hardware_drivers.measurement import SetKey
 from hardware_drivers.nanoseconds import NS_PER_H
 
@@ -20,14 +20,14 @@ SETS = {
 
 
 def test_the_last_name_is_that_of_the_newest_set_and_has_its_index():
-    names = [PurePosixPath(set_reference(index, due)).name for index, due in SETS.items()]
+    names = [PurePosixPath(to_reference(index, due)).name for index, due in SETS.items()]
     assert names == sorted(names)
     assert names[2] == "set_000001_19700101T010600Z_001.h5"
-    assert list(referenced_sets(names)) == list(SETS)
-    assert [due_utc_ns(set_reference(index, due)) for index, due in SETS.items()] == list(SETS.values())
+    assert list(to_references(names)) == list(SETS)
+    assert [parse_due_utc_ns(to_reference(index, due)) for index, due in SETS.items()] == list(SETS.values())
 
 
 def test_a_name_of_an_earlier_version_has_the_whole_index():
     name = "set_10000001_19700101T010600Z.h5"
-    assert set_keys([name]) == {SetKey(1, 1)}
-    assert due_utc_ns(f"sets/{name}") == SETS[SetKey(1, 1)]
+    assert parse_set_keys([name]) == {SetKey(1, 1)}
+    assert parse_due_utc_ns(f"sets/{name}") == SETS[SetKey(1, 1)]

@@ -17,7 +17,7 @@ from daq_service.archive import FolderArchive
 from daq_service.archive.finalize_set import finalize_set
 from daq_service.archive.journal import frames as frame_format
 from daq_service.archive.journal.checking import check_journal
-from daq_service.archive.journal.reader import read_journal, segment_path
+from daq_service.archive.journal.reader import build_segment_path, read_journal
 from daq_service.archive.layout import build_image
 from daq_service.archive.verification import check_file
 from hardware_drivers.measurement import SetKey
@@ -104,8 +104,8 @@ def journal(tmp_path):
 
 def flip_frame(folder, sequence, *, in_header=False):
     """Flip a bit of the frame of a record; return the frame."""
-    path = segment_path(folder, 1)
-    frame = next(item for item in frame_format.frames(path.read_bytes()) if item.sequence == sequence)
+    path = build_segment_path(folder, 1)
+    frame = next(item for item in frame_format.parse_frames(path.read_bytes()) if item.sequence == sequence)
     flip(path, frame.start + 8 if in_header else frame.end - 1)
     return frame
 
@@ -127,10 +127,10 @@ def test_a_journal_as_it_was_written_is_clean(journal):
 
 @pytest.mark.parametrize("numbers", [*QUICK, *SLOW], ids=str)
 def test_a_corrupt_segment_is_reported_or_reads_unchanged(journal, numbers):
-    path = segment_path(journal, 1)
+    path = build_segment_path(journal, 1)
     content, before = path.read_bytes(), parse_line(journal)
     used = len(content.rstrip(b"\0"))
-    whole = [*(frame.end for frame in frame_format.frames(content))]
+    whole = [*(frame.end for frame in frame_format.parse_frames(content))]
     for number in numbers:
         broken = damaged(content, number, used=used)
         path.write_bytes(broken)
@@ -140,7 +140,9 @@ def test_a_corrupt_segment_is_reported_or_reads_unchanged(journal, numbers):
             end -= end % PAGE
         if end < used:
             # It ends early, as after a crash: the rest is read, and no value differs.
-            assert sum(frame.sound for frame in frame_format.frames(broken)) == sum(e <= end for e in whole)
+            assert sum(frame.sound for frame in frame_format.parse_frames(broken)) == sum(
+                e <= end for e in whole
+            )
         else:
             assert found.damages or parse_line(journal) == before, number
         assert all(file == "journal/000001.journal" for file, _ in found.damages)
@@ -166,17 +168,17 @@ def test_a_corrupt_frame_header_is_reported_with_its_byte_range(journal):
 @pytest.mark.parametrize("cut", [1, 40, frame_format.HEADER.size, 200])
 def test_an_incomplete_last_frame_is_no_corruption(journal, cut):
     """The segment is not preallocated; in a preallocated one, pages of zeros follow."""
-    path = segment_path(journal, 1)
+    path = build_segment_path(journal, 1)
     content = path.read_bytes()
-    last = [*frame_format.frames(content)][-1]
+    last = [*frame_format.parse_frames(content)][-1]
     path.write_bytes(content[: last.start + cut])
     assert check_journal(journal).damages == []
 
 
 def test_a_group_moved_to_a_new_segment_is_no_corruption(journal):
-    first, second = segment_path(journal, 1), segment_path(journal, 2)
+    first, second = build_segment_path(journal, 1), build_segment_path(journal, 2)
     content = first.read_bytes()
-    last = [*frame_format.frames(content)][-1]
+    last = [*frame_format.parse_frames(content)][-1]
     second.write_bytes(content[last.start : last.end])
     flip(first, last.end - 1)
     assert check_journal(journal).damages == []

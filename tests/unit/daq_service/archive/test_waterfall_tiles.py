@@ -11,10 +11,10 @@ from support.damaging import flip
 from support.memory_archive import MemoryArchive
 
 from daq_service.archive import PositionRecord
-from daq_service.archive.waterfall.cells import anchors_of, frame_of, planes_of_records
+from daq_service.archive.waterfall.cells import build_frame, compute_record_planes, extract_anchors
 from daq_service.archive.waterfall.image import SETS_AT_ONCE, Wanted, WaterfallReader
-from daq_service.archive.waterfall.tile_files import tiles_of, write_tiles_of_set
-from daq_service.archive.waterfall.tiles import TILES_FOLDER, WIDTHS, n_bytes
+from daq_service.archive.waterfall.tile_files import build_tiles, write_tiles_of_set
+from daq_service.archive.waterfall.tiles import TILES_FOLDER, WIDTHS, count_tile_bytes
 
 N_SETS = 70
 MISSED = {5, 6, 7, 40}
@@ -54,13 +54,13 @@ class Stored:
         self._anchors = {index: anchors for index, (_, anchors) in taken.items()}
         self.n_read = 0
 
-    def n_stored(self, first, last):
+    def count_stored_sets(self, first, last):
         return sum(first <= index <= last for index in self.files)
 
     def file(self, set_index):
         return self.files.get(set_index)
 
-    def anchors(self, set_index):
+    def read_anchors(self, set_index):
         return self._anchors[set_index]
 
     def read_set(self, reference, *, skip_damaged=False):
@@ -79,7 +79,7 @@ class Stored:
                 anchor = 0.0 if tiles.alignment == "trigger" else self._anchors[index][shot.sequence]
                 # In cells of one sample, whose extremes are taken afterwards.
                 finest = tiles.frame.part(None, None, 1)
-                row = planes_of_records([(shot.waveform, anchor)], finest)
+                row = compute_record_planes([(shot.waveform, anchor)], finest)
                 rows.setdefault(index // row_sets, []).append(coarsest(row, finest, frame))
         return [
             np.stack([np.fmin.reduce([r[0] for r in its]), np.fmax.reduce([r[1] for r in its])])
@@ -118,7 +118,7 @@ def copied(kept, tmp_path):
 @pytest.fixture
 def tiles(tmp_path, stored):
     def tiles_at(alignment):
-        return tiles_of(tmp_path, EXPERIMENT, stored.records[0], "B", alignment)
+        return build_tiles(tmp_path, EXPERIMENT, stored.records[0], "B", alignment)
 
     return tiles_at
 
@@ -127,7 +127,7 @@ def draw(stored, tiles, wanted, reader=None):
     """Request the figure until everything was read."""
     reader = reader or WaterfallReader(stored)
     for _ in range(N_SETS):
-        picture = reader.figure_of_sets(tiles, stored, wanted)
+        picture = reader.compute_figure(tiles, stored, wanted)
         if picture.pending == 0:
             return picture
     raise AssertionError("a picture that never gets ready")
@@ -160,7 +160,7 @@ def test_tiles_give_the_same_figure_as_the_records(copied, stored, tiles, alignm
 def test_few_sets_show_samples_finer_than_the_tiles(tmp_path):
     its = Stored(n_sets=2, n_samples=1300)
     its.keep(tmp_path)
-    tiles = tiles_of(tmp_path, EXPERIMENT, its.records[0], "B", "trigger")
+    tiles = build_tiles(tmp_path, EXPERIMENT, its.records[0], "B", "trigger")
     assert tiles.frame.width == 2
     wanted = Wanted(first=0, last=1, rows=10, columns=50, from_s=1e-6, to_s=4e-6)
     picture = draw(its, tiles, wanted)
@@ -178,7 +178,7 @@ def test_a_figure_from_complete_tiles_reads_no_record(copied, stored, tiles):
 
 def corrupt_tile(path):
     """Flip a bit of a sample of the third row if it exists; in a NaN the flip would have no effect."""
-    n_cells = frame_of(make_shot("B", 0, 1).waveform, "first").n_cells
+    n_cells = build_frame(make_shot("B", 0, 1).waveform, "first").n_cells
     flip(path, 512 + 2 * (64 + 8 * n_cells) + 64 + 4 * (n_cells // 2) + 2, 0x40)
 
 
@@ -257,12 +257,12 @@ def test_the_tiles_do_not_depend_on_the_order_of_the_sets(kept, tmp_path, stored
     assert len(paths) == 2 * (len(WIDTHS) + 1), "two at the finest level, each alignment"
     for path in paths:
         assert (tmp_path / path.relative_to(kept)).read_bytes() == path.read_bytes()
-    assert n_bytes(tmp_path) == n_bytes(kept) > 0
+    assert count_tile_bytes(tmp_path) == count_tile_bytes(kept) > 0
 
 
 def test_without_tiles_a_figure_is_made_from_records_in_bounded_steps(stored, tiles):
     reader, before = WaterfallReader(stored), stored.n_read
-    first = reader.figure_of_sets(tiles("trigger"), stored, ALL)
+    first = reader.compute_figure(tiles("trigger"), stored, ALL)
     assert stored.n_read == before + SETS_AT_ONCE
     assert (len(first.rows), first.pending) == (SETS_AT_ONCE, len(stored.files) - SETS_AT_ONCE)
     whole = draw(stored, tiles("trigger"), ALL, reader)
@@ -273,13 +273,13 @@ def test_without_tiles_a_figure_is_made_from_records_in_bounded_steps(stored, ti
 def test_missing_records_are_named(stored, tiles):
     its = Stored()
     its.files[3] = its.files[3].replace("set_", "gone_")
-    picture = WaterfallReader(its).figure_of_sets(tiles("trigger"), its, replace(ALL, first=2, last=4))
+    picture = WaterfallReader(its).compute_figure(tiles("trigger"), its, replace(ALL, first=2, last=4))
     assert ([row.first_set for row in picture.rows], picture.unreadable) == ([2, 4], [3])
 
 
 def test_a_set_without_a_pulse_has_an_empty_row_and_does_not_spoil_those_above(tmp_path, stored, tiles):
     stored.keep(tmp_path, indices=[0, 1, 2])
-    write_tiles_of_set(tmp_path, EXPERIMENT, stored.records[3], anchors_of({}))
+    write_tiles_of_set(tmp_path, EXPERIMENT, stored.records[3], extract_anchors({}))
     aligned = tiles("first")
     assert np.isnan(aligned.row(1, 3).planes).all()
     assert aligned.row(4, 0).n_sets == 4
@@ -296,7 +296,7 @@ def test_the_mean_over_the_baseline_is_that_of_its_extremes(tmp_path, stored, ti
     np.testing.assert_array_equal(mean[:, cell], by_hand.astype(np.float32))
     assert (n_sets, n_pending) == (3, 0)
     wanted = replace(ALL, last=2, columns=40)
-    less = reader.figure_of_sets(its, stored, wanted, mean)
+    less = reader.compute_figure(its, stored, wanted, mean)
     by_hand = [coarsest(row - mean, its.frame, less.frame) for row in rows]
     for row, planes in zip(less.rows, by_hand, strict=True):
         np.testing.assert_array_equal(row.planes, planes)
@@ -304,4 +304,4 @@ def test_the_mean_over_the_baseline_is_that_of_its_extremes(tmp_path, stored, ti
 
 def test_frames_of_both_kinds_are_of_one_width():
     waveform = make_shot("B", 0, 1).waveform
-    assert frame_of(waveform, "trigger").width == frame_of(waveform, "first").width == 1
+    assert build_frame(waveform, "trigger").width == build_frame(waveform, "first").width == 1

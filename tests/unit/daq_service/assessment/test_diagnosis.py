@@ -8,17 +8,17 @@ from support.invented_rows import assessment_row
 from support.memory_archive import bits
 
 from analysis.assessment import step as solitary_wave_step
-from analysis.assessment.diagnosis import Origin, diagnose_confirmation, diagnose_scheduled, next_origin
+from analysis.assessment.diagnosis import Origin, diagnose_confirmation, diagnose_scheduled, update_origin
 from analysis.assessment.exact_json import from_json
-from analysis.assessment.step import Rules, SetOfShots, State, step
+from analysis.assessment.step import Rules, SetOfShots, State, assess_next_set
 from analysis.diagnosis.diagnose import UNDETERMINED
 from analysis.diagnosis.hypotheses import COUPLING, ENVIRONMENT, OK, SENSOR, WALL
 from analysis.diagnosis.slopes import COMPONENTS, DAMPING, DROP_HEIGHT, GAIN, STIFFNESS, TILT, WALL_B
 from analysis.statistics.rules import AlarmRule, HoleRule
 from daq_service.alarms.evidence import describe_evidence
-from daq_service.assessment.diagnosis_texts import diagnosis_details, diagnosis_text
+from daq_service.assessment.diagnosis_texts import build_diagnosis_details, format_diagnosis
 from daq_service.assessment.solitary_wave import wall_conditions
-from daq_service.recording.set_assessor import state_rows
+from daq_service.recording.set_assessor import find_changed_state_rows
 
 LAST, SETS = 59, 100
 RULES = Rules(
@@ -65,7 +65,7 @@ def sets(change):
 def run(change, state=None, since=0, until=SETS):
     state = state or State()
     for item in sets(change)[since:until]:
-        state, assessment = step(state, item, RULES)
+        state, assessment = assess_next_set(state, item, RULES)
     return state, assessment
 
 
@@ -78,7 +78,7 @@ def row_of(assessment):
         outlier=assessment.outlier,
         diagnosis=assessment.cause.cause,
         diagnosis_probability=assessment.cause.probability,
-        diagnosis_details=diagnosis_details(assessment.cause),
+        diagnosis_details=build_diagnosis_details(assessment.cause),
     )
 
 
@@ -100,7 +100,7 @@ def origins(causes, n=5):
     """Return a letter for each set: `e` if the change is of another origin than the wall, else `w`."""
     origin, letters = Origin(), ""
     for number, cause in enumerate(causes):
-        origin = next_origin(origin, KINDS[cause], was_active=number > 2, n=n)
+        origin = update_origin(origin, KINDS[cause], was_active=number > 2, n=n)
         letters += "e" if origin.not_wall else "w"
     return letters
 
@@ -132,13 +132,13 @@ def test_an_alarm_that_was_active_before_the_set_keeps_its_kind(monkeypatch):
 
     def noted(before, cause, **how):
         was_active.append(how["was_active"])
-        return next_origin(before, cause, **how)
+        return update_origin(before, cause, **how)
 
-    monkeypatch.setattr(solitary_wave_step, "next_origin", noted)
+    monkeypatch.setattr(solitary_wave_step, "update_origin", noted)
     state, before = State(), []
     for item in sets(CHANGES[SENSOR]):
         before.append(state.alarm.active)
-        state, _ = step(state, item, RULES)
+        state, _ = assess_next_set(state, item, RULES)
     assert was_active == before[LAST + 1 :]
     assert {True, False} == set(was_active)
     assert state.origin == Origin(not_wall=True)
@@ -187,7 +187,7 @@ def test_a_wall_diagnosis_raises_an_alarm_before_the_chart_does():
 
 def restarted(state):
     """Return the state after a restart: stored and read."""
-    rows = state_rows(None, state, position="B", baseline_id=1, configuration_hash="")
+    rows = find_changed_state_rows(None, state, position="B", baseline_id=1, configuration_hash="")
     return from_json(State, *(row.state for row in rows))
 
 
@@ -195,7 +195,7 @@ def test_a_restart_continues_from_the_stored_state_bit_for_bit():
     _, uninterrupted = run(CHANGES[WALL])
     state = State()
     for item in sets(CHANGES[WALL]):
-        state, assessment = step(restarted(state), item, RULES)
+        state, assessment = assess_next_set(restarted(state), item, RULES)
     assert bits(assessment) == bits(uninterrupted)
 
 
@@ -215,8 +215,8 @@ def test_a_confirmation_set_changes_an_abrupt_change_to_coupling_permanently():
     struck_after, found = LAST + 25, sets(change)
     state, alone = run(change, until=struck_after + 1)
     assert alone.cause.cause == UNDETERMINED
-    assert "abrupt: inspect the contact" in diagnosis_details(alone.cause)["action"]
-    assert diagnosis_text(UNDETERMINED, 0.8, diagnosis_details(alone.cause)).startswith(
+    assert "abrupt: inspect the contact" in build_diagnosis_details(alone.cause)["action"]
+    assert format_diagnosis(UNDETERMINED, 0.8, build_diagnosis_details(alone.cause)).startswith(
         "UNDETERMINED: something has"
     )
     design, values = state.baseline.causes, found[struck_after].values

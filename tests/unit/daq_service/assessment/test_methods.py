@@ -5,7 +5,7 @@ from typing import get_args
 import pytest
 
 from daq_service.assessment.methods import METHODS
-from daq_service.catalogue.rows import columns_of
+from daq_service.catalogue.rows import list_columns
 from daq_service.settings.tree import ScheduleSettings
 from hardware_drivers.measurement import PulseEchoRecord, Shot
 from hardware_drivers.methods import Method
@@ -17,7 +17,7 @@ def test_each_method_has_an_entry_and_each_record_its_method():
 
 @pytest.mark.parametrize("name", METHODS)
 def test_every_row_has_the_fields_that_views_use(name):
-    columns = [column.name for column in columns_of(METHODS[name].row)]
+    columns = [column.name for column in list_columns(METHODS[name].row)]
     assert {"set_index", "position", "sequence", "due_h", "quality", "extractor_version"} <= set(columns)
     assert METHODS[name].values
     assert set(METHODS[name].values) <= set(columns)

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from daq_service.assessment.results_in_file import find_differences, newest_results, results_of
+from daq_service.assessment.results_in_file import build_result_tables, find_differences, read_newest_results
 from daq_service.catalogue import SetCommit
 from daq_service.catalogue.rows import FeatureRow, ShotRow, ThicknessRow
 from hardware_drivers.measurement import SetKey
@@ -24,7 +24,7 @@ ECHO = replace(SHOT, sequence=40, position="A", flags=[])
 
 def results(*rows, shots=(SHOT, ECHO)):
     features = [row for row in rows if isinstance(row, FeatureRow)]
-    return results_of(features, [row for row in rows if isinstance(row, ThicknessRow)], shots)
+    return build_result_tables(features, [row for row in rows if isinstance(row, ThicknessRow)], shots)
 
 
 def test_each_kind_of_row_has_its_table_with_flags_of_its_shot():
@@ -64,6 +64,8 @@ def test_the_results_of_the_newest_set_are_those_of_its_commit_without_reading_t
     newest = SetCommit(shots=[SHOT, ECHO], features=[FEATURE, MEAN], thickness=[WALL])
     newest.sets.append(SimpleNamespace(set_key=SetKey(7)))
     catalogue = SimpleNamespace(newest=newest)  # has no rows to read
-    assert list(find_differences(newest_results(catalogue, SetKey(7)), results(FEATURE, MEAN, WALL))) == []
+    assert (
+        list(find_differences(read_newest_results(catalogue, SetKey(7)), results(FEATURE, MEAN, WALL))) == []
+    )
     with pytest.raises(AttributeError):
-        newest_results(catalogue, SetKey(8))
+        read_newest_results(catalogue, SetKey(8))

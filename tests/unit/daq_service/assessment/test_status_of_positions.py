@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 from support.invented_rows import alarm_row, assessment_row, set_row
 
-from daq_service.assessment.position_status import interval_at, status_of
+from daq_service.assessment.position_status import find_set_interval_h, find_status
 from daq_service.catalogue.reader import LatestRows
 from daq_service.settings.tree import Settings
 
@@ -56,9 +56,9 @@ def test_a_position_has_the_expected_status(last_set, assessment, alarms, status
     last = LatestRows(
         position="B", method=method, last_set=last_set, last_assessment=assessment, active_alarms=alarms
     )
-    assert status_of(last) == status
+    assert find_status(last) == status
 
 
 def test_interval_follows_the_phases():
     schedule = Settings().schedule
-    assert [interval_at(schedule, hour) for hour in (0.0, 75.0, 76.0, 400.0)] == [0.5, 0.5, 1.0, 1.0]
+    assert [find_set_interval_h(schedule, hour) for hour in (0.0, 75.0, 76.0, 400.0)] == [0.5, 0.5, 1.0, 1.0]

@@ -195,5 +195,5 @@ def test_a_start_reads_few_files_of_an_older_folder_and_the_others_in_idle_time(
     """The files of a year take hours, and a start sends no heartbeat while it reads."""
     catalogue = SimpleNamespace(without_digest=lambda: {index: f"sets/{index}.h5" for index in range(17_500)})
     archive, noted = SimpleNamespace(digest=lambda file: f"of {file}"), []
-    session._note_digests(catalogue, archive, lambda *values: noted.append(values))
+    session._store_missing_digests(catalogue, archive, lambda *values: noted.append(values))
     assert noted == [(index, f"sets/{index}.h5", f"of sets/{index}.h5") for index in range(17_400, 17_500)]

@@ -15,16 +15,16 @@ from support.stored_files import read_set, set_files
 from support.table_rows import lose_catalogue, table_rows
 
 from daq_service.archive import FolderArchive
-from daq_service.archive.waterfall.cells import anchors_of, planes_of_set
-from daq_service.archive.waterfall.tile_files import tiles_of
+from daq_service.archive.waterfall.cells import compute_planes, extract_anchors
+from daq_service.archive.waterfall.tile_files import build_tiles
 from daq_service.archive.waterfall.tiles import TILES_FOLDER
-from daq_service.assessment.results_in_file import results_in
+from daq_service.assessment.results_in_file import read_set_results
 from daq_service.background.finalize_sets import SetFinalizer
 from daq_service.background.tiles import EVERY_S, SETS_A_TURN, TileMaker, add_record_to_tiles
 from daq_service.background.verification import QUIET_S
 from daq_service.catalogue import open_catalogue
-from daq_service.catalogue.owner import experiment_identity
-from daq_service.recording.reassessment.rebuild import rebuild
+from daq_service.catalogue.owner import build_experiment_identity
+from daq_service.recording.reassessment.rebuild import rebuild_folder_catalogue
 from hardware_drivers.measurement import SetKey
 
 N_SETS = 6
@@ -55,19 +55,21 @@ class Line:
         )
 
     def tile(self, set_index, results):
-        return partial(add_record_to_tiles, self.folder, "ab/1", anchors_of(results)) if self.room else None
+        return (
+            partial(add_record_to_tiles, self.folder, "ab/1", extract_anchors(results)) if self.room else None
+        )
 
     def file(self, *, room=True):
         """Write the files of all sets; without free space they get no tiles."""
         self.room = room
         for set_key in self.files:
-            self.finalizer.after_set(set_key)
+            self.finalizer.notify_set_stored(set_key)
             self.finalizer.run_for(0.0)
         self.room = True
         assert len(list((self.folder / "sets").iterdir())) == N_SETS
 
     def tiles(self, position="B", alignment="trigger"):
-        return tiles_of(self.folder, "ab/1", self.records[SET_INDEX], position, alignment)
+        return build_tiles(self.folder, "ab/1", self.records[SET_INDEX], position, alignment)
 
     def kept(self):
         return [key for key in self.files if self.tiles().has_set(key.set_index)]
@@ -97,7 +99,7 @@ def test_a_set_with_a_file_gets_tiles_without_free_time(line):
     for position, alignment in (("A", "trigger"), ("B", "first"), ("C", "trigger")):
         tiles = line.tiles(position, alignment)
         record = line.records[SET_INDEX]
-        expected = planes_of_set(record, position, alignment, anchors_of(RESULTS), tiles.frame)
+        expected = compute_planes(record, position, alignment, extract_anchors(RESULTS), tiles.frame)
         np.testing.assert_array_equal(tiles.row(1, SET_INDEX).planes, expected)
 
 
@@ -115,7 +117,7 @@ def test_in_idle_time_older_sets_get_tiles_newest_first(line):
 
 
 def test_no_tile_is_made_while_set_files_are_pending(line):
-    line.finalizer.after_set(SetKey(SET_INDEX))
+    line.finalizer.notify_set_stored(SetKey(SET_INDEX))
     assert line.finalizer.waits
     line.read.clear()
     line.work(free_s=QUIET_S + 1)
@@ -172,21 +174,28 @@ def copy_of_older_version(life, tmp_path):
 def test_rebuild_makes_the_tiles_of_an_older_folder(copy_of_older_version):
     before = table_rows(copy_of_older_version.folder)
     lose_catalogue(copy_of_older_version.folder)
-    assert rebuild(copy_of_older_version.folder, features_of=copy_of_older_version.features_of).warnings == []
+    assert (
+        rebuild_folder_catalogue(
+            copy_of_older_version.folder, features_of=copy_of_older_version.features_of
+        ).warnings
+        == []
+    )
     assert table_rows(copy_of_older_version.folder) == before
     with open_catalogue(copy_of_older_version.folder) as catalogue:
-        name = experiment_identity(catalogue.experiment_row())
+        name = build_experiment_identity(catalogue.read_experiment())
         for path in set_files(copy_of_older_version.folder).values():
             record = read_set(path)
-            anchors = anchors_of(results_in(catalogue, record.set_key))
+            anchors = extract_anchors(read_set_results(catalogue, record.set_key))
             for place in {taken.key.position for taken in record.records}:
-                tiles = tiles_of(copy_of_older_version.folder, name, record, place, "first")
-                expected = planes_of_set(record, place, "first", anchors, tiles.frame)
+                tiles = build_tiles(copy_of_older_version.folder, name, record, place, "first")
+                expected = compute_planes(record, place, "first", anchors, tiles.frame)
                 np.testing.assert_array_equal(tiles.row(1, record.set_index).planes, expected)
 
 
 def test_rebuild_continues_if_old_tiles_cannot_be_removed(copy_of_older_version):
     (copy_of_older_version.folder / TILES_FOLDER).write_bytes(b"no folder")
     lose_catalogue(copy_of_older_version.folder)
-    (warning,) = rebuild(copy_of_older_version.folder, features_of=copy_of_older_version.features_of).warnings
+    (warning,) = rebuild_folder_catalogue(
+        copy_of_older_version.folder, features_of=copy_of_older_version.features_of
+    ).warnings
     assert "not in the waterfall's tiles: the old tiles stay" in warning

@@ -29,7 +29,7 @@ from daq_service.catalogue.stored_rows import insert_rows
 from daq_service.catalogue.tables import features
 from daq_service.clock import boot_name, elapsed_ns
 from daq_service.settings.tree import Settings
-from daq_service.shared_file import patiently
+from daq_service.shared_file import retry_call
 from hardware_drivers.measurement import SetKey
 
 NAN = float("nan")
@@ -137,14 +137,14 @@ def test_an_incomplete_catalogue_is_read_again_and_a_corrupt_one_is_reported(tmp
 
 
 def test_a_missing_folder_is_a_clear_error_at_once(tmp_path, monkeypatch):
-    at_once = partial(patiently, pause=lambda seconds: pytest.fail("nobody holds what is not there"))
-    monkeypatch.setattr("daq_service.catalogue.connection.patiently", at_once)
+    at_once = partial(retry_call, pause=lambda seconds: pytest.fail("nobody holds what is not there"))
+    monkeypatch.setattr("daq_service.catalogue.connection.retry_call", at_once)
     with pytest.raises(CatalogueWriteError, match="give this user the right to write"):
         open_catalogue(tmp_path / "absent", writer=True)
 
 
 def test_a_network_folder_is_refused(tmp_path, monkeypatch):
-    monkeypatch.setattr("daq_service.catalogue.store.network_filesystem", lambda path: "nfs4")
+    monkeypatch.setattr("daq_service.catalogue.store.find_network_type", lambda path: "nfs4")
     with pytest.raises(NetworkFolderError, match=r"\(nfs4\).*--data-dir"):
         open_catalogue(tmp_path, writer=True)
 
@@ -167,16 +167,16 @@ def test_a_folder_of_another_configuration_is_rejected_with_both_hashes(tmp_path
 
 
 def test_the_experiment_is_made_once(tmp_path, writer):
-    first = writer.experiment_row()
+    first = writer.read_experiment()
     other = {"configuration": {}, "epoch_utc_ns": 7, "clock": "wall", "solimon_version": "1"}
     assert writer.create_experiment(name="x", configuration_hash="0", **other) == first
     with pytest.raises(OtherExperimentError):
         writer.create_experiment(name="test", configuration_hash="cd" * 32, **other)
-    assert writer.experiment_row() == first
+    assert writer.read_experiment() == first
 
 
 def test_the_file_is_configured_to_survive_a_power_cut(tmp_path, writer):
-    with writer.reading() as connection_:
+    with writer.open_snapshot() as connection_:
         pragmas = {
             name: connection_.exec_driver_sql(f"PRAGMA {name}").scalar()
             for name in ("journal_mode", "synchronous", "foreign_keys", "busy_timeout")
@@ -186,7 +186,7 @@ def test_the_file_is_configured_to_survive_a_power_cut(tmp_path, writer):
 
 def test_a_reader_cannot_change_anything_but_commands(reader):
 
-    with pytest.raises(CatalogueWriteError, match="readonly"), reader.reading() as connection_:
+    with pytest.raises(CatalogueWriteError, match="readonly"), reader.open_snapshot() as connection_:
         insert_rows(connection_, [replace(set_row(0, "B"), id=1)])
 
 
@@ -227,9 +227,9 @@ def test_a_rejected_row_rejects_the_whole_set(writer, reader):
     with pytest.raises(CatalogueConflictError, match="nothing of it was stored"):
         writer.commit_set(SetCommit(sets=bad.sets, shots=bad.shots, features=bad.features, events=events))
     assert (reader.counts(), reader.last_event_id()) == before
-    assert writer.committed_sets() == {SetKey(0)}
+    assert writer.list_committed_sets() == {SetKey(0)}
     writer.commit_set(bad)
-    assert writer.committed_sets() == {SetKey(0), SetKey(1)}
+    assert writer.list_committed_sets() == {SetKey(0), SetKey(1)}
 
 
 CONTRADICTING = {
@@ -262,7 +262,7 @@ def test_a_value_that_is_not_finite_is_stored_as_not_available(tmp_path, writer,
     (row,) = reader.rows(FeatureRow, position="B", scope="set")
     assert (row.tof_pp_s, row.psw_area_v_s) == (None, 1.5)
     assert reader.rows(AssessmentRow, position="B")[0].contributions == {"tof_pp_s": None}
-    assert reader.events_after(0)[-1].payload == {"values": [None, 1.0]}
+    assert reader.read_events_after(0)[-1].payload == {"values": [None, 1.0]}
     stored = sqlite3.connect(tmp_path / "catalogue.sqlite")
     assert stored.execute("SELECT typeof(tof_pp_s) FROM features").fetchall() == [("null",)]
     stored.close()
@@ -336,14 +336,14 @@ def test_event_ids_follow_the_order_of_the_rows(writer, reader):
     second = writer.add_service_event(utc_ns=1, kind="gap", payload={})
     assert first == sorted(first)
     assert second > first[-1] == first[0] + 39
-    assert [row.kind for row in reader.events_after(first[0])][:2] == ["k1", "k2"]
+    assert [row.kind for row in reader.read_events_after(first[0])][:2] == ["k1", "k2"]
     assert reader.last_event_id() == second
 
 
 def test_an_event_has_the_time_of_writing_unless_given(writer, reader, monkeypatch):
     monkeypatch.setattr("daq_service.catalogue.writer.time.time_ns", lambda: 77)
     writer.commit_set(SetCommit(events=[event_row(), event_row(wall_utc_ns=5)]))
-    assert [row.wall_utc_ns for row in reader.events_after(0)] == [77, 5]
+    assert [row.wall_utc_ns for row in reader.read_events_after(0)] == [77, 5]
 
 
 def test_events_are_filtered_by_topic_and_paged(writer, reader):
@@ -352,15 +352,15 @@ def test_events_are_filtered_by_topic_and_paged(writer, reader):
             events=[event_row(topic=topic) for topic in ("sets", "alarms", "sets", "service", "alarms")]
         )
     )
-    ids = [row.id for row in reader.events_after(0)]
-    assert [row.id for row in reader.events_after(ids[0], {"alarms", "service"})] == [ids[1], *ids[3:]]
-    assert [row.id for row in reader.events_after(ids[0], limit=2)] == ids[1:3]
-    assert reader.events_after(0, []) == []
+    ids = [row.id for row in reader.read_events_after(0)]
+    assert [row.id for row in reader.read_events_after(ids[0], {"alarms", "service"})] == [ids[1], *ids[3:]]
+    assert [row.id for row in reader.read_events_after(ids[0], limit=2)] == ids[1:3]
+    assert reader.read_events_after(0, []) == []
 
 
 def test_before_the_first_event_the_last_id_is_zero(reader):
     assert reader.last_event_id() == 0
-    assert reader.events_after(0) == []
+    assert reader.read_events_after(0) == []
 
 
 def test_an_alarm_gets_its_id_and_its_event_names_it(writer, reader):
@@ -372,7 +372,7 @@ def test_an_alarm_gets_its_id_and_its_event_names_it(writer, reader):
         )
     )
     assert reader.alarm(committed.alarm_ids[1]).position == "C"
-    payloads = [row.payload for row in reader.events_after(0)]
+    payloads = [row.payload for row in reader.read_events_after(0)]
     assert payloads == [{"n": 1}, {"n": 1, "alarm_id": committed.alarm_ids[1]}]
 
 
@@ -393,14 +393,14 @@ def test_an_alarm_that_does_not_exist_cannot_be_changed(writer, reader):
 
 def test_a_command_and_its_result_are_exchanged_with_the_recorder(writer, reader):
     command_id = reader.add_command("operator", "acknowledge_alarm", {"alarm_id": 3, "note": "seen"})
-    (pending,) = writer.open_commands()
+    (pending,) = writer.list_open_commands()
     assert (pending.id, pending.author, pending.arguments) == (
         command_id,
         "operator",
         {"alarm_id": 3, "note": "seen"},
     )
     writer.finish_command(command_id, "rejected", "alarm 3 is normal")
-    assert writer.open_commands() == []
+    assert writer.list_open_commands() == []
     answered = reader.command(command_id)
     assert (answered.state, answered.result) == ("rejected", "alarm 3 is normal")
     assert answered.finished_wall_utc_ns >= answered.wall_utc_ns
@@ -412,7 +412,7 @@ def test_a_command_has_one_result_with_a_known_state(writer, reader):
     with pytest.raises(CatalogueConflictError, match="done, rejected, expired, failed"):
         writer.finish_command(command_id, "finished")
     writer.start_command(command_id)
-    assert [row.state for row in writer.open_commands()] == ["started"]
+    assert [row.state for row in writer.list_open_commands()] == ["started"]
     with pytest.raises(CatalogueConflictError, match=f"no command {command_id} that is pending"):
         writer.start_command(command_id)
     writer.finish_command(command_id, "done")
@@ -488,9 +488,9 @@ def test_the_newest_baseline_is_used_and_all_are_kept(writer, reader):
 
 
 def test_a_restart_gets_the_finished_sets_and_the_next_sequence(writer):
-    assert (writer.committed_sets(), writer.next_sequence()) == (set(), 1)
+    assert (writer.list_committed_sets(), writer.next_sequence()) == (set(), 1)
     writer.commit_set(commit_of(4, "B"))
-    assert (writer.committed_sets(), writer.next_sequence()) == ({SetKey(4)}, 403)
+    assert (writer.list_committed_sets(), writer.next_sequence()) == ({SetKey(4)}, 403)
 
 
 # Several at once ------------------------------------------------------------------------------
@@ -500,7 +500,7 @@ def test_a_reader_sees_one_state_from_its_first_to_its_last_query(writer, reader
     from sqlalchemy import func, select
 
     count = select(func.count()).select_from(features)
-    with reader.reading() as connection_:
+    with reader.open_snapshot() as connection_:
         before = connection_.execute(count).scalar_one()
         writer.commit_set(commit_of(0))
         assert connection_.execute(count).scalar_one() == before == 0
@@ -508,7 +508,7 @@ def test_a_reader_sees_one_state_from_its_first_to_its_last_query(writer, reader
 
 
 def test_an_unfinished_commit_neither_blocks_nor_is_visible(writer, reader):
-    with writer._writing("test") as connection_:
+    with writer._open_transaction("test") as connection_:
         insert_rows(connection_, [replace(set_row(0, "B"), id=1)])
         assert reader.rows(SetRow) == []
     assert len(reader.rows(SetRow)) == 1
@@ -543,8 +543,8 @@ def test_a_writer_waits_once_for_a_lock_and_not_in_each_transaction(tmp_path, mo
         if statement.startswith("PRAGMA busy_timeout"):
             waits.append(int(statement.rpartition(" ")[2]))
 
-    with writer.reading() as connection_:
-        stored_rows.driver_of(connection_).set_trace_callback(note)
+    with writer.open_snapshot() as connection_:
+        stored_rows.find_driver(connection_).set_trace_callback(note)
     holder = sqlite3.connect(tmp_path / "catalogue.sqlite", isolation_level=None)
     holder.execute("BEGIN IMMEDIATE")
     for _ in range(4):
@@ -558,17 +558,17 @@ def test_a_writer_waits_once_for_a_lock_and_not_in_each_transaction(tmp_path, mo
 
 def test_a_full_disk_rejects_the_set_and_keeps_the_stored_rows(writer, reader):
     writer.commit_set(commit_of(0))
-    with writer.reading() as connection_:
+    with writer.open_snapshot() as connection_:
         pages = connection_.exec_driver_sql("PRAGMA page_count").scalar()
         connection_.exec_driver_sql(f"PRAGMA max_page_count = {pages}")
     big = [event_row(payload={"text": "x" * 10_000})] * 20
     with pytest.raises(CatalogueWriteError, match="free or mend the disk"):
         writer.commit_set(SetCommit(sets=[set_row(1, "B")], events=big))
-    assert writer.committed_sets() == {SetKey(0)}
-    with writer.reading() as connection_:
+    assert writer.list_committed_sets() == {SetKey(0)}
+    with writer.open_snapshot() as connection_:
         connection_.exec_driver_sql("PRAGMA max_page_count = 1000000")
     writer.commit_set(SetCommit(sets=[set_row(1, "B")], events=big))
-    assert writer.committed_sets() == {SetKey(0), SetKey(1)}
+    assert writer.list_committed_sets() == {SetKey(0), SetKey(1)}
 
 
 def test_a_writer_that_sqlite_opened_read_only_connects_again(tmp_path, monkeypatch):

@@ -21,4 +21,4 @@ def test_a_recorder_start_during_a_read_is_no_corruption(tmp_path):
                 raise sqlite3.DatabaseError("database disk image is malformed")
 
         look._connection = ChangedConnection()
-        assert look.set_keys() == set()
+        assert look.list_set_keys() == set()

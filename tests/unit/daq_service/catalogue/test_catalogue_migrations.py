@@ -16,7 +16,7 @@ from sqlalchemy import event
 
 import daq_service.catalogue.migrations as migrations
 from daq_service.catalogue import connection, open_catalogue, stored_rows
-from daq_service.catalogue.earlier_names import current_row, derived_uuid
+from daq_service.catalogue.earlier_names import derive_uuid, to_current_row
 from daq_service.catalogue.errors import CatalogueError, SchemaVersionError
 from daq_service.catalogue.rows import (
     AlarmRow,
@@ -30,10 +30,10 @@ from daq_service.catalogue.rows import (
     SetRow,
     ShotRow,
     ThicknessRow,
-    values,
+    to_columns,
 )
-from daq_service.catalogue.stored_rows import row_crc32
-from daq_service.commands.deadline import command_state
+from daq_service.catalogue.stored_rows import compute_row_crc32
+from daq_service.commands.deadline import read_command_state
 from daq_service.settings.alarm_delays import EARLIER_ALARM_KINDS
 from daq_service.settings.notifications import RuleSettings
 from daq_service.settings.tree import Settings
@@ -73,7 +73,7 @@ def upgrade(path, revision):
     engine = connection.make_engine(path, writable=True)
     config = Config()
     config.set_main_option("script_location", str(Path(migrations.__file__).parent))
-    with stored_rows.writing(engine) as opened:
+    with stored_rows.open_write_transaction(engine) as opened:
         config.attributes["connection"] = opened
         command.upgrade(config, revision)
     engine.dispose()
@@ -109,7 +109,7 @@ def test_opening_again_migrates_nothing(tmp_path, monkeypatch):
     def refuse(*arguments):
         raise AssertionError("migrated a current catalogue")
 
-    monkeypatch.setattr("daq_service.catalogue.store.migrate", refuse)
+    monkeypatch.setattr("daq_service.catalogue.store.migrate_schema", refuse)
     open_catalogue(tmp_path, writer=True).close()
 
 
@@ -152,11 +152,11 @@ def test_a_filled_catalogue_of_revision_0001_keeps_its_rows(tmp_path):
     assert rows_of(path, "sets", "n_missed, n_restrikes") == [(0, 0)] * 2
     assert rows_of(path, "shots", "outcome") == [("accepted",)] * 2
     assert rows_of(path, "alembic_version") == [(migrations.SCHEMA_REVISION,)]
-    assert rows_of(path, "experiment", "uuid, site") == [(derived_uuid("ab" * 32, 0), None)]
+    assert rows_of(path, "experiment", "uuid, site") == [(derive_uuid("ab" * 32, 0), None)]
     with open_catalogue(tmp_path) as catalogue:
         assert catalogue.rows(EnvironmentRow) == []
         # A command from before the update is not executed.
-        order, left_s = command_state(catalogue, 5)
+        order, left_s = read_command_state(catalogue, 5)
         assert (order.state, left_s) == ("expired", 0.0)
         assert [row.outcome for row in catalogue.rows(ShotRow, position="B", set_index=0)] == ["accepted"] * 2
 
@@ -228,11 +228,15 @@ def test_a_catalogue_of_revision_0013_is_read_with_the_names_of_the_field(tmp_pa
         assert events[3].payload == earlier["current_alarm"]
         assert events[5].payload["reason"] == "x"
         assert events[6].payload["supply_quality"] == "no_communication"
-        assert catalogue.experiment_row().uuid == derived_uuid("ab", 7)
+        assert catalogue.read_experiment().uuid == derive_uuid("ab", 7)
         # A line of the history is the same row, and a current row stays as it is.
         for event, (topic, kind, payload) in zip(events, earlier["events"], strict=True):
-            line = {**values(event), "topic": topic, "kind": kind, "payload": payload}
-            assert current_row("events", line) == values(event) == current_row("events", values(event))
+            line = {**to_columns(event), "topic": topic, "kind": kind, "payload": payload}
+            assert (
+                to_current_row("events", line)
+                == to_columns(event)
+                == to_current_row("events", to_columns(event))
+            )
 
 
 NUMBER = 20_000_003
@@ -253,7 +257,7 @@ def test_an_unscheduled_set_of_revision_0015_gets_its_own_column(tmp_path):
     path, earlier = tmp_path / "catalogue.sqlite", EARLIER["0015"]
     upgrade(path, "0015")
     scheduled = SetRow(id=1, set_index=3, position="B", due_h=1.5, **SET_0015)
-    crc32 = row_crc32(scheduled)
+    crc32 = compute_row_crc32(scheduled)
     with closing(sqlite3.connect(path)) as database, database:
         insert_first_set(database, crc32)
         for number, (table, row) in enumerate(earlier["rows"].items(), start=2):
@@ -286,9 +290,17 @@ def test_an_unscheduled_set_of_revision_0015_gets_its_own_column(tmp_path):
         assert [event.set_key for event in events] == [SetKey(3, 2)] * 3
         assert [event.payload for event in events] == earlier["current_payloads"]
         for event, (topic, kind, payload) in zip(events, earlier["events"], strict=True):
-            line = {**values(event), "topic": topic, "kind": kind, "payload": payload, "set_index": NUMBER}
+            line = {
+                **to_columns(event),
+                "topic": topic,
+                "kind": kind,
+                "payload": payload,
+                "set_index": NUMBER,
+            }
             del line["unscheduled_index"]
-            assert EventRow(**current_row("events", line)) == event, "a line of the history is the same row"
+            assert EventRow(**to_current_row("events", line)) == event, (
+                "a line of the history is the same row"
+            )
 
 
 STATES_0016 = {
@@ -302,7 +314,7 @@ def test_reasons_limits_and_pauses_of_revision_0016_have_current_names(tmp_path)
     path, earlier = tmp_path / "catalogue.sqlite", EARLIER["0016"]
     upgrade(path, "0016")
     done = SetRow(id=1, set_index=3, position="B", due_h=1.5, **SET_0015)
-    crc32 = row_crc32(done)
+    crc32 = compute_row_crc32(done)
     with closing(sqlite3.connect(path)) as database, database:
         insert_first_set(database, crc32)
         insert(database, "sets", id=2, set_index=4, position="B", due_h=2.0, cause="no trigger", **SET_0015)
@@ -338,9 +350,11 @@ def test_reasons_limits_and_pauses_of_revision_0016_have_current_names(tmp_path)
         assert catalogue.paused() == "held by ann: door open"
         events = catalogue.rows(EventRow)
         for event, (topic, kind, payload) in zip(events[:3], earlier["events"], strict=False):
-            line = {**values(event), "topic": topic, "kind": kind, "payload": payload}
-            assert EventRow(**current_row("events", line)) == event, "a line of the history is the same row"
-        assert current_row("sets", earlier["events"][3][2]) == {"reason": "no trigger"}
+            line = {**to_columns(event), "topic": topic, "kind": kind, "payload": payload}
+            assert EventRow(**to_current_row("events", line)) == event, (
+                "a line of the history is the same row"
+            )
+        assert to_current_row("sets", earlier["events"][3][2]) == {"reason": "no trigger"}
 
 
 def test_an_interrupted_migration_leaves_a_filled_catalogue_unchanged(tmp_path):
@@ -355,7 +369,7 @@ def test_an_interrupted_migration_leaves_a_filled_catalogue_unchanged(tmp_path):
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        migrations.migrate(engine, path, "0001")
+        migrations.migrate_schema(engine, path, "0001")
     engine.dispose()
     assert schema_of(path) == schema
     assert rows_of(path, "sets") == before["sets"]
@@ -376,7 +390,7 @@ def test_an_interrupted_migration_leaves_no_tables(tmp_path, statement):
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        migrations.migrate(engine, tmp_path / "catalogue.sqlite", None)
+        migrations.migrate_schema(engine, tmp_path / "catalogue.sqlite", None)
     engine.dispose()
     assert schema_of(tmp_path / "catalogue.sqlite") == {}
     open_catalogue(tmp_path, writer=True).close()

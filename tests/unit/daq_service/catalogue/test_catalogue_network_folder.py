@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from daq_service.catalogue.network_folder import network_filesystem
+from daq_service.catalogue.network_folder import find_network_type
 
 # proc(5): id, parent, device, root, mount point, options, optional fields, -, type, source, options.
 MOUNTINFO = r"""
@@ -45,19 +45,19 @@ garbled line
     ],
 )
 def test_the_nearest_and_newest_mount_decides(path, kind):
-    assert network_filesystem(Path(path), MOUNTINFO) == kind
+    assert find_network_type(Path(path), MOUNTINFO) == kind
 
 
 def test_without_mounts_the_filesystem_is_unknown():
-    assert network_filesystem(Path("/data"), "") is None
+    assert find_network_type(Path("/data"), "") is None
 
 
 def test_this_machines_temporary_folder_is_local(tmp_path):
-    assert network_filesystem(tmp_path / "not" / "there" / "yet") is None
+    assert find_network_type(tmp_path / "not" / "there" / "yet") is None
 
 
 def test_without_a_mount_list_the_filesystem_is_unknown(tmp_path):
-    assert network_filesystem(tmp_path, mounts=tmp_path / "absent") is None
+    assert find_network_type(tmp_path, mounts=tmp_path / "absent") is None
 
 
 def test_a_link_into_the_network_is_followed(tmp_path):
@@ -66,11 +66,11 @@ def test_a_link_into_the_network_is_followed(tmp_path):
     mounts = tmp_path / "mountinfo"
     far = str((tmp_path / "far").resolve()).replace(" ", r"\040")
     mounts.write_text(f"1 0 8:1 / / rw - ext4 /dev/sda1 rw\n2 1 0:9 / {far} rw - nfs server:/x rw\n")
-    assert network_filesystem(tmp_path / "link" / "data", mounts=mounts) == "nfs"
-    assert network_filesystem(tmp_path / "other", mounts=mounts) is None
+    assert find_network_type(tmp_path / "link" / "data", mounts=mounts) == "nfs"
+    assert find_network_type(tmp_path / "other", mounts=mounts) is None
 
 
 @pytest.mark.skipif(sys.platform != "win32", reason="asks Windows itself")
 def test_windows_distinguishes_shares_and_drives(tmp_path):
-    assert network_filesystem(tmp_path) is None
-    assert network_filesystem(Path(r"\\server\share\data")) == "UNC share"
+    assert find_network_type(tmp_path) is None
+    assert find_network_type(Path(r"\\server\share\data")) == "UNC share"

@@ -8,7 +8,7 @@ from daq_service.catalogue import check_owner
 from daq_service.catalogue.errors import CatalogueDamagedError, OtherExperimentError
 from daq_service.catalogue.experiment_file import (
     EXPERIMENT_FILE,
-    keep_experiment,
+    ensure_experiment_file,
     read_experiment,
     write_experiment,
 )
@@ -52,14 +52,14 @@ def test_a_changed_value_is_rejected_and_the_catalogue_writes_the_file_again(row
     path.write_bytes(damaged(path.read_bytes()))
     with pytest.raises(CatalogueDamagedError, match="solimon rebuild"):
         read_experiment(tmp_path)
-    keep_experiment(tmp_path, row)
+    ensure_experiment_file(tmp_path, row)
     assert read_experiment(tmp_path) == row
 
 
 def test_a_catalogue_of_another_hour_0_is_rejected_with_both_times(row, tmp_path):
-    keep_experiment(tmp_path, row)
+    ensure_experiment_file(tmp_path, row)
     with pytest.raises(OtherExperimentError, match=r"2001-09-09T01:46:41.*2001-09-09T01:46:40"):
-        keep_experiment(tmp_path, replace(row, epoch_utc_ns=10**18 + 10**9))
+        ensure_experiment_file(tmp_path, replace(row, epoch_utc_ns=10**18 + 10**9))
     assert read_experiment(tmp_path) == row
 
 

@@ -20,8 +20,8 @@ from daq_service.catalogue.rows import (
     ThicknessRow,
 )
 from daq_service.catalogue.tables import events, shots
-from daq_service.catalogue.trends import trend_bins, trend_part
-from daq_service.catalogue.writer import due_time_counts
+from daq_service.catalogue.trends import compute_trend_part, read_trend_bins
+from daq_service.catalogue.writer import count_due_times
 from hardware_drivers.measurement import SetKey
 
 POSITIONS = {"A": "pulse_echo", "B": "solitary_wave", "C": "solitary_wave"}
@@ -115,8 +115,8 @@ def test_pages_by_index_equal_those_from_all_rows(tmp_path, seed):
 def test_counts_and_latest_rows_equal_those_from_all_rows(tmp_path, seed):
     with random_catalogue(tmp_path, seed) as catalogue:
         counts, rows = catalogue.counts(), catalogue.rows(SetRow)
-        with catalogue.reading() as connection:
-            expected = due_time_counts(connection)
+        with catalogue.open_snapshot() as connection:
+            expected = count_due_times(connection)
             n_events = connection.execute(select(func.count()).select_from(events)).scalar_one()
             echoes, all_shots = (
                 connection.execute(select(func.count()).select_from(shots).where(query)).scalar_one()
@@ -125,7 +125,7 @@ def test_counts_and_latest_rows_equal_those_from_all_rows(tmp_path, seed):
         expected |= {"events": n_events, "pulse_echo_records": echoes, "shots": all_shots - echoes}
         assert {name: counts[name] for name in expected} == expected
         assert counts["active_alarms"] == len(filtered_rows(catalogue.rows(AlarmRow), {"active": True}))
-        for position, word in catalogue.positions_state().items():
+        for position, word in catalogue.read_latest_rows().items():
             for newest, kind, filters in (
                 (word.last_set, SetRow, {}),
                 (word.last_feature, FeatureRow, {"scope": "set"}),
@@ -134,25 +134,25 @@ def test_counts_and_latest_rows_equal_those_from_all_rows(tmp_path, seed):
             ):
                 found = filtered_rows(catalogue.rows(kind), {"position": position, **filters})
                 assert newest == max(found, key=lambda row: row.set_index, default=None)
-        assert list(catalogue.positions_state()) == ["A", "B", "C"]
+        assert list(catalogue.read_latest_rows()) == ["A", "B", "C"]
         service_events = [row for row in catalogue.rows(EventRow) if row.topic == "service"]
         held = [row for row in service_events if row.kind in ("pause", "resume")]
         assert catalogue.rows(EventRow, topic="service") == service_events
-        assert catalogue.last_service_event("pause", "resume") == (held[-1] if held else None)
-        assert catalogue.last_service_event("recorder_stopped") is None
-        assert catalogue.last_ended_utc_ns() == max(row.ended_utc_ns or 0 for row in rows)
-        assert catalogue.committed_sets() == {row.set_key for row in rows}
-        assert catalogue.committed_sets({SetKey(3), SetKey(99)}) == {SetKey(3)}
+        assert catalogue.read_last_service_event("pause", "resume") == (held[-1] if held else None)
+        assert catalogue.read_last_service_event("recorder_stopped") is None
+        assert catalogue.find_last_end_utc_ns() == max(row.ended_utc_ns or 0 for row in rows)
+        assert catalogue.list_committed_sets() == {row.set_key for row in rows}
+        assert catalogue.list_committed_sets({SetKey(3), SetKey(99)}) == {SetKey(3)}
         reading = filtered_rows(catalogue.rows(ThicknessRow), {"travel_time_s": 1e-6})
-        assert catalogue.first_reading("A") == reading[0]
+        assert catalogue.read_first_thickness("A") == reading[0]
         tried = [row for row in rows if row.position == "B" and row.n_taken]
-        assert catalogue.last_rows(SetRow, "B", 4, tried=True) == tried[-4:]
-        assert catalogue.last_rows(SetRow, "B", None, tried=True) == tried
+        assert catalogue.read_last_rows(SetRow, "B", 4, tried=True) == tried[-4:]
+        assert catalogue.read_last_rows(SetRow, "B", None, tried=True) == tried
         alike = {(position, state): [] for position in "ABC" for state in ("missed", "partial")}
         for row in rows:
             if row.state in ("missed", "partial"):
                 alike[row.position, row.state].append(row)
-        gaps, newest = catalogue.newest_gaps(2), [row for some in alike.values() for row in some[-2:]]
+        gaps, newest = catalogue.read_newest_gaps(2), [row for some in alike.values() for row in some[-2:]]
         assert len(gaps) > 2
         assert sorted(gaps, key=repr) == sorted(newest, key=repr)
 
@@ -172,32 +172,34 @@ def test_no_frequent_query_reads_every_row(tmp_path):
                 if kind is not ShotRow or after_id is None:
                     catalogue.rows(kind, limit=101, after_id=after_id, **filters)
         catalogue.counts()
-        catalogue.positions_state()
+        catalogue.read_latest_rows()
         catalogue.paused()
         catalogue.last_event_id()
-        catalogue.events_after(7, ["alarms", "sets"])
-        catalogue.events_after(7)
+        catalogue.read_events_after(7, ["alarms", "sets"])
+        catalogue.read_events_after(7)
         catalogue.rows(EventRow, topic="alarms", kind="alarm_reset", position="B")
         catalogue.rows(EventRow, topic="alarms", position="B")
         for kind in (SetRow, FeatureRow, AssessmentRow):
             catalogue.rows(kind, purpose="confirmation")
         catalogue.rows(EventRow, topic="service")
-        catalogue.open_commands()
+        catalogue.list_open_commands()
         catalogue.command(1)
         catalogue.alarm(1)
-        catalogue.last_environment()
-        catalogue.last_rows(SetRow, "B", 64, tried=True)
-        catalogue.newest_gaps(5)
-        catalogue.last_rows(ThicknessRow, "A", 64)
-        catalogue.last_ended_utc_ns()
+        catalogue.read_last_environment()
+        catalogue.read_last_rows(SetRow, "B", 64, tried=True)
+        catalogue.read_newest_gaps(5)
+        catalogue.read_last_rows(ThicknessRow, "A", 64)
+        catalogue.find_last_end_utc_ns()
         catalogue.next_sequence()
-        catalogue.committed_sets({SetKey(4)})
-        catalogue.n_stored("B", 3, 17)
-        catalogue.last_rows(SetRow, "B", 1, last_h=13.1)
+        catalogue.list_committed_sets({SetKey(4)})
+        catalogue.count_stored_sets("B", 3, 17)
+        catalogue.read_last_rows(SetRow, "B", 1, last_h=13.1)
         for first_h, last_h in ((None, None), (2.2, 13.1)):
             for points in (1, 8):
-                trend_bins(catalogue, "B", first_h=first_h, last_h=last_h, points=points, most_bins=points)
-            trend_part(catalogue, "B", "tof_pp_s", first_h=first_h, last_h=last_h)
+                read_trend_bins(
+                    catalogue, "B", first_h=first_h, last_h=last_h, points=points, most_bins=points
+                )
+            compute_trend_part(catalogue, "B", "tof_pp_s", first_h=first_h, last_h=last_h)
         last_of_a_block = set_row(31, due_h=15.5, state="missed")
         catalogue.commit_set(SetCommit(sets=[last_of_a_block]))
     for sql, values, steps in plans:

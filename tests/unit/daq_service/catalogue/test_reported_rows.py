@@ -10,14 +10,14 @@ from support.table_rows import execute, table_rows
 
 from daq_service.catalogue import open_catalogue
 from daq_service.catalogue.connection import FILE_NAME
-from daq_service.catalogue.corruption import catalogue_corruption
+from daq_service.catalogue.corruption import find_catalogue_corruption
 from daq_service.catalogue.errors import CatalogueDamagedError
-from daq_service.catalogue.history import lacks_rows_of, read_history
-from daq_service.catalogue.reported_rows import ROW_OF_EVENT, reported
+from daq_service.catalogue.history import describe_missing_event, read_history
+from daq_service.catalogue.reported_rows import ROW_OF_EVENT, to_payload
 from daq_service.catalogue.rows import MEASURED, AlarmRow, AssessmentRow, EventRow, FeatureRow
 from daq_service.catalogue.salvage import read_sound_rows
-from daq_service.catalogue.trends import trend_part
-from daq_service.recording.reassessment.rebuild import rebuild
+from daq_service.catalogue.trends import compute_trend_part
+from daq_service.recording.reassessment.rebuild import rebuild_folder_catalogue
 
 
 def row_key(row):
@@ -39,7 +39,7 @@ def test_an_event_of_a_set_is_stored_without_its_row_and_read_with_it(life):
     assert {row.kind for row in final} >= ROW_OF_EVENT.keys() - {"environment_read"}
     assert {stored[row.id] for row in final} == {"{}"}
     for row in final:
-        assert row.payload == reported(rows[ROW_OF_EVENT[row.kind], row.position, row.set_index])
+        assert row.payload == to_payload(rows[ROW_OF_EVENT[row.kind], row.position, row.set_index])
         assert row.payload.keys() == set(ROW_OF_EVENT[row.kind].__slots__) - {"id"}
 
 
@@ -69,9 +69,9 @@ def test_a_start_accepts_a_history_whose_newest_row_has_changed_since(line):
         newest = max(row.id for row in catalogue.rows(EventRow) if row.kind == "set_assessed")
         history.events = {number: row for number, row in history.events.items() if number <= newest}
         history.events[newest] = replace(history.events[newest], payload={"in_baseline": True})
-        assert lacks_rows_of(history, catalogue) == ""
+        assert describe_missing_event(history, catalogue) == ""
         history.events[newest] = replace(history.events[newest], wall_utc_ns=1)
-        assert "has lost rows" in lacks_rows_of(history, catalogue)
+        assert "has lost rows" in describe_missing_event(history, catalogue)
 
 
 def test_an_event_whose_row_is_lost_is_reported_and_rebuilt_from_the_history(line):
@@ -82,12 +82,12 @@ def test_an_event_whose_row_is_lost_is_reported_and_rebuilt_from_the_history(lin
         pytest.raises(CatalogueDamagedError, match="lacks its row"),
     ):
         catalogue.rows(EventRow)
-    lost = [found for found in catalogue_corruption(line.folder) if found.table == "events"]
+    lost = [found for found in find_catalogue_corruption(line.folder) if found.table == "events"]
     assert lost
     assert all("lacks its row of table assessments" in found.description for found in lost)
     sound = read_sound_rows(line.folder).events
     assert not sound.keys() & {found.row_id for found in lost}
-    rebuild(line.folder, features_of=line.features_of)
+    rebuild_folder_catalogue(line.folder, features_of=line.features_of)
     assert table_rows(line.folder) == before
 
 
@@ -99,7 +99,7 @@ def test_a_page_of_events_reads_each_table_once(life):
         def count(connection, cursor, sql, *_rest):
             statements.append(sql)
 
-        page = catalogue.events_after(0, limit=500)
+        page = catalogue.read_events_after(0, limit=500)
     kinds = {ROW_OF_EVENT[row.kind] for row in page if row.kind in ROW_OF_EVENT}
     assert len({row.set_index for row in page}) > 10
     assert len([sql for sql in statements if sql.startswith("SELECT")]) == 1 + len(kinds)
@@ -131,9 +131,11 @@ def test_a_corrupt_index_does_not_give_the_row_of_a_shot_to_the_event_of_a_set(l
     "read",
     [
         lambda catalogue: catalogue.rows(FeatureRow, position="B", scope="set"),
-        lambda catalogue: catalogue.last_rows(FeatureRow, "B", 1, scope="set"),
+        lambda catalogue: catalogue.read_last_rows(FeatureRow, "B", 1, scope="set"),
         lambda catalogue: catalogue.columns(FeatureRow, ["id"], position="B", scope="set"),
-        lambda catalogue: trend_part(catalogue, "B", MEASURED[FeatureRow][0], first_h=None, last_h=None),
+        lambda catalogue: compute_trend_part(
+            catalogue, "B", MEASURED[FeatureRow][0], first_h=None, last_h=None
+        ),
     ],
     ids=["rows", "last_rows", "columns", "trend"],
 )
@@ -152,4 +154,4 @@ def test_a_corrupt_index_does_not_give_the_row_of_a_shot_for_the_newest_of_a_pos
         line.catalogue() as catalogue,
         pytest.raises(CatalogueDamagedError, match="index of table features is corrupt"),
     ):
-        catalogue.positions_state()
+        catalogue.read_latest_rows()

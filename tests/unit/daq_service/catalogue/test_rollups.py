@@ -9,13 +9,18 @@ from sqlalchemy import delete, func, select
 from support.invented_rows import alarm_row, assessment_row, feature_row, set_row
 from support.new_experiment import new_catalogue
 
-from analysis.statistics.trend import fit_trend, trend_of_part
+from analysis.statistics.trend import fit_trend, fit_trend_of_part
 from daq_service.catalogue import SetCommit
-from daq_service.catalogue.rollups import QUALITIES, values_of
+from daq_service.catalogue.rollups import QUALITIES, list_bin_values
 from daq_service.catalogue.rows import FeatureRow
-from daq_service.catalogue.stored_rows import writing
+from daq_service.catalogue.stored_rows import open_write_transaction
 from daq_service.catalogue.tables import sets, trend_blocks
-from daq_service.catalogue.trends import rebuild_trends, trend_bins, trend_differences, trend_part
+from daq_service.catalogue.trends import (
+    compute_trend_part,
+    find_trend_differences,
+    read_trend_bins,
+    rebuild_trends,
+)
 
 N_SETS, BASELINE = 330, 48
 VALUES = ("tof_pp_s", "amplitude_ratio")
@@ -80,7 +85,7 @@ def test_bins_equal_those_from_all_rows(tmp_path, seed):
             first_h, last_h = sorted(chance.uniform(-5.0, 180.0) for _ in range(2))
             points = chance.choice([1, 2, 7, 30, 100])
             rows = {index: row for index, row in rows_by_set.items() if first_h <= row["due_h"] <= last_h}
-            found = trend_bins(
+            found = read_trend_bins(
                 catalogue, "B", first_h=first_h, last_h=last_h, points=points, most_bins=points
             )
             if found is None:
@@ -113,7 +118,7 @@ def compare(rows, found):
     worst = max((QUALITIES.index(row["quality"]) for row in done), default=-np.inf)
     assert found["worst_quality"] == worst
     for name in (*VALUES, "distance_squared"):
-        column = values_of(FeatureRow).index(name)
+        column = list_bin_values(FeatureRow).index(name)
         values = [row[name] for row in done if row[name] is not None]
         assert found["count"][column] == len(values)
         assert found["minimum"][column] == min(values, default=np.inf)
@@ -128,53 +133,53 @@ def test_fits_equal_those_from_all_rows(tmp_path):
     with catalogue:
         for _ in range(20):
             first_h, last_h = sorted((chance.uniform(-5.0, 60.0), chance.uniform(70.0, 180.0)))
-            part = trend_part(catalogue, "B", "tof_pp_s", first_h=first_h, last_h=last_h)
+            part = compute_trend_part(catalogue, "B", "tof_pp_s", first_h=first_h, last_h=last_h)
             rows = [
                 row for row in rows_by_set.values() if first_h <= row["due_h"] <= last_h and "tof_pp_s" in row
             ]
             values = np.array([row["tof_pp_s"] for row in rows], dtype=float)
-            whole, trend = fit_trend([row["due_h"] for row in rows], values), trend_of_part(part)
+            whole, trend = fit_trend([row["due_h"] for row in rows], values), fit_trend_of_part(part)
             assert trend.n_points == whole.n_points
             # Two orthogonalisations of the same problem: they differ by rounding only.
             hours = np.array([first_h, last_h])
             np.testing.assert_allclose(trend.at(hours), whole.at(hours), rtol=1e-10)
             assert trend.residual_sd == pytest.approx(whole.residual_sd, rel=1e-10)
-        assert trend_part(catalogue, "B", "tof_pp_s", first_h=900.0, last_h=None)["n"] == 0
+        assert compute_trend_part(catalogue, "B", "tof_pp_s", first_h=900.0, last_h=None)["n"] == 0
 
 
 def test_blocks_depend_on_the_rows_alone_and_a_wrong_one_is_reported(tmp_path):
     catalogue, _ = random_sets(tmp_path, 1)
     with catalogue:
-        with writing(catalogue._engine) as connection:
-            assert list(trend_differences(connection)) == []
+        with open_write_transaction(catalogue._engine) as connection:
+            assert list(find_trend_differences(connection)) == []
             kept = connection.execute(trend_blocks.select()).all()
             rebuild_trends(connection)
             assert sorted(connection.execute(trend_blocks.select()).all()) == sorted(kept)
             gone = "B/bins/0000000064/0000000064"
             connection.execute(delete(trend_blocks).where(trend_blocks.c.place == gone))
-            found = list(trend_differences(connection))
+            found = list(find_trend_differences(connection))
         assert any(gone in line for line in found)
-        catalogue.restore([replace(alarm(70), id=99)])  # touches a set of that block
-        with catalogue.reading() as connection:
-            assert list(trend_differences(connection)) == []
+        catalogue.restore_rows([replace(alarm(70), id=99)])  # touches a set of that block
+        with catalogue.open_snapshot() as connection:
+            assert list(find_trend_differences(connection)) == []
 
 
 def test_a_block_with_missing_last_sets_is_stored_with_a_later_set(tmp_path):
     with new_catalogue(tmp_path) as catalogue:
         for index in (*range(70), 300):
             catalogue.commit_set(SetCommit(sets=[planned(index)]))
-        with catalogue.reading() as connection:
-            assert list(trend_differences(connection)) == []
+        with catalogue.open_snapshot() as connection:
+            assert list(find_trend_differences(connection)) == []
 
 
 def test_a_corrupt_row_does_not_prevent_the_storage_of_a_set(tmp_path, caplog):
     with new_catalogue(tmp_path) as catalogue:
         for index in range(3):
             catalogue.commit_set(SetCommit(sets=[planned(index)]))
-        with writing(catalogue._engine) as connection:
+        with open_write_transaction(catalogue._engine) as connection:
             connection.execute(sets.update().where(sets.c.set_index == 1).values(due_h=77.0))
         catalogue.commit_set(SetCommit(sets=[planned(3)]))  # the last one of a block
-        with catalogue.reading() as connection:
+        with catalogue.open_snapshot() as connection:
             assert connection.execute(select(func.max(sets.c.set_index))).scalar_one() == 3
     assert "trends of B are not brought up to date: row 2 of table sets" in caplog.text
 

@@ -11,10 +11,10 @@ from support.new_experiment import new_catalogue
 
 from daq_service.catalogue import open_catalogue
 from daq_service.catalogue.connection import FILE_NAME
-from daq_service.catalogue.corruption import catalogue_corruption
+from daq_service.catalogue.corruption import find_catalogue_corruption
 from daq_service.catalogue.errors import CatalogueDamagedError
 from daq_service.catalogue.rows import CommandRow, EventRow, ExperimentRow, FeatureRow, SetRow, ThicknessRow
-from daq_service.catalogue.stored_rows import row_crc32
+from daq_service.catalogue.stored_rows import compute_row_crc32
 from daq_service.catalogue.writer import SetCommit
 from hardware_drivers.measurement import SetKey
 
@@ -42,12 +42,12 @@ def change(folder, statement):
 
 
 def test_a_value_converted_by_sql_is_no_corruption(folder):
-    assert list(catalogue_corruption(folder)) == []
+    assert list(find_catalogue_corruption(folder)) == []
     with open_catalogue(folder) as catalogue:
         (feature,) = catalogue.rows(FeatureRow)
         assert (feature.tof_pp_s, feature.n_valid, feature.amplitude_ratio) == (0.0, 4, None)
         assert catalogue.rows(SetRow)[0].due_h == 2.0
-        assert catalogue.events_after(0)[-1].payload == {"mean": [1.0, None], "n": [1, 2]}
+        assert catalogue.read_events_after(0)[-1].payload == {"mean": [1.0, None], "n": [1, 2]}
 
 
 @pytest.mark.parametrize(
@@ -67,7 +67,7 @@ def test_a_value_converted_by_sql_is_no_corruption(folder):
 )
 def test_a_changed_value_is_reported_and_never_read(folder, kind, statement, row_id):
     change(folder, statement)
-    (damage,) = catalogue_corruption(folder)
+    (damage,) = find_catalogue_corruption(folder)
     assert (damage.table, damage.row_id) == (statement.split()[1], row_id)
     with pytest.raises(CatalogueDamagedError, match="solimon rebuild"), open_catalogue(folder) as catalogue:
         catalogue.rows(kind)
@@ -81,7 +81,7 @@ def test_one_corrupt_row_hides_no_other(folder):
             catalogue.add_service_event(utc_ns=number, kind="told", payload={})
     change(folder, "UPDATE events SET payload = '}' WHERE id = 2")
     change(folder, "UPDATE events SET utc_ns = 8 WHERE id = 4")
-    assert [damage.row_id for damage in catalogue_corruption(folder)] == [2, 4]
+    assert [damage.row_id for damage in find_catalogue_corruption(folder)] == [2, 4]
 
 
 def test_columns_are_compared_too(folder):
@@ -94,19 +94,21 @@ def test_columns_are_compared_too(folder):
 
 
 def test_a_new_empty_column_changes_no_checksum():
-    assert row_crc32(replace(SET, id=1)) == row_crc32(replace(SET, id=1, reason=None, file_sha256=None))
-    assert row_crc32(replace(SET, id=1)) != row_crc32(replace(SET, id=2))
+    assert compute_row_crc32(replace(SET, id=1)) == compute_row_crc32(
+        replace(SET, id=1, reason=None, file_sha256=None)
+    )
+    assert compute_row_crc32(replace(SET, id=1)) != compute_row_crc32(replace(SET, id=2))
 
 
 def test_changed_rows_get_their_checksum_again(folder):
     with open_catalogue(folder, writer=True) as catalogue:
-        catalogue.restore([replace(SET, id=1, file="sets/a.h5"), replace(SET, id=9, position="C")])
-        catalogue.set_digest(SetKey(3), "sets/a.h5", "ab" * 32)
-        assert catalogue.without_digest() == {}
+        catalogue.restore_rows([replace(SET, id=1, file="sets/a.h5"), replace(SET, id=9, position="C")])
+        catalogue.store_digest(SetKey(3), "sets/a.h5", "ab" * 32)
+        assert catalogue.list_sets_without_digest() == {}
         catalogue.commit_set(SetCommit(sets=[replace(SET, position="D")]))
         rows = catalogue.rows(SetRow)
     assert [(row.id, row.file_sha256) for row in rows] == [(1, "ab" * 32), (9, None), (10, None)]
-    assert list(catalogue_corruption(folder)) == []
+    assert list(find_catalogue_corruption(folder)) == []
 
 
 def test_a_row_with_a_missing_reference_is_reported(folder):
@@ -114,8 +116,8 @@ def test_a_row_with_a_missing_reference_is_reported(folder):
         set_index=3, position="A", sequence=5, due_h=2.0, extractor_version="1", quality="bad", id=1
     )
     columns = "id, set_index, position, sequence, due_h, extractor_version, quality, row_crc32"
-    values = f"1, 3, 'A', 5, 2.0, '1', 'bad', {row_crc32(row)}"
+    values = f"1, 3, 'A', 5, 2.0, '1', 'bad', {compute_row_crc32(row)}"
     change(folder, f"INSERT INTO thickness ({columns}) VALUES ({values})")
-    assert [damage.description for damage in catalogue_corruption(folder)] == [
+    assert [damage.description for damage in find_catalogue_corruption(folder)] == [
         "row 1 of table thickness lacks its row of shots"
     ]

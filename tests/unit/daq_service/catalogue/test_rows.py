@@ -9,9 +9,9 @@ import pytest
 from analysis.waves.features import ALL_FEATURE_NAMES
 from daq_service.catalogue import rows
 from daq_service.catalogue.tables import ROW_CRC32, TABLES, metadata
-from daq_service.catalogue.writer import payload_of
+from daq_service.catalogue.writer import build_event_payload
 from daq_service.web.answers import models
-from daq_service.web.answers.json_answer import with_utc
+from daq_service.web.answers.json_answer import add_utc
 from daq_service.web.answers.vocabulary import VOCABULARY
 
 KINDS = [kind for kind in vars(rows).values() if isinstance(kind, type) and issubclass(kind, rows.Row)]
@@ -23,7 +23,7 @@ EXAMPLES = {bytes: b"\x00\xff", bool: True, dict: {}, float: 1.5, int: 7, list: 
 def example(kind):
     """Return a row with a value in every column."""
     given = {}
-    for column in rows.columns_of(kind):
+    for column in rows.list_columns(kind):
         (of_type,) = [part for part in alternatives(column.type) if part is not NoneType]
         origin = get_origin(of_type) or of_type
         given[column.name] = get_args(of_type)[0] if origin is Literal else EXAMPLES[origin]
@@ -44,7 +44,7 @@ def test_a_table_has_the_fields_of_its_row_in_their_order(kind):
     table = TABLES[kind]
     assert list(table.columns.keys()) == [*(field.name for field in dataclasses.fields(kind)), ROW_CRC32]
     assert [column.name for column in table.primary_key] == [dataclasses.fields(kind)[0].name]
-    hints = {column.name: alternatives(column.type) for column in rows.columns_of(kind)}
+    hints = {column.name: alternatives(column.type) for column in rows.list_columns(kind)}
     for column in table.columns:
         if not column.primary_key and column.name != ROW_CRC32:
             assert column.nullable == (NoneType in hints[column.name]), column.name
@@ -62,7 +62,7 @@ def test_every_response_row_is_one_of_the_catalogue():
 @pytest.mark.parametrize("kind", ANSWERED)
 def test_a_response_is_its_row_with_times_as_text_and_an_age(kind):
     row = example(kind)
-    answer = with_utc(rows.values(row), 0)
+    answer = add_utc(rows.to_columns(row), 0)
     if {"due_h", "raised_h"} & answer.keys():
         answer["age_h"] = 0.0
     if kind is rows.BaselineRow:
@@ -80,7 +80,7 @@ def test_a_response_is_its_row_with_times_as_text_and_an_age(kind):
         answer["expires_in_s"] = 1.0
     model = getattr(models, kind.__name__)
     assert model.model_validate(answer, strict=True).model_dump(exclude_unset=True) == answer
-    for column in rows.columns_of(kind):
+    for column in rows.list_columns(kind):
         if column.description is not None and column.name != "due_utc_ns":
             assert model.model_fields[column.published_name].description == column.description
 
@@ -93,14 +93,16 @@ GENERAL |= {"due_utc", "evidence", "wall_utc"}
 def test_a_column_is_described_on_its_row_and_nowhere_else():
     texts = set(VOCABULARY.meanings.values())
     for kind in ANSWERED:
-        for column in rows.columns_of(kind):
+        for column in rows.list_columns(kind):
             assert column.description is not None or column.published_name in GENERAL, (kind, column.name)
             assert column.description not in texts, (kind, column.name)
 
 
 def test_an_event_payload_omits_an_id_that_is_not_assigned():
     row = example(rows.AlarmRow)
-    assert payload_of(row) == rows.values(row)
-    assert list(payload_of(row, last="id"))[-1] == "id"
+    assert build_event_payload(row) == rows.to_columns(row)
+    assert list(build_event_payload(row, last="id"))[-1] == "id"
     new = dataclasses.replace(row, id=None)
-    assert payload_of(new) == {name: value for name, value in rows.values(row).items() if name != "id"}
+    assert build_event_payload(new) == {
+        name: value for name, value in rows.to_columns(row).items() if name != "id"
+    }

@@ -19,12 +19,17 @@ from support.memory_line import SETS, Line, healthy, silent
 from support.table_rows import execute
 
 from daq_service.cli.main import cli
-from daq_service.cli.maintenance.acceptance.conduct import growth_quantities
+from daq_service.cli.maintenance.acceptance.conduct import compute_growth_quantities
 from daq_service.cli.maintenance.acceptance.contents import build_report
-from daq_service.cli.maintenance.acceptance.criteria import DEFAULTS, compared, outcome, with_limits
+from daq_service.cli.maintenance.acceptance.criteria import (
+    DEFAULTS,
+    apply_limits,
+    compare_criteria,
+    overall_outcome,
+)
 from daq_service.cli.maintenance.acceptance.evidence import read_evidence
-from daq_service.cli.maintenance.acceptance.page import shown
-from daq_service.cli.maintenance.acceptance.quantity import FEWEST_READINGS, Quantity, growth
+from daq_service.cli.maintenance.acceptance.page import format_with_interval
+from daq_service.cli.maintenance.acceptance.quantity import FEWEST_READINGS, Quantity, estimate_growth
 from daq_service.cli.maintenance.acceptance.texts import Criterion
 from daq_service.errors import UsageError
 from daq_service.processes.disk_policy import DiskSpace
@@ -61,7 +66,7 @@ def faulty(tmp_path_factory):
 
 
 def report_of(folder, *limits, **changes):
-    return build_report(replace(read_evidence(folder), **changes), with_limits(limits))
+    return build_report(replace(read_evidence(folder), **changes), apply_limits(limits))
 
 
 def numbers(report):
@@ -155,7 +160,8 @@ def real(tmp_path):
 def test_a_running_test_is_reported_up_to_now(real, monkeypatch):
     third_h = real.due[2].due_utc_ns
     monkeypatch.setattr(
-        "daq_service.cli.maintenance.acceptance.evidence.time_now_ns", lambda beat: third_h + 60 * 10**9
+        "daq_service.cli.maintenance.acceptance.evidence.compute_test_time_ns",
+        lambda beat: third_h + 60 * 10**9,
     )
     report = report_of(real.folder)
     found = numbers(report)
@@ -266,7 +272,7 @@ def readings(values, *, recorder=1, first=0):
 
 def memory(evidence, machine):
     """Return the maximum memory and its growth."""
-    return list(growth_quantities(replace(evidence, machine=machine), "resident_bytes"))
+    return list(compute_growth_quantities(replace(evidence, machine=machine), "resident_bytes"))
 
 
 def grown(evidence, values):
@@ -299,7 +305,7 @@ def test_few_readings_give_no_result(evidence):
     few = grown(evidence, [10**8] * 20)
     assert few.value is None
     assert f"{FEWEST_READINGS} are the fewest" in few.missing
-    assert growth(range(FEWEST_READINGS - 1), [1.0] * (FEWEST_READINGS - 1)) is None
+    assert estimate_growth(range(FEWEST_READINGS - 1), [1.0] * (FEWEST_READINGS - 1)) is None
     assert "not kept" in grown(evidence, []).missing
     assert "does not tell" in grown(evidence, [None] * 40).missing
 
@@ -337,21 +343,21 @@ def number(value, **changes):
 )
 def test_a_limit_applies_to_the_whole_interval(found, state):
     criterion = Criterion(quantity="x", sense="at most", limit=1.0)
-    assert [item.state for item in compared([criterion], {"x": found})] == [state]
+    assert [item.state for item in compare_criteria([criterion], {"x": found})] == [state]
     value, low, high = (None if end is None else -end for end in (found.value, found.high, found.low))
     mirrored = replace(found, value=value, low=low, high=high)
     below = replace(criterion, sense="at least", limit=-1.0)
-    assert [item.state for item in compared([below], {"x": mirrored})] == [state]
+    assert [item.state for item in compare_criteria([below], {"x": mirrored})] == [state]
 
 
 def test_the_outcome_is_that_of_the_worst_criterion():
     criteria = [Criterion(quantity=name, sense="at most", limit=1.0) for name in "ab"]
     fine, bad, open_ = number(1.0), number(2.0), number(None, missing="?")
-    assert outcome(compared(criteria, {"a": fine, "b": fine})) == "pass"
-    assert outcome(compared(criteria, {"a": fine, "b": open_})) == "incomplete"
-    assert outcome(compared(criteria, {"a": bad, "b": open_})) == "fail"
+    assert overall_outcome(compare_criteria(criteria, {"a": fine, "b": fine})) == "pass"
+    assert overall_outcome(compare_criteria(criteria, {"a": fine, "b": open_})) == "incomplete"
+    assert overall_outcome(compare_criteria(criteria, {"a": bad, "b": open_})) == "fail"
     left_out = [criteria[0], replace(criteria[1], limit=None)]
-    assert outcome(compared(left_out, {"a": fine, "b": bad})) == "pass"
+    assert overall_outcome(compare_criteria(left_out, {"a": fine, "b": bad})) == "pass"
 
 
 def test_limits_are_overridden_by_name(faulty):
@@ -367,7 +373,7 @@ def test_limits_are_overridden_by_name(faulty):
 @pytest.mark.parametrize("text", ["longest_gap_h", "nobody=1", "longest_gap_h=long", "longest_gap_h=nan"])
 def test_an_invalid_limit_is_rejected(text):
     with pytest.raises(UsageError, match=re.escape(text)):
-        with_limits([text])
+        apply_limits([text])
 
 
 def test_the_how_to_lists_every_limit():
@@ -390,7 +396,7 @@ def test_the_how_to_lists_every_limit():
     ],
 )
 def test_a_number_is_shown_with_its_unit(arguments, text):
-    assert shown(*arguments) == text
+    assert format_with_interval(*arguments) == text
 
 
 # The outcome -----------------------------------------------------------------------------------------

@@ -114,7 +114,7 @@ def test_columns_are_the_catalogue_s_with_their_units(running, tmp_path):
         }
         assert units == {"waveform": "counts", "tof_pp_s": "s", "due_h": "h"}
         configuration = json.loads(entry["provenance/data"].asstr()[0])["configuration"]
-        assert configuration == catalogue.experiment_row().configuration
+        assert configuration == catalogue.read_experiment().configuration
 
 
 def test_records_of_another_length_have_a_separate_array(folder, tmp_path):

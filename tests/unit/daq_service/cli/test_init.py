@@ -9,7 +9,7 @@ from support.small_experiment import rows_of, run, small_settings
 
 from daq_service.cli.main import cli
 from daq_service.errors import UsageError
-from daq_service.settings.file import config_file, load_settings
+from daq_service.settings.file import find_config_file, load_settings
 from daq_service.settings.tree import Settings
 
 LAB = [
@@ -49,13 +49,13 @@ def test_the_twin_s_is_the_paper_s_experiment(tmp_path):
     assert load_settings(file) == Settings()
     text = file.read_text(encoding="utf-8")
     assert text.startswith("#:schema ./settings.schema.json\n")
-    shipped = config_file("settings.schema.json").read_bytes()
+    shipped = find_config_file("settings.schema.json").read_bytes()
     assert (tmp_path / "settings.schema.json").read_bytes() == shipped
 
 
 def test_the_rig_s_is_the_shipped_laboratory_toml(tmp_path):
     answer = write_configuration("rig", tmp_path / "lab.toml")
-    shipped = config_file("laboratory.toml")
+    shipped = find_config_file("laboratory.toml")
     assert (tmp_path / "lab.toml").read_bytes() == shipped.read_bytes(), (
         "renew it: solimon init rig NEW, then NEW in the place of config/laboratory.toml"
     )

@@ -24,8 +24,8 @@ from support.table_rows import execute
 
 from daq_service.archive import FolderArchive, FolderSetReader
 from daq_service.archive.finalize_set import finalize_set
-from daq_service.archive.journal.reader import segment_path
-from daq_service.assessment.results_in_file import results_in
+from daq_service.archive.journal.reader import build_segment_path
+from daq_service.assessment.results_in_file import read_set_results
 from daq_service.catalogue import open_catalogue
 from daq_service.catalogue.history import HistoryFollower
 from daq_service.catalogue.rows import SetRow
@@ -36,9 +36,9 @@ from daq_service.cli.status.facts import describe_status
 from daq_service.commands.audit import Audit
 from daq_service.errors import BusyError, StorageError, StorageUnavailableError
 from daq_service.processes.data_folder import CACHES, LOCKS, SOURCES, own_data_folder, settings_of_folder
-from daq_service.processes.lost_sets import FILED_WITHIN_S, lost_sets
+from daq_service.processes.lost_sets import FILED_WITHIN_S, find_lost_sets
 from daq_service.processes.notifications.delivery_log import Delivery, DeliveryLog
-from daq_service.recording.reassessment.rebuild import rebuild
+from daq_service.recording.reassessment.rebuild import rebuild_folder_catalogue
 from hardware_drivers.measurement import SetKey
 
 PAGE = Path(__file__).parents[4] / "docs" / "reference" / "data-folder.md"
@@ -432,7 +432,7 @@ def test_repair_restores_a_file_from_the_journal_or_quarantines_it(folder):
     assert (folder / FILES[2]).read_bytes() == content
     for table in ("events", "features", "assessments", "thickness", "shots", "sets"):
         execute(folder, f"DELETE FROM {table} WHERE set_index = 2")
-    segment_path(folder, 1).unlink()
+    build_segment_path(folder, 1).unlink()
     (folder / FILES[2]).write_bytes(content[:1000])
     code, answer = solimon("repair", "--apply", "--data-dir", folder)
     assert (code, [step["does"] for step in answer["steps"]]) == (0, ["set_aside"])
@@ -553,9 +553,9 @@ def test_a_set_that_waits_in_the_journal_is_in_the_copy_of_it(folder, tmp_path):
         back_up(folder, copy)
         assert verify_folder(copy).damage == []
         assert FolderSetReader(copy).read_set(FILES[2]).set_index == 2
-        assert segment_path(copy, 1).stat().st_size < 10**6, "the room for what is to come is left out"
+        assert build_segment_path(copy, 1).stat().st_size < 10**6, "the room for what is to come is left out"
     with open_catalogue(folder) as catalogue:
-        finalize_set(folder, SetKey(2), results=results_in(catalogue, SetKey(2)))
+        finalize_set(folder, SetKey(2), results=read_set_results(catalogue, SetKey(2)))
     with closing(FolderArchive(folder)) as archive:
         archive.settle(SetKey(2))
     back_up(folder, copy)
@@ -568,12 +568,12 @@ def test_a_set_that_waits_in_the_journal_is_in_the_copy_of_it(folder, tmp_path):
 
 def test_status_lists_missing_and_empty_sets(folder):
     with open_catalogue(folder) as catalogue:
-        assert lost_sets(folder, catalogue) == {}
+        assert find_lost_sets(folder, catalogue) == {}
         (folder / FILES[0]).write_bytes(b"")
         (folder / FILES[2]).unlink()
-        assert lost_sets(folder, catalogue) == {FILES[0]: "is empty", FILES[2]: "is missing"}
+        assert find_lost_sets(folder, catalogue) == {FILES[0]: "is empty", FILES[2]: "is missing"}
         shutil.rmtree(folder / "sets")
-        assert set(lost_sets(folder, catalogue)) == set(FILES.values())
+        assert set(find_lost_sets(folder, catalogue)) == set(FILES.values())
     assert set(solimon("status", "--data-dir", folder)[1]["lost"]) == set(FILES.values())
     assert "MISSING" in solimon_here("status", "--data-dir", str(folder), env={}).stdout
 
@@ -590,27 +590,27 @@ def test_status_and_web_service_report_a_lost_catalogue(folder, left):
         answer = api.get("/readyz")
         assert (answer.status_code, answer.json()["type"]) == (503, "urn:solimon:problem:catalogue-lost")
         assert remedy in answer.json()["detail"]
-        rebuild(folder)
+        rebuild_folder_catalogue(folder)
         assert api.get("/readyz").status_code == 200
 
 
 def test_status_checks_the_newest_sets_and_all_after_a_removal(folder):
     first, *_, newest = FILES.values()
     with open_catalogue(folder) as catalogue:
-        n_positions = len(catalogue.positions_state())
-        assert lost_sets(folder, catalogue, newest_rows=n_positions) == {}
+        n_positions = len(catalogue.read_latest_rows())
+        assert find_lost_sets(folder, catalogue, newest_rows=n_positions) == {}
         content, times_s = (folder / first).read_bytes(), (folder / newest).stat().st_mtime
         (folder / first).write_bytes(b"")
-        assert lost_sets(folder, catalogue, newest_rows=n_positions) == {}, "an old one is not opened"
+        assert find_lost_sets(folder, catalogue, newest_rows=n_positions) == {}, "an old one is not opened"
         (folder / first).write_bytes(content)
         (folder / newest).write_bytes(b"")
-        assert lost_sets(folder, catalogue, newest_rows=n_positions) == {newest: "is empty"}
+        assert find_lost_sets(folder, catalogue, newest_rows=n_positions) == {newest: "is empty"}
         (folder / newest).write_bytes(content)
         (folder / first).unlink()
         for after_s, expected in ((FILED_WITHIN_S + 1, {first: "is missing"}), (0, {})):
             os.utime(folder / newest, (times_s, times_s))
             os.utime(folder / "sets", (times_s + after_s, times_s + after_s))
-            assert lost_sets(folder, catalogue, newest_rows=n_positions) == expected
+            assert find_lost_sets(folder, catalogue, newest_rows=n_positions) == expected
 
 
 @pytest.mark.parametrize("commit", [pytest.param("9c4a9b9", marks=pytest.mark.slow), "c3c2e28"])

@@ -8,7 +8,7 @@ from click.testing import CliRunner
 from daq_service.cli import serve
 from daq_service.cli.main import cli
 from daq_service.errors import UsageError
-from daq_service.web.context import context_of
+from daq_service.web.context import find_app_context
 
 
 @pytest.fixture
@@ -67,9 +67,9 @@ def test_several_paths_are_a_list_with_a_folder_of_the_service_s_own(served, tmp
     app, web, port = served.pop()
     assert list(app.state.tests.all) == ["a", "b"]
     assert (web.host, port) == ("127.0.0.1", 8123)
-    assert context_of(app).data_folder == tmp_path / "solimon-service"
+    assert find_app_context(app).data_folder == tmp_path / "solimon-service"
     run("a.toml", "b", "--data-dir", tmp_path / "own")
-    assert context_of(served.pop()[0]).data_folder == tmp_path / "own"
+    assert find_app_context(served.pop()[0]).data_folder == tmp_path / "own"
     assert not (tmp_path / "b").exists(), "no test's folder is made"
 
 
@@ -80,8 +80,8 @@ def test_address_and_tokens_of_several_are_those_of_the_configuration_named_for_
     run("a.toml", "b", "--web", file)
     app, web, port = served.pop()
     assert (web.port, port) == (9000, None)
-    assert context_of(app).data_folder == file.parent / "own"
-    assert context_of(app).access_policy.tokens_path == file.parent / "who.json"
+    assert find_app_context(app).data_folder == file.parent / "own"
+    assert find_app_context(app).access_policy.tokens_path == file.parent / "who.json"
 
 
 def test_a_service_of_several_that_others_reach_needs_a_token_of_its_own(served, tmp_path):

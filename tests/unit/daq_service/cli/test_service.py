@@ -23,7 +23,7 @@ from daq_service.cli.main import cli
 from daq_service.cli.run import serve_app
 from daq_service.errors import EXIT_INTERRUPTED, UsageError
 from daq_service.processes.heartbeat import WEB_DEADLINE_S
-from daq_service.recording.session import longest_call_s
+from daq_service.recording.session import compute_longest_call_s
 from daq_service.settings.file import load_settings
 from daq_service.settings.web import WebSettings
 from daq_service.web.app import create_app
@@ -86,7 +86,7 @@ def test_systemd_verifies_the_units(config):
 def test_a_watched_recorder_has_time_to_start_to_work_and_to_stop(config):
     recorder = units(config)["record"]["Service"]
     settings = load_settings(config)
-    deadline_s = longest_call_s(settings) + settings.rig.stall_timeout_s
+    deadline_s = compute_longest_call_s(settings) + settings.rig.stall_timeout_s
     assert recorder["Type"] == "notify"
     assert int(recorder["WatchdogSec"]) == math.ceil(deadline_s)
     assert int(recorder["TimeoutStartSec"]) > deadline_s
@@ -207,7 +207,7 @@ def test_a_recorder_notifies_its_service_manager_from_start_to_end(tmp_path, mon
 @pytest.mark.skipif(not hasattr(socket, "AF_UNIX"), reason="no service manager here has a Unix socket")
 def test_the_event_loop_of_a_web_service_feeds_the_watchdog_of_its_manager(tmp_path, monkeypatch):
     monkeypatch.setattr("daq_service.web.server.TICKS_OF_A_BEAT", 1)
-    monkeypatch.setattr("daq_service.web.server.collect_garbage_seldom", lambda: None)
+    monkeypatch.setattr("daq_service.web.server.reduce_garbage_collection", lambda: None)
     app = create_app(load_settings(None), tmp_path)
     with notify_socket(tmp_path) as (environment, heard):
         monkeypatch.setenv("NOTIFY_SOCKET", environment["NOTIFY_SOCKET"])

@@ -16,10 +16,10 @@ from support.waiting import until
 
 from daq_service.cli.set_up.bench import Bench
 from daq_service.cli.set_up.dialogue import Dialogue, _Answer
-from daq_service.cli.set_up.drawn import COLUMNS, envelope
+from daq_service.cli.set_up.drawn import COLUMNS, compute_envelope
 from daq_service.cli.set_up.other_instruments import ask_for_others
-from daq_service.cli.set_up.page import served_page
-from daq_service.cli.set_up.wiring import coil_counters, home_terminal
+from daq_service.cli.set_up.page import serve_page
+from daq_service.cli.set_up.wiring import default_pulse_terminal, list_coil_counters
 from daq_service.errors import UsageError
 from hardware_drivers.daqmx.parameters import TransducerWiring
 from hardware_drivers.daqmx.survey import BoardFacts
@@ -133,7 +133,7 @@ def test_input_typed_ahead_strikes_nothing(monkeypatch):
 
 def test_the_page_is_guarded_as_the_dashboard(terminal):
     dialogue = Dialogue()
-    with served_page(dialogue, bench(), 0) as address, httpx.Client(base_url=address) as api:
+    with serve_page(dialogue, bench(), 0) as address, httpx.Client(base_url=address) as api:
         assert address.startswith("http://127.0.0.1:")
         page = api.get("/")
         assert "solimon setup" in page.text
@@ -155,7 +155,7 @@ def test_the_page_is_guarded_as_the_dashboard(terminal):
 
 
 def test_an_open_page_is_notified_of_the_end():
-    with served_page(Dialogue(), bench(), 0) as address:
+    with serve_page(Dialogue(), bench(), 0) as address:
         assert not httpx.get(f"{address}api/state").json()["done"]
         heard = queue.Queue()
 
@@ -175,7 +175,7 @@ def test_an_error_of_the_boards_is_shown_on_the_page():
 
     watched = bench()
     watched.watch = refused
-    with served_page(Dialogue(), watched, 0) as address:
+    with serve_page(Dialogue(), watched, 0) as address:
         assert httpx.post(f"{address}api/record").json() == {
             "position": None,
             "error": "LabVIEW holds the board; end it",
@@ -185,7 +185,7 @@ def test_an_error_of_the_boards_is_shown_on_the_page():
 def test_an_envelope_keeps_every_crest():
     volts = np.zeros(13_600)
     volts[4321], volts[9876] = 4.0, -3.0
-    drawn = envelope(waveform_of(volts), first_s=-1e-4)
+    drawn = compute_envelope(waveform_of(volts), first_s=-1e-4)
     assert len(drawn["highest_v"]) == len(drawn["lowest_v"]) == COLUMNS
     # Half a code of the converter.
     assert max(drawn["highest_v"]) == pytest.approx(4.0, abs=2e-4)
@@ -206,9 +206,9 @@ def test_a_counter_s_home_is_its_family_s():
     }  # fmt: skip
     x_series = BoardFacts(terminals=("/Dev1/PFI12", "/Dev1/PFI13"), **facts)
     s_series = BoardFacts(terminals=("/Dev1/PFI12", "/Dev1/Ctr0Out", "/Dev1/Ctr1Out"), **facts)
-    assert coil_counters(x_series) == ["ctr0", "ctr1"]
-    assert [home_terminal(x_series, item) for item in ("ctr0", "ctr1")] == ["PFI12", "PFI13"]
-    assert [home_terminal(s_series, item) for item in ("ctr0", "ctr1")] == ["Ctr0Out", "Ctr1Out"]
+    assert list_coil_counters(x_series) == ["ctr0", "ctr1"]
+    assert [default_pulse_terminal(x_series, item) for item in ("ctr0", "ctr1")] == ["PFI12", "PFI13"]
+    assert [default_pulse_terminal(s_series, item) for item in ("ctr0", "ctr1")] == ["Ctr0Out", "Ctr1Out"]
 
 
 def test_a_counter_that_starts_nothing_leaves_a_rig_without_holdoff(monkeypatch, tmp_path):

@@ -10,12 +10,12 @@ from support.scripted_kinds import OFFERED, begin_script
 
 from daq_service.cli.main import cli
 from daq_service.cli.set_up.dialogue import Dialogue
-from daq_service.cli.set_up.kinds import named_kinds
+from daq_service.cli.set_up.kinds import parse_named_kinds
 from daq_service.cli.set_up.transducers import Flags, set_up_transducers
 from daq_service.errors import BusyError, RigError, UsageError
 from daq_service.processes.data_folder import own_data_folder, prepare_data_folder
 from daq_service.settings.file import load_settings
-from daq_service.settings.instruments import configured
+from daq_service.settings.instruments import list_instruments
 
 SCOPE_AND_HAMMER = ("--kind", "scripted-scope", "--kind", "scripted-hammer")
 AT_B = ("--transducer", "B=scripted-scope/scripted-hammer")
@@ -41,7 +41,7 @@ def set_up(file, *flags, answers=""):
 
 
 def instruments(file):
-    return {item.name: item.parameters for item in configured(load_settings(file))}
+    return {item.name: item.parameters for item in list_instruments(load_settings(file))}
 
 
 def test_the_dialogue_writes_a_complete_file(file, script):
@@ -86,7 +86,7 @@ def test_options_answer_every_question_and_strike_only_with_strike(file, script)
 def test_a_strike_without_a_record_writes_nothing(file, script, tmp_path):
     script.comes = False
     dialogue = Dialogue()
-    kinds = named_kinds(dialogue, ["scripted-scope", "scripted-hammer"], [], file, tmp_path / "data")
+    kinds = parse_named_kinds(dialogue, ["scripted-scope", "scripted-hammer"], [], file, tmp_path / "data")
     flags = Flags(transducers={"B": "scripted-scope/scripted-hammer"}, strike=True)
     with pytest.raises(RigError, match="B gave no record"):
         set_up_transducers(dialogue, kinds, flags)
@@ -96,7 +96,7 @@ def test_a_strike_without_a_record_writes_nothing(file, script, tmp_path):
 
 def test_no_strike_is_made_while_a_recorder_owns_the_folder(file, script, tmp_path):
     folder = tmp_path / "data"
-    kinds = named_kinds(Dialogue(), ["scripted-scope", "scripted-hammer"], [], file, folder)
+    kinds = parse_named_kinds(Dialogue(), ["scripted-scope", "scripted-hammer"], [], file, folder)
     kinds.wire("B", "scripted-scope/scripted-hammer")
     prepare_data_folder(folder)
     with own_data_folder(folder), pytest.raises(BusyError, match="a strike is refused: "):
@@ -105,7 +105,9 @@ def test_no_strike_is_made_while_a_recorder_owns_the_folder(file, script, tmp_pa
 
 
 def test_the_page_is_shown_the_newest_record_and_its_waves(file, tmp_path):
-    kinds = named_kinds(Dialogue(), ["scripted-levelled", "scripted-hammer"], [], file, tmp_path / "data")
+    kinds = parse_named_kinds(
+        Dialogue(), ["scripted-levelled", "scripted-hammer"], [], file, tmp_path / "data"
+    )
     kinds.wire("B", "scripted-levelled/scripted-hammer")
     assert kinds.newest() == {"strike": None, "shot": None}
     kinds.strike_each(["B"])

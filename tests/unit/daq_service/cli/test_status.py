@@ -11,11 +11,11 @@ from support.invented_rows import set_row
 from daq_service.catalogue import SetCommit
 from daq_service.cli.status.command import PIPE_COLUMNS
 from daq_service.cli.status.facts import GAPS_A_POSITION, describe_status
-from daq_service.cli.status.table import picture
-from daq_service.cli.terminal import console_on
+from daq_service.cli.status.table import compose_status
+from daq_service.cli.terminal import create_console
 from daq_service.processes.disk_policy import LEVELS
 from daq_service.settings.tree import Settings
-from daq_service.web.report.make import report_page
+from daq_service.web.report.make import build_report_page
 
 SETS = N_BASELINE + 2
 
@@ -39,10 +39,10 @@ def store_missed_set(filled, index, reason, *positions, state="missed"):
 
 
 def status_lines(facts):
-    console = console_on("stdout")
+    console = create_console("stdout")
     console.width = PIPE_COLUMNS
     with console.capture() as captured:
-        console.print(picture(facts, "here"))
+        console.print(compose_status(facts, "here"))
     return [line.rstrip() for line in captured.get().splitlines()]
 
 
@@ -246,7 +246,7 @@ def test_a_transducer_whose_baseline_has_no_limits_is_not_assessed(tmp_path):
     assert line_of(lines, " D").startswith(" D  not assessed  ToF ")
     assert "  none  -  good, n = 1  " in line_of(lines, " D")
     assert line_of(lines, "baseline") == f"baseline  D: NOT ASSESSED: {reason}"
-    page = report_page(tmp_path).decode()
+    page = build_report_page(tmp_path).decode()
     assert re.search(rf">not assessed</td>\s*<td[^>]*>not judged: {reason}</td>", page)
     filled.close()
 
@@ -274,9 +274,9 @@ def test_colour_is_for_terminals_without_no_color(filled, monkeypatch):
     monkeypatch.setenv("TERM", "xterm-256color")
     for variable, coloured in (("FORCE_COLOR", True), ("NO_COLOR", False)):
         monkeypatch.setenv(variable, "1")
-        console = console_on("stdout")
+        console = create_console("stdout")
         with console.capture() as captured:
-            console.print(picture(facts, "here"))
+            console.print(compose_status(facts, "here"))
         assert ("\x1b[32m" in captured.get()) == coloured
 
 

@@ -11,7 +11,7 @@ from support.machine import clock_in_seconds
 from support.waiting import happened
 
 from daq_service.cli import terminal
-from daq_service.cli.terminal import ProgressReport, duration, open_page, why_no_screen
+from daq_service.cli.terminal import ProgressReport, format_duration, no_screen_reason, open_page
 
 ALARM = {"change": "alarm_raised", "hour": 12.5, "priority": "high", "message": "hole at C: inspect"}
 GAP = {"state": "missed", "positions": ["A", "B"], "reason": "paused by ann: door open"}
@@ -131,10 +131,12 @@ def test_the_progress_line_names_the_long_step(capsys):
 def test_a_restart_is_printed_with_its_cause(capsys):
     log = Log()
     with log.report:
-        log.report.hear("web", {"event": "restarts", "cause": "was killed by signal 9", "in_s": 0.2})
-        log.report.hear("web", {"event": "progress", "done": "of no recorder"})
-        log.report.hear("recorder", {"event": "nobody knows this one"})
-        log.report.hear("recorder", {"event": "alarm", **ALARM})
+        log.report.report_message(
+            "web", {"event": "restarts", "cause": "was killed by signal 9", "in_s": 0.2}
+        )
+        log.report.report_message("web", {"event": "progress", "done": "of no recorder"})
+        log.report.report_message("recorder", {"event": "nobody knows this one"})
+        log.report.report_message("recorder", {"event": "alarm", **ALARM})
     assert lines(capsys) == [
         "web was killed by signal 9; started again in 0.2 s",
         "hour 12.5, ALARM, high: hole at C: inspect",
@@ -172,7 +174,9 @@ def test_a_blocked_terminal_delays_no_caller(monkeypatch):
     log = Log()
     with log.report:
         log.progress(0.0, 1)
-        log.report.hear("recorder", {"event": "restarts", "cause": "was killed by signal 9", "in_s": 0.2})
+        log.report.report_message(
+            "recorder", {"event": "restarts", "cause": "was killed by signal 9", "in_s": 0.2}
+        )
         log.after(0.0, "alarm", **ALARM)
         assert held.getvalue() == ""
         held.released.set()
@@ -184,7 +188,7 @@ def test_a_blocked_terminal_delays_no_caller(monkeypatch):
     [(0.4, "0 s"), (119.0, "119 s"), (120.0, "2 min"), (7200.0, "2.0 h"), (172_800.0, "2.0 d")],
 )
 def test_a_duration_has_its_unit(seconds, text):
-    assert duration(seconds) == text
+    assert format_duration(seconds) == text
 
 
 # A page on a screen ---------------------------------------------------------------------------------------
@@ -210,11 +214,11 @@ def at_a_terminal(monkeypatch):
     ],
 )
 def test_a_page_is_opened_for_an_interactive_user(environment, platform, why):
-    assert why_no_screen(environment, platform) == why
+    assert no_screen_reason(environment, platform) == why
 
 
 def test_no_page_is_opened_for_a_program():
-    assert why_no_screen({"DISPLAY": ":0"}, "linux") == "no terminal"
+    assert no_screen_reason({"DISPLAY": ":0"}, "linux") == "no terminal"
 
 
 class Browser(webbrowser.BackgroundBrowser):
@@ -232,17 +236,17 @@ class Browser(webbrowser.BackgroundBrowser):
 @pytest.mark.usefixtures("at_a_terminal")
 def test_the_page_is_opened_once_in_the_persons_browser(monkeypatch):
     browser = Browser()
-    monkeypatch.setattr(terminal, "why_no_screen", lambda environment: "")
+    monkeypatch.setattr(terminal, "no_screen_reason", lambda environment: "")
     monkeypatch.setattr(webbrowser, "get", lambda: browser)
     assert open_page("http://127.0.0.1:8000/")
     assert browser.opened.wait(60.0)
     assert browser.urls == ["http://127.0.0.1:8000/"]
-    monkeypatch.setattr(terminal, "why_no_screen", lambda environment: "SSH")
+    monkeypatch.setattr(terminal, "no_screen_reason", lambda environment: "SSH")
     assert not open_page("http://127.0.0.1:8000/")
 
 
 def test_no_browser_takes_the_terminal_itself(monkeypatch):
-    monkeypatch.setattr(terminal, "why_no_screen", lambda environment: "")
+    monkeypatch.setattr(terminal, "no_screen_reason", lambda environment: "")
     monkeypatch.delenv("BROWSER", raising=False)
     monkeypatch.setattr(webbrowser, "get", lambda: webbrowser.GenericBrowser("w3m"))
     assert not open_page("http://127.0.0.1:8000/")

@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 
 from daq_service.catalogue.rows import CommandRow
-from daq_service.commands.deadline import remaining_s, with_expiry
+from daq_service.commands.deadline import apply_expiry, compute_remaining_s
 
 ORDER = CommandRow(
     id=1,
@@ -32,15 +32,18 @@ ORDER = CommandRow(
     ],
 )
 def test_a_command_is_pending_until_its_deadline_in_this_boot(boot, boot_s, utc_s, left):
-    found = remaining_s(ORDER, boot=boot, boot_ns=boot_s * 10**9, wall_utc_ns=utc_s * 10**9)
+    found = compute_remaining_s(ORDER, boot=boot, boot_ns=boot_s * 10**9, wall_utc_ns=utc_s * 10**9)
     assert found == left
-    assert with_expiry(ORDER, found).state == ("pending" if left else "expired")
+    assert apply_expiry(ORDER, found).state == ("pending" if left else "expired")
 
 
 def test_a_started_command_does_not_expire():
     started = replace(ORDER, state="started")
-    assert with_expiry(started, 0.0) is started
+    assert apply_expiry(started, 0.0) is started
 
 
 def test_a_command_of_an_older_version_has_expired():
-    assert remaining_s(replace(ORDER, deadline_boot_ns=None), boot="this", boot_ns=0, wall_utc_ns=0) == 0.0
+    assert (
+        compute_remaining_s(replace(ORDER, deadline_boot_ns=None), boot="this", boot_ns=0, wall_utc_ns=0)
+        == 0.0
+    )

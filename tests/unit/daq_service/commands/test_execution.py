@@ -10,7 +10,7 @@ from support.invented_rows import condition
 from support.new_experiment import new_catalogue
 
 from daq_service.alarms.states import Moment
-from daq_service.alarms.transitions import transition
+from daq_service.alarms.transitions import build_transition
 from daq_service.archive import FolderArchive
 from daq_service.catalogue import SetCommit
 from daq_service.catalogue.errors import CatalogueBusyError, CatalogueWriteError
@@ -179,7 +179,7 @@ def test_a_retired_baseline_resets_its_change_alarms_with_the_same_author(bench)
     assert [row.state for row in bench.catalogue.rows(AlarmRow)] == ["normal", "normal", "unacknowledged"]
     ended = bench.catalogue.rows(EventRow, topic="alarms")[-2:]
     reason = "its baseline was retired: coupled anew"
-    for change in map(transition, ended):
+    for change in map(build_transition, ended):
         assert (change["kind"], change["author"], change["reason"]) == ("alarm_reset", "ann", reason)
     assert [event.payload["acknowledged_by"] for event in ended] == ["ann", "bob"], "who saw it first"
     bench.restart()
@@ -344,7 +344,7 @@ def test_pending_commands_are_executed_in_order(bench):
 def test_a_transducer_is_disabled_and_enabled(bench):
     assert bench.execute("disable", position="B", note="coil is hot") == ("done", "B is disabled")
     assert bench.ledger.disabled() == {"B": "disabled by ann: coil is hot"}
-    (event,) = bench.catalogue.events_after(0, {"alarms"})
+    (event,) = bench.catalogue.read_events_after(0, {"alarms"})
     assert (event.kind, event.payload["evidence"]) == ("alarm_raised", {"command_id": 1})
     assert event.payload["raised_h"] == HOUR
     assert bench.execute("strike", position="B") == ("rejected", "B is disabled")

@@ -65,7 +65,7 @@ OPEN = {
 @pytest.mark.parametrize("kind", sorted(KINDS))
 def test_a_permitted_command_is_executed(kind):
     paused = "paused by ben" if kind == "resume" else ""
-    assert order(kind, **ARGUMENTS.get(kind, {})).forbidden(facts(**{**OPEN, "paused": paused})) is None
+    assert order(kind, **ARGUMENTS.get(kind, {})).find_refusal(facts(**{**OPEN, "paused": paused})) is None
 
 
 @pytest.mark.parametrize("kind", sorted(KINDS))
@@ -80,7 +80,7 @@ def test_a_permitted_command_is_executed(kind):
 )
 def test_an_ended_recorder_accepts_only_commands_that_change_rows(kind, state, word):
     command = order(kind, **ARGUMENTS.get(kind, {}))
-    refusal = command.forbidden(facts(**OPEN, **state))
+    refusal = command.find_refusal(facts(**OPEN, **state))
     assert (refusal is None) == isinstance(command, StoredCommand)
     assert refusal is None or refusal.detail == f"{word}: nobody would carry this out."
 
@@ -168,7 +168,7 @@ def test_an_ended_recorder_accepts_only_commands_that_change_rows(kind, state, w
     ],
 )
 def test_a_rejection_has_the_expected_message(kind, state, reason, detail, hint):
-    refusal = order(kind, **ARGUMENTS.get(kind, {})).forbidden(facts(**state))
+    refusal = order(kind, **ARGUMENTS.get(kind, {})).find_refusal(facts(**state))
     assert (refusal.reason, refusal.detail, refusal.hint) == (reason, detail, hint)
     assert refusal.missing == (reason == "there is no current alarm 7")
 

@@ -33,7 +33,7 @@ class RecorderDouble:
         beat(folder)
 
     def look(self, seconds):
-        for row in self.catalogue.open_commands():
+        for row in self.catalogue.list_open_commands():
             self.seen.append((row.kind, row.author, row.arguments))
             self.catalogue.finish_command(row.id, *self.answer)
 
@@ -93,7 +93,7 @@ def test_a_rejected_command_is_an_error_with_the_recorders_reason(recorder, caps
 def test_invalid_arguments_are_not_stored(recorder):
     with pytest.raises(UsageError, match=r"arguments\.voltage_v"):
         recorder.send("supply_on", voltage_v=-5.0)
-    assert recorder.catalogue.open_commands() == recorder.seen == []
+    assert recorder.catalogue.list_open_commands() == recorder.seen == []
 
 
 def test_a_command_that_is_not_started_in_time_expires(recorder, capsys):
@@ -137,7 +137,7 @@ def test_without_a_recorder_no_command_is_stored(recorder, end):
     end(recorder)
     with pytest.raises(BusyError, match=r"no recorder runs on "):
         recorder.send("pause", note="why")
-    assert recorder.catalogue.open_commands() == []
+    assert recorder.catalogue.list_open_commands() == []
 
 
 @pytest.mark.parametrize("kind", ["schedule_done", "recorder_stopped"])
@@ -146,7 +146,7 @@ def test_a_recorder_that_opens_its_rig_gets_no_command(recorder, kind):
     beat(recorder.folder, "opening")
     with pytest.raises(BusyError, match=r"the recorder of .* is waiting: nothing strikes, .*its rig is open"):
         recorder.send("pause", note="why")
-    assert recorder.catalogue.open_commands() == []
+    assert recorder.catalogue.list_open_commands() == []
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,7 @@ import pytest
 from support.invented_rows import condition
 from support.new_experiment import new_catalogue
 
-from daq_service.alarms.states import Moment, update
+from daq_service.alarms.states import Moment, update_alarm
 from daq_service.catalogue import SetCommit, open_catalogue
 from daq_service.catalogue.history import HistoryFollower, read_history
 from daq_service.catalogue.rows import AlarmRow, CommandRow, EventRow
@@ -27,7 +27,7 @@ def ended_test(folder):
     """Fill a folder with one unacknowledged alarm and no recorder; return the id of the alarm."""
     with new_catalogue(folder) as catalogue:
         raised, transaction = Moment(utc_ns=5, due_h=5.0, set_index=1), SetCommit()
-        change = update(None, HOLE, raised)
+        change = update_alarm(None, HOLE, raised)
         transaction.add_alarm(change.row, change.event(raised))
         (alarm_id,) = catalogue.commit_set(transaction).alarm_ids
         HistoryFollower(folder, catalogue).begin()

@@ -16,8 +16,8 @@ from daq_service.corrosion_drive.charge import (
     Command,
     DriveState,
     add_interval,
-    elapsed_s,
-    restored_state,
+    compute_elapsed_s,
+    restore_charge_state,
 )
 from hardware_drivers.measurement import Stamp
 
@@ -97,8 +97,8 @@ def stamp(utc_s, mono_s, boot_id):
 
 def test_time_is_monotonic_within_a_boot_and_utc_across():
     before = stamp(1000.0, 50.0, "one")
-    assert elapsed_s(before, stamp(9000.0, 60.0, "one")) == 10.0
-    assert elapsed_s(before, stamp(1025.0, 3.0, "two")) == 25.0
+    assert compute_elapsed_s(before, stamp(9000.0, 60.0, "one")) == 10.0
+    assert compute_elapsed_s(before, stamp(1025.0, 3.0, "two")) == 25.0
 
 
 def row(**changes):
@@ -128,11 +128,11 @@ def row(**changes):
     ],
 )
 def test_a_restart_continues_from_the_newest_row(changes, expected):
-    state = restored_state(row(**changes), written_utc_ns=100_000_000_000, parameters=PARAMETERS)
+    state = restore_charge_state(row(**changes), written_utc_ns=100_000_000_000, parameters=PARAMETERS)
     tripped = changes.get("supply_tripped")
     assert state == DriveState(charge=Charge(coulomb=123.0, unknown_s=7.0), tripped=tripped, **expected)
 
 
 @pytest.mark.parametrize("newest", [None, row(supply_state="absent", charge_coulomb=None, unknown_s=None)])
 def test_without_a_row_of_the_supply_the_charge_starts_at_zero(newest):
-    assert restored_state(newest, written_utc_ns=1, parameters=PARAMETERS) == DriveState()
+    assert restore_charge_state(newest, written_utc_ns=1, parameters=PARAMETERS) == DriveState()

@@ -5,8 +5,8 @@ from support.invented_rows import condition
 from support.scripted_supply import supply_parameters
 from support.serial_rig import TestClock
 
-from daq_service.alarms.operator_actions import acknowledge
-from daq_service.alarms.states import Moment, update
+from daq_service.alarms.operator_actions import acknowledge_alarm
+from daq_service.alarms.states import Moment, update_alarm
 from daq_service.corrosion_drive.watch import DriveWatch
 from daq_service.settings.rig import RigSettings
 from hardware_drivers.errors import ConnectionLostError
@@ -37,15 +37,15 @@ class Supply:
 class EmptyCatalogue:
     """Catalogue double without a row of the supply."""
 
-    def last_environment(self):
+    def read_last_environment(self):
         return None
 
 
 def trip_alarm(*, acknowledged=False):
     """Return the stored alarm of a tripped interlock."""
     tripped = condition(position=None, kind="interlock_tripped", message="hole at B")
-    row = update(None, tripped, MOMENT).row
-    return acknowledge(row, "Ada", "", MOMENT).row if acknowledged else row
+    row = update_alarm(None, tripped, MOMENT).row
+    return acknowledge_alarm(row, "Ada", "", MOMENT).row if acknowledged else row
 
 
 def start_watch(*alarms, off_at_end=False):
@@ -57,7 +57,7 @@ def start_watch(*alarms, off_at_end=False):
     known = {(row.position, row.kind): row for row in alarms}
 
     def carry(condition, moment, transaction):
-        change = update(known.get((condition.position, condition.kind)), condition, moment)
+        change = update_alarm(known.get((condition.position, condition.kind)), condition, moment)
         if change is not None:
             transaction.add_alarm(change.row, change.event(moment))
 

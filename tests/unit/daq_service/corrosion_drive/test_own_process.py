@@ -12,11 +12,16 @@ from support.serial_rig import TestClock
 
 from daq_service.clock import boot_name
 from daq_service.corrosion_drive.charge import Charge, Command, DriveState
-from daq_service.corrosion_drive.own_process import GRACE_S, DriveProcess, next_action, run_supply_process
+from daq_service.corrosion_drive.own_process import (
+    GRACE_S,
+    DriveProcess,
+    decide_next_action,
+    run_supply_process,
+)
 from daq_service.corrosion_drive.supply_state import (
     read_stored_state,
     read_supply_status,
-    stored_state_now,
+    stamp_state,
     write_stored_state,
 )
 from daq_service.errors import RigError
@@ -124,7 +129,7 @@ def test_the_next_action(facts, action):
         "pending": False,
         "stays": False,
     }
-    assert next_action(**{**usual, **facts}) == action
+    assert decide_next_action(**{**usual, **facts}) == action
 
 
 def test_an_unwatched_supply_is_switched_off_once_and_released(bench):
@@ -297,7 +302,7 @@ def test_before_a_successor_with_another_port_it_switches_off(bench):
 @pytest.mark.parametrize("port", ["COM4", "COM5"])
 def test_a_port_at_which_it_never_read_the_supply_is_released_at_once(tmp_path, port):
     """The port may be wrong, and the next process may reach the supply."""
-    write_stored_state(tmp_path, stored_state_now(DriveState(must_switch_off=True), supply_port="COM7"))
+    write_stored_state(tmp_path, stamp_state(DriveState(must_switch_off=True), supply_port="COM7"))
     bench = Bench(tmp_path)
     bench.supply.error = LOST
     bench.run(60.0)
@@ -438,7 +443,7 @@ def test_a_state_of_an_older_version_is_read(tmp_path):
 
 def test_a_supply_that_is_on_is_never_given_up(tmp_path):
     write_stored_state(
-        tmp_path, stored_state_now(DriveState(command=Command()), boot_ns=10**18, heard_boot_ns=10**18)
+        tmp_path, stamp_state(DriveState(command=Command()), boot_ns=10**18, heard_boot_ns=10**18)
     )
     bench = Bench(tmp_path)
     bench.supply.error = LOST
@@ -456,7 +461,7 @@ def test_the_stored_state_reads_back_equal(tmp_path):
         latched=frozenset({"a", "b"}),
         command=Command(voltage_v=5.0),
     )
-    kept = stored_state_now(state, output="off", age_s=1.0, heard_boot_ns=5, good_for_s=30.0)
+    kept = stamp_state(state, output="off", age_s=1.0, heard_boot_ns=5, good_for_s=30.0)
     write_stored_state(tmp_path, kept)
     assert read_stored_state(tmp_path) == kept
     assert read_stored_state(tmp_path / "absent") is None
@@ -473,7 +478,7 @@ def test_the_stored_state_reads_back_equal(tmp_path):
 )
 def test_a_reader_gets_the_age_of_the_supply_state(tmp_path, changes, age_s):
     assert boot_name() is not None
-    kept = stored_state_now(DriveState(), output="on", age_s=2.0, good_for_s=30.0)
+    kept = stamp_state(DriveState(), output="on", age_s=2.0, good_for_s=30.0)
     write_stored_state(tmp_path, replace(kept, **changes(kept)))
     now = read_supply_status(tmp_path)
     assert now.age_s == pytest.approx(age_s, abs=20.0)  # a busy machine is late

@@ -10,16 +10,21 @@ from support.scripted_supply import ScriptedSupply, supply_parameters
 from support.serial_rig import TestClock
 
 from daq_service.clock import MachineClock
-from daq_service.corrosion_drive.channel import HOST, Server, signed_line, verified_message
+from daq_service.corrosion_drive.channel import HOST, Server, sign_message, verify_line
 from daq_service.corrosion_drive.charge import Charge, Command, DriveState
 from daq_service.corrosion_drive.guard import DriveGuard
-from daq_service.corrosion_drive.own_process import DriveProcess, fingerprint
-from daq_service.corrosion_drive.remote import COMES_WITHIN_S, ENDS_WITHIN_S, RemoteDrive, answered_within_s
+from daq_service.corrosion_drive.own_process import DriveProcess, hash_supply_settings
+from daq_service.corrosion_drive.remote import (
+    COMES_WITHIN_S,
+    ENDS_WITHIN_S,
+    RemoteDrive,
+    longest_answer_time_s,
+)
 from daq_service.corrosion_drive.supply_state import (
     Address,
     hold_supply_lock,
     read_stored_state,
-    stored_state_now,
+    stamp_state,
     write_stored_state,
 )
 from daq_service.processes.data_folder import DRIVE_FILE
@@ -64,7 +69,7 @@ class Bench:
         self.started += 1
         return self.child
 
-    def comes_up(self, *, agreed: str = fingerprint(PARAMETERS)):
+    def comes_up(self, *, agreed: str = hash_supply_settings(PARAMETERS)):
         """Start the process."""
         self.server = self.life.enter_context(Server(KEY))
         address = Address(port=self.server.port, key=KEY.hex(), fingerprint=agreed)
@@ -213,7 +218,7 @@ def test_a_process_that_stalls_is_killed_and_the_output_switched_off(bench, comm
     reply = getattr(bench.remote, command)("Ada")
     assert "what the output does is unknown" in bench.answer(reply, step_s=1.0)
     assert bench.killed == 1
-    assert bench.now_s <= answered_within_s(PARAMETERS) + 3.0
+    assert bench.now_s <= longest_answer_time_s(PARAMETERS) + 3.0
     assert "supply_switch_off_pending" in bench.active()
     bench.remote.tick()
     assert bench.started == 1, "another one"
@@ -227,7 +232,7 @@ def test_a_stalled_process_is_replaced_also_without_a_command(bench):
     bench.comes_up()
     bench.answer(bench.remote.energise("Ada"))
     bench.process = None
-    for _ in range(round(answered_within_s(PARAMETERS)) + 3):
+    for _ in range(round(longest_answer_time_s(PARAMETERS)) + 3):
         bench.now_s += 1.0
         bench.remote.tick()
     assert bench.killed == 1
@@ -335,9 +340,9 @@ def guarded(tmp_path):
     [
         (None, 0),
         (b"{torn", 1),
-        (stored_state_now(DriveState(command=Command()), output="on"), 1),
-        (stored_state_now(DriveState(must_switch_off=True), output="unknown"), 1),
-        (stored_state_now(DriveState(), output="off"), 0),
+        (stamp_state(DriveState(command=Command()), output="on"), 1),
+        (stamp_state(DriveState(must_switch_off=True), output="unknown"), 1),
+        (stamp_state(DriveState(), output="off"), 0),
     ],
     ids=["never", "unreadable", "on", "pending", "off"],
 )
@@ -351,7 +356,7 @@ def test_the_guard_starts_a_process_where_the_output_may_be_on(guarded, content,
 
 
 def test_the_guard_looks_again_at_an_output_that_was_off(guarded):
-    write_stored_state(guarded.folder, stored_state_now(DriveState(), output="off"))
+    write_stored_state(guarded.folder, stamp_state(DriveState(), output="off"))
     guarded.look(590.0)
     assert guarded.started == 0
     guarded.look(20.0)
@@ -366,7 +371,7 @@ def test_the_guard_replaces_a_process_that_stalls_and_is_no_recorder(guarded):
     assert guarded.process._heard_ns == heard_ns
     assert guarded.killed == 0
     guarded.process = None
-    guarded.look(answered_within_s(PARAMETERS) + 5.0)
+    guarded.look(longest_answer_time_s(PARAMETERS) + 5.0)
     assert guarded.killed == 1
     guarded.look(10.0)
     assert guarded.started == 1
@@ -392,14 +397,14 @@ def test_the_first_process_starts_from_the_catalogue_a_later_one_from_the_file(b
 
 
 def test_a_message_is_decoded_only_with_its_key():
-    line = signed_line(KEY, {"id": 1, "do": "look"})
-    assert verified_message(KEY, line) == {"id": 1, "do": "look"}
-    assert verified_message(b"other", line) is None
-    assert verified_message(KEY, line.replace(b"look", b"evil")) is None
+    line = sign_message(KEY, {"id": 1, "do": "look"})
+    assert verify_line(KEY, line) == {"id": 1, "do": "look"}
+    assert verify_line(b"other", line) is None
+    assert verify_line(KEY, line.replace(b"look", b"evil")) is None
 
 
 @pytest.mark.parametrize(
-    "data", [signed_line(b"other", {"id": 1}), b"x" * 200_000, b"\n"], ids=["key", "flood", "empty"]
+    "data", [sign_message(b"other", {"id": 1}), b"x" * 200_000, b"\n"], ids=["key", "flood", "empty"]
 )
 def test_an_unauthenticated_client_is_disconnected_without_delaying_others(data):
     answered: list[Any] = []
@@ -426,12 +431,12 @@ def test_an_unauthenticated_client_is_disconnected_without_delaying_others(data)
             else:
                 pytest.fail("the stranger stays connected")
         with socket.create_connection((HOST, server.port)) as friend:
-            friend.sendall(signed_line(KEY, {"id": 5}))
+            friend.sendall(sign_message(KEY, {"id": 5}))
             for _ in range(PATIENCE):
                 server.serve(0.01, answer)
                 if answered:
                     break
             friend.settimeout(10.0)
-            assert verified_message(KEY, friend.recv(1000)) == {"id": 5}
+            assert verify_line(KEY, friend.recv(1000)) == {"id": 5}
         assert silent.fileno() > 0
     assert answered == [{"id": 5}]

@@ -17,8 +17,8 @@ from daq_service.processes.data_folder import (
     own_data_folder,
     prepare_data_folder,
     refuse_other_folders,
+    remove_temporary_files,
     settings_and_folder,
-    sweep,
     write_configuration,
 )
 from daq_service.settings.tree import Settings
@@ -37,7 +37,7 @@ def test_preparing_twice_changes_nothing(tmp_path):
 
 
 def test_a_network_folder_is_refused_with_its_kind(tmp_path, monkeypatch):
-    monkeypatch.setattr(daq_service.processes.data_folder, "network_filesystem", lambda path: "nfs4")
+    monkeypatch.setattr(daq_service.processes.data_folder, "find_network_type", lambda path: "nfs4")
     with pytest.raises(StorageError, match="network file system") as refusal:
         prepare_data_folder(tmp_path)
     assert "nfs4" in str(refusal.value)
@@ -74,7 +74,7 @@ def test_remains_of_killed_writers_are_removed_and_no_other_file(tmp_path):
     kept = ["configuration.json", "live/B.bin", "sets/set_000001_20240101T010000Z.h5"]
     for name in left + kept:
         (tmp_path / name).write_text("x")
-    sweep(tmp_path)
+    remove_temporary_files(tmp_path)
     files = {path.relative_to(tmp_path).as_posix() for path in tmp_path.rglob("*") if path.is_file()}
     assert files == set(kept)
 

@@ -10,7 +10,7 @@ from support.machine import clock_in_seconds
 
 from daq_service.archive import SetReference
 from daq_service.archive.waterfall.tile_files import write_tiles_of_file
-from daq_service.archive.waterfall.tiles import kept_cells, n_bytes, planned_bytes
+from daq_service.archive.waterfall.tiles import count_tile_bytes, estimate_tile_bytes, list_tile_cells
 from daq_service.background.disk_watch import DiskWatch
 from daq_service.cli.run import report_full_disk
 from daq_service.processes import disk_policy
@@ -122,10 +122,10 @@ def test_the_forecast_uses_the_newest_file_and_has_the_time_of_the_full_disk(tmp
         assert forecast(tight).full_at_h == filled.due[15].due_h
         for path in (tmp_path / "sets").iterdir():
             write_tiles_of_file(tmp_path, "this test", SetReference(f"sets/{path.name}"), {})
-        cells = kept_cells(tmp_path)
-        assert sum(planned_bytes(n, 5) for n in cells) == n_bytes(tmp_path) > 0
+        cells = list_tile_cells(tmp_path)
+        assert sum(estimate_tile_bytes(n, 5) for n in cells) == count_tile_bytes(tmp_path) > 0
         more = forecast(usage).needed_bytes - found.needed_bytes
-        assert more == pytest.approx(sum(planned_bytes(n, 425) for n in cells) * 420 / 425, abs=1.0)
+        assert more == pytest.approx(sum(estimate_tile_bytes(n, 425) for n in cells) * 420 / 425, abs=1.0)
     finally:
         filled.close()
 

@@ -13,7 +13,7 @@ from support.dying_worker import die_always, die_once
 
 from daq_service.errors import BusyError, UsageError
 from daq_service.processes import executors
-from daq_service.processes.executors import checked_name, opened_executor, worker_lost
+from daq_service.processes.executors import check_executor_name, open_executor, worker_lost_errors
 
 NUMBERS = range(6)
 SILENT_CLUSTER = "dask://127.0.0.1:1"
@@ -21,17 +21,17 @@ SILENT_CLUSTER = "dask://127.0.0.1:1"
 
 def test_a_killed_process_costs_its_task_and_not_the_run(tmp_path, monkeypatch):
     monkeypatch.setattr(executors, "MOST_TRIES", 2)
-    with opened_executor("processes", 1) as executor:
+    with open_executor("processes", 1) as executor:
         futures = [executor.submit(die_once, tmp_path / "noted", number) for number in NUMBERS]
         assert [future.result() for future in futures] == list(NUMBERS)
         # One that kills every worker is given up, and the pool serves on.
-        with pytest.raises(worker_lost()):
+        with pytest.raises(worker_lost_errors()):
             executor.submit(die_always, 0).result()
         assert executor.submit(math.sqrt, 4.0).result() == 2.0
 
 
 def test_pending_tasks_are_cancelled_and_an_error_belongs_to_its_task():
-    with opened_executor("processes", 1) as executor:
+    with open_executor("processes", 1) as executor:
         with pytest.raises(ValueError, match="math domain"):
             executor.submit(math.sqrt, -1.0).result()
         held = [executor.submit(math.sqrt, float(number)) for number in range(500)]
@@ -42,23 +42,23 @@ def test_pending_tasks_are_cancelled_and_an_error_belongs_to_its_task():
 
 def test_executor_names_are_checked_before_the_start():
     for name in ("processes", "threads", "dask://there", "dask://there:9000"):
-        assert checked_name(name, None) == name
+        assert check_executor_name(name, None) == name
     for name in ("process", "dask://", "dask:there", "http://there"):
         with pytest.raises(UsageError, match="say processes, threads, or dask"):
-            checked_name(name, None)
+            check_executor_name(name, None)
     with pytest.raises(UsageError, match="--workers does not belong to a cluster"):
-        checked_name("dask://there", 4)
+        check_executor_name("dask://there", 4)
 
 
 def test_a_silent_cluster_and_a_missing_extra_are_reported(monkeypatch):
     pytest.importorskip("distributed", reason="the extra `cluster` is not installed")
     with (
         pytest.raises(BusyError, match="no Dask scheduler answers at tcp:"),
-        opened_executor(SILENT_CLUSTER, 1),
+        open_executor(SILENT_CLUSTER, 1),
     ):
         pass
     monkeypatch.setitem(sys.modules, "distributed", None)
-    with pytest.raises(UsageError, match=r"solimon\[cluster\]"), opened_executor(SILENT_CLUSTER, 1):
+    with pytest.raises(UsageError, match=r"solimon\[cluster\]"), open_executor(SILENT_CLUSTER, 1):
         pass
 
 

@@ -5,12 +5,12 @@ from daq_service.processes.heartbeat import (
     FILE_NAME,
     Beat,
     Heartbeat,
-    age_s,
-    beat_of,
-    encoded,
+    check_beat,
+    compute_beat_age_s,
+    compute_test_time_ns,
+    encode_heartbeat,
     read_heartbeat,
-    time_line_of,
-    time_now_ns,
+    read_time_line,
 )
 from hardware_drivers.nanoseconds import NS_PER_S
 
@@ -38,8 +38,11 @@ def test_a_beat_hands_the_time_of_the_test_to_the_next_recorder_on_its_boot(tmp_
         tmp_path, deadline_s=65.0, machine=MachineClock(boot_name=lambda: "ours"), time_line=lambda: LINE
     ).beat("waiting")
     beat = read_heartbeat(tmp_path)
-    assert time_line_of(beat, boot="ours", elapsed_ns=700) == LINE
-    assert time_now_ns(beat, machine=MachineClock(boot_name=lambda: "ours", elapsed_ns=lambda: 900)) == 5_200
+    assert read_time_line(beat, boot="ours", elapsed_ns=700) == LINE
+    assert (
+        compute_test_time_ns(beat, machine=MachineClock(boot_name=lambda: "ours", elapsed_ns=lambda: 900))
+        == 5_200
+    )
 
 
 @pytest.mark.parametrize(
@@ -57,9 +60,12 @@ def test_no_time_of_another_boot_is_used(tmp_path, written_in, line, boot, elaps
     ).beat("waiting")
     beat = read_heartbeat(tmp_path)
     assert beat is not None
-    assert time_line_of(beat, boot=boot, elapsed_ns=elapsed_ns) is None
+    assert read_time_line(beat, boot=boot, elapsed_ns=elapsed_ns) is None
     assert (
-        time_now_ns(beat, machine=MachineClock(boot_name=lambda: boot, elapsed_ns=lambda: elapsed_ns)) is None
+        compute_test_time_ns(
+            beat, machine=MachineClock(boot_name=lambda: boot, elapsed_ns=lambda: elapsed_ns)
+        )
+        is None
     )
 
 
@@ -69,7 +75,7 @@ def test_a_beat_has_the_activity_and_its_deadline(tmp_path):
     beat = read_heartbeat(tmp_path)
     assert (beat.doing, beat.deadline_s, beat.mono_ns) == ("taking set 3", 65.0, clock.now_ns)
     assert beat.boot == boot_name()
-    assert age_s(beat, boot=boot_name(), mono_ns=clock.now_ns + 64_000_000_000) == 64.0
+    assert compute_beat_age_s(beat, boot=boot_name(), mono_ns=clock.now_ns + 64_000_000_000) == 64.0
 
 
 def test_the_start_of_a_long_wait_is_written_even_if_a_beat_is_slow(tmp_path):
@@ -152,7 +158,7 @@ def test_an_inaccessible_heartbeat_file_is_logged_once_and_stops_nothing(tmp_pat
         tmp_path,
         deadline_s=65.0,
         machine=MachineClock(mono_ns=clock),
-        notify=lambda event, **values: beats.append(beat_of(values)),
+        notify=lambda event, **values: beats.append(check_beat(values)),
     )
     for number in range(3):
         heartbeat.beat(f"set {number}")
@@ -168,8 +174,8 @@ def test_a_heartbeat_of_an_older_version_has_no_boot(tmp_path):
     (tmp_path / FILE_NAME).write_text(text, encoding="utf-8")
     beat = read_heartbeat(tmp_path)
     assert beat.boot is None
-    assert age_s(beat, boot="ours", mono_ns=7) == 2e-9
-    assert age_s(beat, boot="ours", mono_ns=4) is None
+    assert compute_beat_age_s(beat, boot="ours", mono_ns=7) == 2e-9
+    assert compute_beat_age_s(beat, boot="ours", mono_ns=4) is None
 
 
 def test_a_beat_is_written_over_the_one_before_in_place(tmp_path):
@@ -190,7 +196,7 @@ def test_a_beat_is_written_over_the_one_before_in_place(tmp_path):
 def test_a_read_during_a_write_is_repeated(tmp_path, monkeypatch):
     """Every mixture of two beats is rejected; then the complete beat is read."""
     old, new = (
-        encoded(Beat(process=1, mono_ns=mono_ns, deadline_s=65.0, doing=doing))
+        encode_heartbeat(Beat(process=1, mono_ns=mono_ns, deadline_s=65.0, doing=doing))
         for mono_ns, doing in ((1_999_999_999, "taking set 9"), (2_000_000_000, "taking set 10"))
     )
     torn = {new[:size] + old[size:] for size in range(len(new))} - {old, new}

@@ -16,8 +16,8 @@ from daq_service.clock import boot_name
 from daq_service.commands.send import send_command
 from daq_service.errors import BusyError
 from daq_service.processes.data_folder import own_data_folder
-from daq_service.processes.heartbeat import FILE_NAME, Beat, encoded
-from daq_service.processes.recorder_state import read_recorder_state, recorder_state
+from daq_service.processes.heartbeat import FILE_NAME, Beat, encode_heartbeat
+from daq_service.processes.recorder_state import determine_recorder_state, read_recorder_state
 from daq_service.settings.tree import Settings
 from daq_service.web.context import Context
 from daq_service.web.routes.health import get_health
@@ -65,7 +65,7 @@ LATE = "last sign of life 66 s ago while waiting"
     "kinds", [[], ["recorder_started", "set_done"], ["recorder_stopped", "recorder_started"]]
 )
 def test_a_recorder_state_follows_from_lock_and_heartbeat(owned, found, word, description, kinds):
-    state = recorder_state(found, kinds, owned=owned, boot=BOOT, mono_ns=NOW_NS)
+    state = determine_recorder_state(found, kinds, owned=owned, boot=BOOT, mono_ns=NOW_NS)
     assert (state.status, state.description) == (word, description)
     assert state.listens == (word == "running")
     assert state.beat is found
@@ -81,7 +81,7 @@ def test_a_recorder_state_follows_from_lock_and_heartbeat(owned, found, word, de
     ],
 )
 def test_without_a_heartbeat_the_state_follows_from_the_catalogue(owned, kinds, word, description):
-    state = recorder_state(None, kinds, owned=owned, boot=BOOT, mono_ns=NOW_NS)
+    state = determine_recorder_state(None, kinds, owned=owned, boot=BOOT, mono_ns=NOW_NS)
     assert (state.status, state.description, state.listens) == (word, description, False)
 
 
@@ -90,7 +90,7 @@ def test_a_recorder_that_starts_after_an_orderly_end_is_running(farewell):
     """The lock shows that a recorder runs, and a running one has not stopped: it waits for its rig."""
 
     def state(found):
-        result = recorder_state(found, [farewell], owned=True, boot=BOOT, mono_ns=NOW_NS)
+        result = determine_recorder_state(found, [farewell], owned=True, boot=BOOT, mono_ns=NOW_NS)
         return result.status, result.description, result.listens
 
     assert state(beat(1.0, stage="opening")) == ("running", "running, waiting", False)
@@ -112,18 +112,18 @@ def test_a_recorder_that_starts_after_an_orderly_end_is_running(farewell):
 )
 def test_an_ended_recorder_reports_its_end_and_may_accept_commands(kinds, word, listens):
     last_beat = beat(1.0, stage="ended")
-    state = recorder_state(last_beat, kinds, owned=True, boot=BOOT, mono_ns=NOW_NS)
+    state = determine_recorder_state(last_beat, kinds, owned=True, boot=BOOT, mono_ns=NOW_NS)
     assert (state.status, state.listens) == (word, listens)
     assert state.description.startswith(word)
     assert ("its supervisor was gone" in state.description) == (kinds[-1] == "recorder_left_alone")
-    late = recorder_state(beat(66.0, stage="ended"), kinds, owned=True, boot=BOOT, mono_ns=NOW_NS)
-    gone = recorder_state(last_beat, kinds, owned=False, boot=BOOT, mono_ns=NOW_NS)
+    late = determine_recorder_state(beat(66.0, stage="ended"), kinds, owned=True, boot=BOOT, mono_ns=NOW_NS)
+    gone = determine_recorder_state(last_beat, kinds, owned=False, boot=BOOT, mono_ns=NOW_NS)
     assert [(item.status, item.listens) for item in (late, gone)] == [(word, False)] * 2
 
 
 def test_the_age_of_a_beat_is_known_only_within_its_boot():
     def age(found):
-        return recorder_state(found, [], owned=True, boot=BOOT, mono_ns=NOW_NS).beat_age_s
+        return determine_recorder_state(found, [], owned=True, boot=BOOT, mono_ns=NOW_NS).beat_age_s
 
     assert age(beat(3.0)) == 3.0
     assert age(beat(3.0, boot="another boot")) is None
@@ -206,7 +206,7 @@ def test_a_new_recorder_is_distinguished_from_the_stopped_one(folder):
         last = Beat(
             process=process, mono_ns=now_ns, deadline_s=1e6, doing="leaving", boot=boot_name(), stage="ended"
         )
-        (folder / FILE_NAME).write_bytes(encoded(last))
+        (folder / FILE_NAME).write_bytes(encode_heartbeat(last))
         state = read_recorder_state(folder, kinds)
         return state.status, state.description
 

@@ -7,14 +7,14 @@ import pytest
 from support.dying_worker import die_while_answering
 from support.waiting import WAIT_S
 
-from daq_service.processes.worker import one_worker
+from daq_service.processes.worker import start_one_worker
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="kills by signal")
 
 
 def test_a_worker_that_ends_during_its_answer_is_detected():
     """Its pool waits for the rest of the answer and must not wait forever."""
-    executor = one_worker()
+    executor = start_one_worker()
     answer = executor.submit(die_while_answering)
     assert isinstance(answer.exception(WAIT_S), BrokenProcessPool)
     with pytest.raises(BrokenProcessPool):

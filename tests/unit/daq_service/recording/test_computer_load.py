@@ -13,7 +13,7 @@ from support.table_rows import lose_catalogue
 from daq_service.processes import resource_use as own_use
 from daq_service.processes.disk_policy import DiskSpace
 from daq_service.recording.computer_load import MACHINE_READ, ComputerLoadWatch
-from daq_service.recording.reassessment.rebuild import rebuild
+from daq_service.recording.reassessment.rebuild import rebuild_folder_catalogue
 from daq_service.recording.recorder import Cost
 from hardware_drivers.errors import AcquisitionTimeoutError
 from simulator.clock import SimulatedClock
@@ -91,5 +91,5 @@ def test_each_taken_set_has_one_reading_which_a_rebuild_restores_and_a_missed_on
     assert {row.kind for row in events} == {MACHINE_READ}
     assert len({row.payload["recorder_wall_utc_ns"] for row in events}) == 1
     lose_catalogue(line.folder)
-    rebuild(line.folder, features_of=line.features_of)
+    rebuild_folder_catalogue(line.folder, features_of=line.features_of)
     assert [row for row in line.rows("events") if row.topic == "machine"] == events

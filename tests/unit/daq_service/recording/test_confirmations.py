@@ -13,10 +13,10 @@ from support.table_rows import lose_catalogue, table_rows
 from analysis.assessment.confirmation import ALARM, STEP
 from analysis.diagnosis.diagnose import UNDETERMINED
 from analysis.diagnosis.hypotheses import COUPLING
-from daq_service.assessment.confirmation import newest_confirmation
+from daq_service.assessment.confirmation import read_newest_confirmation
 from daq_service.catalogue.rows import AssessmentRow, CommandRow, FeatureRow, SetRow
 from daq_service.cli.maintenance.verify import verify_folder
-from daq_service.recording.reassessment.rebuild import rebuild
+from daq_service.recording.reassessment.rebuild import rebuild_folder_catalogue
 from hardware_drivers.measurement import SetKey, ShotKey
 
 SETS, FIRST = 22, 17
@@ -97,8 +97,8 @@ def test_an_outlier_causes_an_immediate_confirmation_set_at_its_position(undistu
         (planned,) = catalogue.rows(SetRow, position="B", set_index=FIRST)
         assert first.due_utc_ns == first.started_utc_ns == planned.ended_utc_ns
         assert first.due_h == pytest.approx(planned.due_h + (12 * 4.0 - 4.0) / 3600.0)
-        confirmation = newest_confirmation(catalogue, "B")
-        assert newest_confirmation(catalogue, "C") is None
+        confirmation = read_newest_confirmation(catalogue, "B")
+        assert read_newest_confirmation(catalogue, "C") is None
     assert confirmation.confirms is True
     assert confirmation.distance_squared > confirmation.limit
 
@@ -150,7 +150,7 @@ def test_scheduled_sets_are_assessed_identically_with_and_without_confirmation_s
         sizes = [{**item.counts(), "events": 0} for item in (own, other)]
         assert sizes[0] == sizes[1]
         assert sizes[0]["sets"] == SETS
-        assert own.positions_state()["B"].last_set.set_index == SETS - 1
+        assert own.read_latest_rows()["B"].last_set.set_index == SETS - 1
 
 
 def test_the_daily_budget_is_kept_and_a_command_does_not_count(line):
@@ -183,7 +183,7 @@ def test_a_pause_ends_a_confirmation_set(line):
     (row,) = confirmation_rows(line)
     assert (row.state, row.n_taken, row.reason) == ("partial", 2, "paused by Ada: hands in the rig")
     with line.catalogue() as catalogue:
-        assert newest_confirmation(catalogue, "B").confirms is None
+        assert read_newest_confirmation(catalogue, "B").confirms is None
     assert all(index not in range(FIRST + 1, SETS) for _, index, _, _ in line.instruments[0].struck)
 
 
@@ -215,7 +215,7 @@ def test_the_result_of_a_confirmation_set_survives_a_restart_and_a_rebuild(line)
     files = {read_set(line.folder / row.file).set_key for row in confirmation_rows(line)}
     assert files == {AFTER_FIRST, AFTER_THIRD}
     lose_catalogue(line.folder)
-    assert rebuild(line.folder, features_of=line.features_of).warnings == []
+    assert rebuild_folder_catalogue(line.folder, features_of=line.features_of).warnings == []
     assert table_rows(line.folder) == before
     assert verify_folder(line.folder).damage == []
 

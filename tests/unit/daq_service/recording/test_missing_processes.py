@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 from support.memory_line import Line
 
-from daq_service.alarms.process_trouble import recorder_condition
-from daq_service.alarms.states import Moment, update
+from daq_service.alarms.process_trouble import build_recorder_condition
+from daq_service.alarms.states import Moment, update_alarm
 from daq_service.catalogue import SetCommit
 from daq_service.catalogue.rows import AlarmRow, EventRow
 from daq_service.clock import MachineClock, boot_name
@@ -126,7 +126,7 @@ def raise_in_its_absence(line):
     with line.catalogue(writer=True) as catalogue:
         line.epoch_ns(catalogue)
         moment = Moment(utc_ns=0, due_h=0.0, set_index=None)
-        change = update(None, recorder_condition("3 restarts in 10 min", 0.0), moment)
+        change = update_alarm(None, build_recorder_condition("3 restarts in 10 min", 0.0), moment)
         catalogue.commit_set(SetCommit(alarms=[change.row]))
 
 

@@ -13,8 +13,8 @@ from daq_service.catalogue.rows import AlarmRow
 from daq_service.processes.data_folder import own_data_folder
 from daq_service.processes.heartbeat import Beat, Heartbeat
 from daq_service.processes.recorder_state import read_recorder_state
-from daq_service.recording.opening import OpeningAlarm, open_patiently
-from daq_service.recording.session import _store_stop, _why_not_running
+from daq_service.recording.opening import OpeningAlarm, open_rig_with_retries
+from daq_service.recording.session import _find_downtime_reason, _store_stop
 from hardware_drivers.errors import ConnectionLostError
 from hardware_drivers.nanoseconds import NS_PER_H
 
@@ -32,7 +32,7 @@ class Opener:
         self.heartbeat = Heartbeat(folder, deadline_s=60.0)
         self.stop = threading.Event()
 
-    def hear(self, event, **values):
+    def report_message(self, event, **values):
         self.reports.append((event, values.get("reason") or values["change"]))
 
     def open(self, refusals, look=lambda: None):
@@ -45,8 +45,8 @@ class Opener:
             return "the rig"
 
         history = HistoryFollower(self.folder, self.catalogue)
-        alarm = OpeningAlarm(self.catalogue, history, lambda: MOMENT, self.hear)
-        return open_patiently(
+        alarm = OpeningAlarm(self.catalogue, history, lambda: MOMENT, self.report_message)
+        return open_rig_with_retries(
             open_once,
             resuming=True,
             restarted=False,
@@ -126,8 +126,8 @@ STOPPED = "the recorder was stopped by its operator"
 def test_missed_sets_have_the_known_cause(tmp_path, kinds, found, cause):
     with new_catalogue(tmp_path) as catalogue:
         add_events(catalogue, *kinds)
-        assert cause in _why_not_running(catalogue, found, "")
-        assert _why_not_running(catalogue, found, "was killed") == "the recorder was killed"
+        assert cause in _find_downtime_reason(catalogue, found, "")
+        assert _find_downtime_reason(catalogue, found, "was killed") == "the recorder was killed"
 
 
 def test_a_stop_while_waiting_for_the_rig_is_an_orderly_end(opener):
@@ -139,5 +139,5 @@ def test_a_stop_while_waiting_for_the_rig_is_an_orderly_end(opener):
         MOMENT,
         threading.Event(),
     )
-    event = opener.catalogue.last_service_event("recorder_started", "recorder_stopped")
+    event = opener.catalogue.read_last_service_event("recorder_started", "recorder_stopped")
     assert read_recorder_state(opener.folder, [event.kind]).status == "stopped"

@@ -14,7 +14,7 @@ from support.table_rows import lose_catalogue, table_rows
 
 from daq_service.alarms.states import NOT_ASSESSED
 from daq_service.archive.layout import build_image
-from daq_service.assessment.results_in_file import results_in
+from daq_service.assessment.results_in_file import read_set_results
 from daq_service.catalogue import open_catalogue
 from daq_service.catalogue.errors import NoDataYetError, OtherExperimentError
 from daq_service.catalogue.experiment_file import EXPERIMENT_FILE, HISTORY_FILE, read_experiment
@@ -22,14 +22,14 @@ from daq_service.catalogue.rows import AlarmRow, SetRow
 from daq_service.catalogue.tables import metadata
 from daq_service.clock import parse_utc
 from daq_service.processes.lost_catalogue import is_catalogue_lost
-from daq_service.recording.experiment import foreign_reason
+from daq_service.recording.experiment import find_foreign_reason
 from daq_service.recording.reassessment import restore_rows
-from daq_service.recording.reassessment.rebuild import BUILDING, rebuild
+from daq_service.recording.reassessment.rebuild import BUILDING, rebuild_folder_catalogue
 from hardware_drivers.measurement import SetKey, ShotKey
 
 
 def rebuild_catalogue(line, **options):
-    return rebuild(line.folder, features_of=line.features_of, **options)
+    return rebuild_folder_catalogue(line.folder, features_of=line.features_of, **options)
 
 
 def not_computed(shot):
@@ -43,7 +43,7 @@ def test_a_lost_catalogue_is_rebuilt_row_for_row(line, monkeypatch, sets_of_a_co
     lose_catalogue(line.folder)
     calls = []
     progress = lambda done, total: calls.append((done, total))  # noqa: E731
-    result = rebuild(line.folder, features_of=not_computed, progress=progress)
+    result = rebuild_folder_catalogue(line.folder, features_of=not_computed, progress=progress)
     assert table_rows(line.folder) == before
     assert (result.kept, result.warnings, result.sets) == ("", [], len(set_files(line.folder)))
     assert calls[-1] == (result.sets, result.sets)
@@ -67,11 +67,11 @@ def test_a_test_on_the_wall_clock_is_rebuilt_with_its_hour_0(on_the_wall_clock, 
     shutil.copytree(on_the_wall_clock, folder)
     before = table_rows(folder)
     lose_catalogue(folder, *gone)
-    rebuild(folder, features_of=features_by_key)
+    rebuild_folder_catalogue(folder, features_of=features_by_key)
     after = table_rows(folder)
     assert {name: after[name] for name in tables} == {name: before[name] for name in tables}
     with open_catalogue(folder) as catalogue:
-        assert catalogue.experiment_row().epoch_utc_ns == parse_utc("2026-01-01T00:00:00Z")
+        assert catalogue.read_experiment().epoch_utc_ns == parse_utc("2026-01-01T00:00:00Z")
 
 
 def test_the_history_alone_identifies_the_experiment(line):
@@ -190,7 +190,7 @@ def test_results_are_computed_again_and_a_different_copy_causes_a_warning(line):
     before = table_rows(line.folder)
     file = set_files(line.folder)[1]
     with open_catalogue(line.folder) as catalogue:
-        copy = {name: dict(columns) for name, columns in results_in(catalogue, SetKey(1)).items()}
+        copy = {name: dict(columns) for name, columns in read_set_results(catalogue, SetKey(1)).items()}
     copy["features"]["tof_pp_s"] = [1.0, *copy["features"]["tof_pp_s"][1:]]
     file.write_bytes(build_image(replace(read_set(file), results=copy)))
     lose_catalogue(line.folder)
@@ -219,15 +219,15 @@ def test_sets_of_two_experiments_are_refused_by_name(line, tmp_path):
 
 def test_a_catalogue_of_another_hour_0_is_refused(line, tmp_path):
     with open_catalogue(line.folder, writer=True) as catalogue:
-        row = catalogue.experiment_row()
-        catalogue.restore([replace(row, epoch_utc_ns=row.epoch_utc_ns + 1)])
+        row = catalogue.read_experiment()
+        catalogue.restore_rows([replace(row, epoch_utc_ns=row.epoch_utc_ns + 1)])
     with pytest.raises(OtherExperimentError, match="two experiments"):
         rebuild_catalogue(line)
 
 
 def test_a_folder_without_a_test_is_refused(tmp_path):
     with pytest.raises(NoDataYetError, match="neither catalogue nor sets"):
-        rebuild(tmp_path)
+        rebuild_folder_catalogue(tmp_path)
     assert list(tmp_path.iterdir()) == []
 
 
@@ -244,12 +244,12 @@ def test_a_catalogue_is_lost_if_a_started_test_lacks_it(line, tmp_path):
 
 def test_a_set_with_another_hour_0_is_rejected_in_each_format(line):
     with open_catalogue(line.folder) as catalogue:
-        experiment = catalogue.experiment_row()
+        experiment = catalogue.read_experiment()
     record = read_set(set_files(line.folder)[0])
     older = {name: value for name, value in record.provenance.items() if name != "experiment"}
-    assert foreign_reason(record, experiment) == ""
-    assert foreign_reason(replace(record, provenance=older), experiment) == ""
+    assert find_foreign_reason(record, experiment) == ""
+    assert find_foreign_reason(replace(record, provenance=older), experiment) == ""
     later = replace(record, due_utc_ns=record.due_utc_ns + 10**9, provenance=older)
-    assert "hour 0 at 2024-01-01T00:00:01" in foreign_reason(later, experiment)
+    assert "hour 0 at 2024-01-01T00:00:01" in find_foreign_reason(later, experiment)
     other = {**record.provenance, "experiment": {"name": "other", "epoch_utc_ns": 0}}
-    assert "hour 0 at 1970" in foreign_reason(replace(record, provenance=other), experiment)
+    assert "hour 0 at 1970" in find_foreign_reason(replace(record, provenance=other), experiment)

@@ -226,7 +226,7 @@ class SlowWorker(BackgroundTask):
     def waits(self):
         return self.n_under_way > 0
 
-    def after_set(self, set_index):
+    def notify_set_stored(self, set_index):
         self.n_under_way += 1
         self.most = max(self.most, self.n_under_way)
 
@@ -751,9 +751,9 @@ def test_a_self_calibration_that_can_never_work_ends_the_test(line):
 
 @pytest.mark.parametrize(("listen_every_s", "most"), [(1e9, 2), (0.0, 10**6)])
 def test_a_look_at_commands_comes_at_most_once_per_interval(line, monkeypatch, listen_every_s, most):
-    polls, open_commands = [], RecorderCatalogue.open_commands
+    polls, open_commands = [], RecorderCatalogue.list_open_commands
     monkeypatch.setattr(
-        RecorderCatalogue, "open_commands", lambda catalogue: polls.append(1) or open_commands(catalogue)
+        RecorderCatalogue, "list_open_commands", lambda catalogue: polls.append(1) or open_commands(catalogue)
     )
     line.listen_every_s = listen_every_s
     assert line.run()

@@ -3,7 +3,7 @@
 import pytest
 from support.memory_line import Line, healthy, memory_settings, silent
 
-from daq_service.alarms.transitions import transition
+from daq_service.alarms.transitions import build_transition
 from daq_service.catalogue.rows import CommandRow
 from daq_service.cli.status.facts import describe_status
 
@@ -70,7 +70,7 @@ def test_an_alarm_is_active_until_the_baseline_is_retired(line):
         LAST,
     )
     assert row.message == f"nothing is judged at B: {REASON}"
-    history = [transition(event) for event in line.rows("events") if event.topic == "alarms"]
+    history = [build_transition(event) for event in line.rows("events") if event.topic == "alarms"]
     assert [(event["kind"], event["author"], event["reason"]) for event in history] == [
         ("alarm_raised", None, row.message),
         ("alarm_reset", "Ada", "its baseline was retired: a hold"),

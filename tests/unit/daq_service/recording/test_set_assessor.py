@@ -11,15 +11,15 @@ from support.synthetic_records import Scene, waveform_of
 from support.table_rows import forget_states
 
 from analysis.statistics.named_limits import LIMITS
-from daq_service.acquisition.schedule import plan
+from daq_service.acquisition.schedule import plan_sets
 from daq_service.archive.errors import ArchiveReadError
 from daq_service.clock import parse_utc
 from daq_service.recording.set_assessor import SetAssessor
 from hardware_drivers.errors import ConnectionLostError
 from hardware_drivers.instruments import Echo, Rig
 from hardware_drivers.measurement import ShotKey, Waveform
-from simulator.echo.pulse import echo_calibration, echo_volts
-from simulator.electronics.transduction import counts_of
+from simulator.echo.pulse import compute_echo_volts, echo_calibration
+from simulator.electronics.transduction import quantise_volts
 from simulator.parameters.echo import EchoParameters
 
 
@@ -64,7 +64,7 @@ def recorded(line, count):
 
 
 def due_of(line, index):
-    return plan(line.settings.schedule.phases, parse_utc(line.settings.clock.epoch))[index]
+    return plan_sets(line.settings.schedule.phases, parse_utc(line.settings.clock.epoch))[index]
 
 
 def assess_set(ledger, line, record, file):
@@ -308,9 +308,9 @@ class ThinningWall:
 
     def acquire(self, key, timeout_s):
         calibration = echo_calibration(self.echo)
-        volts = echo_volts(6.35e-3 - 0.2e-3 * key.set_index, self.echo)
+        volts = compute_echo_volts(6.35e-3 - 0.2e-3 * key.set_index, self.echo)
         waveform = Waveform(
-            counts=counts_of(volts, calibration),
+            counts=quantise_volts(volts, calibration),
             sample_rate_hz=1e8,
             pretrigger_samples=0,
             calibration=calibration,

@@ -10,7 +10,7 @@ from support.memory_line import SETS, KilledError, Line, healthy, memory_setting
 from daq_service.clock import parse_utc, wall
 from daq_service.errors import UsageError
 from daq_service.processes.heartbeat import Heartbeat, read_heartbeat
-from daq_service.recording.resumed_time import EARLIEST_UTC, hour_0, time_before
+from daq_service.recording.resumed_time import EARLIEST_UTC, compute_hour_0_ns, read_previous_time
 from daq_service.recording.storage_alarms import OVERSLEPT
 from hardware_drivers.measurement import ShotKey
 
@@ -30,7 +30,7 @@ class Laboratory:
         """Start a recorder as `session.record` does."""
         with self.line.catalogue(writer=True) as catalogue:
             self.line.epoch_ns(catalogue)
-            before = time_before(
+            before = read_previous_time(
                 catalogue,
                 read_heartbeat(self.line.folder),
                 boot=self.machine.boot,
@@ -264,5 +264,5 @@ def test_a_clock_step_within_a_set_moves_no_strike(laboratory):
 
 def test_a_test_does_not_begin_on_a_clock_that_was_never_set():
     with pytest.raises(UsageError, match=r"the system's clock says 2010-01-01T00:00:00Z.*set it"):
-        hour_0(IN_2010_NS)
-    assert hour_0(parse_utc(EARLIEST_UTC)) == parse_utc(EARLIEST_UTC)
+        compute_hour_0_ns(IN_2010_NS)
+    assert compute_hour_0_ns(parse_utc(EARLIEST_UTC)) == parse_utc(EARLIEST_UTC)

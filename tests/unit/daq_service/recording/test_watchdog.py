@@ -10,7 +10,7 @@ from support.memory_line import Line, healthy, memory_settings
 
 from daq_service.clock import parse_utc, wall
 from daq_service.processes.heartbeat import Heartbeat
-from daq_service.processes.service_manager import notify, service_manager_notifications
+from daq_service.processes.service_manager import notify_service_manager, service_manager_notifications
 from hardware_drivers.measurement import ShotKey
 
 pytestmark = pytest.mark.skipif(
@@ -28,7 +28,7 @@ class Manager:
         self.channel, self.machine = channel, machine
         self.heard: list[tuple[float, list[str]]] = []
 
-    def hear(self):
+    def report_message(self):
         while True:
             try:
                 datagram = self.channel.recv(4096)
@@ -46,7 +46,7 @@ class ListeningMachine(Machine):
     manager: Manager
 
     def sleep(self, seconds):
-        self.manager.hear()
+        self.manager.report_message()
         super().sleep(seconds)
 
 
@@ -72,12 +72,12 @@ def run(manager, folder, hang=None):
     machine, events, hung = manager.machine, list[tuple[str, str]](), list[ShotKey]()
 
     def script(key):
-        manager.hear()
+        manager.report_message()
         if key == hang and not hung:
             hung.append(key)
             machine.elapsed_ns += round(HANGS_S * NS_PER_S)
             machine.utc_ns += round(HANGS_S * NS_PER_S)
-            manager.hear()  # messages sent meanwhile count as sent now
+            manager.report_message()  # messages sent meanwhile count as sent now
         return healthy(key)
 
     def report(event, **values):
@@ -94,8 +94,8 @@ def run(manager, folder, hang=None):
         line = Line(folder, settings=settings, script=script, heartbeat=heartbeat)
         heartbeat.beat("opening the rig")
         assert line.run(clock=clock, notify=report_and_notify)
-        manager.hear()
-    manager.hear()
+        manager.report_message()
+    manager.report_message()
     return events
 
 
@@ -126,9 +126,9 @@ def test_a_hanging_line_does_not_feed_the_watchdog(manager, tmp_path):
 
 def test_no_notification_is_sent_without_a_service_manager(tmp_path, monkeypatch):
     monkeypatch.delenv("NOTIFY_SOCKET", raising=False)
-    notify("WATCHDOG=1")
+    notify_service_manager("WATCHDOG=1")
     monkeypatch.setenv("NOTIFY_SOCKET", str(tmp_path / "gone"))
-    notify("WATCHDOG=1")
+    notify_service_manager("WATCHDOG=1")
     assert list(tmp_path.iterdir()) == []
 
 
@@ -148,8 +148,8 @@ def test_the_activity_is_sent_in_one_line():
 def test_a_manager_of_another_program_is_sent_nothing(manager, monkeypatch):
     """A shell of a service (Jupyter, tmux) passes its notify socket on."""
     monkeypatch.setenv("SYSTEMD_EXEC_PID", "1")
-    notify("STOPPING=1")
+    notify_service_manager("STOPPING=1")
     monkeypatch.setenv("SYSTEMD_EXEC_PID", str(os.getpid()))
-    notify("READY=1")
-    manager.hear()
+    notify_service_manager("READY=1")
+    manager.report_message()
     assert [lines for _, lines in manager.heard] == [["READY=1"]]

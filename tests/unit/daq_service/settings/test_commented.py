@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from daq_service.settings.commented import commented_toml, switched_on
-from daq_service.settings.file import config_file
-from daq_service.settings.schema import describe
+from daq_service.settings.commented import format_commented_toml, uncomment_tables
+from daq_service.settings.file import find_config_file
+from daq_service.settings.schema import describe_key
 
 SCALARS = st.one_of(
     st.text(st.characters(exclude_categories=["Cs"])),
@@ -42,13 +42,13 @@ def same(one, other):
 @settings(max_examples=100, deadline=None)
 @given(values=st.dictionaries(NAMES, VALUES, max_size=4))
 def test_a_written_configuration_reads_back_equal(values):
-    assert same(tomllib.loads(commented_toml(values, head="Some words\n\nand more")), values)
+    assert same(tomllib.loads(format_commented_toml(values, head="Some words\n\nand more")), values)
 
 
 @pytest.mark.parametrize("name", ["laboratory.toml", "simulated.toml"])
 def test_the_shipped_values_are_written_and_read_again(name):
-    values = tomllib.loads(switched_on(config_file(name).read_text(encoding="utf-8")))
-    text = commented_toml(values)
+    values = tomllib.loads(uncomment_tables(find_config_file(name).read_text(encoding="utf-8")))
+    text = format_commented_toml(values)
     assert same(tomllib.loads(text), values)
     assert max(map(len, text.splitlines())) <= 120
 
@@ -65,21 +65,21 @@ def test_the_shipped_values_are_written_and_read_again(name):
     ],
 )
 def test_numbers_are_short(value, text):
-    assert f"\nread_timeout_s = {text} " in commented_toml({"rig": {"read_timeout_s": value}})
+    assert f"\nread_timeout_s = {text} " in format_commented_toml({"rig": {"read_timeout_s": value}})
 
 
 def test_each_key_has_its_description_once():
     places = {name: {"method": "solitary_wave", "label": name} for name in "BC"}
-    text = commented_toml({"positions": places, "alarms": {"k": 3}})
-    assert describe(["alarms", "k"]) == "Outliers among the last `n` judged sets that raise the alarm."
-    assert text.count(f"k = 3{'':<35}# {describe(['alarms', 'k'])}\n") == 1
+    text = format_commented_toml({"positions": places, "alarms": {"k": 3}})
+    assert describe_key(["alarms", "k"]) == "Outliers among the last `n` judged sets that raise the alarm."
+    assert text.count(f"k = 3{'':<35}# {describe_key(['alarms', 'k'])}\n") == 1
     assert text.count("# When an outlier becomes an alarm.\n[alarms]\n") == 1
-    assert text.count(describe(["positions", "B", "label"])) == 1
+    assert text.count(describe_key(["positions", "B", "label"])) == 1
     assert '[positions.C]\nmethod = "solitary_wave"\nlabel = "C"\n' in text
 
 
 def test_a_table_that_is_switched_off_is_no_value_until_it_is_switched_on():
     values = {"rig": {"kind": "simulated", "climate": {"identity": "X", "line": {"port": "COM4"}}}}
-    text = commented_toml(values, switched_off={("rig", "climate")})
+    text = format_commented_toml(values, switched_off={("rig", "climate")})
     assert tomllib.loads(text) == {"rig": {"kind": "simulated"}}
-    assert tomllib.loads(switched_on(text)) == values
+    assert tomllib.loads(uncomment_tables(text)) == values

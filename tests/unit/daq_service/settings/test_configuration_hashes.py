@@ -2,8 +2,8 @@
 
 import pytest
 
-from daq_service.settings.commented import switched_on
-from daq_service.settings.file import PLACEHOLDER, config_file, load_settings
+from daq_service.settings.commented import uncomment_tables
+from daq_service.settings.file import PLACEHOLDER, find_config_file, load_settings
 from daq_service.settings.tree import Settings
 
 BOARDS = {"transducers": {"B": {"board_serial": "01A2B3C4"}}}
@@ -19,9 +19,9 @@ BY_SETS = {"alarms": {"decides_by": "k_of_n"}}
 
 
 def shipped(folder, *, everything):
-    text = config_file("laboratory.toml").read_text(encoding="utf-8").replace(PLACEHOLDER, "FFFFFFFF")
+    text = find_config_file("laboratory.toml").read_text(encoding="utf-8").replace(PLACEHOLDER, "FFFFFFFF")
     path = folder / "laboratory.toml"
-    path.write_text(switched_on(text) if everything else text, encoding="utf-8")
+    path.write_text(uncomment_tables(text) if everything else text, encoding="utf-8")
     return load_settings(path, overrides=BY_SETS)
 
 

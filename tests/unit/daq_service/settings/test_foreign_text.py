@@ -12,12 +12,12 @@ import pytest
 
 from daq_service.cli.main import main
 from daq_service.cli.reproduce.item import Table
-from daq_service.cli.reproduce.output import csv_bytes
-from daq_service.cli.sweep.outputs import csv_text
+from daq_service.cli.reproduce.output import format_csv
+from daq_service.cli.sweep.outputs import format_csv
 from daq_service.cli.sweep.table import SweepTable
 from daq_service.cli.terminal import ProgressReport
 from daq_service.processes.child import log_to
-from daq_service.settings.foreign_text import plain_output
+from daq_service.settings.foreign_text import escape_output
 from daq_service.web.tables.formats import FORMATS
 
 EVIL = "a\x1b[2J\x07\x9b1m\u202e\r\nFORGED"
@@ -46,7 +46,7 @@ def test_no_log_line_can_be_forged(tmp_path, monkeypatch):
 
 
 def test_no_control_character_reaches_a_terminal(capsys, monkeypatch):
-    with plain_output():
+    with escape_output():
         print(EVIL)
         print(EVIL, file=sys.stderr)
         click.echo("\rset 3 of 4", err=True)
@@ -76,12 +76,12 @@ def test_no_spreadsheet_executes_a_text(text):
     columns = [SimpleNamespace(name=name) for name in ("text", "number", "whole")]
     page = {"text": [text, "a=1", None], "number": [-1.5, 2.0, None], "whole": [-3, 4, None]}
     exported = b"".join(FORMATS["csv"].write(SimpleNamespace(columns=columns), {}, [page])).decode()
-    swept = csv_text(
+    swept = format_csv(
         SweepTable(
             swept={"text": [text]}, results={"number": np.array([-1.5])}, status=["ok"], forces=None, facts={}
         )
     )
-    reproduced = csv_bytes(Table(columns={"text": [text], "number": [-1.5]})).decode()
+    reproduced = format_csv(Table(columns={"text": [text], "number": [-1.5]})).decode()
     assert list(csv.reader(io.StringIO(exported, newline="")))[1:] == [
         [f"'{text}", "-1.5", "-3"],
         ["a=1", "2.0", "4"],

@@ -8,15 +8,15 @@ import pytest
 
 from daq_service.cli.inspection import describe_plan
 from daq_service.errors import UsageError
-from daq_service.settings.commented import switched_on
-from daq_service.settings.file import PLACEHOLDER, config_file, load_settings
+from daq_service.settings.commented import uncomment_tables
+from daq_service.settings.file import PLACEHOLDER, find_config_file, load_settings
 from daq_service.settings.mixed import MixedRig
 from daq_service.settings.rig import RigSettings
 from daq_service.settings.tree import Settings
 
-SHIPPED = config_file("laboratory.toml").read_text(encoding="utf-8")
+SHIPPED = find_config_file("laboratory.toml").read_text(encoding="utf-8")
 TEXT = SHIPPED.replace(PLACEHOLDER, "FFFFFFFF")
-WITH_EVERYTHING = switched_on(TEXT)
+WITH_EVERYTHING = uncomment_tables(TEXT)
 
 
 def load(folder, text):
@@ -48,7 +48,7 @@ def missing_keys(given, value, where):
 def test_the_shipped_configuration_is_accepted(text, tmp_path):
     settings = load(tmp_path, text)
     assert settings.rig.kind == "daqmx"
-    assert settings.names_of("solitary_wave") == ["B", "C", "D"]
+    assert settings.list_positions("solitary_wave") == ["B", "C", "D"]
     assert settings.clock.kind == "wall"
 
 
@@ -65,7 +65,7 @@ def test_the_other_tables_have_the_values_of_the_paper(tmp_path):
     laboratory, simulated = load(tmp_path, TEXT), Settings()
     for table in ("schedule", "features", "quality", "baseline", "novelty", "alarms", "ultrasound"):
         assert getattr(laboratory, table) == getattr(simulated, table), table
-    assert laboratory.names_of("pulse_echo") == simulated.names_of("pulse_echo")
+    assert laboratory.list_positions("pulse_echo") == simulated.list_positions("pulse_echo")
     boards, adc = laboratory.rig.daqmx, simulated.twin.adc
     assert (boards.sample_rate_hz, boards.record_samples, boards.pretrigger_samples) == (
         adc.sample_rate_hz,
@@ -93,7 +93,7 @@ def test_all_placeholders_are_rejected_together():
         "rig.supply.identity: Regular expression that the answer to `*IDN?`",
         "rig.supply.line.port: A path (`/dev/serial/by-id/...`",
     ]
-    file = config_file("laboratory.toml")
+    file = find_config_file("laboratory.toml")
     with pytest.raises(UsageError) as refused:
         load_settings(file)
     first, *lines, last = str(refused.value).splitlines()

@@ -6,9 +6,9 @@ from support.scripted_kinds import OFFERED
 
 from daq_service.errors import UsageError
 from daq_service.settings.file import load_settings
-from daq_service.settings.instruments import instruments_of
-from daq_service.settings.schema import schema_with_kinds
-from daq_service.settings.stored import differences, stored_settings
+from daq_service.settings.instruments import validate_instruments
+from daq_service.settings.schema import build_schema_with_kinds
+from daq_service.settings.stored import find_settings_differences, restore_settings
 
 HEAD = """
 [clock]
@@ -68,7 +68,7 @@ def load(folder, text):
 
 def test_each_instrument_has_its_positions_and_defaults(tmp_path):
     settings = load(tmp_path, GOOD)
-    boards, scope = instruments_of(settings)
+    boards, scope = validate_instruments(settings)
     assert boards.serves == {"digitizer": ("B",), "striker": ("B", "C")}
     assert (scope.serves, scope.parameters.range_v) == ({"digitizer": ("C",)}, 5.0)
     assert settings.rig.instruments["scope"].parameters == {"range_v": 5.0, "address": "usb"}
@@ -117,7 +117,7 @@ def test_two_instruments_of_one_kind_are_two(tmp_path):
     second = '[rig.instruments.second]\nkind = "scripted-scope"\n'
     boards = BOARDS.replace('"01A2B3C4"\n', '"01A2B3C4"\ninput = ""\n', 1)
     settings = load(tmp_path, HEAD + boards + SCOPE + second + PLACES.replace('"boards"\n', '"second"\n', 1))
-    assert [item.name for item in instruments_of(settings)] == ["boards", "scope", "second"]
+    assert [item.name for item in validate_instruments(settings)] == ["boards", "scope", "second"]
 
 
 def test_the_address_of_an_instrument_does_not_change_the_hash(tmp_path):
@@ -126,21 +126,23 @@ def test_the_address_of_an_instrument_does_not_change_the_hash(tmp_path):
     other = load(tmp_path, GOOD.replace("range_v = 5.0", "range_v = 10.0"))
     assert first.configuration_hash() == moved.configuration_hash() != other.configuration_hash()
     stored = first.model_dump(mode="json")
-    assert differences(stored, moved) == []
-    assert differences(stored, other) == ["rig.instruments.scope.range_v began with 5.0, is 10.0 now"]
+    assert find_settings_differences(stored, moved) == []
+    assert find_settings_differences(stored, other) == [
+        "rig.instruments.scope.range_v began with 5.0, is 10.0 now"
+    ]
 
 
 def test_a_default_that_a_plug_in_got_later_is_no_difference(tmp_path):
     settings = load(tmp_path, GOOD)
     stored = settings.model_dump(mode="json")
     del stored["rig"]["instruments"]["scope"]["range_v"]
-    assert differences(stored, load(tmp_path, GOOD.replace("range_v = 5.0", ""))) == []
+    assert find_settings_differences(stored, load(tmp_path, GOOD.replace("range_v = 5.0", ""))) == []
 
 
 def test_a_folder_is_read_where_the_plug_in_is_not_installed(tmp_path, monkeypatch):
     stored = load(tmp_path, GOOD).model_dump(mode="json")
     monkeypatch.undo()
-    settings = stored_settings(stored)
+    settings = restore_settings(stored)
     assert settings.rig.instruments["scope"].kind == "scripted-scope"
     assert settings.configuration_hash()
     with pytest.raises(UsageError, match="no installed package offers the kind 'scripted-scope'"):
@@ -154,7 +156,7 @@ def test_the_environment_reaches_a_plug_in_s_parameters(tmp_path, monkeypatch):
 
 def test_the_drive_is_an_instrument_s_by_its_name(tmp_path):
     settings = load(tmp_path, GOOD + PSU)
-    (psu,) = (item for item in instruments_of(settings) if item.name == "psu")
+    (psu,) = (item for item in validate_instruments(settings) if item.name == "psu")
     assert psu.serves == {"supply": ()}
     assert settings.rig.driven is settings.rig.drive is not None
     assert settings.rig.drive.voltage_v == 10.0
@@ -179,7 +181,7 @@ def test_a_drive_that_cannot_work_is_refused(old, new, complaint, tmp_path):
 
 
 def test_the_printed_schema_has_the_installed_kinds():
-    schema = schema_with_kinds()
+    schema = build_schema_with_kinds()
     kinds = {
         choice["then"]["properties"]["kind"]["const"]: choice["then"]
         for choice in schema["$defs"]["InstrumentSettings"]["allOf"]

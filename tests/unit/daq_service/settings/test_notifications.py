@@ -6,7 +6,7 @@ import pytest
 
 from daq_service.alarms.states import PRIORITIES
 from daq_service.errors import UsageError
-from daq_service.settings.file import checked_settings
+from daq_service.settings.file import validate_settings
 from daq_service.settings.notifications import Priority
 from daq_service.settings.tree import Settings
 
@@ -16,7 +16,7 @@ HIDDEN = "correct-horse-battery-staple"
 
 def settings(path, receiver, **others):
     values = {"notifications": {"receivers": {"duty": receiver}, **others}}
-    return checked_settings(values, path / "test.toml")
+    return validate_settings(values, path / "test.toml")
 
 
 def test_files_count_from_the_configuration_and_severities_are_those_of_alarms(tmp_path):

@@ -3,9 +3,9 @@ import json
 import pytest
 
 from daq_service.errors import UsageError
-from daq_service.settings.file import checked_settings, config_file, load_settings
-from daq_service.settings.schema import settings_schema
-from daq_service.settings.stored import differences
+from daq_service.settings.file import find_config_file, load_settings, validate_settings
+from daq_service.settings.schema import build_settings_schema
+from daq_service.settings.stored import find_settings_differences
 from daq_service.settings.tree import Settings
 
 
@@ -16,16 +16,16 @@ def write(folder, text, name="test.toml"):
 
 
 def test_the_shipped_file_spells_out_the_defaults():
-    assert load_settings(config_file("simulated.toml")) == Settings()
+    assert load_settings(find_config_file("simulated.toml")) == Settings()
 
 
 def test_the_shipped_schema_is_current():
-    shipped = json.loads(config_file("settings.schema.json").read_text(encoding="utf-8"))
-    assert shipped == settings_schema(), "renew it by json.dumps(settings_schema(), indent=1)"
+    shipped = json.loads(find_config_file("settings.schema.json").read_text(encoding="utf-8"))
+    assert shipped == build_settings_schema(), "renew it by json.dumps(settings_schema(), indent=1)"
 
 
 def test_every_key_is_described():
-    schema = settings_schema()
+    schema = build_settings_schema()
     bare = [
         f"{section}.{key}"
         for section, table in schema["$defs"].items()
@@ -206,7 +206,7 @@ def test_sets_that_overlap_are_refused_with_the_numbers(tmp_path):
 )
 def test_delays_that_an_alarm_may_not_have_are_refused_with_value_and_remedy(kinds, message, tmp_path):
     with pytest.raises(UsageError, match=message):
-        checked_settings({"alarms": {"kinds": kinds}}, tmp_path / "test.toml")
+        validate_settings({"alarms": {"kinds": kinds}}, tmp_path / "test.toml")
 
 
 def test_alarm_delays_do_not_change_the_configuration_hash():
@@ -215,7 +215,11 @@ def test_alarm_delays_do_not_change_the_configuration_hash():
     settings = load_settings(None, overrides={"alarms": {"kinds": kinds}})
     assert settings.configuration_hash() == Settings().configuration_hash()
     stored = Settings().model_dump(mode="json")
-    assert differences(stored, settings) == differences(settings.model_dump(mode="json"), Settings()) == []
+    assert (
+        find_settings_differences(stored, settings)
+        == find_settings_differences(settings.model_dump(mode="json"), Settings())
+        == []
+    )
 
 
 @pytest.mark.parametrize(

@@ -6,7 +6,7 @@ import pytest
 from support.invented_rows import alarm_row
 
 from daq_service.catalogue.rows import EventRow
-from daq_service.catalogue.writer import payload_of
+from daq_service.catalogue.writer import build_event_payload
 from daq_service.processes.notifications.messages import alarm_change_of
 
 ROW = alarm_row(id=3)
@@ -25,6 +25,8 @@ ROW = alarm_row(id=3)
 )
 def test_a_suppressed_alarm_is_not_sent(kind: str, suppressed: str | None, what: str | None) -> None:
     row = replace(ROW, suppressed=suppressed)
-    event = EventRow(id=7, utc_ns=0, topic="alarms", kind=kind, position="B", payload=payload_of(row))
+    event = EventRow(
+        id=7, utc_ns=0, topic="alarms", kind=kind, position="B", payload=build_event_payload(row)
+    )
     notification = alarm_change_of(event)
     assert (notification.change if notification else None) == what

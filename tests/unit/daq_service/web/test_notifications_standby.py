@@ -13,10 +13,10 @@ from support.served_web import served
 from support.waiting import until
 
 from daq_service.processes.data_folder import hold_lock, lock_text
-from daq_service.processes.heartbeat import WEB_FILE, Heartbeat, web_state
+from daq_service.processes.heartbeat import WEB_FILE, Heartbeat, read_web_state
 from daq_service.processes.notifications import service
 from daq_service.processes.notifications.delivery_log import DeliveryLog
-from daq_service.processes.notifications.service import standing_by
+from daq_service.processes.notifications.service import notify_while_web_is_silent
 
 ME = f"process {os.getpid()}"
 
@@ -49,7 +49,7 @@ def alarm(filled, receiver, kind):
 
 
 def test_the_web_service_and_the_standby_process_continue_each_other(filled, receiver):
-    with standing_by(filled.settings, filled.folder, monitors_recorder=False):
+    with notify_while_web_is_silent(filled.settings, filled.folder, monitors_recorder=False):
         until(lambda: DeliveryLog(filled.folder).read_progress(["duty"]), "the receiver's line")
         with served(filled.settings, filled.folder) as web, web.client() as client:
 
@@ -58,9 +58,9 @@ def test_the_web_service_and_the_standby_process_continue_each_other(filled, rec
                 return bool(found["sending"] and found["receivers"][0]["began"])
 
             until(sends, "the web service's line")
-            assert web_state(filled.folder) == "responding"
+            assert read_web_state(filled.folder) == "responding"
             assert alarm(filled, receiver, "no_reflection") == ["no_reflection"]
-        assert web_state(filled.folder) == "not_expected", "it ended in order"
+        assert read_web_state(filled.folder) == "not_expected", "it ended in order"
         assert alarm(filled, receiver, "few_valid_shots") == ["few_valid_shots"]
     assert receiver.got.empty(), "nothing is sent twice"
 
@@ -70,7 +70,9 @@ def test_a_stopped_web_service_holds_no_message_back(filled, receiver):
     """Its process is alive and keeps the lock of the delivery log."""
     beat(filled.folder, deadline_s=0.0)
     with hold_lock(filled.folder, service.LOCK_FILE, ME, holder="process"), ExitStack() as stack:
-        stack.enter_context(standing_by(filled.settings, filled.folder, monitors_recorder=False))
+        stack.enter_context(
+            notify_while_web_is_silent(filled.settings, filled.folder, monitors_recorder=False)
+        )
         until(lambda: DeliveryLog(filled.folder).read_progress(["duty"]), "the receiver's line")
         assert alarm(filled, receiver, "no_reflection") == ["no_reflection"]
 

@@ -17,10 +17,15 @@ from support.waiting import happened
 
 from daq_service.clock import MachineClock
 from daq_service.errors import UsageError
-from daq_service.processes.notifications.addresses import Address, address_of, refuse_unusable, shown_address
+from daq_service.processes.notifications.addresses import (
+    Address,
+    check_receivers,
+    hide_address_secrets,
+    read_receiver_address,
+)
 from daq_service.processes.notifications.by_apprise import deliver_by_apprise
 from daq_service.processes.notifications.messages import Message
-from daq_service.processes.notifications.webhook import LONGEST_RETRY_AFTER_S, Cut, post
+from daq_service.processes.notifications.webhook import LONGEST_RETRY_AFTER_S, Cut, post_message
 from daq_service.settings.notifications import ReceiverSettings
 
 TLS = Path(__file__).parents[3] / "fixtures" / "tls"
@@ -44,7 +49,7 @@ def receiver():
 
 
 def send(receiver, **options):
-    return post(Address(receiver.url, SECRET.encode()), MESSAGE, **options)
+    return post_message(Address(receiver.url, SECRET.encode()), MESSAGE, **options)
 
 
 def is_genuine(secret, header, body):
@@ -113,7 +118,7 @@ def test_a_receiver_that_sends_single_bytes_is_given_up_after_the_time_limit(soo
 
         thread = threading.Thread(target=drip)
         thread.start()
-        outcome = post(Address(f"http://127.0.0.1:{listener.getsockname()[1]}/", b"s"), MESSAGE)
+        outcome = post_message(Address(f"http://127.0.0.1:{listener.getsockname()[1]}/", b"s"), MESSAGE)
         left.set()
         thread.join()
     assert outcome.description == "no answer within 0.2 s"
@@ -137,13 +142,15 @@ def test_an_untrusted_certificate_is_rejected(monkeypatch):
         assert outcome.description.startswith("its certificate is refused:")
         assert receiver.got.empty()
         monkeypatch.setenv("SSL_CERT_FILE", str(TLS / "certificate.pem"))
-        assert post(Address(receiver.url.replace("127.0.0.1", "localhost"), b"s"), MESSAGE).ok
+        assert post_message(Address(receiver.url.replace("127.0.0.1", "localhost"), b"s"), MESSAGE).ok
 
 
 def test_a_refused_connection_and_an_invalid_response_are_outcomes():
     with socket.create_server(("127.0.0.1", 0)) as listener:
         port = listener.getsockname()[1]
-    assert post(Address(f"http://127.0.0.1:{port}/", b"s"), MESSAGE).description == "Connection refused"
+    assert (
+        post_message(Address(f"http://127.0.0.1:{port}/", b"s"), MESSAGE).description == "Connection refused"
+    )
     with socket.create_server(("127.0.0.1", 0)) as listener:
         answered = threading.Event()
 
@@ -156,7 +163,7 @@ def test_a_refused_connection_and_an_invalid_response_are_outcomes():
 
         thread = threading.Thread(target=nonsense)
         thread.start()
-        outcome = post(Address(f"http://127.0.0.1:{listener.getsockname()[1]}/", b"s"), MESSAGE)
+        outcome = post_message(Address(f"http://127.0.0.1:{listener.getsockname()[1]}/", b"s"), MESSAGE)
         answered.set()
         thread.join()
     assert outcome.description == "no answer of HTTP (BadStatusLine)"
@@ -172,12 +179,12 @@ def webhook(**given):
 def test_addresses_and_secrets_are_read_from_the_configured_source(tmp_path):
     (tmp_path / "url").write_text("http://127.0.0.1:8/hook/T0K3N\n", encoding="utf-8")
     receiver = webhook(url="", url_file=str(tmp_path / "url"))
-    address = address_of("duty", receiver, {"DUTY_SECRET": SECRET})
+    address = read_receiver_address("duty", receiver, {"DUTY_SECRET": SECRET})
     assert (address.url, address.secret) == ("http://127.0.0.1:8/hook/T0K3N", SECRET.encode())
     assert SECRET not in repr(address)
     assert "T0K3N" not in str(address)
-    assert shown_address(receiver) == "from url"
-    assert shown_address(webhook(url="http://127.0.0.1:8/hook/T0K3N")) == "http://127.0.0.1:8"
+    assert hide_address_secrets(receiver) == "from url"
+    assert hide_address_secrets(webhook(url="http://127.0.0.1:8/hook/T0K3N")) == "http://127.0.0.1:8"
 
 
 @pytest.mark.parametrize(
@@ -205,7 +212,7 @@ def test_addresses_and_secrets_are_read_from_the_configured_source(tmp_path):
 )
 def test_an_invalid_receiver_is_reported_without_its_secret(given, held, message):
     with pytest.raises(UsageError, match=message) as refusal:
-        address_of("duty", webhook(**given), held)
+        read_receiver_address("duty", webhook(**given), held)
     assert SECRET not in str(refusal.value)
     assert str(refusal.value).startswith("notifications.receivers.duty: ")
 
@@ -213,12 +220,12 @@ def test_an_invalid_receiver_is_reported_without_its_secret(given, held, message
 def test_a_start_rejects_unusable_receivers_and_rules(monkeypatch):
     mail = {"kind": "apprise", "url_env": "NO_SUCH_VARIABLE"}
     with pytest.raises(UsageError, match="NO_SUCH_VARIABLE of url_env is not set"):
-        refuse_unusable(notifying({"mail": mail}).notifications)
+        check_receivers(notifying({"mail": mail}).notifications)
     monkeypatch.setenv("DUTY_SECRET", SECRET)
     with pytest.raises(
         UsageError, match=r"rule 1: there is no kind of alarm 'wall_chance'; there are climate"
     ):
-        refuse_unusable(notifying(rules=[{"kinds": ["wall_chance"]}]).notifications)
+        check_receivers(notifying(rules=[{"kinds": ["wall_chance"]}]).notifications)
 
 
 @pytest.fixture

@@ -10,12 +10,12 @@ from support.served_web import brought, served
 
 from daq_service.assessment.position_status import PositionStatus
 from daq_service.settings.tree import Settings
-from daq_service.web.assets import FOLDER, assets
+from daq_service.web.assets import FOLDER, load_assets
 
 PRELOADED = re.compile(rb'<link rel="modulepreload" href="/static/([^"]+)">')
 OF_OTHER_PAGES = {"setup.js", "tests.js", "events/worker.js"}
 """Begun by a page itself, or by a worker."""
-TEXT = {name: asset.content.decode() for name, asset in assets().items()}
+TEXT = {name: asset.content.decode() for name, asset in load_assets().items()}
 OURS = [name for name in TEXT if not name.startswith("vendor/") and name != "LICENSE"]
 
 
@@ -63,7 +63,7 @@ def test_no_path_escapes_the_files_of_the_page(api, path):
 
 
 def test_the_page_names_every_module_that_it_needs_at_once():
-    first, later = assets()["index.html"].content.split(b'<template id="later">')
+    first, later = load_assets()["index.html"].content.split(b'<template id="later">')
     names = [name.decode() for name in PRELOADED.findall(first + later)]
     assert len(names) == len(set(names))
     assert len(PRELOADED.findall(first)) < 10, "what the tiles need, and no more"

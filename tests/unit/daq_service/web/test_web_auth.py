@@ -18,10 +18,10 @@ from support.waiting import until
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 
-from daq_service.catalogue.history import line_of
+from daq_service.catalogue.history import encode_line
 from daq_service.commands.audit import Audit, read_audit
 from daq_service.errors import StorageError, UsageError
-from daq_service.processes.line_file import newest_lines
+from daq_service.processes.line_file import read_newest_lines
 from daq_service.settings.tree import Settings
 from daq_service.settings.web import WebSettings
 from daq_service.web.auth.middleware import LONGEST_REASON, MOST_WRONG, refuse_unprotected_service
@@ -98,7 +98,7 @@ def test_a_running_service_follows_the_token_file_and_rejects_all_without_it(tok
         change()
         now_s[0] += 2.0
         assert known.asked_for, "no change of the file opens the doors"
-        assert not known.still_opens("ann", "viewer")
+        assert not known.has_valid_token("ann", "viewer")
     with pytest.raises(StorageError, match="no file of access tokens"):
         read_tokens(tokens)
 
@@ -373,7 +373,7 @@ def test_a_torn_line_takes_no_other_with_it(tmp_path):
 
 def test_an_entry_of_an_earlier_version_is_read_with_the_current_names(tmp_path):
     entry = {"who": "", "role": "", "source": "10.0.0.9", "what": "enter", "result": "refused"}
-    line = line_of(1, "audit", {**entry, "why": "the token is unknown", "utc_ns": 1})
+    line = encode_line(1, "audit", {**entry, "why": "the token is unknown", "utc_ns": 1})
     (tmp_path / "audit.jsonl").write_bytes(line)
     (found,) = audit_entries(tmp_path, result="rejected")
     assert (found.author, found.reason) == ("", "the token is unknown")
@@ -408,7 +408,9 @@ def audited(tmp_path):
     ],
 )
 def test_the_filtered_audit_log_is_complete(audited, monkeypatch, query, found):
-    monkeypatch.setattr("daq_service.commands.audit.newest_lines", partial(newest_lines, most_lines=7))
+    monkeypatch.setattr(
+        "daq_service.commands.audit.read_newest_lines", partial(read_newest_lines, most_lines=7)
+    )
     seen, cursor = [], {}
     while True:
         page = audited.get("/api/v1/audit", params={**query, "limit": 4, **cursor}).json()

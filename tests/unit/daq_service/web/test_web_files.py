@@ -16,7 +16,7 @@ def filled(tmp_path_factory):
         for index in range(3):
             folder.add_set(index, stored=index < 2)
         file = next(iter(sorted((folder.folder / "sets").iterdir())))
-        folder.catalogue.set_digest(
+        folder.catalogue.store_digest(
             SetKey(0), f"sets/{file.name}", hashlib.sha256(file.read_bytes()).hexdigest()
         )
         (folder.folder / "sets" / "set_000009_secret.h5").write_bytes(b"not the catalogue's")

@@ -23,7 +23,7 @@ from daq_service.web.auth.tokens import create_token
 from daq_service.web.multi_test.app import create_app_of_many
 from daq_service.web.multi_test.listing import Listing
 from daq_service.web.multi_test.location import REMEDIES
-from daq_service.web.multi_test.names import url_name, url_names
+from daq_service.web.multi_test.names import build_unique_url_names, build_url_name
 from daq_service.web.multi_test.open_tests import ServedTests
 
 HOLE, TWIN = Settings(name="Hole Nr. 2"), Settings(name="Hole: its twin", clock={"pace_h_per_s": 5.0})
@@ -66,11 +66,16 @@ def several(tmp_path_factory):
     [("Hole Nr. 2", "hole-nr-2"), ("Größe/../Öl", "grosse-ol"), ("  ?#%  ", "test"), ("a" * 300, "a" * 60)],
 )
 def test_a_name_in_addresses_is_of_small_letters_digits_and_hyphens(text, name):
-    assert url_name(text) == name
+    assert build_url_name(text) == name
 
 
 def test_names_that_are_taken_are_numbered():
-    assert url_names(["Hole", "hole", "Hole 2", "HOLE!"]) == ["hole", "hole-2", "hole-2-2", "hole-3"]
+    assert build_unique_url_names(["Hole", "hole", "Hole 2", "HOLE!"]) == [
+        "hole",
+        "hole-2",
+        "hole-2-2",
+        "hole-3",
+    ]
 
 
 def test_the_list_has_the_status_of_each_test(several):
@@ -249,16 +254,16 @@ def test_an_ended_test_is_read_again_only_when_its_files_change(tmp_path, severa
         filled.recorder_ends()
         listing = Listing(ServedTests([tmp_path, several.hole.folder], AccessPolicy(WebSettings(), tmp_path)))
         read = []
-        look_at = Listing._entry
+        look_at = Listing._read_entry
         monkeypatch.setattr(
-            Listing, "_entry", lambda self, test: read.append(test.title) or look_at(self, test)
+            Listing, "_read_entry", lambda self, test: read.append(test.title) or look_at(self, test)
         )
-        first = listing.entries()
+        first = listing.read_entries()
         assert [row["standing"]["recorder"] for row in first] == ["finished", "running"]
-        listing.entries()
+        listing.read_entries()
         assert len(read) == 3, "the running one again, the ended one not"
         filled.add_set(1, stored=False)
-        (row, _) = listing.entries()
+        (row, _) = listing.read_entries()
         assert row["standing"]["last_set_index"] == 1
 
 
@@ -306,7 +311,7 @@ def test_a_test_with_receivers_is_open_from_the_start(several, tmp_path):
             tests = list(inside(service).all.values())
             until(lambda: tests[0].context is not None, "it is open")
             assert client.get(f"/tests/{tests[0].name}/api/v1/notifications").json()["sending"] is True
-            asyncio.run(inside(service).close_idle(keep=0))
+            asyncio.run(inside(service).close_idle_tests(keep=0))
             assert tests[0].context is not None
             assert tests[1].context is None
 

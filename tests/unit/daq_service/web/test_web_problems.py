@@ -9,7 +9,7 @@ from daq_service.catalogue.connection import FILE_NAME as CATALOGUE_FILE
 from daq_service.settings.tree import Settings
 from daq_service.web.answers import cursors
 from daq_service.web.answers.models import CommandRow
-from daq_service.web.answers.problem import TYPE_PREFIX, ProblemDetails, json_pointer
+from daq_service.web.answers.problem import TYPE_PREFIX, ProblemDetails, to_pointer
 from daq_service.web.app import create_app
 from daq_service.web.guards import LARGEST_BODY_BYTES
 
@@ -37,7 +37,7 @@ def problem(answer, status, name):
 
 
 def n_commands(filled):
-    return len(filled.catalogue.open_commands())
+    return len(filled.catalogue.list_open_commands())
 
 
 # Reading
@@ -118,14 +118,14 @@ def test_cursor_belongs_to_its_listing_and_filters(api):
 
 
 @pytest.mark.parametrize(
-    "cursor", ["", "x", "%F0%9F", "OTk5OTk5OTk", "====", cursors.encode("sets", 5)[:-1], "AA" * 90]
+    "cursor", ["", "x", "%F0%9F", "OTk5OTk5OTk", "====", cursors.encode_cursor("sets", 5)[:-1], "AA" * 90]
 )
 def test_invented_cursor_is_refused(api, cursor):
     problem(api.get(f"/api/v1/sets?cursor={cursor}"), 422, "invalid-cursor")
 
 
 def test_pointer_escapes():
-    assert json_pointer(["a/b", "c~d", 0]) == "/a~1b/c~0d/0"
+    assert to_pointer(["a/b", "c~d", 0]) == "/a~1b/c~0d/0"
 
 
 def test_unknown_method_is_405(api):

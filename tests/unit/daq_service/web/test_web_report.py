@@ -22,11 +22,11 @@ from daq_service.errors import UsageError
 from daq_service.settings.tree import Settings
 from daq_service.web.auth.tokens import create_token
 from daq_service.web.report import contents
-from daq_service.web.report.contents import read_contents
-from daq_service.web.report.figures import GREEN, figure_of
-from daq_service.web.report.page import _alarm_rule_rows
+from daq_service.web.report.contents import read_report_contents
+from daq_service.web.report.figures import GREEN, draw_position_figure
+from daq_service.web.report.page import _list_alarm_rules
 from daq_service.web.routes import report as route
-from daq_service.web.templates import quantity, significant
+from daq_service.web.templates import format_quantity, format_significant
 
 N_SETS = 56
 NOTE = "seen <b>&amp;"
@@ -125,13 +125,16 @@ def test_the_tables_have_the_numbers_of_the_client(filled, page):
                 values = getattr(test, table)(position)[column].dropna()
                 expected = (values.iloc[0], values.iloc[-1], values.min(), values.max(), values.mean())
                 assert rows[name][0] == str(len(values)) == str(N_SETS)
-                assert rows[name][1:6] == [quantity(value, *shown) for value in expected], (position, name)
+                assert rows[name][1:6] == [format_quantity(value, *shown) for value in expected], (
+                    position,
+                    name,
+                )
         now = {row[0]: row for row in page.tables["How it stands"]}
         newest = test.assessments("B").iloc[-1]
         info = test.info()
     assert now["B"][2:5] == [
-        f"D² {significant(newest['distance_squared'])}; chart {significant(newest['mewma_statistic'])}",
-        f"{significant(newest['limit_f_predictive'])}; chart {significant(LIMIT_CHART)}",
+        f"D² {format_significant(newest['distance_squared'])}; chart {format_significant(newest['mewma_statistic'])}",
+        f"{format_significant(newest['limit_f_predictive'])}; chart {format_significant(LIMIT_CHART)}",
         newest["quality"],
     ]
     assert now["B"][1] == "alarm"
@@ -142,7 +145,7 @@ def test_the_tables_have_the_numbers_of_the_client(filled, page):
 def decides(alarms):
     settings = Settings(alarms=alarms)
     budget = settings.false_alarms_per_sensor_year()
-    return dict(_alarm_rule_rows(settings.alarms, settings.novelty, budget))
+    return dict(_list_alarm_rules(settings.alarms, settings.novelty, budget))
 
 
 def test_the_report_describes_the_configured_alarm_rule():
@@ -158,7 +161,7 @@ def test_the_report_describes_the_configured_alarm_rule():
 
 
 def test_each_figure_shows_each_set_where_it_belongs(filled):
-    report_contents = read_contents(filled.folder)
+    report_contents = read_report_contents(filled.folder)
     with client.open(filled.folder) as test:
         for place in report_contents.positions:
             columns = {"A": [("thickness_m", test.thickness("A"))]}.get(
@@ -169,7 +172,7 @@ def test_each_figure_shows_each_set_where_it_belongs(filled):
                     ("distance_squared", test.assessments(place.name)),
                 ],
             )
-            svg = ElementTree.fromstring(figure_of(report_contents, place))
+            svg = ElementTree.fromstring(draw_position_figure(report_contents, place))
             groups = {group.get("id"): group for group in svg.iter("{http://www.w3.org/2000/svg}g")}
             for name, table in columns:
                 drawn = [
@@ -236,7 +239,11 @@ def test_a_range_of_hours_can_be_chosen(filled, tmp_path):
     with client.open(filled.folder) as test:
         values = test.features("B", from_h=5, to_h=10)["tof_pp_s"]
     assert rows["Time of flight"][1:4] == [
-        *(str(len(values)), quantity(values.iloc[0], 1e6, 3, "µs"), quantity(values.iloc[-1], 1e6, 3, "µs"))
+        *(
+            str(len(values)),
+            format_quantity(values.iloc[0], 1e6, 3, "µs"),
+            format_quantity(values.iloc[-1], 1e6, 3, "µs"),
+        )
     ]
     assert "Position C: wall change, high" in part.tables, "it stood then"
     assert "Position B: wall change, high" not in part.tables, "it was raised later"
@@ -268,8 +275,8 @@ def test_an_impossible_report_is_rejected_and_nothing_is_written(arguments, mess
 def test_more_sets_than_a_page_shows_are_refused(filled, monkeypatch):
     monkeypatch.setattr(contents, "MOST_SETS", N_SETS - 1)
     with pytest.raises(UsageError, match=f"more than {N_SETS - 1} sets in this range"):
-        read_contents(filled.folder)
-    assert len(read_contents(filled.folder, to_h=20.0).positions) == 4
+        read_report_contents(filled.folder)
+    assert len(read_report_contents(filled.folder, to_h=20.0).positions) == 4
 
 
 def test_the_service_makes_one_at_a_time_and_shows_the_audit_to_admins_alone(filled, monkeypatch):
@@ -285,7 +292,7 @@ def test_the_service_makes_one_at_a_time_and_shows_the_audit_to_admins_alone(fil
             assert "Position B" in report.tables
             assert "audit" not in report.ids
             # The next ones without a process of their own, whose start is most of what they take.
-            monkeypatch.setattr(route, "one_worker", lambda: nullcontext(AtOnce()))
+            monkeypatch.setattr(route, "start_one_worker", lambda: nullcontext(AtOnce()))
             refused = api.get("/api/v1/report?from_h=5&to_h=5")
             assert (refused.status_code, "let it end later" in refused.text) == (422, True)
             with route._making:
@@ -296,9 +303,9 @@ def test_the_service_makes_one_at_a_time_and_shows_the_audit_to_admins_alone(fil
 
 
 def test_annotations_are_drawn_where_they_begin_and_end(filled):
-    report_contents = read_contents(filled.folder)
+    report_contents = read_report_contents(filled.folder)
     drawn = {
-        place.name: figure_of(report_contents, place).count(GREEN.lower())
+        place.name: draw_position_figure(report_contents, place).count(GREEN.lower())
         for place in report_contents.positions
     }
     # In each panel: an instant of the whole test everywhere, both ends of the range at B alone.
@@ -306,7 +313,7 @@ def test_annotations_are_drawn_where_they_begin_and_end(filled):
 
 
 def test_text_of_a_figure_is_text(filled):
-    report_contents = read_contents(filled.folder)
+    report_contents = read_report_contents(filled.folder)
     assert re.search(
-        r"<text[^>]*>[^<]*time of flight", figure_of(report_contents, report_contents.positions[1])
+        r"<text[^>]*>[^<]*time of flight", draw_position_figure(report_contents, report_contents.positions[1])
     )

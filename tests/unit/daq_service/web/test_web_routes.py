@@ -18,18 +18,23 @@ from daq_service.catalogue.rows import (
     EnvironmentRow,
     EventRow,
     FeatureRow,
-    values,
+    to_columns,
 )
 from daq_service.cli.status.command import run_status
 from daq_service.clock import TimeLine, boot_name, elapsed_ns
 from daq_service.corrosion_drive.charge import DriveState
-from daq_service.corrosion_drive.supply_state import stored_state_now, write_stored_state
+from daq_service.corrosion_drive.supply_state import stamp_state, write_stored_state
 from daq_service.processes.data_folder import DRIVE_FILE
 from daq_service.processes.heartbeat import FILE_NAME
 from daq_service.settings.tree import Settings
 from daq_service.web.answers import models
-from daq_service.web.answers.json_answer import rfc3339, rfc3339_of_hour, rfc3339_of_hours, with_utc
-from daq_service.web.report.make import report_page
+from daq_service.web.answers.json_answer import (
+    add_utc,
+    format_hour_as_rfc3339,
+    format_hours_as_rfc3339,
+    format_rfc3339,
+)
+from daq_service.web.report.make import build_report_page
 from daq_service.web.routes import trends
 from hardware_drivers.nanoseconds import NS_PER_H
 
@@ -146,7 +151,7 @@ def test_pages_together_are_the_whole_listing(api, path, total):
 def test_environment_is_a_row_a_set_with_its_quality_and_age(api, filled):
     (row,) = get(api, "/api/v1/environment?from_h=10&to_h=10.25")["items"]
     (stored,) = filled.catalogue.rows(EnvironmentRow, first_h=10.0, last_h=10.0)
-    assert {name: row[name] for name in values(stored)} == values(stored)
+    assert {name: row[name] for name in to_columns(stored)} == to_columns(stored)
     assert (row["voltage_v"], row["charge_coulomb"]) == (10.0, 180.0)
     assert (row["climate_quality"], row["temperature_c"], row["relative_humidity"]) == ("stale", 21.5, None)
     assert (row["due_utc"], row["age_h"]) == ("2024-01-01T10:00:00Z", 20.0)
@@ -159,7 +164,7 @@ def test_environment_is_a_row_a_set_with_its_quality_and_age(api, filled):
 def test_the_supply_state_is_that_of_its_process_with_its_age(api, filled):
     write_stored_state(
         filled.folder,
-        stored_state_now(DriveState(tripped="hole at B"), output="off", age_s=2.0, good_for_s=30.0),
+        stamp_state(DriveState(tripped="hole at B"), output="off", age_s=2.0, good_for_s=30.0),
     )
     try:
         now = get(api, "/api/v1/environment/latest")["supply_now"]
@@ -316,7 +321,7 @@ def test_the_evidence_names_its_baseline_on_each_surface(tmp_path):
         with served(filled.settings, tmp_path) as service, service.client() as api:
             assert get(api, "/api/v1/alarms/1")["evidence_sentences"][0] == named
             assert named in api.get("/api/v1/tables/alarms?format=csv").text
-        assert named in report_page(tmp_path).decode()
+        assert named in build_report_page(tmp_path).decode()
 
 
 def test_data_of_a_disabled_transducer_continue_to_age(tmp_path):
@@ -389,7 +394,7 @@ def test_an_unknown_item_is_404(api, path):
     ],
 )
 def test_times_lose_no_nanosecond(utc_ns, text):
-    assert rfc3339(utc_ns) == text
+    assert format_rfc3339(utc_ns) == text
 
 
 @pytest.mark.parametrize(
@@ -397,12 +402,14 @@ def test_times_lose_no_nanosecond(utc_ns, text):
 )
 def test_times_of_a_column_are_those_of_each_of_its_hours(epoch_utc_ns):
     hours = [-0.5, 0.0, 1.0 / 7200.0, 1.00001, 350.1, 8766.0]
-    assert rfc3339_of_hours(epoch_utc_ns, hours) == [rfc3339_of_hour(epoch_utc_ns, hour) for hour in hours]
-    assert rfc3339_of_hours(epoch_utc_ns, []) == []
+    assert format_hours_as_rfc3339(epoch_utc_ns, hours) == [
+        format_hour_as_rfc3339(epoch_utc_ns, hour) for hour in hours
+    ]
+    assert format_hours_as_rfc3339(epoch_utc_ns, []) == []
 
 
 def test_rows_with_hours_also_have_utc_times():
-    row = with_utc({"due_h": 1.5, "raised_h": None, "wall_utc_ns": 0}, 0)
+    row = add_utc({"due_h": 1.5, "raised_h": None, "wall_utc_ns": 0}, 0)
     assert row == {
         "due_h": 1.5,
         "due_utc": "1970-01-01T01:30:00Z",

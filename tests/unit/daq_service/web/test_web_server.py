@@ -16,7 +16,7 @@ from daq_service.errors import BusyError, UsageError
 from daq_service.settings.tree import Settings
 from daq_service.web.app import create_app
 from daq_service.web.bounded_http import LARGEST_HEADERS_BYTES, BoundedHttp
-from daq_service.web.server import bind, serve
+from daq_service.web.server import bind_socket, serve
 
 
 @pytest.fixture
@@ -46,11 +46,11 @@ def test_port_in_use_is_a_clear_error(tmp_path):
 @pytest.mark.parametrize("host", ["0.0.0.0", "::", "192.168.1.5", "example.org"])
 def test_other_addresses_need_authentication(host):
     with pytest.raises(UsageError, match="without tokens and encryption"):
-        bind(host, 0)
+        bind_socket(host, 0)
 
 
 def test_localhost_is_this_machine():
-    with bind("localhost", 0) as listener:
+    with bind_socket("localhost", 0) as listener:
         assert listener.getsockname()[0] == "127.0.0.1"
 
 
@@ -180,7 +180,7 @@ def test_small_responses_are_sent_without_delay():
             writer.close()
             return await found
 
-    assert asyncio.run(accepted_with(bind("127.0.0.1", 0))) != 0
+    assert asyncio.run(accepted_with(bind_socket("127.0.0.1", 0))) != 0
 
 
 def test_large_answers_are_compressed_and_streams_are_not(filled):

@@ -141,7 +141,7 @@ def test_a_cross_site_page_reaches_only_the_token_check(far, path, headers, stat
 
 @pytest.mark.parametrize("blank", BLANKS, ids=ascii)
 def test_a_blank_author_or_reason_is_rejected(filled, api, blank):
-    before = len(filled.catalogue.open_commands())
+    before = len(filled.catalogue.list_open_commands())
     assert api.post("/api/v1/alarms/1/acknowledge", json={"author": blank}).status_code == 422
     for kind, author, arguments in (
         ("resume", blank, {}),
@@ -154,7 +154,7 @@ def test_a_blank_author_or_reason_is_rejected(filled, api, blank):
     ):
         order = {"kind": kind, "author": author, "arguments": arguments}
         assert api.post("/api/v1/commands", json=order).status_code == 422, kind
-    assert len(filled.catalogue.open_commands()) == before
+    assert len(filled.catalogue.list_open_commands()) == before
 
 
 def test_every_command_needs_a_name():
@@ -172,7 +172,7 @@ def test_a_lost_token_file_rejects_all_after_a_restart(tmp_path, caplog):
     assert KnownTokens(path).asked_for
     assert "nobody is let in" in caplog.text
     create_token(path, "bob", "admin")
-    assert KnownTokens(path).still_opens("bob", "admin")
+    assert KnownTokens(path).has_valid_token("bob", "admin")
 
 
 def test_revoking_without_tokens_does_not_require_tokens(tmp_path):
@@ -247,5 +247,5 @@ def test_the_limit_of_handles_is_raised_and_leaves_some(monkeypatch, limits, ref
 
     monkeypatch.setattr(resource, "getrlimit", lambda _: limits)
     monkeypatch.setattr(resource, "setrlimit", set_limit)
-    assert server.most_connections() == most
+    assert server.raise_connection_limit() == most
     assert raised == ([] if refused else [(limits[1], limits[1])])

@@ -10,14 +10,14 @@ from support.filled_folder import filled_folder
 from support.served_web import served
 from support.stored_files import read_set, set_files
 
-from daq_service.archive.waterfall.cells import accepted_records, anchors_of
+from daq_service.archive.waterfall.cells import extract_anchors, select_accepted_records
 from daq_service.archive.waterfall.tiles import TILES_FOLDER
 from daq_service.assessment.baseline_lifecycle import renew
-from daq_service.assessment.results_in_file import results_in
+from daq_service.assessment.results_in_file import read_set_results
 from daq_service.background.tiles import rebuild_tiles
 from daq_service.catalogue import SetCommit
-from daq_service.catalogue.owner import experiment_identity
-from daq_service.web.context import context_of
+from daq_service.catalogue.owner import build_experiment_identity
+from daq_service.web.context import find_app_context
 from daq_service.web.routes.waterfall import MOST_COLUMNS, MOST_ROWS
 from hardware_drivers.measurement import SetKey
 
@@ -46,11 +46,11 @@ def read(answer):
 def expected_extremes(filled, position, header, index):
     """Return the extremes of a set's samples in the columns of a figure, computed from its file."""
     record = read_set(set_files(filled.folder)[index])
-    anchors = anchors_of(results_in(filled.catalogue, SetKey(index)))
+    anchors = extract_anchors(read_set_results(filled.catalogue, SetKey(index)))
     rate = header["sample_rate_hz"]
     low = np.full(header["columns"], np.inf)
     high = np.full(header["columns"], -np.inf)
-    for taken in accepted_records(record, position):
+    for taken in select_accepted_records(record, position):
         wave = taken.waveform
         anchor_s = 0.0 if header["align"] == "trigger" else anchors[taken.sequence]
         # Whole samples after the anchor; a millionth of one is the rounding of seconds.
@@ -180,7 +180,7 @@ def test_an_impossible_waterfall_is_rejected_with_a_remedy(api, path, status, me
 
 def test_a_service_that_closes_reads_no_more_records(filled):
     with served(filled.settings, filled.folder) as service, service.client() as client:
-        context_of(service.app).waterfall.close()
+        find_app_context(service.app).waterfall.close()
         header, _ = read(client.get("/api/v1/waterfall/B?rows=7"))
     assert (header["rows"], header["pending_sets"]) == (0, N_SETS - len(MISSED))
 
@@ -200,9 +200,9 @@ def test_tiles_give_the_same_waterfall_and_the_service_writes_none(api, filled):
     before = [read(api.get(f"/api/v1/waterfall/{query}")) for query in queries]
     assert not (filled.folder / TILES_FOLDER).exists()
     files = {SetKey(index): f"sets/{path.name}" for index, path in set_files(filled.folder).items()}
-    name = experiment_identity(filled.catalogue.experiment_row())
+    name = build_experiment_identity(filled.catalogue.read_experiment())
     corruption = rebuild_tiles(
-        filled.folder, name, files, lambda key: results_in(filled.catalogue, key), lambda done, of: None
+        filled.folder, name, files, lambda key: read_set_results(filled.catalogue, key), lambda done, of: None
     )
     assert corruption == []
     # Another service, which has nothing in its memory and no records.

@@ -17,11 +17,11 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect
 
 from daq_service.catalogue.rows import SetRow
-from daq_service.recording.set_assessor import shot_row
+from daq_service.recording.set_assessor import build_shot_row
 from daq_service.settings.tree import Settings
 from daq_service.web.answers.problem import Problem
-from daq_service.web.routes.waveforms import extremes_per_bin
-from daq_service.web.streams.live_figures import decode_header
+from daq_service.web.routes.waveforms import find_extremes_per_bin
+from daq_service.web.streams.live_figures import decode_figure_header
 from hardware_drivers.measurement import SetKey
 
 
@@ -94,10 +94,10 @@ def test_marks_are_within_their_search_windows(tmp_path):
 
 def test_a_repeated_record_is_not_among_those_of_its_set(tmp_path, monkeypatch):
     def repeated(record, **columns):
-        row = shot_row(record, **columns)
+        row = build_shot_row(record, **columns)
         return replace(row, outcome="superseded") if row.shot_index == 1 else row
 
-    monkeypatch.setattr("support.filled_folder.shot_row", repeated)
+    monkeypatch.setattr("support.filled_folder.build_shot_row", repeated)
     with served_folder(tmp_path, shots_per_set=2, sets=1, stored=True) as (_, api):
         found = list(records_of_a_set(api.get("/api/v1/sets/B/0/waveforms").content))
         assert [record["shot_index"] for record, _ in found] == [0]
@@ -129,7 +129,7 @@ def test_npy_is_time_and_volts(api, filled):
 def test_a_record_that_the_client_has_is_not_read_again(service, api, filled, form, monkeypatch):
     url = f"/api/v1/waveforms/B/0/0?format={form}"
     (row,) = filled.catalogue.rows(SetRow, position="B", set_index=0)
-    filled.catalogue.set_digest(SetKey(0), row.file, "ab" * 32)
+    filled.catalogue.store_digest(SetKey(0), row.file, "ab" * 32)
     etag = api.get(url).headers["etag"]
     assert etag != api.get(f"{url}&points=8").headers["etag"]
     monkeypatch.setattr(service.app.state.context, "archive", None)
@@ -163,7 +163,7 @@ def test_downsampled_record_keeps_its_extremes(api, filled):
     points=st.integers(4, 60),
 )
 def test_extremes_of_each_bin_survive(values, points):
-    kept = extremes_per_bin(values, points)
+    kept = find_extremes_per_bin(values, points)
     assert kept.size <= points
     assert np.all(np.diff(kept) > 0)
     assert values[kept].min() == values.min()
@@ -192,7 +192,7 @@ def test_a_position_without_a_live_figure_is_404(tmp_path):
 )
 def test_a_corrupt_live_figure_is_a_problem(content):
     with pytest.raises(Problem) as caught:
-        decode_header(content)
+        decode_figure_header(content)
     assert caught.value.status == 503
 
 

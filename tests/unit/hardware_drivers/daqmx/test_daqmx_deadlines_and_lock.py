@@ -9,7 +9,7 @@ from types import SimpleNamespace
 import pytest
 
 from hardware_drivers.daqmx.client_lock import ClientLock
-from hardware_drivers.daqmx.connection import client_name
+from hardware_drivers.daqmx.connection import build_client_name
 from hardware_drivers.daqmx.instruments import open_daqmx
 from hardware_drivers.daqmx.parameters import DaqmxParameters, TransducerWiring
 from hardware_drivers.errors import BusyError, ConfigurationError
@@ -48,8 +48,8 @@ def test_a_killed_process_leaves_no_lock(client):
 
 def test_the_client_is_named_by_the_settings_or_the_computer():
     wiring = {"B": TransducerWiring(board_serial="1")}
-    assert client_name(DaqmxParameters(transducers=wiring, grpc_client_name="rig-2")) == "rig-2"
-    assert client_name(DaqmxParameters(transducers=wiring))
+    assert build_client_name(DaqmxParameters(transducers=wiring, grpc_client_name="rig-2")) == "rig-2"
+    assert build_client_name(DaqmxParameters(transducers=wiring))
 
 
 @pytest.mark.parametrize(

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from hardware_drivers.daqmx.acquisition import Acquisition, _calibration
+from hardware_drivers.daqmx.acquisition import Acquisition, _read_calibration
 from hardware_drivers.daqmx.parameters import TransducerWiring
 from hardware_drivers.errors import ConnectionLostError
 from hardware_drivers.measurement import Calibration
@@ -77,5 +77,5 @@ def test_volts_follow_the_polynomial_that_the_board_returns():
     polynomial_v = [1e-3, 1.02 * VOLTS_A_CODE, 1e-12, -1e-17]
     channel = SimpleNamespace(ai_dev_scaling_coeff=polynomial_v, ai_resolution=16.0)
     board = SimpleNamespace(label="PXIe-6386 01E16086", calibration_date="2026-01-12")
-    calibration = _calibration(channel, TransducerWiring(board_serial="01E16086"), board)
+    calibration = _read_calibration(channel, TransducerWiring(board_serial="01E16086"), board)
     assert calibration.coefficients_v.tolist() == polynomial_v

@@ -13,7 +13,7 @@ from nidaqmx import errors as vendor
 from nidaqmx.error_codes import DAQmxErrors
 
 from hardware_drivers.daqmx import translation
-from hardware_drivers.daqmx.translation import CLASS_OF_STATUS, owner_in, translated, vendor_call
+from hardware_drivers.daqmx.translation import CLASS_OF_STATUS, find_owner, translate_error, translate_errors
 from hardware_drivers.errors import (
     AcquisitionTimeoutError,
     BusyError,
@@ -28,7 +28,7 @@ FOUR = {AcquisitionTimeoutError, BusyError, ConnectionLostError, ConfigurationEr
 
 
 def raised_by_vendor_call(error):
-    with pytest.raises(tuple(FOUR)) as caught, vendor_call("testing"):
+    with pytest.raises(tuple(FOUR)) as caught, translate_errors("testing"):
         raise error
     assert caught.value.__cause__ is error
     assert str(caught.value).startswith("testing: ")
@@ -124,14 +124,14 @@ def test_every_grpc_code_is_translated():
 
 def test_an_instrument_error_passes_unchanged():
     original = BusyError("already told")
-    with pytest.raises(BusyError) as caught, vendor_call("testing"):
+    with pytest.raises(BusyError) as caught, translate_errors("testing"):
         raise original
     assert caught.value is original
-    assert translated(original, "testing") is original
+    assert translate_error(original, "testing") is original
 
 
 def test_a_stop_is_no_vendor_error():
-    with pytest.raises(KeyboardInterrupt), vendor_call("testing"):
+    with pytest.raises(KeyboardInterrupt), translate_errors("testing"):
         raise KeyboardInterrupt
 
 
@@ -145,13 +145,13 @@ def test_a_stop_is_no_vendor_error():
     ],
 )
 def test_a_busy_resource_names_its_owner(text, owner):
-    assert owner_in(text) == owner
+    assert find_owner(text) == owner
     error = raised_by_vendor_call(vendor.DaqError(text, -200022))
     assert (owner or "not named by the driver") in str(error)
 
 
 def test_a_warning_of_the_driver_is_logged_and_raises_nothing(caplog):
-    with caplog.at_level(logging.WARNING), vendor_call("testing"):
+    with caplog.at_level(logging.WARNING), translate_errors("testing"):
         warnings.warn(vendor.DaqWarning("rounded", 200011), stacklevel=1)
     assert "testing" in caplog.text
     assert "rounded" in caplog.text

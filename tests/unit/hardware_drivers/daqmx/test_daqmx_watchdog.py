@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import pytest
 
 from hardware_drivers.daqmx.coil import Coil, _commit_watchdog
-from hardware_drivers.daqmx.look import board_findings
+from hardware_drivers.daqmx.look import yield_board_findings
 from hardware_drivers.daqmx.parameters import DaqmxParameters, TransducerWiring, WatchdogWiring
 from hardware_drivers.daqmx.survey import Survey
 from hardware_drivers.errors import AcquisitionTimeoutError
@@ -71,7 +71,7 @@ def test_it_pulls_the_wired_lines_low():
         watchdog=WatchdogWiring(board_serial="01E18096", lines=("port2/line4", "port2/line5")),
     )
     connection = SimpleNamespace(watchdog=lambda device, role, timeout_s: Watchdog())
-    watchdog = wired.watchdog_of("1E18096")
+    watchdog = wired.find_watchdog("1E18096")
     assert watchdog is not None
     _commit_watchdog(connection, watchdog, SimpleNamespace(name="Dev1", label="PXIe-6396 01E18096"))
     assert guarded == [("Dev1/port2/line4", "LOW"), ("Dev1/port2/line5", "LOW")]
@@ -91,10 +91,10 @@ def watchdog(serial, *lines):
 
 def test_each_board_that_drives_a_coil_has_its_own():
     parameters = two_boards(watchdogs=(watchdog("1E18096"), watchdog("1E16086", "port2/line5")))
-    assert parameters.watchdog_of("01E18096").lines == ("port2/line4",)
-    assert parameters.watchdog_of("01e16086").lines == ("port2/line5",)
-    assert parameters.watchdog_of("BEEF") is None
-    assert two_boards(watchdog=watchdog("1E18096")).watchdog_of("01E16086") is None, "as it was before"
+    assert parameters.find_watchdog("01E18096").lines == ("port2/line4",)
+    assert parameters.find_watchdog("01e16086").lines == ("port2/line5",)
+    assert parameters.find_watchdog("BEEF") is None
+    assert two_boards(watchdog=watchdog("1E18096")).find_watchdog("01E16086") is None, "as it was before"
 
 
 def test_watchdogs_that_contradict_each_other_are_refused():
@@ -110,7 +110,7 @@ def test_a_board_that_drives_a_coil_without_a_watchdog_is_a_warning(monkeypatch)
     monkeypatch.setattr("hardware_drivers.daqmx.look.survey_rig", Survey)
 
     def looked(**changes):
-        seen = board_findings(two_boards(**changes), shot_interval_s=4.0)
+        seen = yield_board_findings(two_boards(**changes), shot_interval_s=4.0)
         return {finding.subject: finding.state for finding in seen if "watchdog" in finding.subject}
 
     assert looked() == {}

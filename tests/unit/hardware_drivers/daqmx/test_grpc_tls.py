@@ -8,7 +8,7 @@ from functools import partial
 import pytest
 
 from hardware_drivers.daqmx.parameters import DaqmxParameters, GrpcTls, TransducerWiring
-from hardware_drivers.daqmx.translation import translated
+from hardware_drivers.daqmx.translation import translate_error
 from hardware_drivers.errors import ConfigurationError
 from simulator.doubles.chassis.description import SIMULTANEOUS_16_BIT, Description
 from simulator.doubles.device_model import Brain
@@ -57,7 +57,7 @@ def reached(made, *, mutual, tls):
             with nidaqmx.Task("t", grpc_options=nidaqmx.GrpcSessionOptions(channel.calls, "")) as task:
                 return task.name
         except nidaqmx.errors.RpcError as error:
-            return f"{error.rpc_code}: {translated(error, 'making a task')}"
+            return f"{error.rpc_code}: {translate_error(error, 'making a task')}"
         finally:
             channel.close()
     finally:

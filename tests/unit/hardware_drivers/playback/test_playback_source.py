@@ -8,7 +8,7 @@ from hardware_drivers.errors import AcquisitionTimeoutError, ConfigurationError
 from hardware_drivers.measurement import ShotKey
 from hardware_drivers.playback.clock import RecordedClock
 from hardware_drivers.playback.instruments import build_instruments
-from hardware_drivers.playback.source import ShotsBySet, ShotSource, acquired_of
+from hardware_drivers.playback.source import ShotsBySet, ShotSource, convert_stored_record
 from simulator.clock import SimulatedClock
 
 S = 1_000_000_000
@@ -129,7 +129,7 @@ def test_a_set_that_was_not_recorded_has_no_shots_and_is_read_once():
 
 def test_settings_of_a_record_pass():
     shot = make_shot("B", 0, 1)
-    assert acquired_of(shot).settings is shot.settings
+    assert convert_stored_record(shot).settings is shot.settings
 
 
 # Clock ---------------------------------------------------------------------------------------------

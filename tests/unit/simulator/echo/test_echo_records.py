@@ -7,7 +7,7 @@ import pytest
 from scipy import stats
 
 from hardware_drivers.measurement import ShotKey
-from simulator.echo.records import disturbance
+from simulator.echo.records import draw_disturbance
 from simulator.parameters.echo import EchoParameters
 from simulator.parameters.electronics import NoiseParameters
 from simulator.parameters.experiment import DriftParameters, ThinningParameters, TwinParameters
@@ -41,7 +41,7 @@ def test_the_truth_is_the_wall_under_the_beam():
 def test_bubbles_are_intermittent_and_keyed():
     echo = replace(SMOOTH, bubble_probability=0.3, bubbles_per_beam=60.0, bubble_radius_m=5e-3)
     bubbly, calm = specimen(echo), specimen()
-    drawn = [disturbance(echo, seed=1, key=key(k))[1]["bubbles"] for k in range(400)]
+    drawn = [draw_disturbance(echo, seed=1, key=key(k))[1]["bubbles"] for k in range(400)]
     low, high = stats.binom.interval(1.0 - 1e-4, 400, 0.3)
     assert low <= sum(drawn) <= high
     assert set(drawn[:6]) == {0.0, 1.0}
@@ -55,7 +55,7 @@ def test_bubbles_are_intermittent_and_keyed():
 @pytest.mark.parametrize("bubble_probability", [0.0, 1.0])
 def test_the_couplant_changes_the_gain_of_a_whole_record(bubble_probability):
     echo = replace(SMOOTH, coupling_sd_db=3.0, bubble_probability=bubble_probability)
-    found = [disturbance(echo, seed=1, key=key(k)) for k in range(300)]
+    found = [draw_disturbance(echo, seed=1, key=key(k)) for k in range(300)]
     levels_db = [20.0 * np.log10(truth["coupling_gain"]) for _, truth in found]
     assert stats.kstest(levels_db, "norm", args=(0.0, 3.0)).pvalue > 1e-4
     quiet = NoiseParameters(enabled=False)

@@ -7,11 +7,16 @@ import pytest
 from scipy.optimize import brentq
 
 from hardware_drivers.measurement import Calibration
-from simulator.electronics.transduction import adc_calibration, add_noise_volts, counts_of, triggered_record
+from simulator.electronics.transduction import (
+    add_noise_volts,
+    make_adc_calibration,
+    quantise_volts,
+    simulate_triggered_record,
+)
 from simulator.parameters.electronics import AdcParameters, NoiseParameters
 
 ADC = AdcParameters()
-CALIBRATION = adc_calibration(ADC)
+CALIBRATION = make_adc_calibration(ADC)
 STEP_S = 2e-7
 TIME_S = np.arange(7_500) * STEP_S
 WIDTH_S = 178e-6
@@ -28,12 +33,12 @@ def force_n(time_s=TIME_S, peak_n=150.0):
 
 
 def record(force=None, *, gain=GAIN_V_PER_N, adc=ADC, phase=0.0, noise_v=0.0, seed=1):
-    return triggered_record(
+    return simulate_triggered_record(
         force_step_s=STEP_S,
         dynamic_force_n=force_n() if force is None else force,
         sensor_gain_v_per_n=gain,
         adc=adc,
-        calibration=adc_calibration(adc),
+        calibration=make_adc_calibration(adc),
         sampling_phase=phase,
         noise=NoiseParameters(rms_v=noise_v, slow_rms_v=0.0),
         random=np.random.default_rng(seed),
@@ -50,16 +55,16 @@ def record_time_s(found, adc=ADC):
 @pytest.mark.parametrize("bits", [12, 14, 16, 18])
 def test_every_code_is_its_own_nearest(bits):
     adc = replace(ADC, resolution_bits=bits)
-    low, high = adc_calibration(adc).full_scale_counts
+    low, high = make_adc_calibration(adc).full_scale_counts
     codes = np.arange(low, high + 1, dtype=np.int32)
-    counts = counts_of(adc_calibration(adc).volts(codes), adc_calibration(adc))
+    counts = quantise_volts(make_adc_calibration(adc).volts(codes), make_adc_calibration(adc))
     assert counts.dtype == (np.int16 if bits <= 16 else np.int32)
     np.testing.assert_array_equal(counts, codes)
 
 
 @pytest.mark.parametrize("bend", [{}, {"quadratic_fraction": 0.01, "cubic_fraction": -0.01, "offset_v": 0.5}])
 def test_counts_are_the_rounded_inverse_of_the_polynomial(bend):
-    calibration = adc_calibration(replace(ADC, **bend))
+    calibration = make_adc_calibration(replace(ADC, **bend))
     lowest_v, highest_v = calibration.volts(np.array([-32_760, 32_760], dtype=np.int32))
     volts = np.random.default_rng(1).uniform(lowest_v, highest_v, 200)
 
@@ -69,12 +74,12 @@ def test_counts_are_the_rounded_inverse_of_the_polynomial(bend):
             lambda x: np.polyval(calibration.coefficients_v[::-1], x) - v, -40_000, 40_000, xtol=1e-9
         )
 
-    np.testing.assert_array_equal(counts_of(volts, calibration), np.rint([inverse(v) for v in volts]))
+    np.testing.assert_array_equal(quantise_volts(volts, calibration), np.rint([inverse(v) for v in volts]))
 
 
 def test_quantisation_error_is_at_most_half_a_code():
     volts = np.random.default_rng(2).uniform(-5.0, 5.0, 20_000)
-    error_v = CALIBRATION.volts(counts_of(volts, CALIBRATION)) - volts
+    error_v = CALIBRATION.volts(quantise_volts(volts, CALIBRATION)) - volts
     # The widest code is the linear term times one plus the polynomial's bend (below 1e-3).
     assert np.max(np.abs(error_v)) <= 0.5 * CALIBRATION.coefficients_v[1] * 1.001
     assert np.max(np.abs(error_v)) > 0.4 * CALIBRATION.coefficients_v[1]
@@ -82,7 +87,7 @@ def test_quantisation_error_is_at_most_half_a_code():
 
 def test_codes_reach_two_percent_beyond_the_range_and_then_clip():
     low, high = CALIBRATION.full_scale_counts
-    counts = counts_of(np.array([5.05, -5.05, 5.2, -5.2, 1e9, -1e9]), CALIBRATION)
+    counts = quantise_volts(np.array([5.05, -5.05, 5.2, -5.2, 1e9, -1e9]), CALIBRATION)
     assert low < counts[1] < counts[0] < high
     assert counts[2:].tolist() == [high, low, high, low]
 
@@ -90,7 +95,7 @@ def test_codes_reach_two_percent_beyond_the_range_and_then_clip():
 def test_a_polynomial_that_is_no_line_is_refused():
     bent = Calibration(coefficients_v=np.array([0.0, 1e-4, 1e-8]), resolution_bits=16, range_v=5.0)
     with pytest.raises(ValueError, match="slope varies by"):
-        counts_of(np.zeros(3), bent)
+        quantise_volts(np.zeros(3), bent)
 
 
 def test_without_noise_counts_are_the_signal_rounded():
@@ -102,7 +107,7 @@ def test_without_noise_counts_are_the_signal_rounded():
     assert np.ptp(place - below) < 1e-6
     padded = np.concatenate([np.zeros(1_000), force_n()])
     between = lagrange(padded, below + 1_000, (place - below)[0])
-    np.testing.assert_array_equal(found.counts, counts_of(GAIN_V_PER_N * between, CALIBRATION))
+    np.testing.assert_array_equal(found.counts, quantise_volts(GAIN_V_PER_N * between, CALIBRATION))
 
 
 def lagrange(values, index, x):
@@ -118,7 +123,7 @@ def lagrange(values, index, x):
 @pytest.mark.parametrize("step_s", [1e-7, 2e-7, 5e-7])
 def test_interpolation_adds_next_to_nothing(step_s):
     time_s = np.arange(round(1.5e-3 / step_s)) * step_s
-    found = triggered_record(
+    found = simulate_triggered_record(
         force_step_s=step_s,
         dynamic_force_n=force_n(time_s),
         sensor_gain_v_per_n=GAIN_V_PER_N,
@@ -223,7 +228,7 @@ def test_slow_noise_is_slow_and_of_the_size_asked_for():
 
 
 def test_noise_off_leaves_the_signal_alone():
-    off = triggered_record(
+    off = simulate_triggered_record(
         force_step_s=STEP_S,
         dynamic_force_n=force_n(),
         sensor_gain_v_per_n=GAIN_V_PER_N,

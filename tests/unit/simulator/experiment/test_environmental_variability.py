@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from analysis.waves.features import FEATURE_NAMES, extract_features, mean_features
+from analysis.waves.features import FEATURE_NAMES, average_features, extract_features
 from hardware_drivers.measurement import ShotKey
 from simulator.chain.spheres import Contacts
 from simulator.errors import SpecimenError
 from simulator.experiment import environmental_variability as nuisance
 from simulator.experiment import processes, seating
-from simulator.experiment.seating import climate
+from simulator.experiment.seating import draw_climate
 from simulator.parameters.chain import ChainParameters
 from simulator.parameters.electronics import NoiseParameters
 from simulator.parameters.environmental_variability import (
@@ -31,7 +31,7 @@ from simulator.parameters.experiment import (
 )
 from simulator.parameters.plate import CorrosionParameters, LiquidParameters, PlateParameters
 from simulator.shot.model import Impact, ShotModel
-from simulator.shot.pulse_summary import summarise
+from simulator.shot.pulse_summary import summarise_pulses
 from simulator.specimen import Transducer, build_specimen
 
 CHAIN = ChainParameters()
@@ -45,9 +45,9 @@ QUIET = TwinParameters(
 )
 YEAR_H = 8_766.0
 DRAWN = (
-    nuisance._block,
-    processes._innovations,
-    processes._reseats,
+    nuisance._draw_block,
+    processes._draw_innovations,
+    processes._draw_reseats,
     processes.draw_slow_drift,
     processes.is_noisy_hour,
 )
@@ -67,7 +67,7 @@ def only(monkeypatch):
         level = f"only {next(names)}"
         for module in (nuisance, seating):
             monkeypatch.setattr(module, "NUISANCE", {**module.NUISANCE, level: NuisanceParameters(**sizes)})
-        for kept in (seating._sources, nuisance._block):
+        for kept in (seating._effects_of_sources, nuisance._draw_block):
             kept.cache_clear()
         return specimen(replace(twin, nuisance=level))
 
@@ -177,7 +177,7 @@ def test_a_stored_shot_is_simulated_again_from_its_truth():
             )
         ]
     )
-    pulses = summarise(again)
+    pulses = summarise_pulses(again)
     assert truth["isw_peak_n"] == pulses.isw_peak_n
     assert truth["tof_s"] == pytest.approx(1e-6 * pulses.tof_us, rel=1e-15)
     assert truth["amplitude_ratio"] == pulses.amplitude_ratio
@@ -318,7 +318,9 @@ def test_day_and_season_have_their_amplitudes(only):
     assert 2.0 * np.mean(room * np.cos(angle)) == pytest.approx(4.0, rel=1e-2)  # a year is not whole days
     line = np.mean(room * np.exp(-2j * np.pi * hours / YEAR_H))
     assert 2.0 * abs(line) == pytest.approx(10.0, rel=1e-2)
-    seasons = {round(climate("plant", seed=seed, warmest_hour_h=15.0).season_rad, 9) for seed in range(5)}
+    seasons = {
+        round(draw_climate("plant", seed=seed, warmest_hour_h=15.0).season_rad, 9) for seed in range(5)
+    }
     assert len(seasons) == 5
 
 
@@ -388,7 +390,7 @@ def test_the_liquid_evaporates_and_is_topped_up_and_the_plate_feels_its_depth(on
     shallow = replace(wet, liquid=LiquidParameters(depth_m=(1.0 - 0.6) * 4e-3))
     alone = ShotModel(CHAIN, shallow, CorrosionParameters(), cache_folder=reduction_folder)
     height_m, tilt_rad = (times[min(times)][name] for name in ("drop_height_m", "tilt_rad"))
-    expected = summarise(alone.shot(drop_height_m=height_m, tilt_rad=tilt_rad))
+    expected = summarise_pulses(alone.shot(drop_height_m=height_m, tilt_rad=tilt_rad))
     assert times[min(times)]["tof_s"] == pytest.approx(1e-6 * expected.tof_us, rel=1e-12)
 
 
@@ -445,7 +447,7 @@ def test_the_features_of_healthy_sets_leave_their_plane():
         sets = []
         for k in range(48):
             shots = made.solitary_waves([(key(k, j), 0.5 * k) for j in range(4)])
-            sets.append(mean_features([extract_features(shot.waveform) for shot in shots], 2).mean)
+            sets.append(average_features([extract_features(shot.waveform) for shot in shots], 2).mean)
         return np.linalg.eigvalsh(np.corrcoef([[one[name] for one in sets] for name in FEATURE_NAMES]))[::-1]
 
     none, laboratory = spread("none"), spread("laboratory")

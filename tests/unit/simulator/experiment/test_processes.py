@@ -8,26 +8,31 @@ from hardware_drivers.measurement import SetKey
 from simulator.experiment import processes
 from simulator.experiment.processes import (
     LAGS,
-    autocorrelated_values,
+    compute_ar1_weights,
+    draw_autocorrelated_values,
     draw_slow_drift,
+    draw_unit_student_t,
+    draw_values_after_reseats,
+    evaluate_slow_drift,
     is_noisy_hour,
-    memory_weights,
-    slow_drift,
-    unit_t,
-    values_after_reseats,
 )
 from simulator.numerics.keyed_random import Purpose
 
 WIDE, SETS = 1_000, 80
-DRAWN = (processes._innovations, processes._reseats, processes.draw_slow_drift, processes.is_noisy_hour)
+DRAWN = (
+    processes._draw_innovations,
+    processes._draw_reseats,
+    processes.draw_slow_drift,
+    processes.is_noisy_hour,
+)
 
 
 def series(memory, dof=5.0, seed=1, sets=SETS, first=0, unscheduled=0):
     """Shape (sets, WIDE): as many independent processes side by side."""
-    weights = memory_weights(np.full(WIDE, memory))
+    weights = compute_ar1_weights(np.full(WIDE, memory))
     return np.array(
         [
-            autocorrelated_values(
+            draw_autocorrelated_values(
                 weights, dof, seed=seed, position="B", set_key=SetKey(first + k, unscheduled)
             )
             for k in range(sets)
@@ -69,30 +74,32 @@ def test_the_tails_are_student_s():
     low, high = stats.binom.interval(1.0 - 1e-4, x.size, 2.0 * unit.sf(4.0))
     assert low <= beyond.sum() <= high
     assert high > low > 20.0 * x.size * 2.0 * stats.norm.sf(4.0), "a normal one has not a twentieth of these"
-    assert unit_t(np.random.default_rng(1), 1e3, 200_000).std() == pytest.approx(1.0, abs=4.0 / np.sqrt(4e5))
+    assert draw_unit_student_t(np.random.default_rng(1), 1e3, 200_000).std() == pytest.approx(
+        1.0, abs=4.0 / np.sqrt(4e5)
+    )
 
 
 def test_a_slow_drift_has_its_standard_deviation():
     drawn = draw_slow_drift(Purpose.SEATING_WANDER, 1, "B", 4_000, 48.0, 1_000.0)
-    now = slow_drift(100.0, drawn)
+    now = evaluate_slow_drift(100.0, drawn)
     # Sums of eight sinusoids: their variance is 1 and scatters less than that of a normal.
     assert now.std() == pytest.approx(1.0, abs=4.0 / np.sqrt(2 * now.size))
-    later = slow_drift(101.0, drawn)
+    later = evaluate_slow_drift(101.0, drawn)
     steepest_per_h = 2.0 * np.pi / 48.0 * np.sqrt(2.0 * processes.WANDER_TERMS)
     assert np.abs(later - now).max() < steepest_per_h
     assert np.corrcoef(now, later)[0, 1] > 0.99
-    assert abs(np.corrcoef(now, slow_drift(5_000.0, drawn))[0, 1]) < 0.2
+    assert abs(np.corrcoef(now, evaluate_slow_drift(5_000.0, drawn))[0, 1]) < 0.2
 
 
 def test_re_seats_come_at_their_rate_go_either_way_and_stay():
     rate_per_h, hours = 0.002, 100_000.0
-    count, _ = values_after_reseats(hours, rate_per_h, seed=1, position="B", size=3)
+    count, _ = draw_values_after_reseats(hours, rate_per_h, seed=1, position="B", size=3)
     low, high = stats.poisson.interval(1.0 - 1e-4, rate_per_h * hours)
     assert low <= count <= high
     places, hour_of = [], []
     before, seen = np.zeros(3), 0
     for hour in np.arange(0.0, 20_000.0, 20.0):
-        now_count, now = values_after_reseats(float(hour), rate_per_h, seed=1, position="B", size=3)
+        now_count, now = draw_values_after_reseats(float(hour), rate_per_h, seed=1, position="B", size=3)
         if now_count == seen:
             np.testing.assert_array_equal(now, before)
         else:
@@ -104,8 +111,8 @@ def test_re_seats_come_at_their_rate_go_either_way_and_stay():
     low, high = stats.binom.interval(1.0 - 1e-4, above.size, 0.5)
     assert low <= above.sum() <= high
     first_h = min(hour_of)
-    assert values_after_reseats(first_h - 20.0, rate_per_h, seed=1, position="B", size=3)[0] == 0
-    assert values_after_reseats(hours, 0.0, seed=1, position="B", size=3)[0] == 0
+    assert draw_values_after_reseats(first_h - 20.0, rate_per_h, seed=1, position="B", size=3)[0] == 0
+    assert draw_values_after_reseats(hours, 0.0, seed=1, position="B", size=3)[0] == 0
 
 
 def test_the_noisy_hours_have_their_rate_and_are_common_to_all_positions():
@@ -117,14 +124,14 @@ def test_the_noisy_hours_have_their_rate_and_are_common_to_all_positions():
 
 def test_every_value_is_independent_of_the_order_of_computation():
     def values_of(set_index):
-        weights = memory_weights(np.linspace(0.0, 0.8, 5))
+        weights = compute_ar1_weights(np.linspace(0.0, 0.8, 5))
         return np.concatenate(
             [
-                autocorrelated_values(weights, 5.0, seed=3, position="C", set_key=SetKey(set_index)),
-                slow_drift(
+                draw_autocorrelated_values(weights, 5.0, seed=3, position="C", set_key=SetKey(set_index)),
+                evaluate_slow_drift(
                     0.5 * set_index, draw_slow_drift(Purpose.SEATING_WANDER, 3, "C", 5, 48.0, 1_000.0)
                 ),
-                values_after_reseats(10.0 * set_index, 0.01, seed=3, position="C", size=5)[1],
+                draw_values_after_reseats(10.0 * set_index, 0.01, seed=3, position="C", size=5)[1],
             ]
         )
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from hardware_drivers.measurement import ShotKey
-from simulator.experiment.scatter import scattered_strike, temperature
+from simulator.experiment.scatter import draw_room_temperature, draw_scattered_strike
 from simulator.parameters.chain import ChainParameters
 from simulator.parameters.electronics import SensorParameters
 from simulator.parameters.experiment import DriftParameters, ScatterParameters
@@ -16,7 +16,7 @@ CHAIN, SENSOR, DRIFT = ChainParameters(), SensorParameters(), DriftParameters()
 
 
 def strike(key, *, seed=1, chain=CHAIN, scatter=None, temperature_c=DRIFT.mean_temperature_c):
-    return scattered_strike(
+    return draw_scattered_strike(
         key,
         seed=seed,
         chain=chain,
@@ -110,25 +110,27 @@ def test_tilt_lowers_the_sensitivity():
 
 def test_temperature_has_a_day_and_a_slow_wander():
     hours = np.arange(0.0, 350.0, 0.25)
-    room = temperature(DRIFT, seed=1)
+    room = draw_room_temperature(DRIFT, seed=1)
     readings = np.array([room.at(h) for h in hours])
     day = DRIFT.diurnal_amplitude_k * np.cos(2.0 * np.pi * (hours - DRIFT.warmest_hour_h) / 24.0)
     wander = readings - DRIFT.mean_temperature_c - day
     slowest_rate = 2.0 * np.pi / DRIFT.shortest_wander_h * DRIFT.wander_sd_k * np.sqrt(2.0 * 8)
     assert np.max(np.abs(np.diff(wander))) <= 0.25 * slowest_rate
     assert readings[30] == room.at(float(hours[30]))
-    assert not np.allclose(readings, [temperature(DRIFT, seed=2).at(h) for h in hours], rtol=0.0, atol=0.1)
+    assert not np.allclose(
+        readings, [draw_room_temperature(DRIFT, seed=2).at(h) for h in hours], rtol=0.0, atol=0.1
+    )
 
 
 def test_the_slow_drift_has_the_configured_standard_deviation():
     still = replace(DRIFT, diurnal_amplitude_k=0.0)
     readings = np.array(
-        [temperature(still, seed=s).at(100.0) - still.mean_temperature_c for s in range(2_000)]
+        [draw_room_temperature(still, seed=s).at(100.0) - still.mean_temperature_c for s in range(2_000)]
     )
     # Four standard errors of a standard deviation of n draws.
     assert readings.std() == pytest.approx(still.wander_sd_k, rel=4.0 / np.sqrt(2 * 2_000))
 
 
 def test_drift_off_is_the_mean_temperature():
-    room = temperature(replace(DRIFT, enabled=False), seed=1)
+    room = draw_room_temperature(replace(DRIFT, enabled=False), seed=1)
     assert {room.at(h) for h in (0.0, 7.3, 300.0)} == {DRIFT.mean_temperature_c}

@@ -13,7 +13,7 @@ from scipy import stats
 from hardware_drivers.measurement import ShotKey
 from simulator.electronics.interference import Interference
 from simulator.errors import SpecimenError
-from simulator.experiment.faults import faults_of_shot
+from simulator.experiment.faults import draw_faults_of_shot
 from simulator.experiment.scatter import STEEPEST_TILT_RAD
 from simulator.parameters.chain import ChainParameters
 from simulator.parameters.echo import EchoParameters
@@ -39,7 +39,7 @@ from simulator.parameters.faults import (
 )
 from simulator.parameters.plate import CorrosionParameters, PlateParameters
 from simulator.shot.model import Impact, ShotModel
-from simulator.shot.pulse_summary import summarise
+from simulator.shot.pulse_summary import summarise_pulses
 from simulator.specimen import Transducer, build_specimen
 
 CHAIN = ChainParameters()
@@ -95,7 +95,7 @@ def key(shot_index=0, set_index=0, position="B", attempt=0):
 
 
 def drawn(faults, n=1_000, hour_h=1.0, seed=1):
-    return [faults_of_shot(faults, seed=seed, key=key(k % 10, k // 10), hour_h=hour_h) for k in range(n)]
+    return [draw_faults_of_shot(faults, seed=seed, key=key(k % 10, k // 10), hour_h=hour_h) for k in range(n)]
 
 
 def assert_rate(hits, probability):
@@ -213,8 +213,8 @@ def test_missed_strikes_leave_no_record_and_repeat_with_the_seed(specimen):
 
 def test_a_repeated_strike_draws_new_random_values():
     faults = FaultParameters(missed=MissedStrikeFault(probability=0.5))
-    again = [faults_of_shot(faults, seed=1, key=key(k, attempt=1), hour_h=1.0).missed for k in range(50)]
-    assert again != [faults_of_shot(faults, seed=1, key=key(k), hour_h=1.0).missed for k in range(50)]
+    again = [draw_faults_of_shot(faults, seed=1, key=key(k, attempt=1), hour_h=1.0).missed for k in range(50)]
+    assert again != [draw_faults_of_shot(faults, seed=1, key=key(k), hour_h=1.0).missed for k in range(50)]
 
 
 def test_double_strikes_come_as_often_as_late_and_as_high_as_asked_for():
@@ -259,7 +259,7 @@ def test_tilt_is_simulated_again_from_the_truth(specimen, model):
     assert truth["fault_tilt_rad"] == pytest.approx(0.01, rel=1e-12)  # a quarter of the ramp
     assert truth["tilt_rad"] == pytest.approx(QUIET.scatter.mean_tilt_rad + 0.01, rel=1e-12)
     force = model.shot(drop_height_m=truth["drop_height_m"], tilt_rad=truth["tilt_rad"])
-    assert truth["amplitude_ratio"] == pytest.approx(summarise(force).amplitude_ratio, rel=1e-9)
+    assert truth["amplitude_ratio"] == pytest.approx(summarise_pulses(force).amplitude_ratio, rel=1e-9)
     sensor = QUIET.sensor
     gain = sensor.sensitivity_v_per_n * math.exp(-sensor.tilt_loss_per_rad * truth["tilt_rad"])
     assert truth["sensor_gain_v_per_n"] == pytest.approx(gain, rel=1e-12)
@@ -282,7 +282,7 @@ def test_wear_and_damping_are_those_of_a_chain_with_these_parameters(specimen):
         contact_damping_n_s_per_m=3.0 * CHAIN.contact_damping_n_s_per_m,
     )
     fresh = ShotModel(chain, PLATE, CorrosionParameters(), cache_folder=None, step_s=5e-7)
-    expected = summarise(fresh.shot(drop_height_m=truth["drop_height_m"], tilt_rad=truth["tilt_rad"]))
+    expected = summarise_pulses(fresh.shot(drop_height_m=truth["drop_height_m"], tilt_rad=truth["tilt_rad"]))
     assert truth["isw_peak_n"] == pytest.approx(expected.isw_peak_n, rel=1e-9)
     assert truth["tof_s"] == pytest.approx(1e-6 * expected.tof_us, rel=1e-9)
     assert truth["amplitude_ratio"] == pytest.approx(expected.amplitude_ratio, rel=1e-9)

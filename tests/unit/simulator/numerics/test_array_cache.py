@@ -13,9 +13,9 @@ from simulator.numerics.array_cache import (
     DIGEST_BYTES,
     MAGIC,
     STALE_S,
-    cached_arrays,
-    content_key,
+    hash_content,
     read_arrays,
+    read_or_compute_arrays,
     write_arrays,
 )
 
@@ -46,23 +46,23 @@ def aged(path, seconds):
 
 
 def test_kept_arrays_are_read_and_not_computed(tmp_path):
-    first = cached_arrays(tmp_path / "new" / "folder", "key", lambda: ARRAYS)
+    first = read_or_compute_arrays(tmp_path / "new" / "folder", "key", lambda: ARRAYS)
     assert_same_bits(first, ARRAYS)
-    again = cached_arrays(tmp_path / "new" / "folder", "key", never)
+    again = read_or_compute_arrays(tmp_path / "new" / "folder", "key", never)
     assert_same_bits(again, ARRAYS)
     again["cube"][0, 0, 0] = 5.0  # the caller may change them
 
 
 def test_without_a_folder_nothing_is_kept(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    assert_same_bits(cached_arrays(None, "key", lambda: ARRAYS), ARRAYS)
+    assert_same_bits(read_or_compute_arrays(None, "key", lambda: ARRAYS), ARRAYS)
     assert list(tmp_path.iterdir()) == []
 
 
 def test_another_order_in_memory_is_kept_as_the_same_numbers(tmp_path):
     fortran = np.asfortranarray(ARRAYS["cube"])
-    computed = cached_arrays(tmp_path, "key", lambda: {"cube": fortran})
-    assert_same_bits(cached_arrays(tmp_path, "key", never), computed)
+    computed = read_or_compute_arrays(tmp_path, "key", lambda: {"cube": fortran})
+    assert_same_bits(read_or_compute_arrays(tmp_path, "key", never), computed)
     np.testing.assert_array_equal(computed["cube"], ARRAYS["cube"])
 
 
@@ -78,12 +78,12 @@ def test_another_order_in_memory_is_kept_as_the_same_numbers(tmp_path):
     ids=["cut", "empty", "one bit", "digest", "another format"],
 )
 def test_a_damaged_file_is_computed_again_and_repaired(tmp_path, caplog, damage):
-    cached_arrays(tmp_path, "key", lambda: ARRAYS)
+    read_or_compute_arrays(tmp_path, "key", lambda: ARRAYS)
     (path,) = tmp_path.iterdir()
     stored = path.read_bytes()
     path.write_bytes(damage(stored))
     with caplog.at_level(logging.WARNING):
-        assert_same_bits(cached_arrays(tmp_path, "key", lambda: ARRAYS), ARRAYS)
+        assert_same_bits(read_or_compute_arrays(tmp_path, "key", lambda: ARRAYS), ARRAYS)
     assert "damaged" in caplog.text
     assert path.read_bytes() == stored
 
@@ -92,7 +92,7 @@ def test_a_folder_that_cannot_be_written_does_not_stop_the_work(tmp_path, caplog
     blocked = tmp_path / "file"
     blocked.write_text("not a folder")
     with caplog.at_level(logging.WARNING):
-        assert_same_bits(cached_arrays(blocked, "key", lambda: ARRAYS), ARRAYS)
+        assert_same_bits(read_or_compute_arrays(blocked, "key", lambda: ARRAYS), ARRAYS)
     assert "going on without" in caplog.text
     assert blocked.read_text() == "not a folder"
 
@@ -103,7 +103,7 @@ def test_a_full_disk_leaves_no_half_file(tmp_path, monkeypatch, caplog):
 
     monkeypatch.setattr(array_cache.Path, "replace", no_space)
     with caplog.at_level(logging.WARNING):
-        cached_arrays(tmp_path, "key", lambda: ARRAYS)
+        read_or_compute_arrays(tmp_path, "key", lambda: ARRAYS)
     assert "No space left" in caplog.text
     assert list(tmp_path.iterdir()) == []
 
@@ -122,13 +122,13 @@ def test_a_file_held_open_on_windows_is_skipped_silently(tmp_path, monkeypatch, 
 
 
 def test_the_leftovers_of_a_killed_writer_are_swept_by_the_next_reader(tmp_path):
-    cached_arrays(tmp_path, "key", lambda: ARRAYS)
+    read_or_compute_arrays(tmp_path, "key", lambda: ARRAYS)
     names = ("fresh.part", "old.part", "mine.txt")
     for name in names:
         (tmp_path / name).write_bytes(b"half")
     aged(tmp_path / "old.part", 2 * STALE_S)
     aged(tmp_path / "mine.txt", 2 * STALE_S)
-    cached_arrays(tmp_path, "key", never)  # reading is enough
+    read_or_compute_arrays(tmp_path, "key", never)  # reading is enough
     assert sorted(path.name for path in tmp_path.iterdir()) == ["fresh.part", "key.arrays", "mine.txt"]
 
 
@@ -138,12 +138,12 @@ def test_a_writer_whose_file_was_swept_goes_on_without(tmp_path, monkeypatch, ca
 
     def late(path, target):
         aged(path, 2 * STALE_S)
-        cached_arrays(tmp_path, "other", lambda: ARRAYS) if "slow" in path.name else None
+        read_or_compute_arrays(tmp_path, "other", lambda: ARRAYS) if "slow" in path.name else None
         return replace(path, target)
 
     monkeypatch.setattr(array_cache.Path, "replace", late)
     with caplog.at_level(logging.WARNING):
-        assert_same_bits(cached_arrays(tmp_path, "slow", lambda: ARRAYS), ARRAYS)
+        assert_same_bits(read_or_compute_arrays(tmp_path, "slow", lambda: ARRAYS), ARRAYS)
     assert "going on without" in caplog.text
     assert [path.name for path in tmp_path.iterdir()] == ["other.arrays"]
 
@@ -160,19 +160,19 @@ def test_a_folder_grows_to_its_limit_and_loses_its_oldest(tmp_path):
 
 def test_an_array_larger_than_the_limit_is_still_kept(tmp_path):
     write_arrays(tmp_path / "key.arrays", ARRAYS, limit_bytes=1)
-    assert_same_bits(cached_arrays(tmp_path, "key", never), ARRAYS)
+    assert_same_bits(read_or_compute_arrays(tmp_path, "key", never), ARRAYS)
 
 
 def test_every_input_and_every_source_counts_in_the_key(monkeypatch):
     keys = {
-        content_key({"solid": 1, "depth": 0.5}),
-        content_key({"solid": 1, "depth": np.nextafter(0.5, 1.0)}),
+        hash_content({"solid": 1, "depth": 0.5}),
+        hash_content({"solid": 1, "depth": np.nextafter(0.5, 1.0)}),
     }
-    made_with = array_cache._environment()
-    assert content_key({"depth": 0.5, "solid": 1}) in keys  # the order does not
+    made_with = array_cache._describe_environment()
+    assert hash_content({"depth": 0.5, "solid": 1}) in keys  # the order does not
     for changed in ("code", "libraries", "blas"):
-        monkeypatch.setattr(array_cache, "_environment", lambda: made_with | {changed: "another"})  # noqa: B023
-        keys.add(content_key({"solid": 1, "depth": 0.5}))
+        monkeypatch.setattr(array_cache, "_describe_environment", lambda: made_with | {changed: "another"})  # noqa: B023
+        keys.add(hash_content({"solid": 1, "depth": 0.5}))
     assert len(keys) == 5
     assert json.dumps(made_with)
 

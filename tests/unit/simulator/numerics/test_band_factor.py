@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import sparse
 
-from simulator.numerics.band_factor import FactorFamily, band_factor, band_solve, lower_band
+from simulator.numerics.band_factor import FactorFamily, factorize_band, solve_band, to_lower_band
 
 SIZE = 60
 
@@ -22,7 +22,9 @@ def chain_matrix(start, stop, reach=4):
 def test_a_band_is_solved():
     matrix = chain_matrix(0, SIZE) + sparse.identity(SIZE, format="csc")
     right = np.arange(1.0, SIZE + 1)
-    np.testing.assert_allclose(matrix @ band_solve(band_factor(lower_band(matrix)), right), right, rtol=1e-12)
+    np.testing.assert_allclose(
+        matrix @ solve_band(factorize_band(to_lower_band(matrix)), right), right, rtol=1e-12
+    )
 
 
 @pytest.mark.parametrize("first", [0, 2, 20, 55, SIZE], ids=lambda first: f"from {first}")
@@ -45,4 +47,4 @@ def test_every_member_of_a_family_is_solved(first, s):
 
 def test_a_matrix_that_is_not_positive_definite_is_rejected():
     with pytest.raises(np.linalg.LinAlgError, match="pivot 3"):
-        band_factor(lower_band(sparse.diags([1.0, 1.0, -1.0], format="csc")))
+        factorize_band(to_lower_band(sparse.diags([1.0, 1.0, -1.0], format="csc")))

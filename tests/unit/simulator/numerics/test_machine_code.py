@@ -2,7 +2,7 @@
 
 import numba
 
-from simulator.numerics.machine_code import compilation_reported
+from simulator.numerics.machine_code import report_compilation
 
 
 def test_a_compilation_is_reported_at_its_start_and_end_only():
@@ -15,7 +15,7 @@ def test_a_compilation_is_reported_at_its_start_and_end_only():
         return 2.0 * inner(x)
 
     reports = []
-    with compilation_reported(reports.append):
+    with report_compilation(reports.append):
         assert outer(1.0) == 4.0
         assert reports == [True, False], "the inner loop is compiled for the outer one"
         assert outer(2.0) == 6.0

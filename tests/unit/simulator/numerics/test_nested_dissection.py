@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from simulator.errors import SpecimenError
-from simulator.numerics.nested_dissection import dissect, factorize
+from simulator.numerics.nested_dissection import factorize, order_elimination
 
 
 def cells_of(n_x, n_y):
@@ -29,18 +29,18 @@ def test_solution_is_that_of_the_whole_matrix(n_x, n_y):
         pieces.append(root @ root.T + np.eye(len(own)))
         whole[np.ix_(own, own)] += pieces[-1]
     right = random.normal(size=size)
-    x = factorize(dissect(places, unknowns), pieces.__getitem__).solve(right)
+    x = factorize(order_elimination(places, unknowns), pieces.__getitem__).solve(right)
     # Condition numbers here are some 1e4.
     np.testing.assert_allclose(whole @ x, right, atol=1e-10)
 
 
 def test_every_unknown_is_eliminated_once():
     places, unknowns, size = cells_of(5, 4)
-    eliminated = np.concatenate([front.eliminated for front in dissect(places, unknowns)])
+    eliminated = np.concatenate([front.eliminated for front in order_elimination(places, unknowns)])
     assert sorted(eliminated) == list(range(size))
 
 
 def test_a_matrix_that_is_not_positive_definite_is_refused():
     places, unknowns, _ = cells_of(2, 2)
     with pytest.raises(SpecimenError, match="not positive definite"):
-        factorize(dissect(places, unknowns), lambda cell: -np.eye(len(unknowns[cell])))
+        factorize(order_elimination(places, unknowns), lambda cell: -np.eye(len(unknowns[cell])))

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from simulator.numerics.normal_numbers import LAST_EDGE, standard_normals
+from simulator.numerics.normal_numbers import LAST_EDGE, draw_standard_normals
 
 
 def pair(seed):
@@ -18,7 +18,7 @@ def test_numbers_and_state_are_those_of_numpy(kept):
     beyond = 0
     for n in [1, 2, 3, 14_201] * 20:
         expected = theirs.standard_normal(n, dtype=np.float32)
-        drawn = standard_normals(ours, n)
+        drawn = draw_standard_normals(ours, n)
         inside = np.abs(expected) < LAST_EDGE
         beyond += np.count_nonzero(~inside)
         np.testing.assert_array_equal(drawn[inside], expected[inside])
@@ -30,5 +30,5 @@ def test_numbers_and_state_are_those_of_numpy(kept):
 
 
 def test_another_generator_draws_for_itself():
-    numbers = standard_normals(np.random.default_rng(3), 5)
+    numbers = draw_standard_normals(np.random.default_rng(3), 5)
     np.testing.assert_array_equal(numbers, np.random.default_rng(3).standard_normal(5, dtype=np.float32))

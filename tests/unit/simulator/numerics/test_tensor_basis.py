@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from simulator.numerics.tensor_basis import Axis, graded_breaks_m, lobatto_points
+from simulator.numerics.tensor_basis import Axis, lobatto_points, make_graded_breaks_m
 
 AXIS = Axis(breaks_m=np.array([0.0, 0.5, 2.0, 2.25]), degrees=(2, 4, 3))
 
@@ -39,7 +39,7 @@ def test_integrals_are_exact():
 
 @pytest.mark.parametrize("edge_m", [3e-3, 12.7e-3, 0.1, 0.3])
 def test_graded_lines_are_fine_at_the_features_and_grow_from_there(edge_m):
-    lines = graded_breaks_m(
+    lines = make_graded_breaks_m(
         0.3048, features=[(0.0, 3e-3), (edge_m, 3e-4)], growth=2.0, largest_m=0.06, stops_m=[edge_m]
     )
     sizes = np.diff(lines)
@@ -56,6 +56,6 @@ def test_graded_lines_are_fine_at_the_features_and_grow_from_there(edge_m):
 
 
 def test_a_feature_at_the_end_needs_no_line_of_its_own():
-    lines = graded_breaks_m(1.0, features=[(1.0, 0.1)], growth=1.0, largest_m=1.0, stops_m=[1.0])
+    lines = make_graded_breaks_m(1.0, features=[(1.0, 0.1)], growth=1.0, largest_m=1.0, stops_m=[1.0])
     assert lines[-1] == 1.0
     assert np.all(np.diff(lines) > 0.0)

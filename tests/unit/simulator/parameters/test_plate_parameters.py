@@ -8,7 +8,7 @@ from simulator.parameters.plate import (
     PatchParameters,
     PlateParameters,
 )
-from simulator.plate.mindlin.cache import reduction_key
+from simulator.plate.mindlin.cache import hash_reduction
 
 
 @pytest.mark.parametrize(
@@ -82,10 +82,10 @@ def test_the_defaults_are_the_papers_plate():
     ],
 )
 def test_every_key_of_plate_and_patches_has_a_reduction_of_its_own(plate, patch):
-    usual = reduction_key(PlateParameters(), CorrosionParameters())
-    changed = reduction_key(PlateParameters(**plate), CorrosionParameters(**patch))
+    usual = hash_reduction(PlateParameters(), CorrosionParameters())
+    changed = hash_reduction(PlateParameters(**plate), CorrosionParameters(**patch))
     assert changed != usual
-    assert changed == reduction_key(
+    assert changed == hash_reduction(
         PlateParameters(**plate), CorrosionParameters(**patch, depth_fraction=0.5)
     )
 

@@ -14,8 +14,8 @@ from simulator.errors import IntegrationError, SpecimenError
 from simulator.parameters.chain import ChainParameters
 from simulator.parameters.plate import CorrosionParameters, PlateParameters
 from simulator.shot import model as shot_model
-from simulator.shot.model import ShotModel, record_duration_s
-from simulator.shot.pulse_summary import summarise
+from simulator.shot.model import ShotModel, choose_record_duration_s
+from simulator.shot.pulse_summary import summarise_pulses
 
 CHAIN = ChainParameters()
 PLATE = PlateParameters(elements_per_edge=32, contact_element_m=1e-3)
@@ -123,8 +123,8 @@ def test_hole_has_the_same_isw_and_no_reflected_wave(model):
     early = hole.time_s < 200e-6
     np.testing.assert_allclose(hole.force_n[early], solid.force_n[early], atol=1e-6)
     assert np.max(hole.force_n[hole.time_s > 420e-6]) < 0.05 * np.max(hole.force_n)
-    assert summarise(hole).psw_time_us is None
-    assert summarise(hole).isw_peak_n == pytest.approx(summarise(solid).isw_peak_n, rel=1e-9)
+    assert summarise_pulses(hole).psw_time_us is None
+    assert summarise_pulses(hole).isw_peak_n == pytest.approx(summarise_pulses(solid).isw_peak_n, rel=1e-9)
 
 
 def test_record_length_is_taken_as_given(reduction_folder):
@@ -145,24 +145,24 @@ def test_record_length_is_taken_as_given(reduction_folder):
 )
 def test_a_record_of_automatic_length_holds_the_reflected_wave(chain):
     force = ShotModel(chain, WALL, PATCH).shot()
-    found = summarise(force)
+    found = summarise_pulses(force)
     assert 0.5 < found.amplitude_ratio < 1.0
     # Down and back takes at least as long as the contacts passed twice, at most a little more.
     assert 2.0 * (1e6 * force.reflection_time_s - found.isw_time_us) == pytest.approx(found.tof_us, rel=0.2)
 
 
 def test_length_estimated_from_the_chain_leaves_room_behind_the_reflected_wave():
-    assert record_duration_s(build_chain(CHAIN, WALL)) == 1.4e-3
+    assert choose_record_duration_s(build_chain(CHAIN, WALL)) == 1.4e-3
     long = ChainParameters(spheres_above=12, spheres_below=25)
-    estimate = record_duration_s(build_chain(long, WALL))
-    psw_time_us = summarise(ShotModel(long, WALL, PATCH).shot()).psw_time_us
+    estimate = choose_record_duration_s(build_chain(long, WALL))
+    psw_time_us = summarise_pulses(ShotModel(long, WALL, PATCH).shot()).psw_time_us
     assert 2.0 < 1e6 * estimate / psw_time_us < 3.0  # 2.5 times the estimated way there and back
 
 
 def test_a_soft_patch_gets_a_longer_record(model):
     deep = model.shot(depth_fraction=0.95)
     assert deep.time_s[-1] > model.shot().time_s[-1]
-    assert summarise(deep).psw_time_us > 1400.0
+    assert summarise_pulses(deep).psw_time_us > 1400.0
 
 
 def test_work_goes_on_where_no_machine_code_can_be_kept(tmp_path):

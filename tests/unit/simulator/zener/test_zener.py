@@ -12,8 +12,8 @@ from simulator.zener import model as zener
 from simulator.zener.model import (
     approximate_contact_time,
     approximate_restitution,
+    compute_reflection,
     inelasticity_parameter,
-    reflect,
     solve_impact,
     time_of_flight_s,
 )
@@ -118,13 +118,13 @@ def test_a_solution_that_does_not_converge_gives_no_numbers():
 
 
 def test_tolerances_that_disagree_give_no_numbers_although_the_energy_balances(monkeypatch):
-    monkeypatch.setattr(zener, "_integrate", lambda _, tolerance: (0.65, 3.4 + 1e5 * tolerance, 0.0))
+    monkeypatch.setattr(zener, "_integrate_impact", lambda _, tolerance: (0.65, 3.4 + 1e5 * tolerance, 0.0))
     with pytest.raises(IntegrationError, match=r"two tolerances differ by 2\.9e-06"):
         solve_impact(0.258)
 
 
 def test_a_lost_energy_gives_no_numbers(monkeypatch):
-    monkeypatch.setattr(zener, "_integrate", lambda *_: (0.65, 3.4, 1e-6))
+    monkeypatch.setattr(zener, "_integrate_impact", lambda *_: (0.65, 3.4, 1e-6))
     with pytest.raises(IntegrationError, match="the energy by 1e-06"):
         solve_impact(0.258)
 
@@ -148,7 +148,7 @@ def test_closed_forms_are_refused_beyond_their_range():
     with pytest.raises(SpecimenError, match="between 0 and 2: use solve_impact"):
         approximate_contact_time(2.001)
     with pytest.raises(SpecimenError, match="between 0 and 1"):
-        reflect(ChainParameters(), PlateParameters(), depth_fraction=0.5, closed_form=True)
+        compute_reflection(ChainParameters(), PlateParameters(), depth_fraction=0.5, closed_form=True)
 
 
 @pytest.mark.parametrize("name", sorted(STEEL))
@@ -185,19 +185,19 @@ def test_equation_13_by_hand():
 
 def test_a_plate_too_thin_for_the_spheres_is_refused():
     with pytest.raises(SpecimenError, match="make the plate thicker"):
-        reflect(ChainParameters(), PlateParameters(thickness_m=1e-4))
+        compute_reflection(ChainParameters(), PlateParameters(thickness_m=1e-4))
     with pytest.raises(SpecimenError, match="is inf"):
-        reflect(ChainParameters(), PlateParameters(thickness_m=1e-200))
+        compute_reflection(ChainParameters(), PlateParameters(thickness_m=1e-200))
 
 
 def test_a_depth_out_of_bounds_is_refused():
     with pytest.raises(ValueError, match=r"depth_fraction is 0\.96; it must be at most 0\.95"):
-        reflect(ChainParameters(), PlateParameters(), depth_fraction=0.96)
+        compute_reflection(ChainParameters(), PlateParameters(), depth_fraction=0.96)
 
 
 def test_unsupported_parameters_are_ignored():
-    plain = reflect(ChainParameters(), PlateParameters())
-    other = reflect(
+    plain = compute_reflection(ChainParameters(), PlateParameters())
+    other = compute_reflection(
         ChainParameters(sensor="sphere", tilt_rad=0.02, damping_n_s_per_m=0.0, gravity_m_per_s2=0.0),
         PlateParameters(width_m=1.2, support="clamped", model="rigid_wall"),
     )
@@ -206,9 +206,13 @@ def test_unsupported_parameters_are_ignored():
 
 def test_unlike_spheres_are_refused_and_warm_ones_are_softer():
     with pytest.raises(SpecimenError, match="Zener's model knows equal spheres only"):
-        reflect(ChainParameters(spheres=(SphereParameters(body=1, radius_m=8e-3),)), PlateParameters())
-    warm = reflect(ChainParameters(temperature_c=120.0), PlateParameters())
-    assert warm == reflect(ChainParameters(youngs_modulus_pa=200e9 * (1 - 0.027)), PlateParameters())
+        compute_reflection(
+            ChainParameters(spheres=(SphereParameters(body=1, radius_m=8e-3),)), PlateParameters()
+        )
+    warm = compute_reflection(ChainParameters(temperature_c=120.0), PlateParameters())
+    assert warm == compute_reflection(
+        ChainParameters(youngs_modulus_pa=200e9 * (1 - 0.027)), PlateParameters()
+    )
 
 
 @pytest.mark.parametrize(
@@ -220,4 +224,4 @@ def test_unlike_spheres_are_refused_and_warm_ones_are_softer():
 )
 def test_parameters_that_the_model_does_not_support_are_refused(chain, plate, key):
     with pytest.raises(SpecimenError, match=f"{key}.*take it out, or use the coupled model"):
-        reflect(chain, plate)
+        compute_reflection(chain, plate)

@@ -13,31 +13,33 @@ import pytest
 from support.kept_folder import lay_out
 from support.small_experiment import small_settings
 
-from daq_service.cli.doctor.check import Check, check_of_finding, exit_code
+from daq_service.cli.doctor.check import Check, check_of_finding, exit_code_of_checks
 from daq_service.cli.doctor.command import run_doctor
-from daq_service.cli.doctor.machine import machine_checks
-from daq_service.cli.doctor.software import software_checks
-from daq_service.cli.doctor.storage import held_folder, owner_of, storage_checks
+from daq_service.cli.doctor.machine import check_machine
+from daq_service.cli.doctor.software import check_software
+from daq_service.cli.doctor.storage import check_storage, hold_folder, read_lock_owner
 from daq_service.cli.doctor.trial import Trial
-from daq_service.cli.doctor.unattended import ask_system
+from daq_service.cli.doctor.unattended import run_program
 from daq_service.cli.forecast import (
     CATALOGUE_BYTES_A_RECORD,
-    built_set_bytes,
-    most_confirmation_bytes,
-    stored_bytes,
+    maximum_confirmation_bytes,
+    predict_set_file_bytes,
+    predict_stored_bytes,
 )
 from daq_service.errors import BusyError, UsageError
 from daq_service.processes.data_folder import own_data_folder, prepare_data_folder, settings_of_folder
-from daq_service.settings.file import config_file
-from daq_service.settings.instruments import instruments_of
+from daq_service.settings.file import find_config_file
+from daq_service.settings.instruments import validate_instruments
 from daq_service.settings.tree import Settings, StorageSettings
-from hardware_drivers.daqmx.look import board_findings, digital_name
-from hardware_drivers.daqmx.survey import Survey, trigger_text
+from hardware_drivers.daqmx.look import find_digital_name, yield_board_findings
+from hardware_drivers.daqmx.survey import Survey, format_trigger
 
-VALUES = tomllib.loads(config_file("laboratory.toml").read_text("utf-8").replace("PLACEHOLDER", "FFFFFFFF"))
+VALUES = tomllib.loads(
+    find_config_file("laboratory.toml").read_text("utf-8").replace("PLACEHOLDER", "FFFFFFFF")
+)
 LABORATORY = Settings(**VALUES).rig
 PACKAGES = [
-    name for item in instruments_of(Settings(**VALUES)) for name in item.kind.packages(item.parameters)
+    name for item in validate_instruments(Settings(**VALUES)) for name in item.kind.packages(item.parameters)
 ]
 
 
@@ -63,7 +65,7 @@ def check(area, state):
     ],
 )
 def test_the_worst_area_gives_the_exit_code(checks, code):
-    assert exit_code(checks) == code
+    assert exit_code_of_checks(checks) == code
 
 
 def test_a_passed_check_has_no_remedy():
@@ -79,16 +81,16 @@ def test_a_failed_check_needs_a_remedy():
 
 
 def test_the_packages_of_this_environment_pass():
-    checks = by_name(software_checks(PACKAGES))
+    checks = by_name(check_software(PACKAGES))
     assert {check.state for check in checks.values()} == {"ok"}
     assert checks["numpy"].found == f"{version('numpy')} (at least 2.0)"
     assert {"nidaqmx", "niscope", "pyserial"} <= set(checks)
 
 
 def test_a_rig_without_boards_needs_no_board_packages():
-    (twin,) = instruments_of(Settings())
+    (twin,) = validate_instruments(Settings())
     assert list(twin.kind.packages(twin.parameters)) == []
-    assert not {"nidaqmx", "niscope", "pyserial", "grpcio"} & set(by_name(software_checks(())))
+    assert not {"nidaqmx", "niscope", "pyserial", "grpcio"} & set(by_name(check_software(())))
 
 
 def test_a_missing_and_an_old_package_have_a_remedy():
@@ -97,7 +99,7 @@ def test_a_missing_and_an_old_package_have_a_remedy():
             raise PackageNotFoundError(name)
         return {"nidaqmx": "0.9.0", "numpy": "1.26.4"}.get(name, "99.0")
 
-    checks = by_name(software_checks([*PACKAGES, "picosdk"], installed=installed))
+    checks = by_name(check_software([*PACKAGES, "picosdk"], installed=installed))
     assert checks["picosdk"].remedy == 'install it: python -m pip install "picosdk"', "no extra of ours"
     assert checks["niscope"].found == "not installed"
     assert "solimon[niscope]" in checks["niscope"].remedy
@@ -112,7 +114,7 @@ def test_a_package_that_does_not_load_is_named():
         if name == "numba":
             raise OSError("libLLVM: cannot open shared object file")
 
-    found = by_name(software_checks((), load=load))["compiled packages"]
+    found = by_name(check_software((), load=load))["compiled packages"]
     assert (found.state, "numba does not load (OSError: libLLVM" in found.found) == ("fail", True)
     assert found.remedy.endswith("--force-reinstall numba")
 
@@ -154,9 +156,7 @@ def answers(**by_program):
     ],
 )
 def test_the_clock_check_has_state_and_source(system, answer, state):
-    found = by_name(machine_checks("wall", FOLDER, ask=answers(**answer), system=system))[
-        "clock synchronised"
-    ]
+    found = by_name(check_machine("wall", FOLDER, ask=answers(**answer), system=system))["clock synchronised"]
     assert found.state == state
     assert ("unknown" in found.found) == (not answer)
     assert next(iter(answer), "") in found.found, "it says who was asked"
@@ -174,14 +174,14 @@ def test_the_clock_check_has_state_and_source(system, answer, state):
     ],
 )
 def test_the_sleep_check_follows_the_power_settings(system, answer, state):
-    found = by_name(machine_checks("wall", FOLDER, ask=answers(**answer), system=system))["sleep"]
+    found = by_name(check_machine("wall", FOLDER, ask=answers(**answer), system=system))["sleep"]
     assert found.state == state
     assert ("unknown" in found.found) == (not answer)
 
 
 def test_the_sleep_check_names_the_settings():
     ask = answers(systemctl="static", busctl='s "suspend"')
-    found = by_name(machine_checks("wall", FOLDER, ask=ask, system="linux"))["sleep"]
+    found = by_name(check_machine("wall", FOLDER, ask=ask, system="linux"))["sleep"]
     assert "not switched off (systemctl, IdleAction of logind is suspend)" in found.found
 
 
@@ -190,7 +190,7 @@ def test_a_computer_that_hibernates_sleeps_too():
         hibernates = "0x00000e10" if command[-1] == "HIBERNATEIDLE" else "0x00000000"
         return ON_BATTERY_AND_MAINS.format(mains=hibernates) if command[0] == "powercfg" else None
 
-    assert by_name(machine_checks("wall", FOLDER, ask=ask, system="win32"))["sleep"].state == "warn"
+    assert by_name(check_machine("wall", FOLDER, ask=ask, system="win32"))["sleep"].state == "warn"
 
 
 UPGRADES = 'APT "";\nAPT::Periodic::Unattended-Upgrade "1";\n'
@@ -216,7 +216,7 @@ KEY = r"HKEY_LOCAL_MACHINE\SOFTWARE\Policies\Microsoft\Windows\WindowsUpdate\AU"
     ],
 )
 def test_the_update_check_follows_the_restart_settings(system, answer, restarts, waits):
-    found = by_name(machine_checks("wall", FOLDER, ask=answers(**answer), system=system))["updates"]
+    found = by_name(check_machine("wall", FOLDER, ask=answers(**answer), system=system))["updates"]
     assert (found.values["restart_by_themselves"], found.values["restart_waits"]) == (restarts, waits)
     assert found.state == ("ok" if restarts is False and not waits else "warn")
     assert ("unknown" in found.found) == (restarts is None)
@@ -243,30 +243,30 @@ HIDDEN = "True\nN/A: Must be an administrator to view exclusions"
 )
 def test_the_scanner_check_follows_the_exclusions(system, answer, left_alone, message):
     folder = cast(Path, PureWindowsPath("C:\\Lab\\Data")) if system == "win32" else FOLDER
-    found = by_name(machine_checks("wall", folder, ask=answers(**answer), system=system))["antivirus"]
+    found = by_name(check_machine("wall", folder, ask=answers(**answer), system=system))["antivirus"]
     assert (found.values["data_folder_left_alone"], message in found.found) == (left_alone, True)
     assert found.state == ("ok" if left_alone else "warn")
     assert str(folder) in found.remedy or found.state == "ok"
 
 
 def test_on_simulated_time_computer_checks_are_skipped():
-    checks = by_name(machine_checks("simulated", FOLDER, ask=answers(), system="linux"))
+    checks = by_name(check_machine("simulated", FOLDER, ask=answers(), system="linux"))
     skipped = {name for name, one in checks.items() if one.state == "skipped"}
     assert skipped == {"clock synchronised", "sleep", "updates", "antivirus"}
 
 
 @pytest.mark.parametrize(("step_s", "state"), [(0.0, "ok"), (3600.0, "warn"), (-2.0, "warn")])
 def test_a_clock_step_during_the_check_is_detected(step_s, state):
-    checks = machine_checks(
+    checks = check_machine(
         "simulated", FOLDER, started_wall_s=time.time() - 5.0 - step_s, started_mono_s=time.monotonic() - 5.0
     )
     assert by_name(checks)["monotonic clock"].state == state
 
 
 def test_a_missing_or_failing_program_gives_no_answer():
-    assert ask_system(["solimon-no-such-program"]) is None
-    assert ask_system([sys.executable, "-c", "raise SystemExit(1)"]) is None
-    assert ask_system([sys.executable, "-c", "print('masked'); raise SystemExit(1)"]) == "masked"
+    assert run_program(["solimon-no-such-program"]) is None
+    assert run_program([sys.executable, "-c", "raise SystemExit(1)"]) is None
+    assert run_program([sys.executable, "-c", "print('masked'); raise SystemExit(1)"]) == "masked"
 
 
 # Folder ---------------------------------------------------------------------------------------------
@@ -278,7 +278,7 @@ AMPLE = dict.fromkeys(("warn_free_fraction", "alarm_free_fraction", "stop_free_f
 
 def test_a_new_folder_passes_and_is_not_created(tmp_path):
     folder = tmp_path / "a" / "b"
-    checks = by_name(storage_checks(Settings(storage=AMPLE), folder))
+    checks = by_name(check_storage(Settings(storage=AMPLE), folder))
     assert {item.state for item in checks.values()} == {"ok"}
     assert "to be made" in checks["data folder: writable"].found
     assert list(tmp_path.iterdir()) == [], "the probe is gone, the folder was not made"
@@ -287,7 +287,7 @@ def test_a_new_folder_passes_and_is_not_created(tmp_path):
 def test_a_folder_of_the_same_test_passes_with_its_counts(tmp_path):
     settings, _ = settings_of_folder(None, lay_out(tmp_path))
     settings = settings.model_copy(update={"storage": StorageSettings(**AMPLE)})
-    checks = by_name(storage_checks(settings, tmp_path))
+    checks = by_name(check_storage(settings, tmp_path))
     assert {item.state for item in checks.values()} == {"ok"}
     assert checks["disk: space"].values["stored_bytes"] == sum(
         path.stat().st_size for path in (tmp_path / "sets").glob("*.h5")
@@ -295,10 +295,10 @@ def test_a_folder_of_the_same_test_passes_with_its_counts(tmp_path):
     lost, emptied, *_ = sorted((tmp_path / "sets").glob("*.h5"))
     lost.unlink()
     emptied.write_bytes(b"")
-    found = by_name(storage_checks(settings, tmp_path))["data folder: sets"]
+    found = by_name(check_storage(settings, tmp_path))["data folder: sets"]
     assert (found.state, found.values["lost_sets"]) == ("fail", 2)
     assert found.found == f"sets/{lost.name} is missing; sets/{emptied.name} is empty"
-    other = by_name(storage_checks(small_settings(twin={"seed": 2}), tmp_path))
+    other = by_name(check_storage(small_settings(twin={"seed": 2}), tmp_path))
     assert other["data folder: configuration"].state == "fail"
     assert "belongs to the experiment" in other["data folder: configuration"].found
 
@@ -307,11 +307,11 @@ def test_a_lost_catalogue_fails_and_the_sets_identify_the_test(tmp_path):
     settings, _ = settings_of_folder(None, lay_out(tmp_path))
     for name in ("catalogue.sqlite", "experiment.json", "history.jsonl"):
         (tmp_path / name).unlink()
-    own = by_name(storage_checks(settings, tmp_path))
+    own = by_name(check_storage(settings, tmp_path))
     assert own["data folder: configuration"].state == "ok"
     assert own["data folder: catalogue"].state == "fail"
     assert f"`solimon rebuild --data-dir {tmp_path}` makes it again" in own["data folder: catalogue"].found
-    other = by_name(storage_checks(small_settings(twin={"seed": 2}), tmp_path))
+    other = by_name(check_storage(small_settings(twin={"seed": 2}), tmp_path))
     assert other["data folder: configuration"].state == "fail"
     assert "belongs to the experiment" in other["data folder: configuration"].found
 
@@ -332,20 +332,20 @@ def test_a_lost_catalogue_fails_and_the_sets_identify_the_test(tmp_path):
 def test_the_disk_is_compared_with_the_plan(tmp_path, monkeypatch, free_gb, total_gb, state):
     usage = SimpleNamespace(free=round(free_gb * 1e9), total=total_gb * 10**9)
     monkeypatch.setattr("daq_service.processes.disk_policy.shutil.disk_usage", lambda place: usage)
-    found = by_name(storage_checks(Settings(), tmp_path))["disk: space"]
+    found = by_name(check_storage(Settings(), tmp_path))["disk: space"]
     assert found.state == state
-    assert found.values["needed_bytes"] == stored_bytes(Settings(), 425)
+    assert found.values["needed_bytes"] == predict_stored_bytes(Settings(), 425)
 
 
 def test_confirmation_sets_are_forecast_as_an_upper_bound():
     """Two per day at each of three transducers, in the fourteen days after a baseline of 24 h."""
-    a_set = most_confirmation_bytes(Settings(), 350.0) / (2 * 3 * 14)
+    a_set = maximum_confirmation_bytes(Settings(), 350.0) / (2 * 3 * 14)
     rows = CATALOGUE_BYTES_A_RECORD * Settings().schedule.shots_per_set
     # Ten records of one transducer: a third of the set's strikes, and what each file has of its own.
-    whole = built_set_bytes(Settings())
+    whole = predict_set_file_bytes(Settings())
     assert whole / 3.0 < a_set - rows < whole / 2.0
-    assert most_confirmation_bytes(Settings(), 24.0) == 0
-    assert most_confirmation_bytes(Settings(alarms={"confirmation_sets_a_day": 0}), 350.0) == 0
+    assert maximum_confirmation_bytes(Settings(), 24.0) == 0
+    assert maximum_confirmation_bytes(Settings(alarms={"confirmation_sets_a_day": 0}), 350.0) == 0
 
 
 # Owner ----------------------------------------------------------------------------------------------
@@ -392,11 +392,11 @@ def test_an_unreadable_lock_counts_as_a_running_recorder(tmp_path, monkeypatch):
         raise PermissionError(13, "Permission denied")
 
     monkeypatch.setattr("daq_service.cli.doctor.storage.own_data_folder", forbidden)
-    assert "(Permission denied); look as the user that runs the recorder" in owner_of(tmp_path)
+    assert "(Permission denied); look as the user that runs the recorder" in read_lock_owner(tmp_path)
 
 
 def test_a_folder_without_a_recorder_is_left_unchanged(tmp_path):
-    with held_folder(tmp_path) as owner:
+    with hold_folder(tmp_path) as owner:
         assert owner == ""
     assert list(tmp_path.iterdir()) == []
 
@@ -412,7 +412,7 @@ def checks_with_driver(monkeypatch):
         assert LABORATORY.daqmx is not None
         survey = Survey(LABORATORY.daqmx, driver_version=driver_version)
         monkeypatch.setattr("hardware_drivers.daqmx.look.survey_rig", lambda _: survey)
-        found = board_findings(LABORATORY.daqmx, shot_interval_s=shot_interval_s)
+        found = yield_board_findings(LABORATORY.daqmx, shot_interval_s=shot_interval_s)
         return by_name([check_of_finding(finding) for finding in found])
 
     return checks
@@ -433,7 +433,7 @@ def test_a_driver_that_was_not_reached_has_no_version(checks_with_driver):
 def test_a_faulty_board_of_another_program_is_no_failure(monkeypatch):
     nameless = SimpleNamespace(name="", product_type="")
     listed = {"01C16021": nameless, "FFFFFFFF": nameless}
-    monkeypatch.setattr("hardware_drivers.daqmx.survey.installed", lambda _: listed)
+    monkeypatch.setattr("hardware_drivers.daqmx.survey.list_boards", lambda _: listed)
     assert LABORATORY.daqmx is not None
     survey = Survey(LABORATORY.daqmx)
     survey.list_boards(cast(Any, None), ours={"FFFFFFFF"})
@@ -445,7 +445,7 @@ def test_a_faulty_board_of_another_program_is_no_failure(monkeypatch):
 
 def test_the_accepted_trigger_is_reported_with_units():
     assert LABORATORY.daqmx is not None
-    assert trigger_text(LABORATORY.daqmx, LABORATORY.daqmx.transducers["B"]) == (
+    assert format_trigger(LABORATORY.daqmx, LABORATORY.daqmx.transducers["B"]) == (
         "0.25 V rising at ai0, 1000 of 13600 samples before it, held off for 10 ms"
     )
 
@@ -499,4 +499,4 @@ def test_only_a_transducer_can_be_struck(tmp_path, position, message):
     [("PFI0", "port1/line0"), ("PFI12", "port2/line4"), ("PFI15", "port2/line7"), ("Ctr0Out", "")],
 )
 def test_a_terminal_s_digital_name(terminal, line):
-    assert digital_name(terminal) == line
+    assert find_digital_name(terminal) == line

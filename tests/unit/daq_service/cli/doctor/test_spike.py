@@ -34,7 +34,7 @@ def check(monkeypatch, parameters, found):
         return found
 
     monkeypatch.setattr(spike, "survey_coil", survey_coil)
-    result, survey = spike.spike_check(parameters, "B", 1.0)
+    result, survey = spike.check_coil_spike(parameters, "B", 1.0)
     assert "nan" not in f"{result}".lower()
     assert survey is (None if isinstance(found, Exception) else found)
     return result
@@ -121,6 +121,6 @@ def test_an_error_is_a_check_with_a_remedy(monkeypatch, parameters, error, state
 )
 def test_a_trigger_level_is_checked_against_a_measured_wave(features, survey, state, message):
     shot = SimpleNamespace(key=ShotKey(position="B", set_index=0, shot_index=0))
-    result = trial._level(Settings().twin.adc.trigger_level_v, shot, features, survey)
+    result = trial._check_trigger_level(Settings().twin.adc.trigger_level_v, shot, features, survey)
     assert (result.state, message in result.found) == (state, True), result.found
     assert "nan" not in f"{result.found} {result.remedy}".lower()

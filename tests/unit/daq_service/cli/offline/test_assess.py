@@ -10,7 +10,7 @@ from pyarrow import parquet
 from support.healthy_sequences import healthy
 
 from daq_service.cli.main import cli
-from daq_service.cli.offline.fleet import fleet_in_words
+from daq_service.cli.offline.fleet import describe_fleet
 from daq_service.cli.offline.table_file import read_table
 from daq_service.errors import UsageError
 
@@ -374,7 +374,7 @@ def test_a_fleet_is_compared_with_its_median_and_the_common_change_is_reported(t
     output = run(*paths[:7], "--baseline-rows", 150, "--fleet").output
     assert "fleet of 7 sensors, 6 judged" in output
     assert "fewer than 20 sensors: what they share is not taken out" in output
-    every = fleet_in_words(fleet)
+    every = describe_fleet(fleet)
     assert "look at    " in every
     assert "all move   rows 20" in every
     assert "by what all share" in every

@@ -17,12 +17,12 @@ from support.drifting_wall import RAISED, drifting_wall
 from analysis.waves.features import EXTRACTOR_VERSION
 from daq_service.assessment.baseline_lifecycle import approve
 from daq_service.catalogue.rows import AlarmRow, AssessmentRow, BaselineRow, FeatureRow
-from daq_service.cli.offline.evidence.replay import in_words
+from daq_service.cli.offline.evidence.replay import describe_replay
 from daq_service.errors import UsageError
 from daq_service.recording.reassessment import replay
-from daq_service.recording.reassessment.changes import Onset, alarm_changes
-from daq_service.recording.reassessment.other_settings import assessment_keys, changed, parsed
-from daq_service.recording.reassessment.replay import replayed
+from daq_service.recording.reassessment.changes import Onset, compare_alarm_onsets
+from daq_service.recording.reassessment.other_settings import changed, list_assessment_keys, parse_assignment
+from daq_service.recording.reassessment.replay import replay_test
 
 
 @pytest.fixture(scope="module")
@@ -39,7 +39,7 @@ def changed_line(line, tmp_path):
         shutil.copytree(line.folder, folder)
         with replace(line, folder=folder).catalogue(writer=True) as catalogue:
             rows = catalogue.rows(kind, position="B", set_index=set_index)
-            catalogue.restore([replace(row, **columns) for row in rows])
+            catalogue.restore_rows([replace(row, **columns) for row in rows])
         return folder
 
     return change
@@ -80,10 +80,10 @@ class CopyingExecutor(Executor):
 
 @pytest.mark.parametrize("extract_by", [None, ("processes", 2)])
 def test_the_same_settings_change_nothing_and_leave_the_folder_as_it_is(line, extract_by, monkeypatch):
-    monkeypatch.setattr(replay, "opened_executor", lambda name, workers: nullcontext(CopyingExecutor()))
+    monkeypatch.setattr(replay, "open_executor", lambda name, workers: nullcontext(CopyingExecutor()))
     before = content_of(line.folder)
     # There are two unscheduled sets: both outliers were confirmed.
-    found = replayed(line.folder, (), extract_by=extract_by)
+    found = replay_test(line.folder, (), extract_by=extract_by)
     assert (found.sets, found.extracted, found.differences) == (25, extract_by is not None, [])
     assert raised_sets(found.alarms.kept) == RAISED
     assert [*found.alarms.come, *found.alarms.go, *found.alarms.moved] == []
@@ -93,11 +93,11 @@ def test_the_same_settings_change_nothing_and_leave_the_folder_as_it_is(line, ex
 def test_averages_of_an_earlier_version_are_no_difference(changed_line, line):
     (row,) = [row for row in line.rows("assessments", "B") if row.set_index == 20]
     folder = changed_line(AssessmentRow, 20, averages=row.averages | {"changes_count": [5.0, 0.0]})
-    assert replayed(folder, ()).differences == []
+    assert replay_test(folder, ()).differences == []
 
 
 def test_a_replay_keeps_commands_and_empty_sets_in_their_order(life):
-    found = replayed(life.folder, ())
+    found = replay_test(life.folder, ())
     assert (found.differences, found.alarms.come, found.alarms.go, found.alarms.moved) == ([], [], [], [])
     assert {item.kind for item in found.alarms.kept} == {
         "few_valid_shots",
@@ -105,7 +105,7 @@ def test_a_replay_keeps_commands_and_empty_sets_in_their_order(life):
         "not_assessed",
     }
     # D has two consecutive poor sets in set 3, and was enabled before it had four.
-    later = replayed(life.folder, ["quality.no_data_sets=4"]).alarms
+    later = replay_test(life.folder, ["quality.no_data_sets=4"]).alarms
     assert raised_sets(later.go) == {("D", "few_valid_shots"): 3}
 
 
@@ -119,8 +119,8 @@ def test_a_setting_moves_an_alarm(line):
 
 
 def test_a_longer_baseline_is_reported_with_its_limits_and_changed_assessments(line):
-    found = replayed(line.folder, ["baseline.hours=8"])
-    words = list(in_words(found))
+    found = replay_test(line.folder, ["baseline.hours=8"])
+    words = list(describe_replay(found))
     assert "stays  C no_reflection: set 22, hour 11.51" in words
     assert "baseline B: n_sets 15 -> 16" in words
     of_b = {(item.table, item.column): item for item in found.differences if item.position == "B"}
@@ -156,13 +156,13 @@ def test_a_baseline_without_later_sets_is_reported_at_each_position(line, hours,
 
 
 def test_each_column_has_its_count_and_the_outliers_come_first(line):
-    found = replayed(line.folder, ["novelty.limit=paper_mean_3sd"])
+    found = replay_test(line.folder, ["novelty.limit=paper_mean_3sd"])
     of_b = {
         item.column: item for item in found.differences if (item.table, item.position) == ("assessment", "B")
     }
     outlier = of_b["outlier"]
     assert of_b["limit_name"].n_rows > outlier.n_rows > 1
-    (sentence,) = [words for words in in_words(found) if words.startswith("assessment B")]
+    (sentence,) = [words for words in describe_replay(found) if words.startswith("assessment B")]
     first = f"outlier in {outlier.n_rows} sets from set {outlier.first_set_index} on"
     assert f"{first}; limit_name in 25 sets from set 0 on" in sentence
 
@@ -186,16 +186,18 @@ def test_a_setting_without_effect_or_invalid_is_rejected_with_the_valid_keys(lin
 
 def test_every_key_can_be_set_also_below_a_table_of_names(line):
     with line.catalogue() as catalogue:
-        configuration = catalogue.experiment_row().configuration
-    given = parsed(["alarms.kinds.wall_change.on_delay_s=3600", "novelty.limit=chi_square"])
+        configuration = catalogue.read_experiment().configuration
+    given = parse_assignment(["alarms.kinds.wall_change.on_delay_s=3600", "novelty.limit=chi_square"])
     settings = changed(configuration, given)
     assert settings.alarms.kinds["wall_change"].on_delay_s == 3600.0
     assert settings.novelty.limit == "chi_square"
     assert settings.positions == line.settings.positions
-    table = {key: configuration[key.split(".")[0]][key.split(".")[1]] for key in assessment_keys()}
-    assert changed(configuration, parsed([f"{key}={json.dumps(value)}" for key, value in table.items()]))
+    table = {key: configuration[key.split(".")[0]][key.split(".")[1]] for key in list_assessment_keys()}
+    assert changed(
+        configuration, parse_assignment([f"{key}={json.dumps(value)}" for key, value in table.items()])
+    )
     with pytest.raises(UsageError, match="twice"):
-        parsed(["alarms.k=1", "alarms.k=2"])
+        parse_assignment(["alarms.k=1", "alarms.k=2"])
 
 
 def test_alarms_of_the_same_set_are_paired_before_the_others():
@@ -209,7 +211,9 @@ def test_alarms_of_the_same_set_are_paired_before_the_others():
             message="",
         )
 
-    found = alarm_changes([onset(3), onset(7), onset(9), onset(4, "C")], [onset(7), onset(5), onset(1, "D")])
+    found = compare_alarm_onsets(
+        [onset(3), onset(7), onset(9), onset(4, "C")], [onset(7), onset(5), onset(1, "D")]
+    )
     assert [item.set_index for item in found.kept] == [7]
     assert [(item.stored.set_index, item.again.set_index) for item in found.moved] == [(3, 5)]
     assert [(item.position, item.set_index) for item in found.go] == [("B", 9), ("C", 4)]
@@ -299,7 +303,7 @@ def test_later_baseline_commands_do_not_affect_the_explanation(after, line, tmp_
     folder = tmp_path / "later"
     shutil.copytree(line.folder, folder)
     with replace(line, folder=folder).catalogue(writer=True) as catalogue:
-        catalogue.restore([after(row) for row in catalogue.rows(BaselineRow, position="B")])
+        catalogue.restore_rows([after(row) for row in catalogue.rows(BaselineRow, position="B")])
     done = explain(folder, alarm_id_of(line, "transducer_change", "B"), tmp_path / "out", "--json")
     explanation = json.loads(done.stdout)
     assert (explanation["agrees"], explanation["recomputed"]["differences"]) == (True, [])
@@ -320,7 +324,7 @@ def test_an_unknown_alarm_a_foreign_extractor_and_a_corrupt_set_are_reported(cha
     assert f"the extractors 1.1 and {EXTRACTOR_VERSION}" in mixed.stderr
     with replace(line, folder=folder).catalogue(writer=True) as catalogue:
         rows = catalogue.rows(FeatureRow, position="B", set_index=20)
-        catalogue.restore([replace(row, extractor_version=EXTRACTOR_VERSION) for row in rows])
+        catalogue.restore_rows([replace(row, extractor_version=EXTRACTOR_VERSION) for row in rows])
     path = next(folder.glob("sets/*000004*"))
     path.write_bytes(path.read_bytes()[:5000])
     damaged = explain(folder, change, tmp_path / "out")

@@ -5,9 +5,9 @@ from dataclasses import fields, replace
 import pytest
 
 from daq_service.cli.sweep import plan as plan_module
-from daq_service.cli.sweep.keys import ZENER_KEYS, known_keys
+from daq_service.cli.sweep.keys import ZENER_KEYS, list_known_keys
 from daq_service.cli.sweep.plan import make_plan
-from daq_service.cli.sweep.shot import zener_numbers
+from daq_service.cli.sweep.shot import compute_zener_impact
 from daq_service.cli.sweep.specification import Axis, parse_axis
 from daq_service.errors import UsageError
 from simulator.parameters.chain import ChainParameters
@@ -45,7 +45,7 @@ def test_element_wise_takes_the_values_side_by_side():
 def test_every_field_of_the_physics_is_a_key():
     for name, section in zip(("chain", "plate", "corrosion"), BASE, strict=True):
         for field in fields(section):
-            assert f"{name}.{field.name}" in known_keys()
+            assert f"{name}.{field.name}" in list_known_keys()
 
 
 def test_whole_numbers_and_floats_take_the_type_of_their_key():
@@ -103,7 +103,7 @@ def test_the_identity_depends_on_parameters_keys_model_and_code(monkeypatch):
         make_plan("coupled", BASE, [Axis(key="chain.drop_height_m", values=(4e-3, 3e-3))]).identity,
     }
     assert len(identities) == 5
-    monkeypatch.setattr(plan_module, "code_version", lambda: "another")
+    monkeypatch.setattr(plan_module, "compute_code_version", lambda: "another")
     changed = make_plan("coupled", BASE, axes)
     assert changed.identity not in identities
     assert changed.rows[0].key != plan.rows[0].key
@@ -113,16 +113,16 @@ def test_the_zener_model_accepts_only_its_keys():
     def numbers(key, value):
         (row,) = make_plan("zener", BASE, [Axis(key=key, values=(value,))]).rows
         assert row.specimen is not None
-        return zener_numbers(*row.specimen)
+        return compute_zener_impact(*row.specimen)
 
-    base = zener_numbers(*BASE)
+    base = compute_zener_impact(*BASE)
     section = dict(zip(("chain", "plate", "corrosion"), BASE, strict=True))
     for key in ZENER_KEYS:
         table, name = key.split(".")
         value = getattr(section[table], name)
         changed = value + 1 if isinstance(value, int) else 1.01 * value or 0.1
         assert numbers(key, changed) != base, key
-    for key in set(known_keys()) - set(ZENER_KEYS):
+    for key in set(list_known_keys()) - set(ZENER_KEYS):
         with pytest.raises(UsageError, match="no influence on --model zener"):
             make_plan("zener", BASE, [Axis(key=key, values=(1,))])
 

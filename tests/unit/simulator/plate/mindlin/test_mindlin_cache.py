@@ -7,7 +7,7 @@ import pytest
 
 from simulator.parameters.plate import CorrosionParameters, PlateParameters
 from simulator.plate.mindlin import cache
-from simulator.plate.mindlin.cache import reduced_plate, reduction_key
+from simulator.plate.mindlin.cache import hash_reduction, load_reduced_plate
 
 PLATE = PlateParameters(elements_per_edge=16, contact_element_m=2e-3)
 PATCH = CorrosionParameters()
@@ -32,21 +32,21 @@ def counted(monkeypatch):
 
 
 def test_cached_equals_uncached_bit_for_bit(tmp_path, counted):
-    uncached = reduced_plate(PLATE, PATCH, None)
-    first = reduced_plate(PLATE, PATCH, tmp_path)
-    again = reduced_plate(PLATE, PATCH, tmp_path)
+    uncached = load_reduced_plate(PLATE, PATCH, None)
+    first = load_reduced_plate(PLATE, PATCH, tmp_path)
+    again = load_reduced_plate(PLATE, PATCH, tmp_path)
     assert len(counted) == 2
     assert_same_bits(uncached, first)
     assert_same_bits(first, again)
 
 
 def test_depth_shares_a_reduction_and_everything_else_does_not():
-    key = reduction_key(PLATE, PATCH)
-    assert key == reduction_key(PLATE, replace(PATCH, depth_fraction=0.5))
+    key = hash_reduction(PLATE, PATCH)
+    assert key == hash_reduction(PLATE, replace(PATCH, depth_fraction=0.5))
     others = [
-        reduction_key(PLATE, replace(PATCH, size_m=0.03)),
-        reduction_key(PLATE, replace(PATCH, shape="round")),
-        reduction_key(replace(PLATE, support="clamped"), PATCH),
-        reduction_key(replace(PLATE, thickness_m=6e-3), PATCH),
+        hash_reduction(PLATE, replace(PATCH, size_m=0.03)),
+        hash_reduction(PLATE, replace(PATCH, shape="round")),
+        hash_reduction(replace(PLATE, support="clamped"), PATCH),
+        hash_reduction(replace(PLATE, thickness_m=6e-3), PATCH),
     ]
     assert len({key, *others}) == 5

@@ -13,8 +13,8 @@ from simulator.parameters.plate import (
     PatchParameters,
     PlateParameters,
 )
-from simulator.plate.mindlin.patches import patch_fraction, symmetric_axes
-from simulator.plate.mindlin.plate import build_plate, plate_thinning
+from simulator.plate.mindlin.patches import compute_patch_fraction, find_symmetric_axes
+from simulator.plate.mindlin.plate import build_plate, evaluate_thinning
 
 PLATE = PlateParameters(
     width_m=0.3, height_m=0.2, thickness_m=4e-3, elements_per_edge=20, contact_element_m=2e-3
@@ -116,7 +116,7 @@ def test_polynomial_equals_a_plate_assembled_at_that_thickness():
 @pytest.mark.parametrize("power", [1, 3])
 def test_coefficients_are_the_thickness_at_every_point(power):
     x = y = np.linspace(-0.1, 0.1, 21)
-    thinning = plate_thinning(x, y, MIXED)
+    thinning = evaluate_thinning(x, y, MIXED)
     assert thinning.profile.any()
     for s in (1.0, 0.6, 0.1):
         value = np.tensordot(s ** np.arange(4), thinning.coefficients(power), axes=1)
@@ -154,22 +154,22 @@ def test_coefficients_are_the_thickness_at_every_point(power):
     ids=["bowl", "cosine", "four more", "one above", "to the right"],
 )  # fmt: skip
 def test_part_of_a_symmetric_plate_is_exact(plate, corrosion):
-    assert any(symmetric_axes(plate, corrosion))
+    assert any(find_symmetric_axes(plate, corrosion))
     part, whole = (dynamic_compliance(plate, corrosion, whole=whole) for whole in (False, True))
     # Both solve the same equations; the condition number of the thin plate costs six digits.
     assert part == pytest.approx(whole, rel=1e-8)
 
 
 def test_symmetry_is_lost_with_the_contact_or_a_patch_off_the_middle():
-    assert symmetric_axes(PLATE, PATCH) == (True, True)
-    assert symmetric_axes(replace(PLATE, contact_x_m=0.02), PATCH) == (False, True)
-    assert symmetric_axes(replace(PLATE, contact_y_m=0.02), PATCH) == (True, False)
-    assert symmetric_axes(PLATE, replace(PATCH, offset_y_m=0.02)) == (True, False)
+    assert find_symmetric_axes(PLATE, PATCH) == (True, True)
+    assert find_symmetric_axes(replace(PLATE, contact_x_m=0.02), PATCH) == (False, True)
+    assert find_symmetric_axes(replace(PLATE, contact_y_m=0.02), PATCH) == (True, False)
+    assert find_symmetric_axes(PLATE, replace(PATCH, offset_y_m=0.02)) == (True, False)
     eccentric = PatchParameters(size_m=0.02, offset_x_m=0.06)
     pair = (eccentric, replace(eccentric, offset_x_m=-0.06))
-    assert symmetric_axes(PLATE, replace(PATCH, further=pair)) == (True, True)
+    assert find_symmetric_axes(PLATE, replace(PATCH, further=pair)) == (True, True)
     unlike = (eccentric, replace(eccentric, offset_x_m=-0.06, depth_factor=0.5))
-    assert symmetric_axes(PLATE, replace(PATCH, further=unlike)) == (False, True)
+    assert find_symmetric_axes(PLATE, replace(PATCH, further=unlike)) == (False, True)
 
 
 @pytest.mark.parametrize(
@@ -185,7 +185,7 @@ def test_symmetry_is_lost_with_the_contact_or_a_patch_off_the_middle():
 )
 def test_mirror_images_give_the_same(support, liquid):
     plate = replace(PLATE, support=support, liquid=liquid, contact_x_m=0.02, contact_y_m=-0.03)
-    assert symmetric_axes(plate, MIXED) == (False, False)
+    assert find_symmetric_axes(plate, MIXED) == (False, False)
     expected = dynamic_compliance(plate, MIXED)
     mirrored = replace(
         MIXED,
@@ -276,7 +276,7 @@ def test_flat_rectangle_covers_whole_elements_wherever_it_lies():
         shape="rectangular", size_m=0.05, size_y_m=0.03, offset_x_m=0.031, offset_y_m=-0.017
     )
     parts = build_plate(PLATE, CorrosionParameters(**_keys(patch)))
-    covered = patch_fraction(parts.x_m, parts.y_m, patch)
+    covered = compute_patch_fraction(parts.x_m, parts.y_m, patch)
     assert set(np.unique(covered)) == {0.0, 1.0}
     areas = np.outer(np.diff(parts.x_m), np.diff(parts.y_m))
     assert np.sum(covered * areas) == pytest.approx(0.05 * 0.03, rel=1e-9)

@@ -9,9 +9,18 @@ from scipy import linalg
 from simulator.errors import SpecimenError
 from simulator.numerics.tensor_basis import Axis
 from simulator.parameters.plate import CorrosionParameters, PatchParameters, PlateParameters, SolidMesh
-from simulator.plate.solid.integrals import hertz_nodal_weights, in_plane_integrals, in_plane_terms
+from simulator.plate.solid.integrals import (
+    compute_hertz_nodal_weights,
+    compute_in_plane_elasticity,
+    integrate_in_plane,
+)
 from simulator.plate.solid.plate import UPPER_LINES, build_solid_plate
-from simulator.plate.solid.reduction import column_folds, column_matrices, mass_product, shifted_solver
+from simulator.plate.solid.reduction import (
+    compute_column_matrices,
+    list_column_folds,
+    make_mass_product,
+    make_shifted_solver,
+)
 
 MESH = SolidMesh(degree=3, edge_element=0.5, contact_element=1.0, largest_element=4.0)
 SMALL = PlateParameters(
@@ -23,8 +32,8 @@ PATCH = CorrosionParameters(size_m=0.02)
 def assembled(plate):
     size = len(plate.load)
     stiffness, mass = np.zeros((size, size)), np.zeros((size, size))
-    for column, (unknowns, fold) in enumerate(column_folds(plate)):
-        k, m = column_matrices(plate, column, fold)
+    for column, (unknowns, fold) in enumerate(list_column_folds(plate)):
+        k, m = compute_column_matrices(plate, column, fold)
         stiffness[np.ix_(unknowns, unknowns)] += k
         mass[np.ix_(unknowns, unknowns)] += m
     return stiffness, mass
@@ -44,7 +53,7 @@ def test_patch_test_of_a_column(strain):
         for length, degree in ((0.7, 3), (1.3, 4), (0.4, 3))
     )
     plate = replace(SMALL, poisson_ratio=nu)
-    a, b, c, _ = in_plane_terms(plate, in_plane_integrals(x, y, 0, 0))
+    a, b, c, _ = compute_in_plane_elasticity(plate, integrate_in_plane(x, y, 0, 0))
     mass, slope, stiffness = z.interval_matrices(0)
     matrix = np.kron(a, mass) + np.kron(b, stiffness) + np.kron(c, slope) + np.kron(c, slope).T
     tensor = np.diag(strain[:3])
@@ -93,14 +102,14 @@ def _upward_mass(plate):
     numbers = plate.numbers[..., 2]
     motion = np.zeros(len(plate.load))
     motion[numbers[moving & (numbers >= 0)]] = 1.0
-    return motion @ mass_product(plate)(motion)
+    return motion @ make_mass_product(plate)(motion)
 
 
 def test_mass_product_is_that_of_the_assembled_mass():
     plate = build_solid_plate(SMALL, replace(PATCH, shape="round", depth_fraction=0.5))
     x = np.random.default_rng(1).normal(size=len(plate.load))
     expected = assembled(plate)[1] @ x
-    np.testing.assert_allclose(mass_product(plate)(x), expected, atol=1e-12 * np.abs(expected).max())
+    np.testing.assert_allclose(make_mass_product(plate)(x), expected, atol=1e-12 * np.abs(expected).max())
 
 
 def test_a_patch_over_the_whole_plate_is_a_thinner_plate():
@@ -130,9 +139,9 @@ def test_an_eighth_a_quarter_and_the_whole_plate_are_one_model(shape, support):
     expected = compliance(quarter, 2e3)
     # All solve the same equations; the condition number costs some digits.
     assert compliance(eighth, 2e3) == pytest.approx(expected, rel=1e-9)
-    solve = shifted_solver(whole, 2e4)
+    solve = make_shifted_solver(whole, 2e4)
     assert whole.load @ solve(whole.load) == pytest.approx(
-        quarter.load @ shifted_solver(quarter, 2e4)(quarter.load), rel=1e-9
+        quarter.load @ make_shifted_solver(quarter, 2e4)(quarter.load), rel=1e-9
     )
 
 
@@ -158,7 +167,7 @@ def test_a_round_patch_is_met_more_exactly_by_smaller_elements():
     meshes = (MESH, replace(MESH, edge_element=0.25, contact_element=0.5, growth=1.0))
     patch = replace(PATCH, shape="round", depth_fraction=0.6)
     plates = [build_solid_plate(replace(SMALL, solid=mesh), patch) for mesh in meshes]
-    values = [plate.load @ shifted_solver(plate, 0.0)(plate.load) for plate in plates]
+    values = [plate.load @ make_shifted_solver(plate, 0.0)(plate.load) for plate in plates]
     inner, outer = (
         compliance(build_solid_plate(SMALL, replace(patch, shape="square", size_m=side)))
         for side in (0.02 / np.sqrt(2.0), 0.02)
@@ -186,7 +195,7 @@ def test_material_scales_stiffness_and_mass():
 def test_hertz_weights_are_a_unit_force_and_hold_its_moments():
     """Mean of ``|x|`` under Hertz's pressure: ``3 a / 8``, of ``r^2``: ``2 a^2 / 5``."""
     axis = Axis(breaks_m=np.array([0.0, 0.7e-3, 3e-3]), degrees=(3, 4))
-    weights = hertz_nodal_weights(axis, axis, 2e-3, whole=False)
+    weights = compute_hertz_nodal_weights(axis, axis, 2e-3, whole=False)
     at = axis.nodes_m
     assert weights.sum() == pytest.approx(1.0, rel=1e-13)
     assert weights.sum(axis=1) @ at == pytest.approx(0.75e-3, rel=1e-5)  # 48 points of a square root
