@@ -54,7 +54,7 @@ def extract_shot_features(shot: Shot) -> ShotFeatures:
 
 
 def extract_features_of_shots(shots: Sequence[Shot]) -> list[ShotFeatures]:
-    """Extract the features of many shots; the same as `features_of`, but faster."""
+    """Extract the features of many shots; the same as `extract_shot_features`, but faster."""
     try:
         return extract_all([shot.waveform for shot in shots])
     except Exception:  # noqa: BLE001 each is tried alone, which logs the one

@@ -34,7 +34,7 @@ def build_rig_condition(due: DueSet, trouble: str, unanswered: str, *, proven: b
     trouble
         Error that ended the set, ``class: message``; empty if there was none.
     unanswered
-        Why no instrument responded in the set (`lost_cause`); empty if one did.
+        Why no instrument responded in the set (`find_connection_loss`); empty if one did.
     proven
         These instruments have recorded a complete set before, so the next set is tried after any error.
     """

@@ -48,6 +48,6 @@ __all__ = [
     "SetTables",
     "StoreTimings",
     "StoredSet",
+    "compute_crc32",
     "due_utc_ns",
-    "waveform_crc32",
 ]

@@ -18,9 +18,9 @@ __all__ = [
     "Step",
     "TimeLine",
     "WallClock",
-    "boot_id",
     "boot_name",
     "elapsed_ns",
     "format_utc",
     "parse_utc",
+    "read_boot_id",
 ]

@@ -1,6 +1,6 @@
 """Commands to a running test: arguments, conditions and effect of each kind.
 
-The web service and the command line check the arguments. The web service calls `Command.forbidden` with
+The web service and the command line check the arguments. The web service calls `Command.find_refusal` with
 stored facts, the recorder with current ones. A new kind is a class in this package.
 """
 

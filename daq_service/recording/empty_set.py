@@ -29,7 +29,7 @@ def store_empty_set(
     utc_ns: int,
     tried: TakenSet | None = None,
 ) -> None:
-    """Store the rows of a set without a record (`nothing_taken`) after what waits for the disk."""
+    """Store the rows of a set without a record (`build_empty_set_rows`) after what waits for the disk."""
     rows = partial(build_empty_set_rows, assessor, due, reasons, utc_ns=utc_ns, tried=tried)
     persistence.post(rows, assessor.commit)
 

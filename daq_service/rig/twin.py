@@ -70,7 +70,7 @@ def build_transducers(settings: Settings) -> dict[str, Transducer]:
 
 
 def start_twin_executor(settings: Settings, sender: Connection | None = None) -> ProcessPoolExecutor:
-    """Start a worker process that computes `records` of these settings; its owner shuts it down.
+    """Start a worker process that computes `compute_records` of these settings; its owner shuts it down.
 
     Parameters
     ----------

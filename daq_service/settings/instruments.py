@@ -121,7 +121,7 @@ def list_instruments(settings: Settings) -> list[Instrument]:
 
 
 def fill_instrument_defaults(settings: Settings) -> Settings:
-    """Fill in the default parameters of a mixed rig's instruments; raises as `instruments_of`."""
+    """Fill in the default parameters of a mixed rig's instruments; raises as `validate_instruments`."""
     if settings.rig.kind != "mixed":
         return settings
     filled = {

@@ -22,7 +22,7 @@ def flatten(values: Mapping[str, object], above: KeyPath = ()) -> dict[KeyPath, 
 
 
 def nest_tables(values: Mapping[KeyPath, object]) -> Tables:
-    """Return nested tables from values by path; the inverse of `flattened`."""
+    """Return nested tables from values by path; the inverse of `flatten`."""
     tree: Tables = {}
     for path, value in values.items():
         below = tree

@@ -96,8 +96,8 @@ def find_boards(connection: Connection, serials: Iterable[str]) -> dict[str, Boa
     for serial in sorted({normalize_serial(text) for text in serials}):
         if serial not in known:
             raise ConnectionLostError(
-                f"no board with serial number {serial}; there are: {_format_board_names(known)}; check its power, seating "
-                "and cable, and board_serial in [rig.daqmx.transducers]"
+                f"no board with serial number {serial}; there are: {_format_board_names(known)}; "
+                "check its power, seating and cable, and board_serial in [rig.daqmx.transducers]"
             )
         found[serial] = describe_board(serial, known[serial])
     return found

@@ -60,7 +60,7 @@ class Chassis:
     Raises
     ------
     ConfigurationError, BusyError, ConnectionLostError
-        As `prove`; nothing is left behind.
+        As `commit_all_once`; nothing is left behind.
     """
 
     def __init__(self, parameters: DaqmxParameters) -> None:

@@ -1,6 +1,6 @@
 """Translation of NI's errors into the four classes that leave the driver.
 
-Every vendor call of this package runs inside `vendor_call`. A DAQmx status that ``status_classes.toml`` does
+Each vendor call of this package runs in `translate_errors`. A DAQmx status that ``status_classes.toml`` does
 not name is a contradiction in the request: configuration. ``docs/reference/faults-daqmx.md`` lists them.
 """
 

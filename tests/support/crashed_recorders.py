@@ -97,7 +97,7 @@ def _clock_after(before: Before) -> Clock:
 
 @contextmanager
 def in_memory(instruments: ScriptedInstruments) -> Iterator[session.RigOpener]:
-    """Let `session.record` run on scripted instruments, with features by key and short segments."""
+    """Let `session.record_test` run on scripted instruments, with features by key and short segments."""
 
     @contextmanager
     def opener(settings: Settings, clock: Clock, epoch_utc_ns: int) -> Iterator[Rig]:

@@ -241,7 +241,7 @@ class Line:
         notify: Callable[..., None] = lambda event, **values: None,
         **parts: Any,
     ) -> bool:
-        """Run a recorder to its end, as `session.record` does.
+        """Run a recorder to its end, as `session.record_test` does.
 
         Parameters
         ----------

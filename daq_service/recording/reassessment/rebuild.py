@@ -117,7 +117,7 @@ def rebuild_folder_catalogue(
     try:
         shutil.rmtree(place, ignore_errors=True)
         place.mkdir()
-        with open_temporary(place) as catalogue:  # `_replace` makes the complete file durable
+        with open_temporary(place) as catalogue:  # `_replace_catalogue` makes the complete file durable
             catalogue.restore_rows([experiment, *orders.values()])
             its_settings = restore_settings(experiment.configuration)
             found = restore_rows(its_settings, experiment, archive, catalogue, stored, progress, features_of)

@@ -27,7 +27,7 @@ class Laboratory:
         self.clock = machine.clock()
 
     def run(self, *, cause=DOWN, stop=None):
-        """Start a recorder as `session.record` does."""
+        """Start a recorder as `session.record_test` does."""
         with self.line.catalogue(writer=True) as catalogue:
             self.line.epoch_ns(catalogue)
             before = read_previous_time(
