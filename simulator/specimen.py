@@ -136,9 +136,9 @@ class Specimen:
     walls: Mapping[str, WallHistory]
     spots: Mapping[str, RoughSpot | None]
     room: Temperature
-    make_adc_calibration: Calibration
+    adc_calibration: Calibration
     echo_calibration: Calibration
-    draw_climate: Climate | None
+    climate: Climate | None
     nuisances: Mapping[str, TransducerNuisance]
     wet: Mapping[str, Mapping[float, Transducer]]
     stray: Stray | None = None

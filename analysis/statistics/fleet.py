@@ -107,9 +107,9 @@ def standardized(vectors: ArrayLike, in_baseline: ArrayLike) -> tuple[FloatArray
     x = np.asarray(vectors, dtype=np.float64)
     x = np.where(np.isfinite(x), x, np.nan)
     baseline = np.ma.masked_invalid(x[np.asarray(in_baseline, dtype=bool)])
-    mean = np.asarray(baseline.mean(axis=0).fill_values(np.nan))
+    mean = np.asarray(baseline.mean(axis=0).filled(np.nan))
     with np.errstate(over="ignore"):  # of a table that is refused for it
-        sd = np.asarray(baseline.std(axis=0, ddof=1).fill_values(np.nan))
+        sd = np.asarray(baseline.std(axis=0, ddof=1).filled(np.nan))
     sd = np.where(sd > SMALLEST_SD * np.abs(mean), sd, np.nan)
     return np.asarray((x - mean) / sd), np.where(np.isfinite(sd), sd, 1.0)
 
@@ -242,12 +242,12 @@ def sensor_gain(
     # Next to their means: what is wrong with the mean of a baseline is no gain.
     x = np.ma.masked_invalid(deviations)
     moved = np.ma.masked_array(shared, mask=np.ma.getmaskarray(x))
-    moved = (moved - moved.mean(axis=0)).fill_values(0.0)
+    moved = (moved - moved.mean(axis=0)).filled(0.0)
     of_feature = (moved**2).sum(axis=0)
     weight = float(of_feature.sum())
     if weight == 0.0:
         return np.nan, np.nan, np.nan
-    found = float((moved * x.fill_values(0.0)).sum() / weight)
+    found = float((moved * x.filled(0.0)).sum() / weight)
     return found, 1.0 / weight, float(of_feature @ correlation2 @ of_feature) / weight**2
 
 

@@ -172,8 +172,8 @@ def _assess_complete_rows(
         known = np.isfinite(x[healthy]).sum(axis=0)
         least = int(known.argmin())
         raise NotEnoughSetsError(
-            f"{_too_few_sets_message(rows.size, 'complete rows')}, or leave out {names[least]}, which {known[least]} of "
-            f"{healthy.sum()} have"
+            f"{_too_few_sets_message(rows.size, 'complete rows')}, or leave out {names[least]}, which "
+            f"{known[least]} of {healthy.sum()} have"
         )
     baseline = fit_baseline(x[rows], rows.tolist(), name="baseline", feature_names=names)
     named = _find_anomalies(measured[rows], x[rows], rows, names)

@@ -139,7 +139,7 @@ class ShotFeatures:
     quality: Quality = "good"
     pull_fraction: float = math.nan
     compared: bool = False
-    sample_outline: Outline | None = field(default=None, compare=False, repr=False)
+    outline: Outline | None = field(default=None, compare=False, repr=False)
     sd: Mapping[str, float] = field(default_factory=dict)
 
     def values(self) -> dict[str, float]:

@@ -49,5 +49,5 @@ __all__ = [
     "StoreTimings",
     "StoredSet",
     "compute_crc32",
-    "due_utc_ns",
+    "parse_due_utc_ns",
 ]

@@ -49,7 +49,7 @@ class OpenSet:
     """
 
     set_key: SetKey
-    parse_due_utc_ns: int
+    due_utc_ns: int
     started_utc_ns: int
     last_utc_ns: int
     disabled: Mapping[str, str] = field(default_factory=dict)

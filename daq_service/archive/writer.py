@@ -75,7 +75,7 @@ class FolderArchive(FolderSetReader):
         self.journal_damage = self._journal_writer.damage
         # Frames of a finalized set remain in shared segments; its earlier segments may be removed.
         for index in [index for index, item in self._journal_writer.left.items() if not item.is_whole]:
-            if index in self._files():
+            if index in self._list_files():
                 self._journal_writer.settle(index)
         self._sequences_of: dict[SetKey, set[int]] = {}
         self._end_frames: dict[SetKey, Buffers] = {}

@@ -73,7 +73,7 @@ class SetFinalizer(BackgroundTask):
         self.trouble = self._last_message = ""
         self.damaged: dict[str, str] = {}
 
-    def notify_set_stored(self, set_key: SetKey) -> None:
+    def after_set(self, set_key: SetKey) -> None:
         """Submit a complete set of the journal to the worker, which writes its file."""
         if self._executor is None:
             self._executor = self._start()
@@ -112,7 +112,7 @@ class SetFinalizer(BackgroundTask):
         now_s = self._machine.mono_s()
         for set_key in [key for key, due_s in self._again_s.items() if due_s <= now_s]:
             del self._again_s[set_key]
-            self.notify_set_stored(set_key)
+            self.after_set(set_key)
 
     def _process_worker_result(self, set_key: SetKey, future: Future[tuple[SetReference, str, str]]) -> None:
         """Process the result of the worker that finalized a set; schedule a retry after a disk error."""

@@ -20,7 +20,7 @@ class BackgroundTask(Protocol):
         """
         return
 
-    def notify_set_stored(self, set_key: SetKey) -> None:
+    def after_set(self, set_key: SetKey) -> None:
         """Handle a set with records after its rows are stored."""
         return
 

@@ -173,7 +173,7 @@ class HistoryFollower:
         """Append new rows between sets (a `BackgroundTask`)."""
         self.follow()
 
-    def notify_set_stored(self, set_key: SetKey) -> None:
+    def after_set(self, set_key: SetKey) -> None:
         """Do nothing: its rows come with the next piece of work."""
 
     def close(self) -> None:

@@ -83,7 +83,7 @@ class Rollup:
     name: str
     finest: int
     type_of: Callable[[Kind], np.dtype[np.void]]
-    select_sets: Callable[[Connection, PositionRange, int, int], Pieces]
+    of_sets: Callable[[Connection, PositionRange, int, int], Pieces]
     joined: Callable[[NDArray[np.void], NDArray[np.intp]], NDArray[np.void]]
 
 

@@ -327,6 +327,7 @@ def serve_alone(
     *, config: Path | None, data_dir: Path | None, port: int | None, restart_reason: str, supervised: bool
 ) -> int:
     """Serve the data folder until a person stops it."""
+    from daq_service.processes.notifications.addresses import check_receivers
     from daq_service.web.app import create_app
     from daq_service.web.auth.middleware import refuse_unprotected_service
 

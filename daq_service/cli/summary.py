@@ -149,7 +149,8 @@ def format_summary_lines(summary: dict[str, Any], folder: Path) -> Iterator[str]
         yield (
             f"{name:<8}  {_format_cell(row['first_alarm_h'], '9.1f', ' h'):>11}  "
             f"{_format_percent(before):>9} /{_format_percent(after):>8}      "
-            f"{_format_cell(row['tof_us'], '.1f', ' us'):>9}  {_format_cell(row['amplitude_ratio'], '.3f', ''):>6}  "
+            f"{_format_cell(row['tof_us'], '.1f', ' us'):>9}  "
+            f"{_format_cell(row['amplitude_ratio'], '.3f', ''):>6}  "
             f"{_format_cell(row['thickness_mm'], '.2f', ' mm'):>9}  {_format_limit(row)}"
         )
     if summary["cost"] is not None:

@@ -286,7 +286,7 @@ class Supervisor:
 
     def _overdue_reason(self, child: _Child) -> str:
         """Return why a running child must be killed; empty while its heartbeat is in time."""
-        beats = (child.reported_beat, self._read_beat(child))
+        beats = (child.reported_beat, self._read_beat_of(child))
         now_ns = self._machine.mono_ns()
         # A folder has one recorder: a beat since the start is this child's. Process numbers are reused, and
         # a launcher (Windows, virtual environments) has another one than its Python. A file that cannot be
@@ -309,7 +309,7 @@ class Supervisor:
             f"{child.beat.deadline_s:g} s"
         )
 
-    def _read_beat(self, child: _Child) -> Beat | None:
+    def _read_beat_of(self, child: _Child) -> Beat | None:
         """Return the heartbeat of a child from its file; None without one."""
         if child.plan.watched:
             return self._read_beat(self._folder)

@@ -65,7 +65,7 @@ class CarriedOver:
             elif index in corrupt.sets:
                 persistence.do(partial(self._store_end_again, opened))
             else:
-                persistence.notify_set_stored(
+                persistence.after_set(
                     index
                 )  # a frame of it is corrupt: that is reported, and the others stay
         sequences = [item.sequence + 1 for opened in self.open_sets.values() for item in opened.records]
@@ -131,7 +131,7 @@ class CarriedOver:
             record = self._acquisition.record_of(self._find_due_set(opened), taken, reason)
         self._archive.resume_set(opened)
         self._archive.store_set(record)
-        self._persistence.notify_set_stored(opened.set_key)
+        self._persistence.after_set(opened.set_key)
 
     def quarantine_corrupt_files(self) -> None:
         """Move corrupt files without rows to the quarantine: each set is due again, or missed."""
@@ -162,7 +162,7 @@ class CarriedOver:
         assess = partial(self._set_assessor.assessed, due, record, file, features, sha256=sha256)
         self._persistence.post(assess, self._set_assessor.commit)
         if sha256 is None:  # it is still in the journal
-            self._persistence.do(partial(self._persistence.notify_set_stored, due.set_key))
+            self._persistence.do(partial(self._persistence.after_set, due.set_key))
         self._acquisition.set_next_shot_number(record)
         log.warning("set %s: rows made again from %s/%s", due.set_key, self._archive.name, file)
         return record.ended_utc_ns

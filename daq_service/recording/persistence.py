@@ -97,10 +97,10 @@ class Persistence:
         self._reported_ids.difference_update(stored.crc32)
         return stored
 
-    def notify_set_stored(self, set_key: SetKey) -> None:
+    def after_set(self, set_key: SetKey) -> None:
         """Notify the background tasks of a set whose rows are stored: its file can be written."""
         for task in self._tasks:
-            task.notify_set_stored(set_key)
+            task.after_set(set_key)
 
     # The queue ------------------------------------------------------------------------------------
 

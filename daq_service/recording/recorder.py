@@ -217,7 +217,7 @@ class Recorder:
     def publish(self, due: DueSet, transaction: SetCommit) -> None:
         """Report alarms and gaps, and have the set get its file."""
         self._set_assessor.publish(transaction)
-        self._persistence.notify_set_stored(due.set_key)
+        self._persistence.after_set(due.set_key)
 
     def _record_gap(self, due: DueSet, reason: str) -> None:
         """Record a set without a strike: store the records of an open set, or else rows of a gap."""

@@ -188,7 +188,7 @@ def _add_background_tasks(
     )
     # One that has no rows yet gets them first: its file holds a copy of them.
     for set_key in sorted(catalogue.list_committed_sets(archive.list_sets_to_finalize())):
-        finalizer.notify_set_stored(set_key)
+        finalizer.after_set(set_key)
     verification = IdleVerification(
         folder, finalizer, partial(find_lost_sets, folder, catalogue), catalogue.read_digest, note_file
     )

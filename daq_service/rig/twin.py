@@ -137,6 +137,7 @@ def _prepare_specimen(settings_json: str, sender: Connection | None) -> None:
     import daq_service.acquisition.shot_features  # noqa: F401 - while the recorder opens the test
 
     if sender is not None:
+        from simulator.numerics.machine_code import report_compilation
 
         reporting = ExitStack()
         reporting.enter_context(report_compilation(sender.send))

@@ -44,7 +44,7 @@ class JournaledSet:
     missed: dict[ShotKey, MissedShot] = field(default_factory=dict)
     end: Mapping[str, Any] | None = None
     last_utc_ns: int = 0
-    list_segments: set[int] = field(default_factory=set)
+    segments: set[int] = field(default_factory=set)
 
     def take(self, frame: Frame, segment: int) -> None:
         """Add a frame; a record that was written twice counts once."""

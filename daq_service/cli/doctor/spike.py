@@ -107,8 +107,8 @@ def _remedy_for_survey(parameters: DaqmxParameters, survey: SpikeSurvey) -> str:
     """Return the remedy for the obstacle of a survey, or the proposed settings."""
     if survey.obstacle == "ringing":
         return (
-            f"it rings for {_format_time(survey.off.ringing_s)} and a holdoff ends {_format_time(survey.latest_holdoff_s)} "
-            f"after the pulse at the latest: {HARDWARE_CURE}"
+            f"it rings for {_format_time(survey.off.ringing_s)} and a holdoff ends "
+            f"{_format_time(survey.latest_holdoff_s)} after the pulse at the latest: {HARDWARE_CURE}"
         )
     if survey.obstacle == "noise":
         return (

@@ -135,8 +135,8 @@ def read_table(
     if not columns_of_numbers:
         first = ", ".join(repr(columns[name][0]) for name in chosen[:NAMES_SHOWN])
         raise NoTableError(
-            f"{path}: no column of numbers; it has {_join_names(columns)}, with {first} in row 0: a number has a "
-            "decimal point, or a comma where semicolons or tabs separate, and none between thousands"
+            f"{path}: no column of numbers; it has {_join_names(columns)}, with {first} in row 0: a number "
+            "has a decimal point, or a comma where semicolons or tabs separate, and none between thousands"
         )
     for name in chosen:
         if not isinstance(columns[name], np.ndarray) and (

@@ -156,7 +156,7 @@ class Product:
 
     drawing: Figure | None = None
     tables: Mapping[str, Table] = field(default_factory=dict)
-    value_or_missing: Mapping[str, Found] = field(default_factory=dict)
+    found: Mapping[str, Found] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
 
 

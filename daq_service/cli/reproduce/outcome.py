@@ -58,7 +58,7 @@ class Facts(TypedDict):
     configuration_hash: str | None
     test: str | None
     data_dir: str | None
-    describe_run: dict[str, str]
+    versions: dict[str, str]
     machine: str
 
 

@@ -19,7 +19,8 @@ def describe_board(board: BoardFacts) -> str:
     trigger = "" if board.analog_trigger else "; no analog trigger: it can drive a coil, not record a wave"
     return (
         f"{board.product} {board.serial} ({board.name}): {len(board.inputs)} inputs up to "
-        f"{board.max_rate_hz / 1e6:.4g} MS/s, +-{ranges} V, {len(list_coil_counters(board))} counters{trigger}"
+        f"{board.max_rate_hz / 1e6:.4g} MS/s, +-{ranges} V, "
+        f"{len(list_coil_counters(board))} counters{trigger}"
     )
 
 

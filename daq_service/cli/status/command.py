@@ -36,6 +36,8 @@ def run_status(*, config: Path | None, data_dir: Path | None, as_json: bool, wat
         click.echo(json.dumps(facts))
         return EXIT_OK
 
+    from daq_service.cli.status.table import compose_status
+
     console = create_console("stdout")
     if watch:
         if as_json or not console.is_terminal:

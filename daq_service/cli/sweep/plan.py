@@ -108,8 +108,8 @@ def make_plan(
     refused = [row for row in rows if row.specimen is None]
     if refused and not skip_invalid:
         raise UsageError(
-            f"{describe_row(keys, refused[0])} is refused: {refused[0].reason} ({len(refused)} of {len(rows)} "
-            "rows are); correct it, or keep such rows with their reason by --skip-invalid"
+            f"{describe_row(keys, refused[0])} is refused: {refused[0].reason} ({len(refused)} of "
+            f"{len(rows)} rows are); correct it, or keep such rows with their reason by --skip-invalid"
         )
     return Plan(model=model, keys=keys, rows=rows, waveforms=waveforms)
 

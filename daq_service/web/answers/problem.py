@@ -54,7 +54,7 @@ class ProblemDetails(BaseModel):
     detail: str
     hint: str
     instance: str
-    read_request_id: str
+    request_id: str
     errors: list[InvalidPart] | None = None
 
 

@@ -42,7 +42,7 @@ class _CachedEntry:
         """Return whether the entry need not be read again."""
         if now_s - self.read_s < CHANGING_S:
             return True
-        standing = self.entry.with_present_state
+        standing = self.entry.standing
         ended = standing is not None and standing.recorder != "running"
         return ended and now_s - self.read_s < ENDED_S and _compute_folder_mark(self.folder) == self.mark
 

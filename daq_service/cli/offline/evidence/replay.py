@@ -50,15 +50,16 @@ def describe_replay(found: Replayed) -> Iterable[str]:
     for one in alarms.moved:
         by_h = one.again.hour - one.stored.hour
         yield (
-            f"moves  {one.stored.position} {one.stored.kind}: {_format_onset(one.stored)} -> {_format_onset(one.again)}, "
-            f"{abs(by_h):.2f} h {'later' if by_h > 0.0 else 'earlier'}"
+            f"moves  {one.stored.position} {one.stored.kind}: {_format_onset(one.stored)} -> "
+            f"{_format_onset(one.again)}, {abs(by_h):.2f} h {'later' if by_h > 0.0 else 'earlier'}"
         )
     for change, onsets_of_change in (("comes", alarms.come), ("goes", alarms.go), ("stays", alarms.kept)):
         for onset in onsets_of_change:
             yield f"{change:<6} {onset.position} {onset.kind}: {_format_onset(onset)}"
     for row in found.differences:
         if row.table == "baseline" and isinstance(row.stored, int | float | None):
-            yield f"baseline {row.position}: {row.column} {_format_significant(row.stored)} -> {_format_significant(row.again)}"
+            before, after = _format_significant(row.stored), _format_significant(row.again)
+            yield f"baseline {row.position}: {row.column} {before} -> {after}"
     yield from _count_differing_sets(found.differences)
     for position in found.not_assessed:
         yield position.description

@@ -29,7 +29,7 @@ def files(folder):
 def test_sets_get_their_files_and_leave_the_journal(archive, tmp_path):
     making = SetFinalizer(tmp_path, archive, start=AtOnce)
     for index in archive.sets():
-        making.notify_set_stored(index)
+        making.after_set(index)
     making.run_for(0.0)
     making.close()
     assert (len(files(tmp_path)), making.waits, making.trouble) == (2, False, "")
@@ -49,7 +49,7 @@ def test_an_error_of_the_worker_is_reported_and_retried(archive, tmp_path, monke
 
     with monkeypatch.context() as patch:
         patch.setattr(module, "finalize_set", refuse)
-        making.notify_set_stored(SetKey(SET_INDEX))
+        making.after_set(SetKey(SET_INDEX))
         making.run_for(0.0)
         assert (making.waits, making.trouble, files(tmp_path)) == (True, str(refusal), [])
     now_s[0] = AGAIN_AFTER_S - 1.0
@@ -64,7 +64,7 @@ def test_an_error_of_the_worker_is_reported_and_retried(archive, tmp_path, monke
 def test_a_worker_that_was_killed_is_replaced(archive, tmp_path):
     workers = [BrokenExecutor(), AtOnce()]
     making = SetFinalizer(tmp_path, archive, start=lambda: workers.pop(0))
-    making.notify_set_stored(SetKey(SET_INDEX))
+    making.after_set(SetKey(SET_INDEX))
     making.run_for(0.0)
     assert files(tmp_path) == []
     making.retry_failed_sets()
@@ -76,7 +76,7 @@ def test_a_set_with_a_file_is_not_finalized_again(tmp_path):
     archive = FiledArchive(tmp_path)
     archive.store_set(make_set())
     making = SetFinalizer(tmp_path, archive, start=AtOnce)
-    making.notify_set_stored(SetKey(SET_INDEX))
+    making.after_set(SetKey(SET_INDEX))
     making.run_for(0.0)
     assert (making.waits, making.trouble) == (False, "")
 
@@ -86,7 +86,7 @@ def test_a_set_with_corrupt_frames_stays_in_the_journal_and_is_reported(archive,
     flip(segment, segment.read_bytes().find(make_set().shots[0].waveform.counts.tobytes()) + 5)
     making = SetFinalizer(tmp_path, archive, start=AtOnce)
     for index in archive.sets():
-        making.notify_set_stored(index)
+        making.after_set(index)
     making.retry_failed_sets()
     assert (len(files(tmp_path)), making.waits) == (1, False)
     ((_, reason),) = making.damaged.items()

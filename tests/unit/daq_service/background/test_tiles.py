@@ -63,7 +63,7 @@ class Line:
         """Write the files of all sets; without free space they get no tiles."""
         self.room = room
         for set_key in self.files:
-            self.finalizer.notify_set_stored(set_key)
+            self.finalizer.after_set(set_key)
             self.finalizer.run_for(0.0)
         self.room = True
         assert len(list((self.folder / "sets").iterdir())) == N_SETS
@@ -117,7 +117,7 @@ def test_in_idle_time_older_sets_get_tiles_newest_first(line):
 
 
 def test_no_tile_is_made_while_set_files_are_pending(line):
-    line.finalizer.notify_set_stored(SetKey(SET_INDEX))
+    line.finalizer.after_set(SetKey(SET_INDEX))
     assert line.finalizer.waits
     line.read.clear()
     line.work(free_s=QUIET_S + 1)

@@ -226,7 +226,7 @@ class SlowWorker(BackgroundTask):
     def waits(self):
         return self.n_under_way > 0
 
-    def notify_set_stored(self, set_index):
+    def after_set(self, set_index):
         self.n_under_way += 1
         self.most = max(self.most, self.n_under_way)
 

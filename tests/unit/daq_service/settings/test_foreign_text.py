@@ -13,7 +13,7 @@ import pytest
 from daq_service.cli.main import main
 from daq_service.cli.reproduce.item import Table
 from daq_service.cli.reproduce.output import format_csv
-from daq_service.cli.sweep.outputs import format_csv
+from daq_service.cli.sweep.outputs import format_csv as format_sweep
 from daq_service.cli.sweep.table import SweepTable
 from daq_service.cli.terminal import ProgressReport
 from daq_service.processes.child import log_to
@@ -76,7 +76,7 @@ def test_no_spreadsheet_executes_a_text(text):
     columns = [SimpleNamespace(name=name) for name in ("text", "number", "whole")]
     page = {"text": [text, "a=1", None], "number": [-1.5, 2.0, None], "whole": [-3, 4, None]}
     exported = b"".join(FORMATS["csv"].write(SimpleNamespace(columns=columns), {}, [page])).decode()
-    swept = format_csv(
+    swept = format_sweep(
         SweepTable(
             swept={"text": [text]}, results={"number": np.array([-1.5])}, status=["ok"], forces=None, facts={}
         )

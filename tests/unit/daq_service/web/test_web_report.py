@@ -133,7 +133,8 @@ def test_the_tables_have_the_numbers_of_the_client(filled, page):
         newest = test.assessments("B").iloc[-1]
         info = test.info()
     assert now["B"][2:5] == [
-        f"D² {format_significant(newest['distance_squared'])}; chart {format_significant(newest['mewma_statistic'])}",
+        f"D² {format_significant(newest['distance_squared'])}; "
+        f"chart {format_significant(newest['mewma_statistic'])}",
         f"{format_significant(newest['limit_f_predictive'])}; chart {format_significant(LIMIT_CHART)}",
         newest["quality"],
     ]
