@@ -35,7 +35,7 @@ from diagnosis_slopes import MEAN_TILT_RAD, slopes, walls
 
 from analysis.diagnosis.diagnose import diagnose_latest_set, update_state
 from analysis.diagnosis.hypotheses import COUPLING, ENVIRONMENT, OK, SENSOR, WALL
-from analysis.diagnosis.parameters import compute_diagnosis_parameters
+from analysis.diagnosis.parameters import diagnosis_parameters
 from analysis.diagnosis.slopes import COMPONENTS, DEPTHS
 from analysis.diagnosis.state import DiagnosisState, with_confirmation, with_set
 from analysis.statistics.baseline import fit_baseline
@@ -45,7 +45,7 @@ from analysis.statistics.rules import NOMINAL_RATE, AlarmRule, AlarmState, next_
 from daq_service.cli.offline.twin_line import simulate_assessed_sets
 from daq_service.settings.file import load_settings
 from hardware_drivers.measurement import SetKey
-from simulator.experiment.processes import draw_unit_student_t
+from simulator.experiment.processes import draw_unit_t
 from simulator.experiment.scatter import draw_room_temperature
 from simulator.experiment.seating import Climate, draw_climate, draw_seat_of_set
 from simulator.numerics.arrays import FloatArray
@@ -185,9 +185,7 @@ def sets_of(case: Case, level: str, model: str, seed: int) -> tuple[FloatArray, 
     effects = np.array([seat.shot_effect for seat in seats])
     struck = []
     for _ in range(2):
-        shots = draw_unit_student_t(random, NUISANCE[level].tail_dof, (sets, SHOTS, effects.shape[2])).mean(
-            axis=1
-        )
+        shots = draw_unit_t(random, NUISANCE[level].tail_dof, (sets, SHOTS, effects.shape[2])).mean(axis=1)
         own = place + (effects @ shots[:, :, None])[:, :, 0]
         own[:, 2 * n] += scatter.set_drop_height_sd_fraction * random.standard_normal(sets)
         of_shots = scatter.shot_drop_height_sd_fraction / math.sqrt(SHOTS)
@@ -203,7 +201,7 @@ def diagnose_run(
 ) -> dict[str, Any]:
     """Diagnose one run with the last sets before `BASELINE`; depths are None where it was never WALL."""
     logs, confirmation_logs, depths = sets_of(case, level, model, seed)
-    design = compute_diagnosis_parameters(logs[BASELINE - baseline_sets : BASELINE], BASELINE - baseline_sets)
+    design = diagnosis_parameters(logs[BASELINE - baseline_sets : BASELINE], BASELINE - baseline_sets)
     raw = np.exp(logs[:, :5])
     baseline = fit_baseline(raw[BASELINE - baseline_sets : BASELINE], range(baseline_sets), name="b")
     limit = f_predictive_limit(baseline.n, baseline.p, NOMINAL_RATE)

@@ -19,13 +19,13 @@ from analysis.ultrasound.thickness import (
     EchoReference,
     TravelTime,
     compute_thickness,
-    compute_thickness_interval,
     find_reference_echo,
-    measure_travel_time,
+    thickness_interval,
+    travel_time,
 )
 from hardware_drivers.measurement import ShotKey, Waveform
 from simulator.echo.far_wall import draw_gaussian_field, draw_rough_spot
-from simulator.echo.pulse import compute_bubble_volts, compute_echo_volts, echo_calibration
+from simulator.echo.pulse import bubble_volts, echo_calibration, echo_volts
 from simulator.echo.records import ProbedWall, draw_disturbance, make_probed_wall, simulate_averaged_record
 from simulator.electronics.transduction import quantise_volts
 from simulator.parameters.echo import EchoParameters
@@ -94,7 +94,7 @@ def record_wall(wall: ProbedWall, echo: EchoParameters, seed: int) -> Waveform:
 def sound_wall(echo: EchoParameters) -> EchoReference:
     """Return the reference without noise, so that one draw of it does not shift every reading."""
     return find_reference_echo(
-        waveform_of(compute_echo_volts(PRISTINE_M, echo), echo),
+        waveform_of(echo_volts(PRISTINE_M, echo), echo),
         delay_s=echo.delay_s,
         initial_thickness_m=PRISTINE_M,
     )
@@ -113,11 +113,11 @@ def readings(
     for seed in range(first_seed, first_seed + walls):
         spot = draw_rough_spot(echo, seed=seed, position="A")
         wall = make_probed_wall(PRISTINE_M, 1.0 - thickness_m / PRISTINE_M, spot, 0.0)
-        found = measure_travel_time(record_wall(wall, echo, seed), reference)
+        found = travel_time(record_wall(wall, echo, seed), reference)
         read = compute_thickness(
             found.travel_time_s, reference.travel_time_s, echo.delay_s, PRISTINE_M, known_separation_m
         )
-        interval = compute_thickness_interval(found, reference, PRISTINE_M, known_separation_m)
+        interval = thickness_interval(found, reference, PRISTINE_M, known_separation_m)
         yield Reading(
             true_m=wall.thickness_m,
             roughness_rms_m=0.0 if wall.facets is None else wall.facets.rms_m,
@@ -131,7 +131,7 @@ def readings(
 def pick_bound_m(echo: EchoParameters, thickness_m: float) -> float:
     """Return the Cramer-Rao bound of the thickness: a pulse of known shape in the mean's white noise."""
     alone = replace(echo, multiple_ratio=0.0, front_wall_v=0.0)
-    slope = np.gradient(compute_echo_volts(thickness_m, alone)) * echo.sample_rate_hz
+    slope = np.gradient(echo_volts(thickness_m, alone)) * echo.sample_rate_hz
     noise_v = echo.noise_rms_v / math.sqrt(echo.averages)
     return 0.5 * echo.velocity_m_per_s * noise_v / math.sqrt(float(slope @ slope))
 
@@ -157,7 +157,7 @@ def print_path() -> None:
     echo = replace(DEFAULT, roughness_fraction=0.0)
     reference = sound_wall(echo)
     for mm in THICKNESSES_MM:
-        found = measure_travel_time(waveform_of(compute_echo_volts(mm * 1e-3, echo), echo), reference)
+        found = travel_time(waveform_of(echo_volts(mm * 1e-3, echo), echo), reference)
         times = (found.travel_time_s, reference.travel_time_s, echo.delay_s, PRISTINE_M)
         plain, known = compute_thickness(*times), compute_thickness(*times, echo.element_separation_m)
         print(f"| {mm:g} mm | {1e3 * plain.thickness_m:.3f} mm | {1e3 * known.thickness_m:.3f} mm |")
@@ -229,9 +229,9 @@ def print_demo() -> None:
     print(f"\nThe default experiment's own wall, seed {twin.seed}")
     for hour_h in (100.0, 200.0, 300.0, 350.0):
         echo = specimen.echo(ShotKey(position="A", set_index=round(hour_h), shot_index=0), hour_h)
-        found = measure_travel_time(echo.waveform, reference)
+        found = travel_time(echo.waveform, reference)
         read = compute_thickness(found.travel_time_s, reference.travel_time_s, twin.echo.delay_s, PRISTINE_M)
-        interval = compute_thickness_interval(found, reference, PRISTINE_M)
+        interval = thickness_interval(found, reference, PRISTINE_M)
         print(
             f"  hour {hour_h:g}: wall {1e3 * echo.truth['thickness_m']:.2f} mm (rms "
             f"{1e3 * echo.truth['roughness_rms_m']:.2f}), read {1e3 * read.thickness_m:.2f} mm in "
@@ -240,8 +240,8 @@ def print_demo() -> None:
 
 
 def print_bubbles() -> None:
-    records = compute_bubble_volts(CORE_M, DEFAULT, np.random.default_rng(0), 400)
-    echo_v = float(np.abs(compute_echo_volts(CORE_M, SMOOTH)).max())
+    records = bubble_volts(CORE_M, DEFAULT, np.random.default_rng(0), 400)
+    echo_v = float(np.abs(echo_volts(CORE_M, SMOOTH)).max())
     print(
         f"\nBubbles: RMS {records.std() / echo_v:.1e}, highest crest {np.abs(records).max() / echo_v:.1e} of "
         f"a smooth wall's echo; {DEFAULT.bubbles_per_beam:g} of {1e3 * DEFAULT.bubble_radius_m:g} mm a record"

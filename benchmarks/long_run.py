@@ -29,7 +29,7 @@ from daq_service.recording.session import record_test
 from daq_service.settings.tree import Settings
 from hardware_drivers.instruments import Acquired, Clock, Echo, Rig
 from hardware_drivers.measurement import Calibration, ShotKey, Waveform
-from simulator.echo.pulse import compute_echo_volts, echo_calibration
+from simulator.echo.pulse import echo_calibration, echo_volts
 
 EVERY_SETS = 25
 POOL = 97
@@ -61,7 +61,7 @@ class PooledInstruments:
         ]
         receiver = echo_calibration(echo)
         self._echo = Waveform(
-            counts=np.rint(compute_echo_volts(6.35e-3, echo) / receiver.coefficients_v[1]).astype(np.int16),
+            counts=np.rint(echo_volts(6.35e-3, echo) / receiver.coefficients_v[1]).astype(np.int16),
             sample_rate_hz=echo.sample_rate_hz,
             pretrigger_samples=0,
             calibration=receiver,

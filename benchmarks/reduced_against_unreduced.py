@@ -31,7 +31,7 @@ from numpy.typing import NDArray
 from scipy import linalg, sparse
 
 from simulator.chain.spheres import Chain, build_chain
-from simulator.numerics.machine_code import compile_with_numba
+from simulator.numerics.machine_code import jit_compile
 from simulator.parameters.chain import ChainParameters
 from simulator.parameters.plate import CorrosionParameters, PlateParameters
 from simulator.plate.mindlin.plate import AffinePlate, build_plate
@@ -67,7 +67,7 @@ class Comparison:
         return self.unreduced_s / self.reduced_s
 
 
-@compile_with_numba(nogil=True)
+@jit_compile(nogil=True)
 def advance_chain(
     mass: FloatArray,
     stiffness: FloatArray,

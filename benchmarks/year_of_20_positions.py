@@ -69,7 +69,7 @@ from daq_service.web.tables.choice import TABLES
 from hardware_drivers.instruments import Rig
 from hardware_drivers.measurement import Calibration, DueSet, PulseEchoRecord, Shot, ShotKey, Stamp, Waveform
 from simulator.clock import SimulatedClock
-from simulator.echo.pulse import compute_echo_volts, echo_calibration
+from simulator.echo.pulse import echo_calibration, echo_volts
 
 SETS = 17_500
 SETS_A_COMMIT = 25
@@ -296,9 +296,7 @@ def records_of(settings: Settings, due: DueSet, first: int) -> SetRecord:
             }
             if place.method == "pulse_echo":
                 calibration = echo_calibration(echo)
-                counts = np.rint(compute_echo_volts(6.35e-3, echo) / calibration.coefficients_v[1]).astype(
-                    np.int16
-                )
+                counts = np.rint(echo_volts(6.35e-3, echo) / calibration.coefficients_v[1]).astype(np.int16)
                 wave = Waveform(
                     counts=counts, sample_rate_hz=echo.sample_rate_hz, pretrigger_samples=0,
                     calibration=calibration,

@@ -26,7 +26,7 @@ from simulator.echo.records import (
 )
 from simulator.electronics.transduction import make_adc_calibration, quantise_volts, simulate_triggered_record
 from simulator.errors import SpecimenError
-from simulator.experiment.corrosion import Wall, WallHistory, draw_wall_history, round_down_to_update_h
+from simulator.experiment.corrosion import Wall, WallHistory, draw_wall_history, held_hour_h
 from simulator.experiment.environmental_variability import (
     ShotNuisance,
     TransducerNuisance,
@@ -45,7 +45,7 @@ from simulator.experiment.faults import (
 from simulator.experiment.scatter import Strike, Temperature, draw_room_temperature, draw_scattered_strike
 from simulator.experiment.seating import Climate, draw_climate, list_liquid_factors
 from simulator.numerics.arrays import FloatArray
-from simulator.numerics.keyed_random import Purpose, create_keyed_generator
+from simulator.numerics.keyed_random import Purpose, keyed_generator
 from simulator.parameters.chain import ChainParameters
 from simulator.parameters.experiment import ThinningParameters, TwinParameters
 from simulator.shot.model import Impact, ShotForce, ShotModel
@@ -148,7 +148,7 @@ class Specimen:
 
         It advances in steps of `TwinParameters.update_interval_s`.
         """
-        return round_down_to_update_h(elapsed_ns, self.twin.update_interval_s)
+        return held_hour_h(elapsed_ns, self.twin.update_interval_s)
 
     def faults(self, key: ShotKey, hour_h: float) -> ShotFaults:
         """Draw the faults of one strike, its chain and its gain; hum and spikes come with the record."""
@@ -250,13 +250,11 @@ class Specimen:
             if isinstance(model, ShotModel):
                 found = _integrate_blows(model, of_chain)
             else:
-                found = [self._compute_force_alone(model, blow) for blow in of_chain]
+                found = [self._force_alone(model, blow) for blow in of_chain]
             forces.update(zip(numbers, found, strict=True))
         return (forces[number] for number in range(len(blows)))
 
-    def _compute_force_alone(
-        self, model: SolitaryWaveModel, blow: _DrawnStrike
-    ) -> tuple[ShotForce, ShotForce]:
+    def _force_alone(self, model: SolitaryWaveModel, blow: _DrawnStrike) -> tuple[ShotForce, ShotForce]:
         """Simulate the force of one shot of a model without batches, also without variability.
 
         Raise SpecimenError for a second impact or variability, which such a model does not have.
@@ -292,9 +290,9 @@ class Specimen:
             adc=adc,
             calibration=self.adc_calibration,
             # The sample clock runs free: where it stands when the wave comes is anybody's guess.
-            sampling_phase=float(create_keyed_generator(seed, Purpose.SAMPLING_PHASE, key=key).random()),
+            sampling_phase=float(keyed_generator(seed, Purpose.SAMPLING_PHASE, key=key).random()),
             noise=noise,
-            random=create_keyed_generator(seed, Purpose.NOISE, key=key),
+            random=keyed_generator(seed, Purpose.NOISE, key=key),
             interference=interference,
             stray=self._stray_volts(blow.nuisance),
         )

@@ -9,7 +9,7 @@ import numpy as np
 
 from analysis.diagnosis.diagnose import Diagnosis, diagnose_latest_set, update_state
 from analysis.diagnosis.hypotheses import COUPLING, ENVIRONMENT, OK, SENSOR, WALL
-from analysis.diagnosis.parameters import DiagnosisParameters, compute_diagnosis_parameters, log_features
+from analysis.diagnosis.parameters import DiagnosisParameters, diagnosis_parameters, log_features
 from analysis.diagnosis.slopes import COMPONENTS
 from analysis.diagnosis.state import DiagnosisState, with_confirmation, with_set
 from analysis.errors import SingularCovarianceError
@@ -75,7 +75,7 @@ def fit_diagnosis_parameters(healthy: Sequence[tuple[int, Values]]) -> Diagnosis
     for index, components in logs:
         history[index - first] = components
     try:
-        return compute_diagnosis_parameters(history, first)
+        return diagnosis_parameters(history, first)
     except SingularCovarianceError:
         return None
 

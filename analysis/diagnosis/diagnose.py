@@ -24,7 +24,7 @@ from analysis.diagnosis.state import (
     SETTLING,
     DiagnosisState,
     after_reseat,
-    compute_average_weights,
+    average_weights,
 )
 from analysis.waves.record_reduction import FloatArray
 
@@ -147,8 +147,8 @@ def _compute_posterior(
     seen, course = noise_whitening @ seen @ design.whitening, course @ noise_whitening.T
     length = np.sqrt((course**2).sum(axis=1))
     along = (course / length[:, None]) @ seen
-    steps = _compute_log_densities(design, design.abrupt, along[: len(STEPS)], length[: len(STEPS)])
-    growths = _compute_log_densities(design, slice(None), along[len(STEPS) :], length[len(STEPS) :])
+    steps = _log_densities(design, design.abrupt, along[: len(STEPS)], length[: len(STEPS)])
+    growths = _log_densities(design, slice(None), along[len(STEPS) :], length[len(STEPS) :])
     log = np.full(design.weights.shape, -np.inf)
     log[design.abrupt, : len(STEPS)], log[:, len(STEPS) :] = steps, growths
     beforehand = design.weights.copy()
@@ -161,7 +161,7 @@ def _compute_posterior(
     return by_cause, float(share[:, : len(STEPS)].sum())
 
 
-def _compute_log_densities(
+def _log_densities(
     design: DiagnosisParameters,
     hypothesis_indices: NDArray[np.intp] | slice,
     along: FloatArray,
@@ -199,7 +199,7 @@ def _courses_of_change(n: int, gap: int, gap_ago: int, confirmation_ago: int | N
     longest = n + gap  # none began in the baseline
     grown = np.maximum(1.0 - planned_ago / np.minimum(GROWTHS, longest)[:, None], 0.0)
     course = np.vstack([steps, *(grown**power for power in POWERS)])
-    return np.asarray(course @ compute_average_weights(n, confirmation_ago).T)
+    return np.asarray(course @ average_weights(n, confirmation_ago).T)
 
 
 def _collect_observations(

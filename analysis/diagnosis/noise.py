@@ -12,7 +12,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.diagnosis.state import compute_average_weights, compute_covariance_of_averages
+from analysis.diagnosis.state import average_weights, covariance_of_averages
 from analysis.waves.record_reduction import FloatArray
 
 MEMORIES_SETS = (0.0, 1.5, 5.0, 15.0, 50.0, 150.0, 500.0)
@@ -61,7 +61,7 @@ def estimate_variances(whitened: FloatArray, indices: NDArray[np.intp]) -> Float
     return np.asarray(found)
 
 
-def compute_end_averages(changes: FloatArray) -> FloatArray:
+def end_averages(changes: FloatArray) -> FloatArray:
     """Average a baseline's deviations, shape (n, 7), exponentially up to its end; shape (2, 7).
 
     The deviations are those from the baseline's mean.
@@ -107,14 +107,14 @@ def compute_covariances(n: int, since: int, confirmation_ago: int | None, refere
         Sets whose mean the differences are from.
     """
     sums, before, reach = _reference_observations(reference)
-    after = compute_average_weights(n, confirmation_ago)
+    after = average_weights(n, confirmation_ago)
     k, r = len(sums), len(after)
     # A difference is an average less the mean of reference, as often as its weights sum to.
     from_mean = np.eye(k + r)[1:]
     from_mean[:, 0] = -np.concatenate([sums[1:], after.sum(axis=1)])
     together = np.zeros((len(PHI), k + r, k + r))
     for part, phi in zip(together, PHI.tolist(), strict=True):
-        part[k:, k:] = compute_covariance_of_averages(n, phi, confirmation_ago)
+        part[k:, k:] = covariance_of_averages(n, phi, confirmation_ago)
     together[:, :k, :k] = before
     together[:, :k, k:] = reach[:, :, None] * (PHI[:, None] ** (since - np.arange(n)) @ after.T)[:, None]
     together[:, k:, :k] = together[:, :k, k:].transpose(0, 2, 1)

@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from analysis.diagnosis.hypotheses import PRIOR, Hypothesis, make_hypotheses
-from analysis.diagnosis.noise import compute_end_averages, estimate_variances
+from analysis.diagnosis.noise import end_averages, estimate_variances
 from analysis.diagnosis.slopes import COMPONENTS
 from analysis.errors import InvalidInputError, SingularCovarianceError
-from analysis.statistics.baseline import compute_whitening_matrix
+from analysis.statistics.baseline import whitening_matrix
 from analysis.waves.record_reduction import FloatArray
 
 STEPS = np.unique(np.round(np.geomspace(1.0, 250.0, 100)))
@@ -79,7 +79,7 @@ def log_features(values: Mapping[str, float | None]) -> FloatArray | None:
     return np.log(known) if len(known) == len(found) else None
 
 
-def compute_diagnosis_parameters(history: ArrayLike, first_index: int = 0) -> DiagnosisParameters:
+def diagnosis_parameters(history: ArrayLike, first_index: int = 0) -> DiagnosisParameters:
     """Compute the diagnosis parameters from the logarithms of the baseline's features.
 
     Parameters
@@ -106,7 +106,7 @@ def compute_diagnosis_parameters(history: ArrayLike, first_index: int = 0) -> Di
     sd = np.sqrt(np.diag(covariance))
     if not sd.all():
         raise SingularCovarianceError(f"{COMPONENTS[int(sd.argmin())]} is constant in all {n} baseline sets")
-    whitening = compute_whitening_matrix(covariance / np.outer(sd, sd)) / sd[:, None]
+    whitening = whitening_matrix(covariance / np.outer(sd, sd)) / sd[:, None]
     known = make_hypotheses(covariance)
     in_white = [whitening.T @ one.covariance @ whitening for one in known]
     variances, directions = np.linalg.eigh(np.array(in_white))
@@ -116,7 +116,7 @@ def compute_diagnosis_parameters(history: ArrayLike, first_index: int = 0) -> Di
         n=n,
         last_index=first_index + int(indices[-1]),
         variances_in_time=estimate_variances((complete - mean) @ whitening, indices),
-        ends=compute_end_averages(complete - mean),
+        ends=end_averages(complete - mean),
         rows={cause: [k for k, one in enumerate(known) if one.cause == cause] for cause in PRIOR},
         weights=np.array([_prior_weights(one) for one in known]),
         abrupt=np.flatnonzero([one.abrupt > 0.0 for one in known]),

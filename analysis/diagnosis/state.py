@@ -131,7 +131,7 @@ def after_reseat(memory: DiagnosisState, moved: tuple[float, ...]) -> DiagnosisS
     return DiagnosisState(wall=memory.wall, index=memory.index, moved=moved)
 
 
-def compute_average_weights(n: int, confirmation_ago: int | None = None) -> FloatArray:
+def average_weights(n: int, confirmation_ago: int | None = None) -> FloatArray:
     """Return the weights of the last n sets in the averages, the newest first; shape (3 or 4, n).
 
     Parameters
@@ -146,7 +146,7 @@ def compute_average_weights(n: int, confirmation_ago: int | None = None) -> Floa
     return np.array(rows)
 
 
-def compute_covariance_of_averages(n: int, phi: float, confirmation_ago: int | None) -> FloatArray:
+def covariance_of_averages(n: int, phi: float, confirmation_ago: int | None) -> FloatArray:
     """Return the covariance of averages (and confirmation) over n sets of an autoregression of variance 1."""
     # Of two averages: of sets k ago with themselves, and with the m-th before, in either order.
     ago, rates = np.arange(n), np.array(RATES)
@@ -157,5 +157,5 @@ def compute_covariance_of_averages(n: int, phi: float, confirmation_ago: int | N
     if confirmation_ago is None:
         return np.asarray(covariance)
     # Struck right after its planned set, it is no copy of it: it has an innovation of its own.
-    shared = compute_average_weights(n) @ phi ** np.maximum(np.abs(np.arange(n) - confirmation_ago), 1)
+    shared = average_weights(n) @ phi ** np.maximum(np.abs(np.arange(n) - confirmation_ago), 1)
     return np.block([[covariance, shared[:, None]], [shared[None], np.ones((1, 1))]])

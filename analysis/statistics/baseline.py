@@ -73,7 +73,7 @@ class Baseline:
         sd = np.sqrt(np.diag(self.covariance))
         object.__setattr__(self, "sd", _read_only_copy(sd))
         object.__setattr__(self, "correlation", _read_only_copy(self.covariance / np.outer(sd, sd)))
-        object.__setattr__(self, "whitening", _read_only_copy(compute_whitening_matrix(self.correlation)))
+        object.__setattr__(self, "whitening", _read_only_copy(whitening_matrix(self.correlation)))
 
     @property
     def n(self) -> int:
@@ -93,7 +93,7 @@ def _read_only_copy(values: FloatArray) -> FloatArray:
     return copy
 
 
-def compute_whitening_matrix(correlation: FloatArray, feature_names: Sequence[str] = ()) -> FloatArray:
+def whitening_matrix(correlation: FloatArray, feature_names: Sequence[str] = ()) -> FloatArray:
     """Return the symmetric inverse root C^(-1/2) of a correlation matrix, shape (p, p).
 
     Parameters
@@ -169,7 +169,7 @@ def fit_baseline(
             f"{', '.join(constant)} constant in all {n} baseline sets, so no distance exists: "
             "switch the scatter on, or check that the sensor is connected"
         )
-    whitened = ((x - mean) / sd) @ compute_whitening_matrix(covariance / np.outer(sd, sd), feature_names)
+    whitened = ((x - mean) / sd) @ whitening_matrix(covariance / np.outer(sd, sd), feature_names)
     distances = (whitened**2).sum(axis=1)
     limit = phase_one_limit(n, p)
     suspects = tuple(int(i) for i, d in zip(set_indices, distances, strict=True) if d > limit)

@@ -70,7 +70,7 @@ def find_anomalies(vectors: ArrayLike) -> tuple[Anomaly, ...]:
         if group.size:
             found.append(Anomaly(kind="group", rows=tuple(group.tolist())))
         found += [Anomaly(kind="outlier", rows=(row,)) for row in outside.tolist() if row not in group]
-    if compute_trend_probability(x[core], np.flatnonzero(core)) < TREND_RATE:
+    if trend_probability(x[core], np.flatnonzero(core)) < TREND_RATE:
         found.append(Anomaly(kind="trend", rows=tuple(range(len(x)))))
     return tuple(found)
 
@@ -147,7 +147,7 @@ def _find_group(whitened: FloatArray, outside: np.ndarray, fewest: int) -> np.nd
     return outside[near] if near.sum() >= fewest else outside[:0]
 
 
-def compute_trend_probability(x: FloatArray, rows: ArrayLike) -> float:
+def trend_probability(x: FloatArray, rows: ArrayLike) -> float:
     """Return the chance of such a trend over the rows without one, by Hotelling's test of the slopes.
 
     Memory lets healthy sets wander: the slopes' variance is (1 + phi)/(1 - phi) times that of independent

@@ -15,7 +15,7 @@ import numpy as np
 import scipy  # `scipy.special` comes when asked for
 from numpy.typing import ArrayLike
 
-from analysis.statistics.baseline_check import compute_trend_probability
+from analysis.statistics.baseline_check import trend_probability
 from analysis.statistics.directions import Directions, directions_of
 from analysis.statistics.limits import f_predictive_limit
 from analysis.statistics.memory import LARGEST_PHI, innovation, prewhitened
@@ -171,7 +171,7 @@ def unverified_rate_reason(baseline: ArrayLike) -> str:
     n = int(complete.sum())
     if n < ENOUGH_SETS:
         return f"{n} sets cannot show slow memory; {ENOUGH_SETS} and more can: extend the baseline"
-    if compute_trend_probability(x[complete], np.flatnonzero(complete)) < SLOW_RATE:
+    if trend_probability(x[complete], np.flatnonzero(complete)) < SLOW_RATE:
         return "the baseline has a trend: find its cause, or record another"
     if slow_drift_probability(_prewhitened_by_last_set(x)[complete]) < SLOW_RATE:
         return "the baseline wanders more slowly than its memory from set to set explains: find the cause"

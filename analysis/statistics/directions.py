@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from analysis.statistics.baseline import compute_whitening_matrix
+from analysis.statistics.baseline import whitening_matrix
 from analysis.statistics.memory import LARGEST_PHI, SIGNIFICANT
 from analysis.statistics.mewma import WEIGHT
 from analysis.waves.record_reduction import FloatArray
@@ -60,7 +60,7 @@ def directions_of(vectors: ArrayLike) -> Directions:
     z = x - x[complete].mean(axis=0)
     sd = z[complete].std(axis=0)
     correlation = np.atleast_2d(np.corrcoef(z[complete], rowvar=False))
-    whitening = compute_whitening_matrix(correlation) / sd[:, None]
+    whitening = whitening_matrix(correlation) / sd[:, None]
     lags = max(1, min(MOST_LAGS, n // SETS_PER_LAG))
     found = _autocorrelations(np.where(complete[:, None], z @ whitening, 0.0), complete, lags)
     r, turn = np.linalg.eigh(found[0])

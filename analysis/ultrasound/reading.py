@@ -9,8 +9,8 @@ from typing import Literal
 from analysis.ultrasound.thickness import (
     EchoReference,
     compute_thickness,
-    compute_thickness_interval,
-    measure_travel_time,
+    thickness_interval,
+    travel_time,
 )
 from hardware_drivers.measurement import Waveform
 
@@ -55,11 +55,11 @@ def read_echo(
     AnalysisError
         It has no echo, or cannot be compared with the reference.
     """
-    travel = measure_travel_time(waveform, reference)
+    travel = travel_time(waveform, reference)
     wall = compute_thickness(
         travel.travel_time_s, reference.travel_time_s, delay_s, initial_thickness_m, element_separation_m
     )
-    interval = compute_thickness_interval(travel, reference, initial_thickness_m, element_separation_m)
+    interval = thickness_interval(travel, reference, initial_thickness_m, element_separation_m)
     return EchoReading(
         quality=travel.quality,
         reason=travel.reason,

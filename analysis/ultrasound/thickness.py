@@ -244,7 +244,7 @@ def substitute_reference(
     )
 
 
-def measure_travel_time(waveform: Waveform, reference: EchoReference) -> TravelTime:
+def travel_time(waveform: Waveform, reference: EchoReference) -> TravelTime:
     """Return the travel time of the first back-wall echo, by correlation with the reference echo.
 
     The complex correlation with the reference's analytic signal gives envelope and carrier in one. The
@@ -354,7 +354,7 @@ def compute_thickness(
     return Thickness(thickness_m=initial_thickness_m - loss, thickness_loss_m=loss)
 
 
-def compute_thickness_interval(
+def thickness_interval(
     found: TravelTime,
     reference: EchoReference,
     initial_thickness_m: float,

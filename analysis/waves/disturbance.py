@@ -105,7 +105,7 @@ def is_cut(record: ReducedRecord, time_s: float, fwhm_s: float, rate_hz: float) 
     return bool(highest[-1] - highest[0] > max(LONGEST_TOP, by_code) * fwhm_s * rate_hz)
 
 
-def measure_deepest_pull(
+def deepest_pull(
     record: ReducedRecord, isw_v: float, psw_time_s: float | None, noise_v: float
 ) -> tuple[float, bool]:
     """Measure how far the record falls below its quiet level, and whether no push explains it.
@@ -177,12 +177,10 @@ def has_drift(
     quiet = record.blocks_v[: foot - foot % width]
     steps = quiet.reshape(-1, width).sum(axis=1) / width
     limit = max(least_fraction * isw.amplitude_v, 6.0 * noise_v / math.sqrt(width))
-    return bool(
-        _measure_end_level(record, psw) > limit or (steps.size > 0 and steps.max() - steps.min() > limit)
-    )
+    return bool(_end_level(record, psw) > limit or (steps.size > 0 and steps.max() - steps.min() > limit))
 
 
-def _measure_end_level(record: ReducedRecord, psw: Pulse | None) -> float:
+def _end_level(record: ReducedRecord, psw: Pulse | None) -> float:
     """Return the offset of the record's end from the quiet level in V, by a line through short means.
 
     A third wave that passes there leaves some of them on the level.

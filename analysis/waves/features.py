@@ -31,12 +31,12 @@ import numpy as np
 
 from analysis.errors import InvalidInputError, RecordError
 from analysis.waves.disturbance import (
+    deepest_pull,
     find_noise_free_flags,
     has_drift,
     has_edge,
     is_cut,
     is_flat_topped,
-    measure_deepest_pull,
 )
 from analysis.waves.noise_colour import strongest_block_noise_v
 from analysis.waves.outline import Outline, sample_outline
@@ -52,7 +52,7 @@ from analysis.waves.record_reduction import (
     mean_weights,
     reduce_records,
 )
-from analysis.waves.uncertainty import compute_standard_deviations
+from analysis.waves.uncertainty import standard_deviations
 from hardware_drivers.measurement import Waveform
 
 Quality = Literal["good", "suspect", "bad"]
@@ -337,7 +337,7 @@ def _extract_alike(
             noise_rms_v=record.noise_rms_v,
             pull_fraction=pull,
             outline=_sample_outline(record, found),
-            sd=compute_standard_deviations(record, found, values, settings) if with_sd else {},
+            sd=standard_deviations(record, found, values, settings) if with_sd else {},
         )
         for one, record, found, (flags, pull), values in zip(
             given, records, pulses, flagged, measured, strict=True
@@ -400,7 +400,7 @@ def _has_moved(
     ``noise_v`` is the standard deviation of a block mean.
     """
     psw_time_s = None if pulses.psw is None else pulses.psw.time_s
-    pull, pulled = measure_deepest_pull(record, isw.amplitude_v, psw_time_s, noise_v)
+    pull, pulled = deepest_pull(record, isw.amplitude_v, psw_time_s, noise_v)
     seen = {
         DISTURBED: pulled or has_edge(record, isw.amplitude_v, settings.isw_fwhm_s, noise_v),
         "clipped": is_flat_topped(record, isw.matched_time_s, isw.fwhm_s, noise_v),

@@ -150,9 +150,7 @@ def propose_settings(struck: Mapping[str, StruckTransducer], *, pulse_s: float, 
                 troubles.setdefault(name, "noise")
             elif not FITTING_LEVEL[0] <= above_v[name] / wave_v <= FITTING_LEVEL[1]:
                 troubles.setdefault(name, "level")
-        rises_s = [
-            _measure_rise_s(struck[name], earliest_s, above_v[name], noises_v[name], sign) for name in waves_v
-        ]
+        rises_s = [_rise_s(struck[name], earliest_s, above_v[name], noises_v[name], sign) for name in waves_v]
         pretrigger_s = max(SHORTEST_PRETRIGGER_S, math.ceil((max(rises_s) + QUIET_S) * 1e5) / 1e5)
         found = surveys(pretrigger_s, above_v)
         holdoff_s, ringing_s, loudest = _choose_holdoff(found, fall_s)
@@ -229,9 +227,7 @@ def _choose_trigger_level(
     return float(f"{offset_v + sign * above_v:.2g}") if above_v <= FITTING_LEVEL[1] * smallest_v else None
 
 
-def _measure_rise_s(
-    one: StruckTransducer, earliest_s: float, above_v: float, noise_v: float, sign: float
-) -> float:
+def _rise_s(one: StruckTransducer, earliest_s: float, above_v: float, noise_v: float, sign: float) -> float:
     """Return the time in s from the wave's first deviation until it reaches the level."""
     rate_hz = one.strike.sample_rate_hz
     volts = sign * (one.strike.volts()[round(earliest_s * rate_hz) :] - median(one.noise.volts()))

@@ -19,7 +19,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from analysis.waves.record_reduction import FloatArray, ReducedRecord, estimate_fine_noise, median
+from analysis.waves.record_reduction import FloatArray, ReducedRecord, fine_noise, median
 
 SLOW_HZ = (20e3, 100e3)
 """Band that means over some 10 us take in; a knock or hum, slower, is no noise."""
@@ -68,7 +68,7 @@ class NoiseColour:
     rms_sd: float
 
 
-def estimate_noise_colour(record: ReducedRecord, isw_time_s: float, isw_fwhm_s: float) -> NoiseColour:
+def noise_colour(record: ReducedRecord, isw_time_s: float, isw_fwhm_s: float) -> NoiseColour:
     """Estimate the colour of a record's noise from the quiet part before the incident wave.
 
     Parameters
@@ -76,7 +76,7 @@ def estimate_noise_colour(record: ReducedRecord, isw_time_s: float, isw_fwhm_s: 
     isw_time_s, isw_fwhm_s
         Of the incident wave, before which the record is quiet.
     """
-    fine2 = estimate_fine_noise(record.blocks_v) ** 2
+    fine2 = fine_noise(record.blocks_v) ** 2
     n = _count_quiet_blocks(record, isw_time_s, isw_fwhm_s)
     white2 = record.noise_rms_v**2
     if n < N_LEVEL + FEWEST_COEFFICIENTS:

@@ -160,7 +160,7 @@ def find_pulses(record: ReducedRecord, settings: ExtractionSettings) -> Pulses:
     return Pulses(isw=isw, psw=psw, ssw=ssw, double=double, psw_merged=merged, stray=stray)
 
 
-def measure_first_fwhm_s(samples_v: FloatArray, sample_rate_hz: float, pretrigger_samples: int) -> float:
+def first_fwhm_s(samples_v: FloatArray, sample_rate_hz: float, pretrigger_samples: int) -> float:
     """Measure the width of a record's highest pulse in s, before its settings are known.
 
     NaN where it has no flanks, or is no more than noise makes.
@@ -180,7 +180,7 @@ def measure_first_fwhm_s(samples_v: FloatArray, sample_rate_hz: float, pretrigge
     return _measure_width(flanks, peak, 0.5 * float(flanks[peak])) * block / sample_rate_hz
 
 
-def compute_search_windows_s(
+def search_windows_s(
     isw_time_s: float, psw_time_s: float | None, settings: ExtractionSettings
 ) -> dict[str, tuple[float, float]]:
     """Return the search windows: around the ISW, then those of PSW and SSW.

@@ -229,7 +229,7 @@ def column_medians(table: FloatArray) -> FloatArray:
     return np.asarray(ordered[upper] if len(table) % 2 else (ordered[upper - 1] + ordered[upper]) / 2.0)
 
 
-def matched_filter_kernel(width_blocks: float) -> FloatArray:
+def filter_kernel(width_blocks: float) -> FloatArray:
     """Return the matched filter's weights cos^4(pi t / W) / sum(cos^8), shape (2 k + 1,)."""
     half = math.ceil(width_blocks / 2) - 1
     weights: FloatArray = np.cos(np.pi * np.arange(-half, half + 1) / width_blocks) ** 4
@@ -239,14 +239,14 @@ def matched_filter_kernel(width_blocks: float) -> FloatArray:
 @lru_cache(maxsize=64)
 def kernel_noise_gain(width_blocks: float) -> float:
     """Return the SD of the matched filter's output for white noise of SD 1."""
-    weights = matched_filter_kernel(width_blocks)
+    weights = filter_kernel(width_blocks)
     return math.sqrt(float(weights @ weights))
 
 
 @lru_cache(maxsize=64)
-def _compute_kernel_spectrum(width_blocks: float, n_fft: int) -> NDArray[np.complex128]:
+def _kernel_spectrum(width_blocks: float, n_fft: int) -> NDArray[np.complex128]:
     """Return the spectrum of the matched filter's weights, centred on sample 0, read-only."""
-    weights = matched_filter_kernel(width_blocks)
+    weights = filter_kernel(width_blocks)
     half = weights.size // 2
     wrapped = np.zeros(n_fft)
     wrapped[np.arange(-half, half + 1)] = weights
@@ -277,11 +277,11 @@ def apply_matched_filter(blocks_v: FloatArray, width_blocks: float) -> FloatArra
         )
     n = blocks_v.shape[-1]
     n_fft = next_fast_length(n + math.ceil(width_blocks / 2))
-    filtered = irfft(rfft(blocks_v, n_fft) * _compute_kernel_spectrum(width_blocks, n_fft), n_fft)[..., :n]
+    filtered = irfft(rfft(blocks_v, n_fft) * _kernel_spectrum(width_blocks, n_fft), n_fft)[..., :n]
     return np.asarray(filtered, dtype=np.float64)
 
 
-def estimate_noise_rms(samples_v: FloatArray) -> float:
+def noise_rms(samples_v: FloatArray) -> float:
     """Estimate the white noise of one sample; blind to pulses, hum and offset.
 
     It is 1.4826 MAD(differences) / sqrt(2).
@@ -308,7 +308,7 @@ def estimate_noise_rms(samples_v: FloatArray) -> float:
     return MAD_TO_SD * (k + inside) * bin_v / math.sqrt(2.0)
 
 
-def estimate_fine_noise(blocks_v: FloatArray) -> float:
+def fine_noise(blocks_v: FloatArray) -> float:
     """Estimate the white noise of a block mean: 1.4826 MAD(third differences) / sqrt(20).
 
     No wave is left in them: a cos^4 pulse of 65 us leaves 5e-5 of its height at blocks of 1 us.
@@ -316,7 +316,7 @@ def estimate_fine_noise(blocks_v: FloatArray) -> float:
     return MAD_TO_SD * median(_absolute_third_differences(blocks_v)) / THIRD_DIFFERENCE
 
 
-def estimate_block_noise(blocks_v: FloatArray, white_v: float) -> float:
+def block_noise(blocks_v: FloatArray, white_v: float) -> float:
     """Estimate the noise of a block mean.
 
     From white noise, or `fine_noise` where that is significantly larger.
@@ -393,8 +393,8 @@ def reduce_records(given: Sequence[VoltRecord], settings: ExtractionSettings) ->
     smooth, matched = moving_means(blocks, smooth_blocks), apply_matched_filter(blocks, width)
     records = []
     for k, one in enumerate(given):
-        noise_v = estimate_noise_rms(one.samples_v)
-        block_noise_v = estimate_block_noise(blocks[k], noise_v / math.sqrt(block_samples))
+        noise_v = noise_rms(one.samples_v)
+        block_noise_v = block_noise(blocks[k], noise_v / math.sqrt(block_samples))
         records.append(
             ReducedRecord(
                 blocks_v=blocks[k],

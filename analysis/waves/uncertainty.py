@@ -20,13 +20,13 @@ from functools import lru_cache
 
 import numpy as np
 
-from analysis.waves.noise_colour import NoiseColour, estimate_noise_colour
+from analysis.waves.noise_colour import NoiseColour, noise_colour
 from analysis.waves.pulses import FLANK_SMOOTHING_S, Pulse, Pulses, quartic_design_matrix
 from analysis.waves.record_reduction import (
     ExtractionSettings,
     FloatArray,
     ReducedRecord,
-    matched_filter_kernel,
+    filter_kernel,
     nearest_odd,
 )
 
@@ -41,7 +41,7 @@ ENERGY, SLOPE_ENERGY, AREA = 0.751, 2.06, 1.030
 sech^2 1.88), itself."""
 
 
-def compute_standard_deviations(
+def standard_deviations(
     record: ReducedRecord, pulses: Pulses, values: dict[str, float], settings: ExtractionSettings
 ) -> dict[str, float]:
     """Propagate a record's noise to the standard deviation of each available feature.
@@ -52,9 +52,7 @@ def compute_standard_deviations(
         Features by name, without those that are not available.
     """
     isw, psw, ssw = pulses.isw, pulses.psw, pulses.ssw
-    noise = estimate_noise_colour(
-        record, *((math.nan, math.nan) if isw is None else (isw.time_s, isw.fwhm_s))
-    )
+    noise = noise_colour(record, *((math.nan, math.nan) if isw is None else (isw.time_s, isw.fwhm_s)))
     found = {"noise_rms_v": noise.rms_sd * record.noise_rms_v}
     if isw is None or "isw_time_s" not in values:
         return found
@@ -62,7 +60,7 @@ def compute_standard_deviations(
     times, heights = {}, {}
     for name, pulse in (("isw", isw), ("psw", psw), ("ssw", ssw)):
         if pulse is not None and pulse.regular:
-            times[name], heights[name] = _compute_quartic_variances(pulse, s2, record.step_s)
+            times[name], heights[name] = _quartic_variances(pulse, s2, record.step_s)
             if pulse.amplitude_v > STANDS_OUT * math.sqrt(heights[name]):
                 found[f"{name}_time_s"] = math.sqrt(times[name])
             found[f"{name}_amplitude_v"] = math.sqrt(heights[name] + level2)
@@ -75,8 +73,7 @@ def compute_standard_deviations(
         return found
     ratio, isw_v = psw.amplitude_v / isw.amplitude_v, isw.amplitude_v
     found["tof_mf_s"] = math.sqrt(
-        _compute_matched_time_variance(isw, record, settings, s2)
-        + _compute_matched_time_variance(psw, record, settings, s2)
+        _matched_time_variance(isw, record, settings, s2) + _matched_time_variance(psw, record, settings, s2)
     )
     if "isw" in heights and "psw" in heights:
         found["tof_pp_s"] = math.sqrt(times["isw"] + times["psw"])
@@ -98,7 +95,7 @@ def compute_standard_deviations(
     return found
 
 
-def _compute_quartic_variances(pulse: Pulse, s2: float, step_s: float) -> tuple[float, float]:
+def _quartic_variances(pulse: Pulse, s2: float, step_s: float) -> tuple[float, float]:
     """Return the variances of time (s^2) and height (V^2) of a pulse's quartic fit."""
     u, inverse = pulse.top_place, _inverse_normal_matrix(pulse.top_points)
     powers = np.array([1.0, u, u * u, u**3, u**4])
@@ -115,7 +112,7 @@ def _inverse_normal_matrix(n: int) -> FloatArray:
     return np.asarray(solver @ solver.T)
 
 
-def _compute_matched_time_variance(
+def _matched_time_variance(
     pulse: Pulse, record: ReducedRecord, settings: ExtractionSettings, s2: float
 ) -> float:
     """Return the variance of a matched-filter time in s^2; NaN where the filter has no maximum."""
@@ -128,7 +125,7 @@ def _compute_matched_time_variance(
 @lru_cache(maxsize=64)
 def _kernel_slope_energy(width_blocks: float) -> float:
     """Return the sum of squares of the matched filter's central differences."""
-    weights = np.pad(matched_filter_kernel(width_blocks), 2)
+    weights = np.pad(filter_kernel(width_blocks), 2)
     slopes = 0.5 * (weights[2:] - weights[:-2])
     return float(slopes @ slopes)
 

@@ -28,7 +28,7 @@ INCIDENT: Mapping[str, str] = _TEXTS["incident"]
 MOST_FEATURES = 3
 
 
-def build_evidence_sentences(
+def evidence_sentences(
     row: AlarmRow, baselines: Mapping[int, BaselineRow] = MappingProxyType({})
 ) -> list[str]:
     """Return the evidence of an alarm as sentences: values, limits, largest contributions, and time.

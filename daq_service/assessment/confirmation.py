@@ -11,7 +11,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from daq_service.assessment.stored_limits import collect_limits_by_name
+from daq_service.assessment.stored_limits import limits_by_name
 from daq_service.catalogue import Catalogue
 from daq_service.catalogue.rows import AssessmentRow, EventRow, SetRow
 from daq_service.settings.tree import ScheduleSettings
@@ -153,7 +153,7 @@ def summarize_confirmation(its_set: SetRow, assessment: AssessmentRow | None) ->
     }
     if assessment is None:
         return ConfirmationResult(**facts, reason=its_set.reason)
-    limit = collect_limits_by_name(assessment).get(assessment.limit_name)
+    limit = limits_by_name(assessment).get(assessment.limit_name)
     return ConfirmationResult(
         **facts, distance_squared=assessment.distance_squared, limit=limit, reason=assessment.reason
     )

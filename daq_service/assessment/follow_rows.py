@@ -18,7 +18,7 @@ from daq_service.catalogue.rows import AssessmentRow, ThicknessRow
 log = logging.getLogger(__name__)
 
 
-def update_from_stored_rows(assessor: Assessor, stored: StoredResult) -> Sequence[AssessmentRow]:
+def follow_rows(assessor: Assessor, stored: StoredResult) -> Sequence[AssessmentRow]:
     """Update the state with a set by its rows; return the assessments of a baseline that it completes."""
     if isinstance(assessor, SolitaryWaveAssessor):
         return _update_from_shots(assessor, stored)

@@ -7,7 +7,7 @@ from typing import Literal
 
 from daq_service.alarms.states import NOT_ASSESSED, find_disabled
 from daq_service.assessment.methods import METHODS
-from daq_service.assessment.stored_limits import collect_limits_by_name
+from daq_service.assessment.stored_limits import limits_by_name
 from daq_service.catalogue import Catalogue
 from daq_service.catalogue.reader import LatestRows
 from daq_service.processes.freshness import Freshness
@@ -82,7 +82,7 @@ def find_limit(last: LatestRows, thinnest_m: float) -> float | None:
     assessment = last.last_assessment
     if assessment is None:
         return None
-    return collect_limits_by_name(assessment).get(assessment.limit_name)
+    return limits_by_name(assessment).get(assessment.limit_name)
 
 
 def find_data_hour(last: LatestRows) -> float | None:

@@ -91,7 +91,7 @@ def _restore_assessor(assessor: A, configuration_hash: str, catalogue: Catalogue
 
 def follow_stored_sets(assessor: Assessor, catalogue: Catalogue, archive: SetReader) -> None:
     """Update the state of a new assessor with all stored sets in the order of their commits."""
-    from daq_service.assessment.follow_rows import update_from_stored_rows
+    from daq_service.assessment.follow_rows import follow_rows
 
     position = assessor.position
     results: dict[SetKey, FeatureRow | ThicknessRow] = {
@@ -107,7 +107,7 @@ def follow_stored_sets(assessor: Assessor, catalogue: Catalogue, archive: SetRea
         if row.set_key in enabled_at:
             assessor.enable()
         if is_assessed(row):
-            update_from_stored_rows(
+            follow_rows(
                 assessor,
                 StoredResult(
                     its_set=row,

@@ -9,7 +9,7 @@ from daq_service.catalogue.rows import AssessmentRow, BaselineRow
 from daq_service.settings.tree import AlarmSettings
 
 
-def collect_limits_by_name(row: BaselineRow | AssessmentRow) -> dict[str, float]:
+def limits_by_name(row: BaselineRow | AssessmentRow) -> dict[str, float]:
     """Return the limits of a row by name; rows of earlier versions have two, in columns."""
     if row.limits is not None:
         return dict(row.limits)
@@ -34,5 +34,5 @@ def find_chart(row: AssessmentRow | None, alarms: AlarmSettings) -> tuple[float,
         return None
     from analysis.statistics.named_limits import MEWMA
 
-    limit = collect_limits_by_name(row).get(MEWMA)
+    limit = limits_by_name(row).get(MEWMA)
     return None if limit is None else (row.mewma_statistic, limit)

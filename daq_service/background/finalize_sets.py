@@ -108,13 +108,13 @@ class SetFinalizer(BackgroundTask):
     def run_for(self, seconds: float = 0.0) -> None:
         """Process finished files and retry failed ones; called while no set is due."""
         for set_key in [key for key, future in self._running.items() if future.done()]:
-            self._process_worker_result(set_key, self._running.pop(set_key))
+            self._take_result(set_key, self._running.pop(set_key))
         now_s = self._machine.mono_s()
         for set_key in [key for key, due_s in self._again_s.items() if due_s <= now_s]:
             del self._again_s[set_key]
             self.after_set(set_key)
 
-    def _process_worker_result(self, set_key: SetKey, future: Future[tuple[SetReference, str, str]]) -> None:
+    def _take_result(self, set_key: SetKey, future: Future[tuple[SetReference, str, str]]) -> None:
         """Process the result of the worker that finalized a set; schedule a retry after a disk error."""
         try:
             file, sha256, message = future.result()

@@ -112,7 +112,7 @@ class TileMaker(BackgroundTask):
         if self._running is not None:
             if not self._running.done():
                 return
-            self._process_worker_result(self._running)
+            self._take_result(self._running)
             self._running = None
         free = seconds > QUIET_S and not self._finalizer.waits
         if free and self._has_room() and self._machine.mono_s() >= self._next_s:
@@ -138,7 +138,7 @@ class TileMaker(BackgroundTask):
                 add_files_to_tiles, self._folder, self._experiment, files_and_results
             )
 
-    def _process_worker_result(self, future: Future[str]) -> None:
+    def _take_result(self, future: Future[str]) -> None:
         """Process the result of the worker; log a new message."""
         try:
             message = future.result()

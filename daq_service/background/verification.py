@@ -92,7 +92,7 @@ class IdleVerification(BackgroundTask):
             file, is_noted, future = self._running
             if future.done():
                 self._running = None
-                self._process_worker_result(file, is_noted, future)
+                self._take_result(file, is_noted, future)
         elif seconds > QUIET_S and self._machine.mono_s() >= self._next_s:
             self._next_s = self._machine.mono_s() + EVERY_S
             if not self._to_come:
@@ -109,7 +109,7 @@ class IdleVerification(BackgroundTask):
                     self._running = file, sha256 is not None, future_or_none
                     del self._to_come[0]
 
-    def _process_worker_result(self, file: str, is_noted: bool, future: Future[tuple[str, str]]) -> None:
+    def _take_result(self, file: str, is_noted: bool, future: Future[tuple[str, str]]) -> None:
         """Process the result of a verified file."""
         try:
             fault, sha256 = future.result()

@@ -12,7 +12,7 @@ from daq_service.catalogue.earlier_names import to_current_row
 from daq_service.catalogue.errors import OtherExperimentError
 from daq_service.catalogue.rows import ExperimentRow
 from daq_service.catalogue.tables import events, experiment, features, thickness
-from daq_service.settings.stored import find_settings_differences
+from daq_service.settings.stored import settings_differences
 from daq_service.settings.tree import Settings
 from simulator.parameters.experiment import TWIN_VERSION
 
@@ -55,7 +55,7 @@ def refuse_other_experiment(
     """
     own_hash = settings.configuration_hash()
     if row.configuration_hash != own_hash:
-        lines = [*find_settings_differences(row.configuration, settings), *lines]
+        lines = [*settings_differences(row.configuration, settings), *lines]
     if lines:
         raise OtherExperimentError(
             f"{folder} belongs to the experiment {row.name!r} with configuration "

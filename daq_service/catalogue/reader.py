@@ -112,12 +112,12 @@ _CONDITIONS: Mapping[str, Callable[[sa.Table, Any], sa.ColumnElement[bool]]] = {
     "first_h": lambda table, hour: (
         table.c[_HOURS[table][1]] >= hour
         if table in _HOURS
-        else (table.c.due_h >= hour) & (table.c.set_index >= build_set_at_query(table, hour, "first"))
+        else (table.c.due_h >= hour) & (table.c.set_index >= query_set_at(table, hour, "first"))
     ),
     "last_h": lambda table, hour: (
         table.c[_HOURS[table][0]] <= hour
         if table in _HOURS
-        else (table.c.due_h <= hour) & (table.c.set_index <= build_set_at_query(table, hour, "last"))
+        else (table.c.due_h <= hour) & (table.c.set_index <= query_set_at(table, hour, "last"))
     ),
     "withdrawn": lambda table, withdrawn: (
         table.c.withdrawn_utc_ns.is_not(None) if withdrawn else table.c.withdrawn_utc_ns.is_(None)
@@ -148,7 +148,7 @@ def is_scheduled(table: sa.FromClause) -> sa.ColumnElement[bool]:
     return table.c.unscheduled_index == 0 if "unscheduled_index" in table.c else sa.true()
 
 
-def build_set_at_query(table: sa.Table, hour: float, which: Literal["first", "last"]) -> sa.ScalarSelect[int]:
+def query_set_at(table: sa.Table, hour: float, which: Literal["first", "last"]) -> sa.ScalarSelect[int]:
     """Return the query for the first set due at an hour or later, or the last one until then.
 
     Hours increase with the set index, so a range of hours is a range of sets and uses an index.

@@ -11,7 +11,7 @@ from sqlalchemy import Connection, delete, func, select
 
 from analysis.statistics.levels import level_widths, parts_of_range, sets_per_step
 from analysis.statistics.trend import PART, join_parts
-from daq_service.catalogue.reader import Catalogue, build_set_at_query
+from daq_service.catalogue.reader import Catalogue, query_set_at
 from daq_service.catalogue.rollups import (
     CHARTS,
     FITS,
@@ -93,9 +93,9 @@ def _find_range(connection: Connection, position: str, hours: tuple[float | None
     first: int | None = 0
     last: int | None = place.end - 1
     if hours[0] is not None:
-        first = connection.execute(select(build_set_at_query(sets, hours[0], "first"))).scalar()
+        first = connection.execute(select(query_set_at(sets, hours[0], "first"))).scalar()
     if hours[1] is not None:
-        last = connection.execute(select(build_set_at_query(sets, hours[1], "last"))).scalar()
+        last = connection.execute(select(query_set_at(sets, hours[1], "last"))).scalar()
     if first is None or last is None or first > last:
         return None
     return place, first, min(last + 1, place.end)

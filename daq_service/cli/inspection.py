@@ -74,12 +74,12 @@ def _print_baseline(settings: Settings, facts: dict[str, Any]) -> None:
 
 def _print_receivers(notifications: NotificationSettings) -> None:
     """Print the receivers of alarms, and missing addresses; the service may run as another user."""
-    from daq_service.processes.notifications.addresses import hide_address_secrets, read_receiver_address
+    from daq_service.processes.notifications.addresses import hide_address_secrets, read_address
 
     for name, receiver in notifications.receivers.items():
         click.echo(f"receiver   {name}: {receiver.kind}, {hide_address_secrets(receiver)}")
         try:
-            read_receiver_address(name, receiver)
+            read_address(name, receiver)
         except UsageError as error:
             click.echo(f"WARNING: {error}", err=True)
 

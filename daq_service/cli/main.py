@@ -96,11 +96,11 @@ def _format_error(error: SolimonError) -> str:
     """Return the message of an error; if the catalogue is lost, state that."""
     if isinstance(error, StorageError):
         from daq_service.catalogue.errors import NoDataYetError
-        from daq_service.processes.lost_catalogue import lost_catalogue_reason
+        from daq_service.processes.lost_catalogue import loss_reason
 
         if isinstance(error, NoDataYetError) and error.folder is not None:
             with suppress(StorageError):  # the other files are unreadable, too
-                return lost_catalogue_reason(error.folder) or str(error)
+                return loss_reason(error.folder) or str(error)
     return str(error)
 
 

@@ -48,7 +48,7 @@ from daq_service.processes.disk_policy import disk_space, refusal
 from daq_service.processes.heartbeat import create_web_beat
 from daq_service.processes.notifications.service import notify_while_web_is_silent
 from daq_service.processes.printing import print_line
-from daq_service.processes.service_manager import notify_service_manager, service_manager_notifications
+from daq_service.processes.service_manager import notify_manager, service_manager_notifications
 from daq_service.processes.supervisor import ChildPlan, Message, Supervisor
 from daq_service.settings.tree import Settings, StorageSettings
 from daq_service.settings.web import WebSettings
@@ -290,12 +290,12 @@ def run_supply_process_alone(*, config: Path | None, data_dir: Path | None, for_
 
     def open_owned() -> AbstractContextManager[PowerSupply]:
         if not for_recorder:
-            notify_service_manager("READY=1")  # the lock is held: no recorder starts another process
+            notify_manager("READY=1")  # the lock is held: no recorder starts another process
         return open_supply(settings, clock=WallClock())
 
     def beat() -> None:
         if not for_recorder:
-            notify_service_manager("WATCHDOG=1")
+            notify_manager("WATCHDOG=1")
 
     if for_recorder:
         assert data_dir is not None, "a recorder says which folder"
@@ -361,7 +361,7 @@ def serve_app(app: FastAPI, web: WebSettings, port: int | None, *, supervised: b
         if supervised:
             notify_supervisor("beat", **asdict(create_web_beat()))
         else:
-            notify_service_manager("READY=1", "WATCHDOG=1")  # each time: a datagram may be lost
+            notify_manager("READY=1", "WATCHDOG=1")  # each time: a datagram may be lost
 
     at = web.port if port is None else port
     with stop_on_signals() as stop:

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
-from daq_service.assessment.stored_limits import collect_limits_by_name
+from daq_service.assessment.stored_limits import limits_by_name
 from daq_service.catalogue import open_catalogue
 from daq_service.catalogue.rows import (
     AlarmRow,
@@ -70,7 +70,7 @@ def _summarise_solitary_wave(
     after = [row for row in assessed if row.due_h > SPLIT_H]
     baseline = catalogue.baseline(position)
     last = _last_good_feature(catalogue, rules.minimum_valid_shots, position)
-    limit = None if baseline is None else collect_limits_by_name(baseline).get(limit_name)
+    limit = None if baseline is None else limits_by_name(baseline).get(limit_name)
     return {
         "first_alarm_h": _first_alarm_h(catalogue, position),
         "outlier_fraction_before_100_h": _outlier_fraction(

@@ -16,7 +16,7 @@ import click
 
 from daq_service.clock import MACHINE, MachineClock
 from daq_service.processes.printing import HELD_AFTER_S, PRINTING, discard_unwritten
-from daq_service.settings.foreign_text import PlainStream, escape_to_one_line
+from daq_service.settings.foreign_text import PlainStream, to_one_line
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -109,7 +109,7 @@ class ProgressReport:
     def _queue_line(self, text: str, *, err: bool = True, style: str = "") -> None:
         """Add a line to the queue of the writing thread."""
         if self._lines.qsize() < MOST_HELD_LINES:
-            self._lines.put((escape_to_one_line(text), err, style))
+            self._lines.put((to_one_line(text), err, style))
 
     def _write_queued_lines(self) -> None:
         """Write the queued lines until the end."""
@@ -148,7 +148,7 @@ class ProgressReport:
         took_s = self._machine.mono_s() - since_s
         long = f"{doing}; {format_duration(took_s)} so far" if took_s >= SHOWN_AFTER_S else ""
         text = "; ".join(filter(None, (self._progress, long))) or doing
-        return Text(escape_to_one_line(text), no_wrap=True, overflow="ellipsis")
+        return Text(to_one_line(text), no_wrap=True, overflow="ellipsis")
 
     # Events of a recorder, direct or through its supervisor -----------------------------------------------
 

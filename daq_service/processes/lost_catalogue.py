@@ -42,7 +42,7 @@ def is_catalogue_lost(folder: Path) -> bool:
     return is_started or bool(FolderSetReader(folder).sets())
 
 
-def lost_catalogue_reason(folder: Path) -> str:
+def loss_reason(folder: Path) -> str:
     """Return that the catalogue is lost and the remedy; empty: it is not lost.
 
     Raises

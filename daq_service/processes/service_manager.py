@@ -17,7 +17,7 @@ log = logging.getLogger(__name__)
 Notifier = Callable[..., None]
 
 
-def notify_service_manager(*assignments: str) -> None:
+def notify_manager(*assignments: str) -> None:
     """Send ``KEY=value`` lines to the service manager of this process, if there is one; never wait for it."""
     address = os.environ.get("NOTIFY_SOCKET", "")
     if not address or sys.platform == "win32":
@@ -36,7 +36,7 @@ def notify_service_manager(*assignments: str) -> None:
 
 @contextmanager
 def service_manager_notifications(
-    on_event: Notifier, send: Callable[..., None] = notify_service_manager
+    on_event: Notifier, send: Callable[..., None] = notify_manager
 ) -> Iterator[Notifier]:
     """Yield a callback that passes events of a recorder on to the service manager; at the end, send STOPPING.
 

@@ -189,7 +189,7 @@ class _Together:
 def _announce_shots(rig: Rig, twin: TwinParameters, epoch_utc_ns: int) -> Iterator[Rig]:
     """Announce each shot and its hour to the doubles, because they know no experiment."""
     from simulator.doubles.transports.control import DoublesControl
-    from simulator.experiment.corrosion import round_down_to_update_h
+    from simulator.experiment.corrosion import held_hour_h
 
     address = os.environ.get(CONTROL_VARIABLE)
     if not address:
@@ -201,7 +201,7 @@ def _announce_shots(rig: Rig, twin: TwinParameters, epoch_utc_ns: int) -> Iterat
 
         def announce(key: ShotKey) -> None:
             elapsed_ns = rig.clock.utc_ns() - epoch_utc_ns
-            control.announce(key, round_down_to_update_h(elapsed_ns, twin.update_interval_s))
+            control.announce(key, held_hour_h(elapsed_ns, twin.update_interval_s))
 
         yield replace(
             rig,

@@ -45,7 +45,7 @@ def escape_controls(text: str) -> str:
     return _CONTROL.sub(_escape_character, text)
 
 
-def escape_to_one_line(text: str) -> str:
+def to_one_line(text: str) -> str:
     """Write control characters and line breaks as their escapes."""
     return _CONTROL_OR_BREAK.sub(_escape_character, text)
 
@@ -56,7 +56,7 @@ def escape_all_to_one_line(values: Any) -> Any:
         return {name: escape_all_to_one_line(value) for name, value in values.items()}
     if isinstance(values, (list, tuple)):
         return [escape_all_to_one_line(value) for value in values]
-    return escape_to_one_line(values) if isinstance(values, str) else values
+    return to_one_line(values) if isinstance(values, str) else values
 
 
 def escape_spreadsheet_cell(text: str) -> str:
@@ -101,7 +101,7 @@ class OneLineFormatter(logging.Formatter):
 
     def formatMessage(self, record: logging.LogRecord) -> str:  # noqa: N802 - logging's name
         """Format a log message in one line, with control characters escaped."""
-        return escape_to_one_line(super().formatMessage(record))
+        return to_one_line(super().formatMessage(record))
 
     def format(self, record: logging.LogRecord) -> str:
         """Format a log record with its traceback, with control characters escaped."""

@@ -62,7 +62,7 @@ def rename_old_keys(values: Mapping[str, object]) -> Tables:
     return nest_tables(before | {path: value for path, value in moved if path})
 
 
-def find_settings_differences(stored: Mapping[str, object], given: Settings) -> list[str]:
+def settings_differences(stored: Mapping[str, object], given: Settings) -> list[str]:
     """Return the differences in meaning between a stored configuration and the given one, by key.
 
     Parameters

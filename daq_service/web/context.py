@@ -13,7 +13,7 @@ from typing import Annotated, Any
 from fastapi import Depends, FastAPI
 from starlette.requests import HTTPConnection
 
-from daq_service.alarms.evidence import build_evidence_sentences
+from daq_service.alarms.evidence import evidence_sentences
 from daq_service.archive import FolderSetReader
 from daq_service.archive.waterfall.image import WaterfallReader
 from daq_service.catalogue.access import CatalogueAccess
@@ -24,7 +24,7 @@ from daq_service.errors import StorageError
 from daq_service.processes import freshness
 from daq_service.processes.data_folder import BACKUP_FILE
 from daq_service.processes.heartbeat import WEB_BEATS_EVERY_S, WEB_DEADLINE_S, WEB_FILE, Heartbeat
-from daq_service.processes.lost_catalogue import lost_catalogue_reason
+from daq_service.processes.lost_catalogue import loss_reason
 from daq_service.processes.notifications.service import Notifications
 from daq_service.settings.tree import Settings
 from daq_service.web.answers.json_answer import add_utc, format_hour_as_rfc3339, format_rfc3339
@@ -138,7 +138,7 @@ class Context:
         try:
             catalogue = self.catalogue_access.get()
         except NoDataYetError:
-            if reason := lost_catalogue_reason(self.data_folder):
+            if reason := loss_reason(self.data_folder):
                 raise create_lost(reason) from None
             raise create_no_data() from None
         if not self._has_data:
@@ -177,7 +177,7 @@ class Context:
             )
         return position
 
-    def compute_freshness(self) -> Freshness:
+    def read_freshness(self) -> Freshness:
         """Return the present freshness of the catalogue."""
         return Freshness(self)
 
@@ -213,7 +213,7 @@ class Freshness(freshness.Freshness):
         """Return a row of the catalogue for an answer: times as text, and its age if it has an hour."""
         if isinstance(row, AlarmRow):
             row = self.with_present_state(row)
-            extra_columns |= {"evidence_sentences": build_evidence_sentences(row, self._baselines)}
+            extra_columns |= {"evidence_sentences": evidence_sentences(row, self._baselines)}
         answer = add_utc({**to_columns(row), **extra_columns}, self.epoch_utc_ns)
         dated_h = answer.get("raised_h", answer.get("due_h"))
         return answer | {"age_h": self.age_h(dated_h)} if isinstance(dated_h, int | float) else answer

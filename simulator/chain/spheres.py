@@ -117,7 +117,7 @@ class Contacts:
     damping_factor: NDArray[np.float64]
 
 
-def compute_tilted_damping(damping_n_s_per_m: float, tilt_rad: float) -> float:
+def tilted_damping(damping_n_s_per_m: float, tilt_rad: float) -> float:
     """Return the dashpot of a sensor disk's face that is tilted by `tilt_rad`, in N s/m.
 
     ``gamma_face = gamma (1 + k tilt^2)``. A tilted disk slides on its spheres while they press on it,
@@ -147,9 +147,7 @@ def build_chain(parameters: ChainParameters, plate: PlateParameters) -> Chain:
         [contact_stiffness(_contact_surface(body), other) for body, other in zip(bodies, below, strict=True)]
     )
     damping = np.full(len(bodies), parameters.damping_n_s_per_m)
-    damping[sensor - 1 : sensor + 1] = compute_tilted_damping(
-        parameters.damping_n_s_per_m, parameters.tilt_rad
-    )
+    damping[sensor - 1 : sensor + 1] = tilted_damping(parameters.damping_n_s_per_m, parameters.tilt_rad)
     damping[-1] = parameters.contact_damping_n_s_per_m
 
     mass = np.array([body.mass_kg for body in bodies])
@@ -194,7 +192,7 @@ def with_other_strike(
     damping, stiffness = chain.damping_n_s_per_m.copy(), chain.stiffness_n_per_m15
     overlap, bodies = chain.static_overlap_m, chain.mass_kg.shape
     faces = slice(chain.sensor - 1, min(chain.sensor + 1, len(damping) - 1))
-    damping[faces] = compute_tilted_damping(damping_n_s_per_m, tilt_rad)
+    damping[faces] = tilted_damping(damping_n_s_per_m, tilt_rad)
     if contacts is not None:
         for name in ("stiffness_factor", "damping_factor"):
             factor = getattr(contacts, name)

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from simulator.numerics.arrays import FloatArray
-from simulator.numerics.keyed_random import Purpose, create_keyed_generator
+from simulator.numerics.keyed_random import Purpose, keyed_generator
 from simulator.parameters.echo import EchoParameters
 
 PLANE_WAVES = 512
@@ -95,7 +95,7 @@ def draw_rough_spot(
         across_m,
         across_m,
         echo.correlation_length_m,
-        create_keyed_generator(seed, Purpose.FAR_WALL, position=position),
+        keyed_generator(seed, Purpose.FAR_WALL, position=position),
     )
     distance_m = np.hypot(*np.meshgrid(across_m, across_m, indexing="ij"))
     seen = distance_m <= reach_m

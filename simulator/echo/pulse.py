@@ -55,7 +55,7 @@ def warm_probe_and_wall(echo: EchoParameters, warmer_k: float) -> EchoParameters
     )
 
 
-def compute_echo_volts(wall: float | FarWall, echo: EchoParameters) -> FloatArray:
+def echo_volts(wall: float | FarWall, echo: EchoParameters) -> FloatArray:
     """Simulate a noise-free record, shape (record_samples,); time zero is the firing pulse.
 
     Parameters
@@ -69,19 +69,19 @@ def compute_echo_volts(wall: float | FarWall, echo: EchoParameters) -> FloatArra
         No wall: the thickness is not positive.
     """
     if isinstance(wall, FarWall):
-        volts = _compute_rough_wall_volts(wall, echo)
+        volts = _rough_wall_volts(wall, echo)
     elif not wall > 0.0:
         raise ValueError(f"thickness_m is {wall} m; an echo needs a positive thickness")
     elif echo.attenuation_exponent > 0.0:
-        volts = _compute_rough_wall_volts(smooth_wall(wall), echo)
+        volts = _rough_wall_volts(smooth_wall(wall), echo)
     else:
-        volts = _compute_smooth_wall_volts(wall, echo)
+        volts = _smooth_wall_volts(wall, echo)
     # Cross-talk from the front wall has the opposite sign of the reflections at the free back wall.
     _add_pulse(volts, echo.delay_s, -echo.front_wall_v, echo)
     return volts
 
 
-def _compute_smooth_wall_volts(thickness_m: float, echo: EchoParameters) -> FloatArray:
+def _smooth_wall_volts(thickness_m: float, echo: EchoParameters) -> FloatArray:
     """Simulate the back-wall echoes of a smooth wall in closed form; the pulse keeps its shape."""
     volts = np.zeros(echo.record_samples)
     end_s = echo.record_samples / echo.sample_rate_hz
@@ -95,7 +95,7 @@ def _compute_smooth_wall_volts(thickness_m: float, echo: EchoParameters) -> Floa
     return volts
 
 
-def _compute_rough_wall_volts(wall: FarWall, echo: EchoParameters) -> FloatArray:
+def _rough_wall_volts(wall: FarWall, echo: EchoParameters) -> FloatArray:
     """Simulate the back-wall echoes of all facets of a rough wall.
 
     Their arrivals, weighted, convolved with the pulse by its spectrum.
@@ -189,7 +189,7 @@ def _add_pulse(volts: FloatArray, arrival_s: float, amplitude_v: float, echo: Ec
     volts[first:last] += amplitude_v * envelope * np.cos(2.0 * np.pi * echo.centre_frequency_hz * t)
 
 
-def compute_bubble_volts(
+def bubble_volts(
     thickness_m: float, echo: EchoParameters, random: np.random.Generator, records: int
 ) -> FloatArray:
     """Simulate echoes of bubbles in the liquid behind the wall, shape (records, record_samples).

@@ -13,10 +13,10 @@ import numpy as np
 
 from hardware_drivers.measurement import Calibration, ShotKey
 from simulator.echo.far_wall import FarWall, RoughSpot
-from simulator.echo.pulse import compute_bubble_volts, compute_echo_volts, travel_time_s, warm_probe_and_wall
+from simulator.echo.pulse import bubble_volts, echo_volts, travel_time_s, warm_probe_and_wall
 from simulator.electronics.transduction import quantise_volts
 from simulator.numerics.arrays import FloatArray
-from simulator.numerics.keyed_random import Purpose, create_keyed_generator
+from simulator.numerics.keyed_random import Purpose, keyed_generator
 from simulator.parameters.echo import EchoParameters
 
 RECORDS_AT_ONCE = 64
@@ -45,7 +45,7 @@ class ProbedWall:
 
     def volts(self, echo: EchoParameters) -> FloatArray:
         """Simulate the noise-free record of this wall, shape (record_samples,)."""
-        return compute_echo_volts(
+        return echo_volts(
             self.thickness_m if self.facets is None else self.facets, warm_probe_and_wall(echo, self.warmer_k)
         )
 
@@ -96,14 +96,10 @@ def draw_disturbance(
     """Draw couplant and bubbles of one acquisition; return also the true values of the active ones."""
     gain, bubbles, truth = 1.0, False, {}
     if echo.coupling_sd_db > 0.0:
-        level_db = (
-            echo.coupling_sd_db * create_keyed_generator(seed, Purpose.COUPLING, key=key).standard_normal()
-        )
+        level_db = echo.coupling_sd_db * keyed_generator(seed, Purpose.COUPLING, key=key).standard_normal()
         gain = truth["coupling_gain"] = float(10.0 ** (level_db / 20.0))
     if echo.bubble_probability > 0.0:
-        bubbles = bool(
-            create_keyed_generator(seed, Purpose.BUBBLES, key=key).random() < echo.bubble_probability
-        )
+        bubbles = bool(keyed_generator(seed, Purpose.BUBBLES, key=key).random() < echo.bubble_probability)
         truth["bubbles"] = float(bubbles)
     return Disturbance(gain=gain, bubbles=bubbles), truth
 
@@ -114,11 +110,9 @@ def simulate_disturbed_records(
     """Simulate single records in volts before their noise, shape (records, record_samples)."""
     volts = np.tile(wall.volts(echo), (records, 1))
     if found.bubbles:
-        random = create_keyed_generator(seed, Purpose.BUBBLES, key=key)
+        random = keyed_generator(seed, Purpose.BUBBLES, key=key)
         random.random()  # what `disturbance` has drawn
-        volts += compute_bubble_volts(
-            wall.thickness_m, warm_probe_and_wall(echo, wall.warmer_k), random, records
-        )
+        volts += bubble_volts(wall.thickness_m, warm_probe_and_wall(echo, wall.warmer_k), random, records)
     return found.gain * volts
 
 
@@ -145,7 +139,7 @@ def simulate_averaged_record(
         ).mean(axis=0)
     else:
         mean_v = found.gain * wall.volts(echo)
-    random = create_keyed_generator(seed, Purpose.ECHO_NOISE, key=key)
+    random = keyed_generator(seed, Purpose.ECHO_NOISE, key=key)
     reach_v = float(np.abs(mean_v).max()) + CLIPPING_SDS * noise_v
     if reach_v < calibration.volts(np.array([high - 1], dtype=np.int32))[0]:
         if noisy:

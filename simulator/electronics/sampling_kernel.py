@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from simulator.numerics.arrays import FloatArray
 from simulator.numerics.lanes import load, positive, store
-from simulator.numerics.machine_code import compile_with_numba
+from simulator.numerics.machine_code import jit_compile
 
 AT_ONCE = 8
 """Samples that are computed at a time: a register of 512 bits, or two of 256."""
@@ -24,7 +24,7 @@ BLOCK = 256
 """Samples whose intermediate results stay in the processor's first cache."""
 
 
-@compile_with_numba(error_model="numpy")
+@jit_compile(error_model="numpy")
 def interpolate_cubic(
     volts: FloatArray, step_s: float, start_s: float, rate_hz: float, n_samples: int
 ) -> FloatArray:
@@ -73,7 +73,7 @@ def interpolate_cubic(
     return sampled[:n_samples]
 
 
-@compile_with_numba(error_model="numpy")
+@jit_compile(error_model="numpy")
 def find_first_crossing_s(volts: FloatArray, step_s: float, level_v: float) -> Any:
     """Return the time in s of the first crossing of the level; if there is none, of the maximum."""
     highest = 0
@@ -88,7 +88,7 @@ def find_first_crossing_s(volts: FloatArray, step_s: float, level_v: float) -> A
     return highest * step_s
 
 
-@compile_with_numba(error_model="numpy")
+@jit_compile(error_model="numpy")
 def find_rising_edge(volts: FloatArray, level_v: float, first: int, n_samples: int) -> int:
     """Find the first sample from ``first`` on that reaches the level after one below it; else -1."""
     for k in range(first, min(first + n_samples, volts.shape[0])):
@@ -97,7 +97,7 @@ def find_rising_edge(volts: FloatArray, level_v: float, first: int, n_samples: i
     return -1
 
 
-@compile_with_numba(error_model="numpy")
+@jit_compile(error_model="numpy")
 def add_noise(
     volts: FloatArray,
     white: NDArray[np.float32],
@@ -128,7 +128,7 @@ def add_noise(
             here[k] += noise[k] * white_rms + slow_rms * slow
 
 
-@compile_with_numba(error_model="numpy")
+@jit_compile(error_model="numpy")
 def invert_scaling(
     volts: FloatArray,
     offset_v: float,

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from hardware_drivers.nanoseconds import NS_PER_S
 from simulator.errors import SpecimenError
 from simulator.numerics.arrays import FloatArray
-from simulator.numerics.keyed_random import Purpose, create_keyed_generator
+from simulator.numerics.keyed_random import Purpose, keyed_generator
 from simulator.parameters.experiment import ThinningParameters, TwinParameters
 from simulator.parameters.plate import DEEPEST_PATCH_FRACTION, CorrosionParameters, PatchParameters
 
@@ -123,7 +123,7 @@ def _cached_wall_state(history: WallHistory, hour_h: float) -> Wall:
 
 def draw_wall_history(thinning: ThinningParameters, *, seed: int, position: str) -> WallHistory:
     """Draw the uneven corrosion rate of one position, and its pits if it has any."""
-    random = create_keyed_generator(seed, Purpose.THINNING, position=position)
+    random = keyed_generator(seed, Purpose.THINNING, position=position)
     shares = random.dirichlet(np.ones(HARMONICS))
     flat = WallHistory(
         thinning=thinning,
@@ -141,7 +141,7 @@ def _draw_pit_depths(flat: WallHistory, seed: int, position: str) -> FloatArray:
     law over `DEEPEST_PATCH_FRACTION` at that hour, so that the deepest pit goes through then.
     """
     count, hole_h = flat.thinning.pits_per_edge, flat.thinning.hole_h
-    drawn = create_keyed_generator(seed, Purpose.PITS, position=position).weibull(PIT_SHAPE, (count, count))
+    drawn = keyed_generator(seed, Purpose.PITS, position=position).weibull(PIT_SHAPE, (count, count))
     deepest, middle = np.unravel_index(int(drawn.argmax()), drawn.shape), (count // 2, count // 2)
     drawn[deepest], drawn[middle] = drawn[middle], drawn[deepest]
     pits = np.maximum(drawn / drawn[middle], SHALLOWEST_PIT)
@@ -210,7 +210,7 @@ def divide_into_pits(corrosion: CorrosionParameters, history: WallHistory) -> Co
     )
 
 
-def round_down_to_update_h(elapsed_ns: int, update_interval_s: float) -> float:
+def held_hour_h(elapsed_ns: int, update_interval_s: float) -> float:
     """Return the hour of the test rounded down to the update interval.
 
     Rounded in integer nanoseconds: a due time that is a multiple of the interval belongs to the

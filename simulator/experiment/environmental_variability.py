@@ -17,11 +17,11 @@ import numpy as np
 from hardware_drivers.measurement import ShotKey
 from simulator.chain.spheres import Contacts
 from simulator.electronics.interference import Ringing
-from simulator.experiment.processes import draw_unit_student_t
+from simulator.experiment.processes import draw_unit_t
 from simulator.experiment.scatter import HIGHEST_DROP_M, LOWEST_DROP_FRACTION, STEEPEST_TILT_RAD, Strike
 from simulator.experiment.seating import Climate, Seat, draw_seat_of_set
 from simulator.numerics.arrays import FloatArray
-from simulator.numerics.keyed_random import Purpose, create_keyed_generator
+from simulator.numerics.keyed_random import Purpose, keyed_generator
 from simulator.parameters.chain import ChainParameters
 from simulator.parameters.electronics import NoiseParameters, SensorParameters
 from simulator.parameters.environmental_variability import NUISANCE
@@ -162,8 +162,8 @@ def _draw_block(
         hour_h=hour_h,
         warmer_k=warmer_k,
     )
-    random = create_keyed_generator(seed, Purpose.SEATING_OF_SHOT, key=first)
-    drawn = draw_unit_student_t(random, parameters.tail_dof, (SHOTS_A_BLOCK, 1, seat.shot_effect.shape[1]))
+    random = keyed_generator(seed, Purpose.SEATING_OF_SHOT, key=first)
+    drawn = draw_unit_t(random, parameters.tail_dof, (SHOTS_A_BLOCK, 1, seat.shot_effect.shape[1]))
     # As many numbers for every shot, so that no nuisance moves the digits of another.
     even, normal = random.random((SHOTS_A_BLOCK, 11)), random.standard_normal((SHOTS_A_BLOCK, 4))
     # Not a product of matrices: BLAS would round as the machine likes.

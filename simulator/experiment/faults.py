@@ -17,7 +17,7 @@ from hardware_drivers.measurement import ShotKey
 from simulator.electronics.interference import Interference
 from simulator.experiment.scatter import STEEPEST_TILT_RAD, Strike
 from simulator.numerics.arrays import FloatArray
-from simulator.numerics.keyed_random import Purpose, create_keyed_generator
+from simulator.numerics.keyed_random import Purpose, keyed_generator
 from simulator.parameters.chain import ChainParameters
 from simulator.parameters.electronics import AdcParameters, SensorParameters
 from simulator.parameters.faults import FaultParameters, MainsHumFault, SpikesFault
@@ -70,7 +70,7 @@ def draw_faults_of_shot(faults: FaultParameters, *, seed: int, key: ShotKey, hou
     missed, gain_factor = False, 1.0
     if faults.missed.probability > 0.0:
         missed = hour_h >= faults.missed.onset_h and bool(
-            create_keyed_generator(seed, Purpose.MISSED_STRIKE, key=key).random() < faults.missed.probability
+            keyed_generator(seed, Purpose.MISSED_STRIKE, key=key).random() < faults.missed.probability
         )
         truth["fault_missed"] = float(missed)
     delay_s, height_fraction = None, 1.0
@@ -95,8 +95,7 @@ def draw_faults_of_shot(faults: FaultParameters, *, seed: int, key: ShotKey, hou
     damping_factor = 1.0
     if faults.loose_contact.probability > 0.0:
         loose = hour_h >= faults.loose_contact.onset_h and bool(
-            create_keyed_generator(seed, Purpose.LOOSE_CONTACT, key=key).random()
-            < faults.loose_contact.probability
+            keyed_generator(seed, Purpose.LOOSE_CONTACT, key=key).random() < faults.loose_contact.probability
         )
         damping_factor = faults.loose_contact.damping_factor if loose else 1.0
         truth["fault_loose_contact_gain_factor"] = faults.loose_contact.gain_factor if loose else 1.0
@@ -132,7 +131,7 @@ def _fault_size_fraction(onset_h: float, ramp_h: float, hour_h: float) -> float:
 
 def _draw_second_strike(faults: FaultParameters, seed: int, key: ShotKey) -> tuple[float | None, float]:
     """Draw delay in s and relative height of the striker's second impact; ``(None, 1.0)`` without one."""
-    random = create_keyed_generator(seed, Purpose.DOUBLE_STRIKE, key=key)
+    random = keyed_generator(seed, Purpose.DOUBLE_STRIKE, key=key)
     if random.random() >= faults.double.probability:
         return None, 1.0
     delay_s = float(random.uniform(faults.double.shortest_delay_s, faults.double.longest_delay_s))
@@ -198,7 +197,7 @@ def _draw_hum_phase_rad(hum: MainsHumFault, seed: int, key: ShotKey) -> float:
     """Draw the phase of the mains hum at a strike in rad; 0 without hum."""
     if hum.amplitude_v == 0.0:
         return 0.0
-    return float(create_keyed_generator(seed, Purpose.MAINS_HUM, key=key).uniform(0.0, 2.0 * math.pi))
+    return float(keyed_generator(seed, Purpose.MAINS_HUM, key=key).uniform(0.0, 2.0 * math.pi))
 
 
 def _draw_spikes(
@@ -210,7 +209,7 @@ def _draw_spikes(
     """
     if spikes.rate_hz == 0.0 or hour_h < spikes.onset_h:
         return np.empty(0), np.empty(0)
-    random = create_keyed_generator(seed, Purpose.SPIKES, key=key)
+    random = keyed_generator(seed, Purpose.SPIKES, key=key)
     before_s = max(spikes.armed_s, adc.pretrigger_samples / adc.sample_rate_hz)
     after_s = (adc.record_samples - adc.pretrigger_samples) / adc.sample_rate_hz
     count = int(random.poisson(spikes.rate_hz * (before_s + after_s)))

@@ -13,7 +13,7 @@ import numpy as np
 
 from hardware_drivers.measurement import SetKey, ShotKey
 from simulator.numerics.arrays import FloatArray
-from simulator.numerics.keyed_random import Purpose, create_keyed_generator
+from simulator.numerics.keyed_random import Purpose, keyed_generator
 
 LAGS = 64
 """Innovations in a value of an AR(1) process, and their number in a block: what is left out of the sum is
@@ -32,7 +32,7 @@ def _make_read_only(drawn: FloatArray) -> FloatArray:
     return drawn
 
 
-def draw_unit_student_t(random: np.random.Generator, dof: float, size: int | tuple[int, ...]) -> FloatArray:
+def draw_unit_t(random: np.random.Generator, dof: float, size: int | tuple[int, ...]) -> FloatArray:
     """Draw numbers of Student's t distribution, scaled to variance 1."""
     return np.asarray(random.standard_t(dof, size) * np.sqrt((dof - 2.0) / dof))
 
@@ -70,8 +70,8 @@ def draw_autocorrelated_values(
     )[first + 1 : first + 1 + LAGS]
     if unscheduled:
         key = ShotKey.in_set(set_key, position, 0)
-        recent[-1] = draw_unit_student_t(
-            create_keyed_generator(seed, Purpose.SEATING_MEMORY, key=key), dof, (weights.shape[1],)
+        recent[-1] = draw_unit_t(
+            keyed_generator(seed, Purpose.SEATING_MEMORY, key=key), dof, (weights.shape[1],)
         )
     return np.asarray((weights * recent).sum(axis=0))
 
@@ -84,7 +84,7 @@ def _draw_innovations(seed: int, position: str, block: int, size: int, dof: floa
     """
     key = ShotKey(position=position, set_index=block, shot_index=0)
     return _make_read_only(
-        draw_unit_student_t(create_keyed_generator(seed, Purpose.SEATING_MEMORY, key=key), dof, (LAGS, size))
+        draw_unit_t(keyed_generator(seed, Purpose.SEATING_MEMORY, key=key), dof, (LAGS, size))
     )
 
 
@@ -96,7 +96,7 @@ def draw_slow_drift(
 
     One period lies in each of equal steps of ln(period): slow and less slow parts are always there.
     """
-    random = create_keyed_generator(seed, purpose, position=position)
+    random = keyed_generator(seed, purpose, position=position)
     steps = (np.arange(WANDER_TERMS) + random.uniform(0.0, 1.0, (size, WANDER_TERMS))) / WANDER_TERMS
     phases = random.uniform(0.0, 2.0 * np.pi, (size, WANDER_TERMS))
     return _make_read_only(shortest_h * (longest_h / shortest_h) ** steps), _make_read_only(phases)
@@ -135,7 +135,7 @@ def _draw_reseats(
 ) -> tuple[FloatArray, FloatArray]:
     """Draw the re-seats of a block: hours, rising, and values after each, shape (count, size)."""
     key = ShotKey(position=position, set_index=block, shot_index=0)
-    random = create_keyed_generator(seed, Purpose.RESEATS, key=key)
+    random = keyed_generator(seed, Purpose.RESEATS, key=key)
     count = int(random.poisson(rate_per_h * RESEAT_BLOCK_H))
     hours_h = RESEAT_BLOCK_H * (block + np.sort(random.uniform(0.0, 1.0, count)))
     return _make_read_only(hours_h), _make_read_only(random.standard_normal((count, size)))
@@ -145,4 +145,4 @@ def _draw_reseats(
 def is_noisy_hour(seed: int, hour: int, probability: float) -> bool:
     """Draw whether an hour of the test is noisy, the same for all positions."""
     key = ShotKey(position="", set_index=hour, shot_index=0)
-    return bool(create_keyed_generator(seed, Purpose.NOISY_HOURS, key=key).random() < probability)
+    return bool(keyed_generator(seed, Purpose.NOISY_HOURS, key=key).random() < probability)

@@ -10,7 +10,7 @@ import numpy as np
 from hardware_drivers.measurement import ShotKey
 from simulator.experiment.processes import draw_slow_drift, evaluate_slow_drift
 from simulator.numerics.arrays import FloatArray
-from simulator.numerics.keyed_random import Purpose, create_keyed_generator
+from simulator.numerics.keyed_random import Purpose, keyed_generator
 from simulator.parameters.chain import ChainParameters
 from simulator.parameters.electronics import SensorParameters
 from simulator.parameters.experiment import DriftParameters, ScatterParameters
@@ -77,7 +77,7 @@ def draw_scattered_strike(
     shots share it.
     """
     set_part = _draw_set_numbers(seed, ShotKey.in_set(key.set_key, key.position, 0))
-    shot_part = _draw_unit_numbers(create_keyed_generator(seed, Purpose.SHOT_SCATTER, key=key))
+    shot_part = _draw_unit_numbers(keyed_generator(seed, Purpose.SHOT_SCATTER, key=key))
     warmer_k = temperature_c - drift.mean_temperature_c
 
     log_drop = scatter.scale * float(
@@ -109,7 +109,7 @@ def draw_scattered_strike(
 @lru_cache(maxsize=256)
 def _draw_set_numbers(seed: int, set_key: ShotKey) -> tuple[float, float]:
     """Draw the two numbers that all shots of a set share."""
-    return _draw_unit_numbers(create_keyed_generator(seed, Purpose.SET_SCATTER, key=set_key))
+    return _draw_unit_numbers(keyed_generator(seed, Purpose.SET_SCATTER, key=set_key))
 
 
 def _draw_unit_numbers(random: np.random.Generator) -> tuple[float, float]:

@@ -22,7 +22,7 @@ from simulator.experiment.processes import (
     is_noisy_hour,
 )
 from simulator.numerics.arrays import FloatArray
-from simulator.numerics.keyed_random import Purpose, create_keyed_generator
+from simulator.numerics.keyed_random import Purpose, keyed_generator
 from simulator.parameters.chain import ChainParameters
 from simulator.parameters.environmental_variability import NUISANCE, NuisanceParameters
 
@@ -71,11 +71,11 @@ def draw_climate(level: str, *, seed: int, warmest_hour_h: float) -> Climate:
     return Climate(
         parameters=parameters,
         warmest_hour_h=warmest_hour_h,
-        season_rad=float(create_keyed_generator(seed, Purpose.SEASON).uniform(0.0, 2.0 * math.pi)),
+        season_rad=float(keyed_generator(seed, Purpose.SEASON).uniform(0.0, 2.0 * math.pi)),
         process=draw_slow_drift(
             Purpose.PROCESS, seed, "", 1, parameters.shortest_process_h, parameters.longest_process_h
         ),
-        refilled=float(create_keyed_generator(seed, Purpose.REFILLS).random()),
+        refilled=float(keyed_generator(seed, Purpose.REFILLS).random()),
     )
 
 

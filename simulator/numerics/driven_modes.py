@@ -19,7 +19,7 @@ import numpy as np
 from scipy.linalg import lapack
 
 from simulator.numerics.arrays import FloatArray
-from simulator.numerics.machine_code import compile_with_numba
+from simulator.numerics.machine_code import jit_compile
 
 ROUNDING = 1e-14
 """Eigenvalues below this part of the largest are rounding; such modes are static."""
@@ -28,7 +28,7 @@ SWEEPS = 60
 """More than enough for an eigenvalue; two are usual."""
 
 
-def compute_driven_modes(
+def driven_modes(
     stiffness: FloatArray, mass: FloatArray, load: float, steps: int
 ) -> tuple[FloatArray, FloatArray, float]:
     """Compute the modes of a linear system that is driven at its last unknown.
@@ -80,7 +80,7 @@ def compute_driven_modes(
     return omega, omega * np.sqrt(flexibility[seen][order]), float(flexibility[~seen].sum())
 
 
-@compile_with_numba(nogil=True)
+@jit_compile(nogil=True)
 def _solve_tridiagonal_ql(d: FloatArray, e: FloatArray, z: FloatArray) -> bool:
     """Compute eigenvalues of a symmetric tridiagonal matrix in place, and one row of eigenvectors.
 

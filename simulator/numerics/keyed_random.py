@@ -42,7 +42,7 @@ class Purpose(IntEnum):
     PITS = 24
 
 
-def create_keyed_generator(
+def keyed_generator(
     seed: int, purpose: Purpose, *, position: str = "", key: ShotKey | None = None
 ) -> np.random.Generator:
     """Create an independent random generator for one purpose, position and shot.

@@ -14,7 +14,7 @@ import numba
 from numba.core import event
 
 
-def compile_with_numba(**options: Any) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
+def jit_compile(**options: Any) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
     """Create a decorator that compiles a function by ``numba.njit(**options)``, cached if possible."""
 
     def decorate(function: Callable[..., Any]) -> Callable[..., Any]:

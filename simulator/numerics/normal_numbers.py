@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from simulator.numerics.machine_code import compile_with_numba
+from simulator.numerics.machine_code import jit_compile
 
 LAYERS = 256
 LAST_EDGE = 3.6541528853610088
@@ -63,7 +63,7 @@ def _ziggurat_layers() -> tuple[NDArray[np.uint32], Table, Table]:
     return inside.astype(np.uint32), widths.astype(np.float32), heights.astype(np.float32)
 
 
-@compile_with_numba(error_model="numpy")
+@jit_compile(error_model="numpy")
 def _next_uint32(words: Words) -> Any:
     """Return the next 32 bits of an SFC64: the lower half first, the upper one is kept."""
     if words[4]:
@@ -78,7 +78,7 @@ def _next_uint32(words: Words) -> Any:
     return np.uint32(given & np.uint64(0xFFFFFFFF))
 
 
-@compile_with_numba(error_model="numpy")
+@jit_compile(error_model="numpy")
 def _draw_from_tail(words: Words, bits: np.uint32) -> Any:
     """Draw a normal number beyond the last edge (Marsaglia 1964); one of the bits is the sign."""
     while True:
@@ -91,7 +91,7 @@ def _draw_from_tail(words: Words, bits: np.uint32) -> Any:
             return -x if (bits >> np.uint32(17)) & np.uint32(1) else x
 
 
-@compile_with_numba(error_model="numpy")
+@jit_compile(error_model="numpy")
 def _fill_with_normals(
     words: Words, inside: NDArray[np.uint32], widths: Table, heights: Table, drawn: Table
 ) -> None:
@@ -137,7 +137,7 @@ def _fill_with_normals(
             done += 2
 
 
-@compile_with_numba(error_model="numpy")
+@jit_compile(error_model="numpy")
 def _number_in_layer(bits: np.uint32, inside: NDArray[np.uint32], widths: Table) -> Any:
     """Convert 32 bits to a number; return also whether it is under the curve in all of its layer."""
     layer = bits & np.uint32(LAYERS - 1)
@@ -145,7 +145,7 @@ def _number_in_layer(bits: np.uint32, inside: NDArray[np.uint32], widths: Table)
     return np.float32(place) * widths[bits & np.uint32(2 * LAYERS - 1)], place < inside[layer]
 
 
-@compile_with_numba(error_model="numpy")
+@jit_compile(error_model="numpy")
 def _next_number(
     words: Words, bits: np.uint32, inside: NDArray[np.uint32], widths: Table, heights: Table
 ) -> Any:

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.random.bit_generator import ISeedSequence
 from numpy.typing import NDArray
 
-from simulator.numerics.machine_code import compile_with_numba
+from simulator.numerics.machine_code import jit_compile
 
 Words = NDArray[np.uint32]
 
@@ -40,14 +40,14 @@ class SeedWords(ISeedSequence):
         return np.asarray(_mix_seed_words(self._words, n_words * per_word).view(dtype))
 
 
-@compile_with_numba(error_model="numpy")
+@jit_compile(error_model="numpy")
 def _mix_value(value: np.uint32, before: np.uint32, after: np.uint32) -> Any:
     """Hash a 32-bit value as NumPy's `SeedSequence` does."""
     value = np.uint32((value ^ before) * after)
     return value ^ (value >> np.uint32(16))
 
 
-@compile_with_numba(error_model="numpy")
+@jit_compile(error_model="numpy")
 def _mix_seed_words(words: Words, n_out: int) -> Words:
     """Mix the words of a seed as NumPy's `SeedSequence` does; return ``n_out`` words."""
     n, pool = words.shape[0], np.empty(POOL, np.uint32)

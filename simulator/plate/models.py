@@ -16,7 +16,7 @@ from simulator.plate.mindlin.cache import load_reduced_plate
 from simulator.plate.reduced import PlateModes
 from simulator.plate.solid.family import SolidFamily, build_solid_family, restore_family
 from simulator.plate.solid.plate import check_solid
-from simulator.plate.solid.reduction import SHALLOWEST_FRACTION, compute_solid_modes
+from simulator.plate.solid.reduction import SHALLOWEST_FRACTION, solid_modes
 
 DEPTHS_KNOWN = 256
 """Depths whose modes a solid plate remembers, the first ones forgotten first."""
@@ -109,7 +109,7 @@ class CachedSolid:
         def compute() -> dict[str, FloatArray]:
             """Compute the modes in one BLAS thread; return their arrays by name."""
             with use_one_blas_thread():
-                return asdict(compute_solid_modes(self._plate, corrosion))
+                return asdict(solid_modes(self._plate, corrosion))
 
         described = {"modes": "solid", "plate": asdict(self._plate), "patch": asdict(corrosion)}
         found = read_or_compute_arrays(self._folder, hash_content(described), compute)

@@ -61,7 +61,7 @@ from simulator.numerics.lanes import (
     unless_within,
     where_greater,
 )
-from simulator.numerics.machine_code import compile_with_numba
+from simulator.numerics.machine_code import jit_compile
 from simulator.shot.registers import Bodies, Chains, Contact, LastBody, Propagator, Results, Strikes
 
 FloatArray = NDArray[np.float64]
@@ -92,7 +92,7 @@ BANK_ROWS = 16
 """Numbers of a mode, see `simulator.shot.modal_weights`."""
 
 # No fast mathematics: each lane is rounded as if it were alone.
-_compiled = compile_with_numba(nogil=True, error_model="numpy")
+_compiled = jit_compile(nogil=True, error_model="numpy")
 
 
 @_compiled
@@ -122,7 +122,7 @@ def _slope_of_power(overlap: Any, law: int) -> Any:
 
 
 # A step is pasted into the time loop before types are known: the loop is compiled as one.
-_step = compile_with_numba(inline="always", nogil=True, error_model="numpy")
+_step = jit_compile(inline="always", nogil=True, error_model="numpy")
 
 
 @_step

@@ -14,9 +14,7 @@ MANY_POINTS = 24
 """Gauss points that integrate `modal_weights` to rounding: few up to this omega h, many up to 10."""
 
 
-def compute_modal_weights(
-    omega_rad_per_s: FloatArray, participation: FloatArray, step_s: float
-) -> FloatArray:
+def modal_weights(omega_rad_per_s: FloatArray, participation: FloatArray, step_s: float) -> FloatArray:
     """Compute weights of a plate's modes for a step, shape (n_blocks * BANK_ROWS * BLOCK,).
 
     A step turns ``y = phi z / omega``, whose real parts add up to the deflection under the chain, by

@@ -34,13 +34,13 @@ from simulator.parameters.plate import CorrosionParameters, PlateParameters
 from simulator.plate.mindlin.cache import DEFAULT_CACHE_FOLDER
 from simulator.plate.models import ModalPlate, prepare_modal_plate
 from simulator.plate.reduced import PlateModes
-from simulator.shot.modal_weights import compute_modal_weights
+from simulator.shot.modal_weights import modal_weights
 from simulator.shot.registers import Propagator
 from simulator.shot.side_by_side import UNMOVED, integrate_chains
 from simulator.shot.time_step import (
     choose_record_duration_s,
     choose_step_s,
-    estimate_stiffest_contact_n_per_m,
+    stiffest_contact_n_per_m,
 )
 
 ENERGY_TOLERANCE = 1e-4
@@ -196,7 +196,7 @@ class ShotModel:
             if value is not None and not (math.isfinite(value) and value > 0.0):
                 raise SpecimenError(f"{name} is {value}; it must be positive and finite")
         self._step_s = choose_step_s(nominal) if step_s is None else step_s
-        self._contact_stiffness_n_per_m = estimate_stiffest_contact_n_per_m(nominal)
+        self._contact_stiffness_n_per_m = stiffest_contact_n_per_m(nominal)
         self._chosen_duration_s = duration_s
         self._shortest_record_s = choose_record_duration_s(nominal) if duration_s is None else duration_s
         self._modal_plate = prepared_plate or prepare_modal_plate(plate, corrosion, cache_folder)
@@ -341,18 +341,14 @@ class ShotModel:
         def specimen(step: float, wide: bool) -> Propagator:
             return self._prepare_propagator(depth, step, wide, modulus)
 
-        forces = self._integrate_until_converged(
-            chains, specimen, self._shortest_record_s, contact_forces=contact_forces
-        )
+        forces = self._converge(chains, specimen, self._shortest_record_s, contact_forces=contact_forces)
         if self._chosen_duration_s is None:
             for k, chain in enumerate(chains):
                 for _ in range(EXTENSIONS):
                     needed = TURN_TO_END * (forces[k].reflection_time_s or 0.0)
                     if forces[k].time_s[-1] >= needed:
                         break
-                    forces[k] = self._integrate_until_converged(
-                        [chain], specimen, needed, contact_forces=contact_forces
-                    )[0]
+                    forces[k] = self._converge([chain], specimen, needed, contact_forces=contact_forces)[0]
         return forces
 
     def _integrate_over_hole(self, chains: list[Chain], contact_forces: bool) -> list[ShotForce]:
@@ -367,7 +363,7 @@ class ShotModel:
             )
             for chain in chains
         ]
-        forces = self._integrate_until_converged(
+        forces = self._converge(
             free_ends,
             lambda step, wide: UNMOVED,
             self._shortest_record_s,
@@ -376,7 +372,7 @@ class ShotModel:
         )
         return [replace(force, reflection_time_s=None) for force in forces]
 
-    def _integrate_until_converged(
+    def _converge(
         self,
         chains: list[Chain],
         specimen: Callable[[float, bool], Propagator],
@@ -444,7 +440,7 @@ class ShotModel:
             every_mode = every_mode.with_scaled_modulus(modulus)
         modes = every_mode.cut_above(phase / step, yielding)
         propagator = Propagator(
-            bank=compute_modal_weights(modes.omega_rad_per_s, modes.participation, step),
+            bank=modal_weights(modes.omega_rad_per_s, modes.participation, step),
             residual_compliance_m_per_n=modes.residual_compliance_m_per_n,
         )
         with self._lock:

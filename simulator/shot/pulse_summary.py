@@ -22,7 +22,7 @@ import numpy as np
 
 from simulator.errors import NoSolitaryWaveError
 from simulator.numerics.arrays import FloatArray
-from simulator.numerics.machine_code import compile_with_numba
+from simulator.numerics.machine_code import jit_compile
 from simulator.shot.model import ShotForce
 
 LEADING_FRACTION = 0.5
@@ -86,7 +86,7 @@ def summarise_pulses(force: ShotForce) -> PulseSummary:
     )
 
 
-@compile_with_numba(error_model="numpy")
+@jit_compile(error_model="numpy")
 def _find_waves(force_n: FloatArray, time_s: FloatArray, preload_n: float, turn_s: float) -> tuple[int, int]:
     """Find the samples of ISW and PSW in a force; -1 for one that is not there.
 
@@ -122,7 +122,7 @@ def _find_waves(force_n: FloatArray, time_s: FloatArray, preload_n: float, turn_
     return isw, psw
 
 
-@compile_with_numba(error_model="numpy")
+@jit_compile(error_model="numpy")
 def _is_maximum(values: FloatArray, k: int) -> bool:
     """Check whether a sample is a local maximum; of a plateau, only the first sample is one."""
     return bool(values[k] > values[k - 1] and values[k] >= values[k + 1])

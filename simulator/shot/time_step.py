@@ -17,10 +17,10 @@ def choose_step_s(chain: Chain) -> float:
     The dashpots between the spheres must relax slowly compared with a step, too.
     """
     m = float(chain.mass_kg.min())
-    omega = 2.0 * math.sqrt(estimate_stiffest_contact_n_per_m(chain) / m)
+    omega = 2.0 * math.sqrt(stiffest_contact_n_per_m(chain) / m)
     rate = float(chain.damping_n_s_per_m[:-1].max()) / m
     if chain.damping_exponent:
-        rate *= (estimate_peak_overlap_m(chain) / chain.damping_reference_overlap_m) ** chain.damping_exponent
+        rate *= (peak_overlap_m(chain) / chain.damping_reference_overlap_m) ** chain.damping_exponent
     longest = PHASE_PER_STEP_RAD / max(omega, rate)
     decade: float = 10.0 ** math.floor(math.log10(longest))
     # Rounding of the logarithm must not lose a step that is a power of ten.
@@ -28,12 +28,12 @@ def choose_step_s(chain: Chain) -> float:
     return max(step for step in steps if step <= longest * (1.0 + 1e-9))
 
 
-def estimate_stiffest_contact_n_per_m(chain: Chain) -> float:
+def stiffest_contact_n_per_m(chain: Chain) -> float:
     """Estimate the stiffness dF/dd of the stiffest contact at its peak, in N/m."""
-    return 1.5 * float(chain.stiffness_n_per_m15.max()) * math.sqrt(estimate_peak_overlap_m(chain))
+    return 1.5 * float(chain.stiffness_n_per_m15.max()) * math.sqrt(peak_overlap_m(chain))
 
 
-def estimate_peak_overlap_m(chain: Chain) -> float:
+def peak_overlap_m(chain: Chain) -> float:
     """Estimate the largest overlap in m, from two spheres that collide at the striker's speed.
 
     A precompressed contact is pressed that much further.

@@ -11,9 +11,9 @@ import pytest
 from scipy import stats
 from support.benchmark_modules import benchmark_module
 
-from analysis.ultrasound.thickness import compute_thickness, compute_thickness_interval, measure_travel_time
+from analysis.ultrasound.thickness import compute_thickness, thickness_interval, travel_time
 from simulator.echo.far_wall import FarWall
-from simulator.echo.pulse import compute_bubble_volts, compute_echo_volts
+from simulator.echo.pulse import bubble_volts, echo_volts
 
 N_WALLS = 60
 
@@ -49,9 +49,7 @@ def test_a_smooth_wall_is_read_without_bias_and_as_well_as_noise_allows(bias, th
 def test_attenuation_does_not_move_the_reading(bias, attenuation_db_per_m, exponent):
     echo = replace(bias.SMOOTH, attenuation_db_per_m=attenuation_db_per_m, attenuation_exponent=exponent)
     for thickness_m in (5e-3, 3.8e-3, 2e-3):
-        found = measure_travel_time(
-            bias.waveform_of(compute_echo_volts(thickness_m, echo), echo), bias.sound_wall(echo)
-        )
+        found = travel_time(bias.waveform_of(echo_volts(thickness_m, echo), echo), bias.sound_wall(echo))
         read_m = compute_thickness(
             found.travel_time_s, bias.sound_wall(echo).travel_time_s, 8e-6, 6.35e-3
         ).thickness_m
@@ -64,7 +62,7 @@ def test_the_v_shaped_path_reads_too_thick_by_its_geometry(bias):
     reference = bias.sound_wall(echo)
     s = echo.element_separation_m
     for thickness_m in (6.0e-3, 4.2e-3, 3.8e-3, 2.0e-3):
-        found = measure_travel_time(bias.waveform_of(compute_echo_volts(thickness_m, echo), echo), reference)
+        found = travel_time(bias.waveform_of(echo_volts(thickness_m, echo), echo), reference)
         times = (found.travel_time_s, reference.travel_time_s, 8e-6, 6.35e-3)
         by_equation_17_m = 6.35e-3 * math.hypot(2 * thickness_m, s) / math.hypot(12.7e-3, s)
         # Neighbour echoes come at other multiples of the way than on a straight path: half a micrometre.
@@ -98,7 +96,7 @@ def test_where_the_echo_keeps_its_amplitude_the_roughness_is_read_from_it(bias):
     echo = replace(bias.STRAIGHT, roughness_fraction=0.1, attenuation_db_per_m=0.0)
     reference = bias.sound_wall(echo)
     for reading in bias.readings(echo, 5e-3, 20):
-        interval = compute_thickness_interval(reading.found, reference, 6.35e-3)
+        interval = thickness_interval(reading.found, reference, 6.35e-3)
         # Heights under a beam are not quite Gaussian, and what is smeared adds a little to the crest.
         assert interval.roughness_rms_m == pytest.approx(reading.roughness_rms_m, rel=0.15)
 
@@ -117,16 +115,16 @@ def test_without_a_back_wall_there_is_no_number(bias, front_wall_v):
     """With and without cross-talk: noise alone, and noise and bubbles."""
     echo = replace(bias.DEFAULT, front_wall_v=front_wall_v)
     reference = bias.sound_wall(echo)
-    nothing = compute_echo_volts(FarWall(thickness_m=np.zeros(1), weights=np.ones(1)), echo)
+    nothing = echo_volts(FarWall(thickness_m=np.zeros(1), weights=np.ones(1)), echo)
     for seed in range(200):
         random = np.random.default_rng(seed)
         volts = nothing + 2.5e-3 * random.standard_normal(nothing.size)
         if seed % 2:
-            volts += compute_bubble_volts(3.8e-3, echo, random, 16).mean(axis=0)
-        found = measure_travel_time(bias.waveform_of(volts, echo), reference)
+            volts += bubble_volts(3.8e-3, echo, random, 16).mean(axis=0)
+        found = travel_time(bias.waveform_of(volts, echo), reference)
         assert found.quality == "bad"
         assert math.isnan(found.travel_time_s)
-        interval = compute_thickness_interval(found, reference, 6.35e-3)
+        interval = thickness_interval(found, reference, 6.35e-3)
         assert math.isnan(interval.low_m)
         assert math.isnan(interval.high_m)
 
@@ -145,11 +143,9 @@ def test_bubbles_move_a_reading_by_less_than_its_noise(bias):
 
 def test_a_lost_coupling_widens_the_interval_and_moves_nothing(bias):
     reference = bias.sound_wall(bias.SMOOTH)
-    volts = compute_echo_volts(4e-3, bias.SMOOTH)
-    found = [
-        measure_travel_time(bias.waveform_of(gain * volts, bias.SMOOTH), reference) for gain in (1.0, 0.3)
-    ]
-    intervals = [compute_thickness_interval(each, reference, 6.35e-3) for each in found]
+    volts = echo_volts(4e-3, bias.SMOOTH)
+    found = [travel_time(bias.waveform_of(gain * volts, bias.SMOOTH), reference) for gain in (1.0, 0.3)]
+    intervals = [thickness_interval(each, reference, 6.35e-3) for each in found]
     assert found[1].travel_time_s == pytest.approx(found[0].travel_time_s, abs=0.1e-9)
     assert found[1].amplitude_ratio == pytest.approx(0.3 * found[0].amplitude_ratio, rel=1e-3)
     assert intervals[1].high_m - intervals[1].low_m > 10.0 * (intervals[0].high_m - intervals[0].low_m)

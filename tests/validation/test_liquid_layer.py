@@ -12,8 +12,8 @@ from simulator.parameters.chain import ChainParameters
 from simulator.parameters.plate import CorrosionParameters, LiquidParameters, PlateParameters
 from simulator.plate.mindlin.liquid_layer import (
     choose_sine_terms,
-    compute_layer_mass,
     integrate_hats_times_sines,
+    layer_mass,
 )
 from simulator.plate.mindlin.plate import assemble_plate, build_plate, evaluate_thinning
 from simulator.plate.mindlin.reduction import reduce_plate
@@ -31,7 +31,7 @@ PAPER_WET = PlateParameters(liquid=LiquidParameters(depth_m=0.1))
 def with_terms(plate, corrosion, highest):
     """The quarter plate with its liquid's sines up to `highest` along both edges."""
     parts = build_plate(plate, corrosion)
-    mass = compute_layer_mass(
+    mass = layer_mass(
         plate.liquid,
         plate,
         parts.x_m,

@@ -10,13 +10,13 @@ from simulator.materials import bending_stiffness_n_m, shear_modulus_pa
 from simulator.numerics.tensor_basis import Axis
 from simulator.parameters.plate import CorrosionParameters, PlateParameters, SolidMesh
 from simulator.plate.solid.contact import (
-    compute_surface_flexibility_m_per_pa,
     exact_contact_compliance_m_per_n,
     half_space_indentation_m_per_n,
+    surface_flexibility_m_per_pa,
     transform_hertz_pressure,
 )
 from simulator.plate.solid.plate import assemble_solid, build_solid_plate
-from simulator.plate.solid.reduction import compute_krylov_fields, make_shifted_solver, project_layers
+from simulator.plate.solid.reduction import krylov_fields, make_shifted_solver, project_layers
 
 THICK = PlateParameters(
     width_m=0.04,
@@ -43,9 +43,7 @@ def evenly_meshed(parameters, elements, degree):
 
 def driven_frequency_hz(plate, expected_hz):
     """Frequency of the mode that the load drives nearest to the expected one."""
-    found = project_layers(plate, compute_krylov_fields(plate, 60)).modes(1.0, 0.0).omega_rad_per_s / (
-        2.0 * np.pi
-    )
+    found = project_layers(plate, krylov_fields(plate, 60)).modes(1.0, 0.0).omega_rad_per_s / (2.0 * np.pi)
     return float(found[np.argmin(np.abs(found - expected_hz))])
 
 
@@ -91,7 +89,7 @@ def series_contact_compliance(plate, count):
     weight = (
         4.0 / (plate.width_m * plate.height_m) * transform_hertz_pressure(k * plate.contact_radius_m) ** 2
     )
-    return float(np.sum(weight * compute_surface_flexibility_m_per_pa(plate, plate.thickness_m, k)))
+    return float(np.sum(weight * surface_flexibility_m_per_pa(plate, plate.thickness_m, k)))
 
 
 def test_references_agree_with_thin_plate_theory():
@@ -99,7 +97,7 @@ def test_references_agree_with_thin_plate_theory():
     thin_hz = np.pi * np.sqrt(bending / (7800 * PAPER.thickness_m)) / PAPER.width_m**2
     # Shear and rotary inertia: of the order of (pi h / a)^2 = 1e-3.
     assert 0.999 * thin_hz < exact_frequency_hz(PAPER, 1, 1) < thin_hz
-    flexibility = compute_surface_flexibility_m_per_pa(PAPER, PAPER.thickness_m, np.ones(1))[0]
+    flexibility = surface_flexibility_m_per_pa(PAPER, PAPER.thickness_m, np.ones(1))[0]
     assert flexibility * bending == pytest.approx(1.0, rel=1e-4)
     thin = 0.0116008 * PAPER.width_m**2 / bending
     net = exact_contact_compliance_m_per_n(PAPER, PAPER.width_m, PAPER.height_m, PAPER.thickness_m)

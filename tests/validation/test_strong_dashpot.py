@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from simulator.chain.spheres import build_chain
-from simulator.numerics.machine_code import compile_with_numba
+from simulator.numerics.machine_code import jit_compile
 from simulator.parameters.chain import ChainParameters
 from simulator.parameters.plate import CorrosionParameters, PlateParameters
 from simulator.plate.mindlin.cache import load_reduced_plate
@@ -118,7 +118,7 @@ def test_agrees_with_an_independent_integration_of_the_same_law(
     assert relative_l2(force, reference) < 4e-5
 
 
-@compile_with_numba()
+@jit_compile()
 def implicit_midpoint(mass, a, gamma, omega, phi, speed, gravity, sensor, step, substeps, samples):
     """Sensor force of chain and all modes, forces straight from the law (A d^1.5 + gamma d_dot) H(d).
 
@@ -166,7 +166,7 @@ def implicit_midpoint(mass, a, gamma, omega, phi, speed, gravity, sensor, step, 
     return sensor_force
 
 
-@compile_with_numba()
+@jit_compile()
 def plate_force(gap, free_rate, a, gamma, mobility, step):
     """F with d_dot = free_rate - mobility F and d = gap + (step / 2) d_dot: Newton's method for d."""
     d = gap + 0.5 * step * free_rate

@@ -66,7 +66,7 @@ def exit_code_of_checks(checks: Sequence[Check]) -> int:
     return next((code for area, code in EXIT_CODES.items() if area in failed), errors.EXIT_OK)
 
 
-def failed_check_of_error(name: str, error: InstrumentError, otherwise: str) -> Check:
+def check_of_error(name: str, error: InstrumentError, otherwise: str) -> Check:
     """Return the failed check for an instrument's error, whose message may contain the remedy.
 
     Parameters

@@ -11,7 +11,7 @@ from pathlib import Path
 import click
 import orjson
 
-from daq_service.cli.doctor.check import Check, check_of_finding, exit_code_of_checks, failed_check_of_error
+from daq_service.cli.doctor.check import Check, check_of_error, check_of_finding, exit_code_of_checks
 from daq_service.cli.doctor.machine import check_machine
 from daq_service.cli.doctor.software import check_software
 from daq_service.cli.doctor.storage import check_storage, hold_folder, read_lock_owner, refuse_while_owned
@@ -132,7 +132,7 @@ def run_rig_checks(
                 for finding in item.kind.check(item.parameters, build_opening(item, settings, clock)):
                     yield check_of_finding(finding, instrument)
             except InstrumentError as error:
-                yield failed_check_of_error(name, error, "see what its maker says of it")
+                yield check_of_error(name, error, "see what its maker says of it")
 
 
 def _skipped_check(name: str, found: str, remedy: str) -> Check:

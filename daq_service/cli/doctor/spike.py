@@ -8,7 +8,7 @@ from dataclasses import replace
 
 from analysis.errors import AnalysisError
 from analysis.waves.coil_spike import EdgeSpike, SpikeSurvey, survey_spike
-from daq_service.cli.doctor.check import Check, failed_check_of_error
+from daq_service.cli.doctor.check import Check, check_of_error
 from hardware_drivers.daqmx.parameters import DaqmxParameters
 from hardware_drivers.errors import ConfigurationError, InstrumentError
 
@@ -51,7 +51,7 @@ def check_coil_spike(
     try:
         survey = survey_coil(parameters, position, timeout_s)
     except InstrumentError as error:
-        check = failed_check_of_error(name, error, "mend what failed above, then strike")
+        check = check_of_error(name, error, "mend what failed above, then strike")
         if isinstance(error, ConfigurationError) and parameters.holdoff_s is None:
             # A board that its counter cannot start takes shots all the same.
             check = replace(check, area="rig", state="warn")

@@ -21,7 +21,7 @@ from daq_service.cli.inspection import describe_plan
 from daq_service.errors import BusyError, StorageError
 from daq_service.processes.data_folder import OWN_NAMES, own_data_folder
 from daq_service.processes.disk_policy import disk_space
-from daq_service.processes.lost_catalogue import is_catalogue_lost, lost_catalogue_reason, read_folder_history
+from daq_service.processes.lost_catalogue import is_catalogue_lost, loss_reason, read_folder_history
 from daq_service.processes.lost_sets import find_lost_sets
 from daq_service.recording.experiment import find_stored_experiment
 from daq_service.settings.tree import Settings
@@ -111,12 +111,12 @@ def _check_writable(folder: Path) -> Check:
     """Check that a file can be written, synced and removed, as each set needs."""
     name, existing = "data folder: writable", _nearest_existing_folder(folder)
     if not existing.is_dir():
-        return _failed_folder_check(name, f"{existing} is a file", "choose another folder with --data-dir")
+        return _failed_check(name, f"{existing} is a file", "choose another folder with --data-dir")
     if existing == folder:
         names = {path.name for path in folder.iterdir()}
         if names and not names & OWN_NAMES:
             found = f"{folder} is not empty and no data folder of solimon (it holds {min(names)!r})"
-            return _failed_folder_check(name, found, "choose a new or empty folder with --data-dir")
+            return _failed_check(name, found, "choose a new or empty folder with --data-dir")
     probe = existing / f".write-test-{uuid.uuid4().hex}"
     started_s = time.monotonic()
     try:
@@ -127,9 +127,7 @@ def _check_writable(folder: Path) -> Check:
         retry_call(probe.unlink)
     except OSError as error:
         found = f"{existing} cannot be written: {error.strerror}"
-        return _failed_folder_check(
-            name, found, "correct its permissions or choose another folder with --data-dir"
-        )
+        return _failed_check(name, found, "correct its permissions or choose another folder with --data-dir")
     took_s = time.monotonic() - started_s
     found = f"{folder}{'' if existing == folder else ' (to be made)'}; a small file is durable after "
     found += f"{took_s * 1e3:.0f} ms"
@@ -138,7 +136,7 @@ def _check_writable(folder: Path) -> Check:
     return Check("folder", name, state, found, "use a faster disk, or find what keeps it busy", values)
 
 
-def _failed_folder_check(name: str, found: str, remedy: str) -> Check:
+def _failed_check(name: str, found: str, remedy: str) -> Check:
     """Return a failed check of the folder."""
     return Check("folder", name, "fail", found, remedy)
 
@@ -153,7 +151,7 @@ def _check_owner(settings: Settings, folder: Path) -> Check:
             if experiment is not None:
                 refuse_other_experiment(experiment, folder, settings)
     except StorageError as error:
-        return _failed_folder_check(
+        return _failed_check(
             name, str(error), "use this test's own folder or configuration, or a new --data-dir"
         )
     found = f"free for this configuration ({own_hash[:12]})"
@@ -163,11 +161,11 @@ def _check_owner(settings: Settings, folder: Path) -> Check:
 def _check_catalogue(folder: Path) -> list[Check]:
     """Check that a started test has its catalogue; `_owner` reports an unreadable one."""
     try:
-        reason = lost_catalogue_reason(folder)
+        reason = loss_reason(folder)
     except StorageError:
         return []
     remedy = "look with solimon verify first; a backup of the folder has the catalogue, too"
-    return [_failed_folder_check("data folder: catalogue", reason, remedy)] if reason else []
+    return [_failed_check("data folder: catalogue", reason, remedy)] if reason else []
 
 
 def _check_stored_sets(folder: Path) -> list[Check]:
@@ -179,7 +177,7 @@ def _check_stored_sets(folder: Path) -> list[Check]:
     except (NoDataYetError, SchemaVersionError):
         return []  # not started, or an earlier version's: `_owner` reports that
     except (StorageError, OSError) as error:
-        return [_failed_folder_check(name, str(error), "solimon verify says more")]
+        return [_failed_check(name, str(error), "solimon verify says more")]
     values = {"lost_sets": len(lost)}
     if not lost:
         return [Check("folder", name, "ok", "every set that has rows is there", values=values)]

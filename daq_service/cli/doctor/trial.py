@@ -15,7 +15,7 @@ from pydantic import TypeAdapter
 from analysis.waves.coil_spike import FITTING_LEVEL, SpikeSurvey
 from analysis.waves.features import ShotFeatures
 from daq_service.acquisition.shot_features import extract_shot_features
-from daq_service.cli.doctor.check import Check, failed_check_of_error
+from daq_service.cli.doctor.check import Check, check_of_error
 from daq_service.cli.doctor.spike import check_coil_spike
 from daq_service.clock import WallClock, parse_utc, read_boot_id
 from daq_service.errors import UsageError
@@ -133,7 +133,7 @@ def _take_shot(
                 take_set(rig, plan, first_sequence=0, boot_id=read_boot_id(), idle=lambda: True)
             )
     except InstrumentError as error:
-        failed_check = failed_check_of_error(
+        failed_check = check_of_error(
             f"strike {position}: record", error, "mend what failed above, then strike"
         )
         return Trial(position=position, checks=(failed_check,))

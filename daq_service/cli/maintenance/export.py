@@ -36,7 +36,7 @@ from daq_service.catalogue.rows import (
 from daq_service.clock import format_utc
 from daq_service.errors import StorageError, UsageError
 from daq_service.processes.data_folder import OWN_NAMES
-from daq_service.processes.lost_catalogue import lost_catalogue_reason
+from daq_service.processes.lost_catalogue import loss_reason
 from daq_service.shared_file import write_output
 from daq_service.web.tables.formats import to_array
 from hardware_drivers.measurement import SetKey
@@ -157,7 +157,7 @@ def refuse_target(folder: Path, target: Path, *, overwrite: bool) -> None:
         The test's catalogue is lost.
     """
     if not (folder / FILE_NAME).is_file():
-        if reason := lost_catalogue_reason(folder):
+        if reason := loss_reason(folder):
             raise StorageError(reason)
         raise UsageError(
             f"{folder} holds no test of solimon (no {FILE_NAME}); choose its folder with --data-dir"

@@ -20,7 +20,7 @@ from analysis.waves.features import (
     apply_flags,
     extract_from_volts,
 )
-from analysis.waves.pulses import measure_first_fwhm_s
+from analysis.waves.pulses import first_fwhm_s
 from analysis.waves.quality_gate import DISTURBED
 from analysis.waves.record_reduction import FEWEST_BLOCKS, ExtractionSettings
 from analysis.waves.template import Template, compare_with_others, learn_template
@@ -29,7 +29,7 @@ from daq_service.cli.offline.record_file import FileParameters, Record, RecordFi
 from daq_service.cli.sweep.progress import Progress
 from daq_service.cli.terminal import create_console
 from daq_service.errors import UsageError
-from daq_service.settings.foreign_text import escape_to_one_line
+from daq_service.settings.foreign_text import to_one_line
 
 MANY_RECORDS = 2_000
 """Number of records that take more than a second, so that progress is shown."""
@@ -175,7 +175,7 @@ def _choose_settings(
     for record in file.records(-(-file.n // LOOKED_AT)):
         found = widths_s[record.position]
         if transducer.isw_fwhm_s is None:
-            width_s = measure_first_fwhm_s(record.volts_v, record.rate_hz, record.pretrigger_samples)
+            width_s = first_fwhm_s(record.volts_v, record.rate_hz, record.pretrigger_samples)
             # That of a spike would refuse every record.
             narrowest_s = FEWEST_BLOCKS * max(ExtractionSettings().block_s, 1.0 / record.rate_hz)
             found.append(width_s if width_s >= narrowest_s else math.nan)
@@ -252,7 +252,7 @@ def _print_table(path: Path, shots: Sequence[ShotFeatures]) -> None:
     """Print a table of the features of a file."""
     from rich.table import Table
 
-    table = Table(title=f"{escape_to_one_line(str(path))}, extractor {EXTRACTOR_VERSION}")
+    table = Table(title=f"{to_one_line(str(path))}, extractor {EXTRACTOR_VERSION}")
     for name in ("record", "quality", "flags", *(title for title, *_ in COLUMNS)):
         table.add_column(name, justify="left" if name in ("quality", "flags") else "right")
     for index, shot in enumerate(shots):

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from daq_service.cli.reproduce.diagnosis import GIVEN, cause_of
 from daq_service.cli.reproduce.item import Found, missing_value
-from daq_service.cli.reproduce.paper_values import PaperValue, paper_values_of_item
+from daq_service.cli.reproduce.paper_values import PaperValue, paper_values
 
 NOT_AVAILABLE = "not available"
 
@@ -70,7 +70,7 @@ def compare_item(
     """
     return [
         _compare_value(value, found.get(value.quantity, missing_value(missing_reason)), origin=origin)
-        for value in paper_values_of_item(item)
+        for value in paper_values(item)
     ]
 
 

@@ -104,7 +104,7 @@ def _fig14_values(test: Evidence) -> dict[str, item.Found]:
             values |= {f"{key}_{name}": item.missing_value(why) for key in keys}
             continue
         for source in ("text", "caption"):
-            values[f"limit_{source}_{name}"] = item.value_or_missing(
+            values[f"limit_{source}_{name}"] = item.found_value(
                 baseline.limit_mean_3sd, f"{baseline.n_sets} sets", reason=str(baseline.limit_reason)
             )
         for key, outlier, from_h in (
@@ -114,7 +114,7 @@ def _fig14_values(test: Evidence) -> dict[str, item.Found]:
         ):
             share, n = _outlier_percentage(pulses, outlier, from_h)
             reason = f"no set was judged after hour {from_h:g} (last: {test.last_h:g})"
-            values[f"{key}_{name}"] = item.value_or_missing(share, f"of {n} sets", reason=reason)
+            values[f"{key}_{name}"] = item.found_value(share, f"of {n} sets", reason=reason)
     return values
 
 
@@ -130,7 +130,7 @@ def _loss_at_first_alarm(test: Evidence) -> item.Found:
     loss_m = _median_near(probe, "thickness_loss_m", hour)
     if loss_m is None:
         return item.missing_value(f"no ultrasonic reading near hour {hour:g}")
-    return item.value_or_missing(
+    return item.found_value(
         1e3 * loss_m, f"read at {probe.position} when {name} alarmed first, hour {hour:g}"
     )
 
@@ -230,11 +230,11 @@ def _fig15_values(test: Evidence, probe: Series, line: tuple[float, float] | Non
     if probe.position != "A":
         return dict.fromkeys(names, item.missing_value("the test has no pulse-echo position A"))
     initial_m = test.settings.ultrasound.initial_thickness_m
-    values = {"initial": item.value_or_missing(1e3 * initial_m, "configured")}
+    values = {"initial": item.found_value(1e3 * initial_m, "configured")}
     read_m = _median_near(probe, "thickness_m", READ_H)
     if read_m is not None:
-        values["thickness_300"] = item.value_or_missing(1e3 * read_m)
-        values["loss_300"] = item.value_or_missing(100.0 * (1.0 - read_m / initial_m))
+        values["thickness_300"] = item.found_value(1e3 * read_m)
+        values["loss_300"] = item.found_value(100.0 * (1.0 - read_m / initial_m))
     else:
         absent = item.missing_value(f"no reading near hour {READ_H:g} (last: {test.last_h:g})")
         values |= dict.fromkeys(names[:2], absent)
@@ -244,14 +244,12 @@ def _fig15_values(test: Evidence, probe: Series, line: tuple[float, float] | Non
     values["core"] = (
         item.missing_value(f"nobody cored this test's plate{read}")
         if truth is None
-        else item.value_or_missing(
-            1e3 * float(truth[1][-1]), f"the twin's truth at hour {truth[0][-1]:g}{read}"
-        )
+        else item.found_value(1e3 * float(truth[1][-1]), f"the twin's truth at hour {truth[0][-1]:g}{read}")
     )
     values["linearity"] = (
         item.missing_value("fewer than two readings")
         if line is None
-        else item.value_or_missing(_compute_r_squared(probe, line))
+        else item.found_value(_compute_r_squared(probe, line))
     )
     return values
 

@@ -19,7 +19,7 @@ from daq_service.catalogue import Catalogue, open_catalogue
 from daq_service.catalogue.errors import NoDataYetError
 from daq_service.catalogue.rows import AlarmRow, AssessmentRow, BaselineRow, FeatureRow, SetRow, ThicknessRow
 from daq_service.errors import StorageError
-from daq_service.processes.lost_catalogue import lost_catalogue_reason
+from daq_service.processes.lost_catalogue import loss_reason
 from daq_service.settings.stored import restore_settings
 from daq_service.settings.tree import PositionSettings, Settings
 from hardware_drivers.methods import PULSE_ECHO, SOLITARY_WAVE
@@ -156,7 +156,7 @@ def read_evidence(folder: Path, *, with_traces: bool = True) -> Evidence:
             counts = catalogue.counts()
     except NoDataYetError as error:
         raise StorageError(
-            lost_catalogue_reason(folder)
+            loss_reason(folder)
             or f"{folder} holds no test that has begun; give --from the data folder of one (it has a file "
             "catalogue.sqlite), or leave --from out to run the paper's test on the twin"
         ) from error

@@ -56,7 +56,7 @@ class Found:
     reason: str = ""
 
 
-def value_or_missing(value: float | None, words: str = "", *, reason: str = "") -> Found:
+def found_value(value: float | None, words: str = "", *, reason: str = "") -> Found:
     """Return our value; None or NaN becomes "not available" with the reason."""
     if value is None or not math.isfinite(value):
         return Found(words=words, reason=reason or "not a finite number")

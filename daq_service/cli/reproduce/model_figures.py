@@ -90,20 +90,20 @@ def draw_fig10(material: item.Material) -> item.Product:
         drawing=figure,
         tables={"": item.Table(columns=columns)},
         found={
-            "e_case_3": item.value_or_missing(case_3["e_eq8"][0], "eq. 8"),
-            "tau_c_case_3": item.value_or_missing(case_3["tau_c_eq8"][0], "eq. 8"),
+            "e_case_3": item.found_value(case_3["e_eq8"][0], "eq. 8"),
+            "tau_c_case_3": item.found_value(case_3["tau_c_eq8"][0], "eq. 8"),
         },
         notes=(
             (
                 "Largest distance of the closed forms from eq. 8: eq. 10 "
-                f"{_maximum_deviation_percent(columns, 'e_eq10', 'e_eq8'):.1f} % up to lambda = 1, eq. 12 "
-                f"{_maximum_deviation_percent(columns, 'tau_c_eq12', 'tau_c_eq8'):.2f} % up to 2."
+                f"{_worst_percent(columns, 'e_eq10', 'e_eq8'):.1f} % up to lambda = 1, eq. 12 "
+                f"{_worst_percent(columns, 'tau_c_eq12', 'tau_c_eq8'):.2f} % up to 2."
             ),
         ),
     )
 
 
-def _maximum_deviation_percent(columns: Mapping[str, Sequence[float]], approximate: str, exact: str) -> float:
+def _worst_percent(columns: Mapping[str, Sequence[float]], approximate: str, exact: str) -> float:
     """Return the largest deviation of an approximation in per cent."""
     return 100.0 * float(np.nanmax(np.abs(np.divide(columns[approximate], columns[exact]) - 1.0)))
 
@@ -172,12 +172,12 @@ def _fig12_values(curves: _Curves) -> dict[str, item.Found]:
     for kind, name in enumerate(("tof", "ar")):
         for ratio, sign in ((1.2, "plus"), (0.8, "minus")):
             change = 100.0 * (at["disk"][ratio][kind] / nominal[kind] - 1.0)
-            found[f"{name}_{sign}"] = item.value_or_missing(abs(change), f"{change:+.2f} %")
-        found[name] = item.value_or_missing(nominal[kind], "sensor two disks")
-        found[f"{name}_zener"] = item.value_or_missing(zener[kind], "eq. 8")
+            found[f"{name}_{sign}"] = item.found_value(abs(change), f"{change:+.2f} %")
+        found[name] = item.found_value(nominal[kind], "sensor two disks")
+        found[f"{name}_zener"] = item.found_value(zener[kind], "eq. 8")
         shift = f"{100 * (strong[kind] / nominal[kind] - 1):+.{1 - kind}f} %"
-        found[f"gamma_{name}"] = item.value_or_missing(strong[kind] - nominal[kind], shift)
-    found["ar_measured"] = item.value_or_missing(nominal[1], "our model beside the paper's measurement")
+        found[f"gamma_{name}"] = item.found_value(strong[kind] - nominal[kind], shift)
+    found["ar_measured"] = item.found_value(nominal[1], "our model beside the paper's measurement")
     return found
 
 
@@ -261,7 +261,7 @@ def _fig13_values(curves: _Curves, absent: Mapping[str, str]) -> dict[str, item.
     found = {f"{name}_{key}": item.missing_value(why) for name, why in absent.items() for key, *_ in ends}
     for name, points in curves.items():
         at = {round(point[0], 6): point for point in points}
-        found |= {f"{name}_{key}": item.value_or_missing(at[depth][k]) for key, k, depth in ends}
+        found |= {f"{name}_{key}": item.found_value(at[depth][k]) for key, k, depth in ends}
     return found
 
 

@@ -64,6 +64,6 @@ def printed_number(item: str, quantity: str) -> float:
     return value
 
 
-def paper_values_of_item(item: str) -> tuple[PaperValue, ...]:
+def paper_values(item: str) -> tuple[PaperValue, ...]:
     """Return all values of the paper for an item."""
     return tuple(value for value in PAPER_VALUES if value.item == item)

@@ -40,7 +40,7 @@ from daq_service.errors import EXIT_INTERRUPTED, EXIT_OK, UsageError
 from daq_service.processes.child import stop_on_signals
 from daq_service.processes.data_folder import new_folder_path
 from daq_service.processes.worker import start_one_worker
-from daq_service.settings.stored import find_settings_differences
+from daq_service.settings.stored import settings_differences
 from daq_service.settings.tree import Settings
 from daq_service.shared_file import write_output
 from simulator.errors import SimulatorError
@@ -241,4 +241,4 @@ def _describe_origin(test: Evidence | None) -> str:
     # What raises an alarm changes no measurement.
     alarms = {**test.settings.alarms.model_dump(mode="json"), **BY_SETS["alarms"]}
     stored = {**test.settings.model_dump(mode="json"), "alarms": alarms}
-    return "twin" if find_settings_differences(stored, load_twin_settings(test.seed)) else "shipped"
+    return "twin" if settings_differences(stored, load_twin_settings(test.seed)) else "shipped"

@@ -19,7 +19,7 @@ from simulator.materials import bending_stiffness_n_m, plane_modulus_pa, shear_m
 from simulator.parameters.chain import ChainParameters
 from simulator.parameters.plate import CorrosionParameters, LiquidParameters, PlateParameters
 from simulator.zener.model import amplitude_ratio, approximate_restitution
-from simulator.zener.table_2 import compute_table_2
+from simulator.zener.table_2 import table_2
 
 _SPHERE, _DISK = ChainParameters(sensor="sphere"), ChainParameters(sensor="disk")
 _PLATE, _PATCH = PlateParameters(), CorrosionParameters()
@@ -35,42 +35,42 @@ def _undamped_chain(chain: ChainParameters) -> ChainParameters:
     return replace(chain, damping_n_s_per_m=0.0, contact_damping_n_s_per_m=0.0)
 
 
-def _simulate_pristine_shot(chain: ChainParameters, plate: PlateParameters = _PLATE) -> Job:
+def _pristine_shot(chain: ChainParameters, plate: PlateParameters = _PLATE) -> Job:
     """Return the simulation of one shot on the pristine plate."""
     return Job(function=models.compute_pulses_over_depth, arguments=(chain, plate, _PATCH, (0.0,)))
 
 
-def _simulate_shot_on_element(size_m: float) -> Job:
+def _shot_on_element(size_m: float) -> Job:
     """Return the simulation of one shot with the contact on an element of this size."""
-    return _simulate_pristine_shot(_DISK, replace(_PLATE, contact_element_m=size_m))
+    return _pristine_shot(_DISK, replace(_PLATE, contact_element_m=size_m))
 
 
 _CANDIDATES: Mapping[str, tuple[str, Job]] = {
-    "sphere": ("sensor a sphere", _simulate_pristine_shot(_SPHERE)),
-    "disk": ("sensor two disks", _simulate_pristine_shot(_DISK)),
+    "sphere": ("sensor a sphere", _pristine_shot(_SPHERE)),
+    "disk": ("sensor two disks", _pristine_shot(_DISK)),
     "sphere_undamped": (
         "sphere, no dashpots (eq. 1 as printed)",
-        _simulate_pristine_shot(_undamped_chain(_SPHERE)),
+        _pristine_shot(_undamped_chain(_SPHERE)),
     ),
     "disk_undamped": (
         "disks, no dashpots (eq. 1 as printed)",
-        _simulate_pristine_shot(_undamped_chain(_DISK)),
+        _pristine_shot(_undamped_chain(_DISK)),
     ),
-    "sphere_wall": ("sphere, rigid wall", _simulate_pristine_shot(_SPHERE, _WALL)),
-    "disk_wall": ("disks, rigid wall", _simulate_pristine_shot(_DISK, _WALL)),
-    "sphere_thin": ("sphere, infinite thin plate", _simulate_pristine_shot(_SPHERE, _THIN)),
-    "disk_thin": ("disks, infinite thin plate", _simulate_pristine_shot(_DISK, _THIN)),
-    "disk_nu": ("disks, nu of the chain 0.28", _simulate_pristine_shot(replace(_DISK, poisson_ratio=0.28))),
-    "element_1_mm": ("disks, contact element 1 mm", _simulate_shot_on_element(1e-3)),
-    "element_10_um": ("disks, contact element 0.01 mm", _simulate_shot_on_element(1e-5)),
+    "sphere_wall": ("sphere, rigid wall", _pristine_shot(_SPHERE, _WALL)),
+    "disk_wall": ("disks, rigid wall", _pristine_shot(_DISK, _WALL)),
+    "sphere_thin": ("sphere, infinite thin plate", _pristine_shot(_SPHERE, _THIN)),
+    "disk_thin": ("disks, infinite thin plate", _pristine_shot(_DISK, _THIN)),
+    "disk_nu": ("disks, nu of the chain 0.28", _pristine_shot(replace(_DISK, poisson_ratio=0.28))),
+    "element_1_mm": ("disks, contact element 1 mm", _shot_on_element(1e-3)),
+    "element_10_um": ("disks, contact element 0.01 mm", _shot_on_element(1e-5)),
 }
 """Settings compatible with the paper, and limiting cases, compared with its 319 us and 0.837."""
 _JOBS = {
     **{name: job for name, (_, job) in _CANDIDATES.items()},
-    "element_100_um": _simulate_shot_on_element(1e-4),
-    "free_wall": _simulate_pristine_shot(_FREE, _WALL),
-    "disk_gamma": _simulate_pristine_shot(replace(_DISK, contact_damping_n_s_per_m=STRONG_GAMMA_N_S_PER_M)),
-    "disk_wet": _simulate_pristine_shot(_DISK, replace(_PLATE, liquid=_WATER)),
+    "element_100_um": _shot_on_element(1e-4),
+    "free_wall": _pristine_shot(_FREE, _WALL),
+    "disk_gamma": _pristine_shot(replace(_DISK, contact_damping_n_s_per_m=STRONG_GAMMA_N_S_PER_M)),
+    "disk_wet": _pristine_shot(_DISK, replace(_PLATE, liquid=_WATER)),
     "disk_depths": Job(function=models.compute_pulses_over_depth, arguments=(_DISK, _PLATE, _PATCH, DEPTHS)),
     "zener_wall": Job(function=models.compute_zener_on_thickness, arguments=(1.0,)),
 }
@@ -179,7 +179,7 @@ def _check_row_5(_: Material) -> _Numbers:
         printed_number("table2", "inelasticity_5"),
     )
     return {
-        "row": compute_table_2()[4],
+        "row": table_2()[4],
         "rounded_e": rounded_e,
         "of_rounded": amplitude_ratio(rounded_e),
         "of_printed": amplitude_ratio(approximate_restitution(inelasticity)),

@@ -11,11 +11,11 @@ from daq_service.cli.reproduce.item import (
     Material,
     Product,
     Table,
+    found_value,
     missing_value,
-    value_or_missing,
 )
-from daq_service.cli.reproduce.paper_values import paper_values_of_item
-from simulator.zener.table_2 import Table2Row, compute_table_2
+from daq_service.cli.reproduce.paper_values import paper_values
+from simulator.zener.table_2 import Table2Row, table_2
 
 
 def make_table1(material: Material) -> Product:
@@ -33,12 +33,10 @@ def make_table1(material: Material) -> Product:
     )
     values = {f"patch_{name}": missing_value(f"the test has no position {name}") for name in "ABC"}
     for name, place in places.items():
-        values[f"patch_{name}"] = value_or_missing(
-            1e3 * place.settings.corrosion.size_m, place.settings.method
-        )
+        values[f"patch_{name}"] = found_value(1e3 * place.settings.corrosion.size_m, place.settings.method)
     values["loss_D"] = _compute_loss_at_d(material)
-    values["end"] = value_or_missing(test.last_h)
-    values["sets"] = value_or_missing(float(test.counts["sets"]), f"to hour {test.last_h:g}")
+    values["end"] = found_value(test.last_h)
+    values["sets"] = found_value(float(test.counts["sets"]), f"to hour {test.last_h:g}")
     return Product(tables={"": table}, found=values)
 
 
@@ -47,7 +45,7 @@ def _compute_loss_at_d(material: Material) -> Found:
     known = [trace for trace in material.test.traces.get("D", ()) if "depth_fraction" in trace.truth]
     if not known:
         return missing_value("nobody measured the wall at D")
-    return value_or_missing(100.0 * known[-1].truth["depth_fraction"], "the twin's truth")
+    return found_value(100.0 * known[-1].truth["depth_fraction"], "the twin's truth")
 
 
 def make_table2(material: Material) -> Product:
@@ -55,17 +53,17 @@ def make_table2(material: Material) -> Product:
     rows: tuple[Table2Row, ...] = material.result("rows")
     columns = {field.name: [float(getattr(row, field.name)) for row in rows] for field in fields(Table2Row)}
     values = {
-        f"{name.partition('_m_per_s')[0].removesuffix('_us')}_{case}": value_or_missing(value)
+        f"{name.partition('_m_per_s')[0].removesuffix('_us')}_{case}": found_value(value)
         for name, numbers in columns.items()
         for case, value in enumerate(numbers, 1)
     }
-    same = sum(value.value == values[value.quantity].value for value in paper_values_of_item("table2"))
+    same = sum(value.value == values[value.quantity].value for value in paper_values("table2"))
     return Product(
         tables={"": Table(columns={"case": list(range(1, len(rows) + 1)), **columns})},
         found=values,
-        notes=(f"{same} of {len(paper_values_of_item('table2'))} printed numbers agree digit for digit.",),
+        notes=(f"{same} of {len(paper_values('table2'))} printed numbers agree digit for digit.",),
     )
 
 
 TABLE1 = Item(name="table1", make=make_table1, needs_test=True)
-TABLE2 = Item(name="table2", make=make_table2, jobs={"rows": Job(function=compute_table_2)})
+TABLE2 = Item(name="table2", make=make_table2, jobs={"rows": Job(function=table_2)})

@@ -13,7 +13,7 @@ from analysis.errors import AnalysisError
 from analysis.statistics.trend import Trend, fit_trend
 from daq_service.cli.reproduce import item
 from daq_service.cli.reproduce.evidence import FloatArray, Series
-from daq_service.cli.reproduce.paper_values import paper_values_of_item
+from daq_service.cli.reproduce.paper_values import paper_values
 from daq_service.cli.reproduce.style import (
     BLACK,
     PAPER_MARK,
@@ -90,7 +90,7 @@ def _draw_feature_panel(axis: Axes, pulses: Series, feature: Trended, fit: _Fit 
         last_h = fit.last_h
         hours = np.linspace(0.0, last_h, 100)
         axis.plot(hours, fit.trend.at(hours), color=BLACK, lw=1.2, label="our fit, second order")
-    paper = {value.quantity: value.value for value in paper_values_of_item(feature.item)}
+    paper = {value.quantity: value.value for value in paper_values(feature.item)}
     start, end, change = (
         paper.get(f"{feature.quantities.get(what)}_{pulses.position}") for what in ("start", "end", "change")
     )
@@ -125,7 +125,7 @@ def _value_of_fit(fits: _Fits, position: str, what: str) -> item.Found:
         return item.missing_value(f"the test has no solitary-wave position {position}")
     if isinstance(fit, str):
         return item.missing_value(fit)
-    return item.value_or_missing(fit.values[what], f"to hour {fit.last_h:g}")
+    return item.found_value(fit.values[what], f"to hour {fit.last_h:g}")
 
 
 FIG8, FIG9, FIG11 = (

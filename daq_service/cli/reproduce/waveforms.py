@@ -119,7 +119,7 @@ def _time_from_contact(test: Evidence, names: Sequence[str]) -> dict[str, item.F
                 "a record begins at its trigger; only the twin knows when the striker touched"
             )
         }
-    return {"isw_time": item.value_or_missing(1e6 * float(np.median(times)), "after the striker's touch")}
+    return {"isw_time": item.found_value(1e6 * float(np.median(times)), "after the striker's touch")}
 
 
 def _hour_of_first_alarm(test: Evidence, position: str) -> item.Found:
@@ -132,7 +132,7 @@ def _hour_of_first_alarm(test: Evidence, position: str) -> item.Found:
     rule = test.settings.alarms
     by_chart = rule.decides_by == "chart"
     rule_text = "the chart" if by_chart else f"{rule.k} of {rule.n} sets beyond the limit"
-    return item.value_or_missing(hour, f"first alarm ({rule_text})")
+    return item.found_value(hour, f"first alarm ({rule_text})")
 
 
 FIG7 = item.Item(name="fig7", make=draw_fig7, needs_test=True)

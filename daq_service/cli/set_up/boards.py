@@ -8,7 +8,7 @@ from dataclasses import asdict, dataclass, replace
 from daq_service.cli.doctor.spike import describe_edge
 from daq_service.cli.set_up.bench import Bench, compute_noise_rms_v
 from daq_service.cli.set_up.dialogue import Dialogue
-from daq_service.cli.set_up.init import format_head, read_laboratory_values
+from daq_service.cli.set_up.init import format_head, read_laboratory
 from daq_service.cli.set_up.transducers import Contents, Flags, make_positions_table
 from daq_service.cli.set_up.values import REMEDIES, assess_strikes
 from daq_service.cli.set_up.wiring import (
@@ -125,7 +125,7 @@ class Boards:
 
     def contents(self, others: Tables, off: set[KeyPath]) -> Contents:
         """Return values, switched-off tables and head of the file."""
-        values, _ = read_laboratory_values()
+        values, _ = read_laboratory()
         methods = dict.fromkeys(others.get("niscope", {}).get("probes", {}), PULSE_ECHO)
         if clash := set(methods) & set(self.wired):
             raise UsageError(f"position {', '.join(clash)} is a transducer and a probe; rename one of them")

@@ -44,7 +44,7 @@ def write_configuration(
     if (source is not None) != (kind == "playback"):
         raise UsageError("--source names the recording of `init playback`, and belongs to it alone")
     values, off = (
-        read_laboratory_values()
+        read_laboratory()
         if kind == "rig"
         else (_read_twin_values() if source is None else _make_playback_values(source), set())
     )
@@ -72,7 +72,7 @@ def format_schema() -> str:
 # What is written -------------------------------------------------------------------------------------
 
 
-def read_laboratory_values() -> tuple[Tables, set[KeyPath]]:
+def read_laboratory() -> tuple[Tables, set[KeyPath]]:
     """Read the values of the shipped laboratory.toml, and the tables that it switches off."""
     text = find_config_file("laboratory.toml").read_text(encoding="utf-8")
     values, active = tomllib.loads(uncomment_tables(text)), flatten(tomllib.loads(text))

@@ -17,7 +17,7 @@ from daq_service.cli.doctor.storage import hold_folder, refuse_while_owned
 from daq_service.cli.doctor.trial import Trial, strike_transducer
 from daq_service.cli.set_up.dialogue import Dialogue
 from daq_service.cli.set_up.drawn import prepare_shot_for_page
-from daq_service.cli.set_up.init import format_head, read_laboratory_values, validate_new_file
+from daq_service.cli.set_up.init import format_head, read_laboratory, validate_new_file
 from daq_service.cli.set_up.transducers import Contents, Flags, make_positions_table
 from daq_service.errors import RigError, UsageError
 from daq_service.settings.instruments import list_instruments, to_plain_parameters
@@ -187,7 +187,7 @@ class Kinds:
 
     def _values_of_file(self, others: Tables) -> Tables:
         """Return the values of the new file; `others` are further tables of [rig]."""
-        values, _ = read_laboratory_values()
+        values, _ = read_laboratory()
         rig = {name: value for name, value in values["rig"].items() if not isinstance(value, Mapping)}
         used = {name for roles in self.wired.values() for name in roles.values()}
         instruments = {

@@ -11,7 +11,7 @@ import click
 from daq_service.commands.send import user_name
 from daq_service.errors import EXIT_NOT_MET, EXIT_OK, UsageError
 from daq_service.processes.data_folder import settings_and_folder
-from daq_service.processes.notifications.addresses import read_receiver_address
+from daq_service.processes.notifications.addresses import read_address
 from daq_service.processes.notifications.by_apprise import deliver_by_apprise
 from daq_service.processes.notifications.messages import Test, build_test_message
 from daq_service.processes.notifications.webhook import Outcome, post_message
@@ -34,7 +34,7 @@ def run_test(*, config: Path | None, receiver: str | None, as_json: bool) -> int
     results: dict[str, Outcome] = {}
     for name in receivers if receiver is None else [receiver]:
         receiver_settings, test = receivers[name], Test(name=settings.name, mark="terminal")
-        address = read_receiver_address(name, receiver_settings)
+        address = read_address(name, receiver_settings)
         message = build_test_message(test, name, user_name(), now_ns=time.time_ns())
         results[name] = (
             deliver_by_apprise(address, message)

@@ -10,7 +10,7 @@ from typing import TypeVar
 
 from daq_service.cli.doctor.check import read_time_stamp
 from daq_service.cli.set_up.dialogue import Dialogue
-from daq_service.cli.set_up.init import read_laboratory_values
+from daq_service.cli.set_up.init import read_laboratory
 from daq_service.settings.tables import KeyPath, Tables
 from hardware_drivers.errors import InstrumentError
 from hardware_drivers.niscope.parameters import NiscopeParameters, ProbeWiring
@@ -42,7 +42,7 @@ def ask_for_others(
         text = "NI-SCOPE board of an ultrasonic probe at A, as NI MAX names it"
         known |= _ask_for_address(dialogue, "probe", text, lambda address: _find_probes({"A": address}))
     if known:
-        usual = read_laboratory_values()[0]["rig"]["niscope"]
+        usual = read_laboratory()[0]["rig"]["niscope"]
         tables["niscope"] = {
             **usual,
             "probes": {name: _to_parameter_table(wiring) for name, wiring in known.items()},

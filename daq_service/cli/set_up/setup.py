@@ -16,7 +16,7 @@ from daq_service.cli.set_up.bench import Bench
 from daq_service.cli.set_up.boards import Boards
 from daq_service.cli.set_up.dialogue import Dialogue
 from daq_service.cli.set_up.init import (
-    read_laboratory_values,
+    read_laboratory,
     refuse_to_overwrite,
     validate_new_file,
     write_file,
@@ -76,7 +76,7 @@ def run_setup(
     if assignments and not kinds:
         raise UsageError("--set is for --kind; NI boards are set up by questions, or by --transducer")
     dialogue = Dialogue()
-    folder = data_dir or file.absolute().parent / read_laboratory_values()[0]["storage"]["folder"]
+    folder = data_dir or file.absolute().parent / read_laboratory()[0]["storage"]["folder"]
     refuse_while_owned("setup", read_lock_owner(folder))
     with ExitStack() as stack:
         instruments: Instruments

@@ -19,7 +19,7 @@ def run_create(
     *, name: str, role: Role, days: float | None, config: Path | None, data_dir: Path | None, as_json: bool
 ) -> None:
     """Create a token and print it; the printed text is not stored."""
-    path, audit = _token_and_audit_files(config, data_dir)
+    path, audit = _token_files(config, data_dir)
     token, text = create_token(path, name, role, days=days)
     _add_audit_entry(audit, "create_token", name=name, role=role, days=days)
     if as_json:
@@ -32,7 +32,7 @@ def run_create(
 
 def run_list(*, config: Path | None, data_dir: Path | None, as_json: bool) -> None:
     """Print all tokens without their secrets."""
-    path, _ = _token_and_audit_files(config, data_dir)
+    path, _ = _token_files(config, data_dir)
     tokens = [_describe_token(token) for token in read_tokens(path)]
     if as_json:
         click.echo(json.dumps({"file": str(path), "tokens": tokens}))
@@ -46,7 +46,7 @@ def run_list(*, config: Path | None, data_dir: Path | None, as_json: bool) -> No
 
 def run_revoke(*, name: str, config: Path | None, data_dir: Path | None, as_json: bool) -> None:
     """Revoke a token."""
-    path, audit = _token_and_audit_files(config, data_dir)
+    path, audit = _token_files(config, data_dir)
     token = revoke_token(path, name)
     _add_audit_entry(audit, "revoke_token", name=name)
     click.echo(
@@ -54,7 +54,7 @@ def run_revoke(*, name: str, config: Path | None, data_dir: Path | None, as_json
     )
 
 
-def _token_and_audit_files(config: Path | None, data_dir: Path | None) -> tuple[Path, Audit]:
+def _token_files(config: Path | None, data_dir: Path | None) -> tuple[Path, Audit]:
     """Return the file of tokens and the audit log of a test."""
     settings, folder = settings_of_folder(config, data_dir)
     prepare_data_folder(folder)

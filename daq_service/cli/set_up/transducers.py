@@ -8,7 +8,7 @@ from typing import Protocol
 
 from analysis.errors import AnalysisError
 from daq_service.cli.set_up.dialogue import Dialogue
-from daq_service.cli.set_up.init import read_laboratory_values
+from daq_service.cli.set_up.init import read_laboratory
 from daq_service.errors import BusyError, UsageError
 from daq_service.settings.tables import KeyPath, Tables
 from hardware_drivers.errors import InstrumentError
@@ -106,7 +106,7 @@ def _ask_for_transducers(dialogue: Dialogue, instruments: Instruments) -> None:
 
 def make_positions_table(methods: Mapping[str, str]) -> dict[str, dict[str, str]]:
     """Return [positions] for measuring methods by position, with the labels of the paper's."""
-    labels = {name: place["label"] for name, place in read_laboratory_values()[0]["positions"].items()}
+    labels = {name: place["label"] for name, place in read_laboratory()[0]["positions"].items()}
     return {
         name: {"method": method, "label": labels.get(name, ""), "serial_number": ""}
         for name, method in sorted(methods.items())

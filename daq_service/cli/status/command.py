@@ -13,7 +13,7 @@ from daq_service.cli.terminal import create_console
 from daq_service.errors import EXIT_INTERRUPTED, EXIT_OK, SolimonError, UsageError
 from daq_service.processes.child import stop_on_signals
 from daq_service.processes.data_folder import refuse_other_folders, settings_of_folder
-from daq_service.settings.foreign_text import escape_to_one_line
+from daq_service.settings.foreign_text import to_one_line
 
 if TYPE_CHECKING:
     from rich.console import Console, RenderableType
@@ -85,5 +85,5 @@ def _status_table_or_error(config: Path | None, data_dir: Path | None) -> Render
     try:
         folder, facts = _read_status(config, data_dir)
     except SolimonError as error:
-        return f"cannot be read now, and is looked at again: {escape_to_one_line(str(error))}"
+        return f"cannot be read now, and is looked at again: {to_one_line(str(error))}"
     return compose_status(facts, str(folder))

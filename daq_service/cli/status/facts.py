@@ -34,7 +34,7 @@ from daq_service.errors import StorageError
 from daq_service.processes.disk_policy import outlook
 from daq_service.processes.freshness import Freshness
 from daq_service.processes.heartbeat import compute_test_time_ns
-from daq_service.processes.lost_catalogue import lost_catalogue_reason
+from daq_service.processes.lost_catalogue import loss_reason
 from daq_service.processes.lost_sets import find_lost_sets
 from daq_service.processes.recorder_state import read_recorder_state
 from daq_service.settings.tree import Settings
@@ -106,7 +106,7 @@ def describe_status(folder: Path, settings: Settings) -> dict[str, object]:
                 ],
             }
     except NoDataYetError:
-        if reason := lost_catalogue_reason(folder):
+        if reason := loss_reason(folder):
             raise StorageError(reason) from None
         recorder = read_recorder_state(folder, [])
         recorder_ns = compute_test_time_ns(recorder.beat)

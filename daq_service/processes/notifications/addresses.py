@@ -27,7 +27,7 @@ class Address:
     secret: bytes
 
 
-def read_receiver_address(
+def read_address(
     name: str, receiver: ReceiverSettings, environment: Mapping[str, str] = os.environ
 ) -> Address:
     """Read the address and the secret of a receiver; a changed one applies at once.
@@ -40,17 +40,15 @@ def read_receiver_address(
     url = receiver.url or _read_configured_text(name, "url", receiver.url_file, receiver.url_env, environment)
     if receiver.kind == "apprise":
         if find_spec("apprise") is None:
-            raise _invalid_receiver_error(
-                name, 'e-mail and chat need the extra: pip install "solimon[notify]"'
-            )
+            raise _receiver_error(name, 'e-mail and chat need the extra: pip install "solimon[notify]"')
         if not _SCHEME.match(url.lower()):
-            raise _invalid_receiver_error(name, "the address is none of apprise; give one like mailtos://...")
+            raise _receiver_error(name, "the address is none of apprise; give one like mailtos://...")
         return Address(url, b"")
     if refusal := find_address_refusal(url, plain_http=receiver.plain_http):
-        raise _invalid_receiver_error(name, f"the address is refused: {refusal}")
+        raise _receiver_error(name, f"the address is refused: {refusal}")
     secret = _read_configured_text(name, "secret", receiver.secret_file, receiver.secret_env, environment)
     if len(secret) < SHORTEST_SECRET:
-        raise _invalid_receiver_error(
+        raise _receiver_error(
             name, f"the secret has {len(secret)} characters; give one of {SHORTEST_SECRET} or more"
         )
     return Address(url, secret.encode())
@@ -77,7 +75,7 @@ def check_receivers(settings: NotificationSettings) -> None:
         An address, a secret or a kind is missing or unknown.
     """
     for name, receiver in settings.receivers.items():
-        read_receiver_address(name, receiver)
+        read_address(name, receiver)
     for number, rule in enumerate(settings.rules, start=1):
         if unknown := sorted(set(rule.kinds) - GUIDANCE.keys()):
             raise UsageError(
@@ -94,19 +92,19 @@ def _read_configured_text(
         text = environment.get(variable, "").strip()
         if not text:
             problem = f"the variable {variable} of {key}_env is not set; set it for the web service"
-            raise _invalid_receiver_error(name, problem)
+            raise _receiver_error(name, problem)
         return text
     try:
         text = read_shared(Path(file)).decode().strip()
     except OSError as error:
-        raise _invalid_receiver_error(name, f"{key}_file {file} cannot be read: {error.strerror}") from error
+        raise _receiver_error(name, f"{key}_file {file} cannot be read: {error.strerror}") from error
     except UnicodeDecodeError:
-        raise _invalid_receiver_error(name, f"{key}_file {file} is not UTF-8 text; save it as such") from None
+        raise _receiver_error(name, f"{key}_file {file} is not UTF-8 text; save it as such") from None
     if not text or len(text.splitlines()) != 1:
-        raise _invalid_receiver_error(name, f"{key}_file {file} must hold exactly one line")
+        raise _receiver_error(name, f"{key}_file {file} must hold exactly one line")
     return text
 
 
-def _invalid_receiver_error(name: str, problem: str) -> UsageError:
+def _receiver_error(name: str, problem: str) -> UsageError:
     """Return the error of an invalid receiver."""
     return UsageError(f"notifications.receivers.{name}: {problem}")

@@ -20,7 +20,7 @@ from daq_service.catalogue.reader import Catalogue
 from daq_service.errors import BusyError, SolimonError
 from daq_service.processes.data_folder import BACKUP_FILE, hold_lock, lock_text
 from daq_service.processes.heartbeat import WEB_FILE, read_heartbeat, read_web_state
-from daq_service.processes.notifications.addresses import read_receiver_address
+from daq_service.processes.notifications.addresses import read_address
 from daq_service.processes.notifications.by_apprise import deliver_by_apprise
 from daq_service.processes.notifications.delivery_log import DeliveryLog
 from daq_service.processes.notifications.messages import Message
@@ -122,7 +122,7 @@ class Notifications:
 
     def _send_message(self, name: str, receiver: ReceiverSettings, cut: Cut, message: Message) -> Outcome:
         """Send a message to a receiver of either kind."""
-        address = read_receiver_address(name, receiver)
+        address = read_address(name, receiver)
         if receiver.kind == "apprise":
             return deliver_by_apprise(address, message)
         return post_message(address, message, cut=cut)

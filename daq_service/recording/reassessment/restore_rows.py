@@ -30,7 +30,7 @@ from daq_service.archive import (
 from daq_service.assessment.assessor import StoredResult
 from daq_service.assessment.baseline_lifecycle import STEPS
 from daq_service.assessment.confirmation import CONFIRMATION_ASKED
-from daq_service.assessment.follow_rows import update_from_stored_rows
+from daq_service.assessment.follow_rows import follow_rows
 from daq_service.assessment.restore_state import is_assessed, read_first_waveform
 from daq_service.assessment.results_in_file import build_result_tables, find_differences
 from daq_service.catalogue import RecorderCatalogue, SetCommit
@@ -232,7 +232,7 @@ class _Restoration:
         results |= {row.position: row for row in transaction.features if row.shot_index is None}
         completed: list[AssessmentRow] = []
         for row in filter(is_assessed, transaction.sets):
-            followed = update_from_stored_rows(
+            followed = follow_rows(
                 self._set_assessor.assessors[row.position],
                 StoredResult(
                     its_set=row,

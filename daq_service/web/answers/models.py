@@ -51,7 +51,7 @@ def list_errors(*statuses: int) -> dict[int | str, dict[str, object]]:
     return {status: PROBLEMS[status] for status in statuses}
 
 
-def describe_file_answer(*media_types: str) -> dict[int | str, dict[str, object]]:
+def describe_files(*media_types: str) -> dict[int | str, dict[str, object]]:
     """Return the documentation of an answer that is a file of one of some media types."""
     binary = {"schema": {"type": "string", "format": "binary"}}
     return {200: {"content": dict.fromkeys(media_types, binary)}}
@@ -68,7 +68,7 @@ class Answer(BaseModel):
     model_config = ConfigDict(extra="forbid")
 
 
-def _with_fields_of(kind: type[object], *without: str) -> Callable[[type[A]], type[A]]:
+def _fields_of(kind: type[object], *without: str) -> Callable[[type[A]], type[A]]:
     """Return a decorator that adds the fields of a dataclass, such as a catalogue row, to an answer.
 
     ``*_utc_ns`` leaves as RFC 3339 text ``*_utc``; the hour ``due_h`` brings its ``due_utc``, and an hour of
@@ -114,34 +114,34 @@ class Dated(Answer):
     as_of: AsOf
 
 
-@_with_fields_of(rows.SetRow)
+@_fields_of(rows.SetRow)
 class SetRow(Answer):
     """One set of one position."""
 
 
-@_with_fields_of(rows.ShotRow)
+@_fields_of(rows.ShotRow)
 class ShotRow(Answer):
     """One stored shot."""
 
 
-@_with_fields_of(rows.FeatureRow)
+@_fields_of(rows.FeatureRow)
 class FeatureRow(Answer):
     """Features of a shot, or of a set (shot_index null): mean of its valid shots."""
 
 
-@_with_fields_of(rows.ThicknessRow)
+@_fields_of(rows.ThicknessRow)
 class ThicknessRow(Answer):
     """Pulse-echo result of a set."""
 
 
-@_with_fields_of(rows.AssessmentRow)
+@_fields_of(rows.AssessmentRow)
 class AssessmentRow(Answer):
     """Result of the novelty detection of a set."""
 
     quality: Quality | None
 
 
-@_with_fields_of(rows.BaselineRow)
+@_fields_of(rows.BaselineRow)
 class BaselineRow(Answer):
     """Baseline; the first, still collecting one of a position has its future id."""
 
@@ -212,7 +212,7 @@ class AlarmEvidence(BaseModel):
     extractor_version: str | None = None
 
 
-@_with_fields_of(rows.AlarmRow)
+@_fields_of(rows.AlarmRow)
 class AlarmRow(Answer):
     """Alarm with its evidence."""
 
@@ -220,7 +220,7 @@ class AlarmRow(Answer):
     evidence_sentences: list[str]
 
 
-@_with_fields_of(rows.CommandRow)
+@_fields_of(rows.CommandRow)
 class CommandRow(Answer):
     """Command of an operator and its result."""
 
@@ -279,7 +279,7 @@ class AlarmHistory(Dated):
     items: list[AlarmTransition]
 
 
-@_with_fields_of(guidance.Guidance)
+@_fields_of(guidance.Guidance)
 class Guidance(Answer):
     """Guidance for a kind of alarm."""
 
@@ -292,7 +292,7 @@ class GuidanceList(Answer):
     items: list[Guidance]
 
 
-@_with_fields_of(rows.AnnotationRow)
+@_fields_of(rows.AnnotationRow)
 class AnnotationRow(Answer):
     """Annotation of an hour of the test, or of a range."""
 
@@ -304,7 +304,7 @@ class AnnotationPage(Page[AnnotationRow]):
     """Annotations in order."""
 
 
-@_with_fields_of(rows.EnvironmentRow)
+@_fields_of(rows.EnvironmentRow)
 class EnvironmentRow(Answer):
     """Supply and climate around a set; null where there was no reading."""
 
@@ -313,7 +313,7 @@ class EnvironmentPage(Page[EnvironmentRow]):
     """Supply and climate in order."""
 
 
-@_with_fields_of(SupplyStatus)
+@_fields_of(SupplyStatus)
 class SupplyNow(Answer):
     """Present status of the supply, from the supply process, also without a recorder."""
 
@@ -325,7 +325,7 @@ class EnvironmentNow(Dated):
     supply_now: SupplyNow | None
 
 
-@_with_fields_of(PublishedColumn, "nullable")
+@_fields_of(PublishedColumn, "nullable")
 class TableColumn(Answer):
     """A column of an exported table."""
 
@@ -509,7 +509,7 @@ class RecorderHealth(Answer):
     deadline_s: float | None
 
 
-@_with_fields_of(Outlook)
+@_fields_of(Outlook)
 class DiskOutlook(Answer):
     """Forecast of the disk space; null: unknown before the first set file."""
 
@@ -686,7 +686,7 @@ class TokenList(Answer):
     items: list[TokenEntry]
 
 
-@_with_fields_of(audit.AuditEntry)
+@_fields_of(audit.AuditEntry)
 class AuditEntry(Answer):
     """Entry of the audit log."""
 
@@ -711,7 +711,7 @@ class HeartbeatState(Answer):
     next_utc: str | None
 
 
-@_with_fields_of(State, "heartbeat_result", "last_heartbeat_utc_ns", "next_heartbeat_utc_ns")
+@_fields_of(State, "heartbeat_result", "last_heartbeat_utc_ns", "next_heartbeat_utc_ns")
 class ReceiverState(Answer):
     """State of a receiver of notifications; counts are since the start of the service."""
 
@@ -742,7 +742,7 @@ class TrialResult(Answer):
     took_s: float
 
 
-@_with_fields_of(Delivery, "place")
+@_fields_of(Delivery, "place")
 class DeliveryEntry(Answer):
     """Line of the delivery log."""
 

@@ -6,7 +6,7 @@ import json
 import math
 from collections.abc import Iterator, Mapping, Sequence
 
-from daq_service.alarms.evidence import build_evidence_sentences
+from daq_service.alarms.evidence import evidence_sentences
 from daq_service.alarms.states import NOT_ASSESSED
 from daq_service.alarms.transitions import build_transition
 from daq_service.assessment.stored_limits import find_chart
@@ -23,7 +23,7 @@ def render_report_page(contents: Contents, figures: Mapping[str, str]) -> bytes:
     """Return the HTML page; ``figures`` are SVG elements by position, empty without values."""
 
     def explain_alarm(alarm: AlarmRow) -> list[str]:
-        return build_evidence_sentences(alarm, contents.baselines)
+        return evidence_sentences(alarm, contents.baselines)
 
     def format_hour(utc_ns: int) -> str:
         return format_quantity((utc_ns - contents.experiment.epoch_utc_ns) / NS_PER_H)

@@ -22,13 +22,13 @@ ERRORS = models.list_errors(404, 503)
 @router.get("/alarms/{alarm_id}", response_model=models.AlarmRow, responses=ERRORS)
 def get_alarm(alarm_id: RowId, context: ContextOf) -> JsonAnswer:
     """Return one alarm with its evidence."""
-    return JsonAnswer(context.compute_freshness().row(_read_alarm(context, alarm_id)))
+    return JsonAnswer(context.read_freshness().row(_read_alarm(context, alarm_id)))
 
 
 @router.get("/alarms/{alarm_id}/history", response_model=models.AlarmHistory, responses=ERRORS)
 def get_alarm_history(alarm_id: RowId, context: ContextOf) -> JsonAnswer:
     """Return every transition of an alarm, the oldest first, with time, person and reason."""
-    row, fresh = _read_alarm(context, alarm_id), context.compute_freshness()
+    row, fresh = _read_alarm(context, alarm_id), context.read_freshness()
     events = context.catalogue().rows(EventRow, topic="alarms", position=row.position)
     items = [
         add_utc(build_transition(event), fresh.epoch_utc_ns)

@@ -125,7 +125,7 @@ def _execute_here(context: Context, command: kinds.StoredCommand) -> int:
     """Execute a command in the web service, without a recorder; return its id."""
 
     def read_moment() -> Moment:
-        now = context.compute_freshness()
+        now = context.read_freshness()
         return Moment(utc_ns=now.now_utc_ns, due_h=now.now_h, set_index=None)
 
     facts = partial(_collect_facts, context)
@@ -135,13 +135,13 @@ def _execute_here(context: Context, command: kinds.StoredCommand) -> int:
 def _collect_facts(context: Context, catalogue: Catalogue) -> kinds.Facts:
     """Return the facts that decide whether a command can be executed."""
     return kinds.Facts(
-        recorder=context.compute_freshness().recorder.status,
+        recorder=context.read_freshness().recorder.status,
         recorded=is_owned(context.data_folder) is not False,
         can_skip_time=context.settings.clock.is_paced,
         paused=catalogue.paused() or "",
         positions=context.settings.list_positions(SOLITARY_WAVE),
         has_supply=context.settings.rig.driven is not None,
-        alarms=list(map(context.compute_freshness().with_present_state, catalogue.rows(AlarmRow))),
+        alarms=list(map(context.read_freshness().with_present_state, catalogue.rows(AlarmRow))),
         places=catalogue.list_position_names(),
         annotations=catalogue.rows(AnnotationRow),
         baselines=catalogue.read_newest_baselines(),

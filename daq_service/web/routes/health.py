@@ -31,7 +31,7 @@ def get_readiness(context: ContextOf) -> JsonAnswer:
 @router.get("/health", response_model=ServiceHealth, responses=list_errors(503))
 def get_health(context: ContextOf) -> JsonAnswer:
     """Return the heartbeat of the recorder, counts of stored data, open streams, and free disk space."""
-    fresh = context.compute_freshness()
+    fresh = context.read_freshness()
     beat = fresh.recorder.beat
     settings, catalogue = context.settings, context.catalogue()
     disk = outlook(context.data_folder, settings.storage, settings.schedule, catalogue)

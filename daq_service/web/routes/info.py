@@ -25,7 +25,7 @@ RIG_LABELS = {
 def get_info(context: ContextOf) -> JsonAnswer:
     """Return name, rig, clock, schedule, limits and positions of the test."""
     settings = context.settings
-    fresh = context.compute_freshness()
+    fresh = context.read_freshness()
     catalogue = context.catalogue()
     row = catalogue.read_experiment()
     started = catalogue.read_last_service_event("recorder_started")

@@ -90,7 +90,7 @@ def collect_test(context: Context) -> Iterator[Metric]:
     has_data = context.has_data()
     yield _build_gauge("has_data", has_data)
     if has_data:
-        yield from _collect_data_metrics(context, context.compute_freshness())
+        yield from _collect_data_metrics(context, context.read_freshness())
     else:
         yield _build_recorder_metric(read_recorder_state(context.data_folder, []).status)
 

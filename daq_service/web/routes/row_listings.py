@@ -62,7 +62,7 @@ def add_listing(
         chosen["first_h"] = query.get("from_h")
         chosen["last_h"] = listing.find_last_hour(query.get("from_h"), query.get("to_h"))
         chosen["after_id"] = cursors.decode_cursor(name, cursor)
-        catalogue, fresh = context.catalogue(), context.compute_freshness()
+        catalogue, fresh = context.catalogue(), context.read_freshness()
         found: Sequence[Any] = catalogue.rows(kind, limit=limit + 1, **cast(Filters, chosen))
         page_rows = found[:limit]
         items = (
@@ -132,7 +132,7 @@ add_listing("annotations", rows.AnnotationRow, models.AnnotationPage, POSITION |
 def list_shots(context: ContextOf, position: str, set_index: listing.SetOfPath) -> JsonAnswer:
     """List the stored shots of one set, in one page."""
     context.validate_position(position)
-    fresh = context.compute_freshness()
+    fresh = context.read_freshness()
     shots = context.catalogue().rows(rows.ShotRow, position=position, **SetKey.parse(set_index)._asdict())
     if not shots:
         raise not_found(
@@ -149,7 +149,7 @@ def list_baselines(context: ContextOf, position: listing.PositionFilter = None) 
     """List the baselines of each position, the newest last: lifecycle, statistics, limits, provenance."""
     if position is not None:
         context.validate_position(position)
-    fresh = context.compute_freshness()
+    fresh = context.read_freshness()
     baselines = list_published_baselines(context.catalogue(), context.settings, fresh.epoch_utc_ns, position)
     return JsonAnswer(
         {

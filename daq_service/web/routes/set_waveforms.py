@@ -6,7 +6,7 @@ from fastapi import APIRouter, Request
 from starlette.responses import Response
 
 from analysis.ultrasound.thickness import THICKEST_FRACTION, THINNEST_FRACTION
-from analysis.waves.pulses import compute_search_windows_s
+from analysis.waves.pulses import search_windows_s
 from analysis.waves.quality_gate import ACCEPTED
 from analysis.waves.record_reduction import ExtractionSettings
 from daq_service.archive import SetNotFoundError, SetReference
@@ -14,7 +14,7 @@ from daq_service.assessment.methods import METHODS
 from daq_service.catalogue.reader import Filters
 from daq_service.catalogue.rows import FeatureRow, SetRow, ShotRow, ThicknessRow
 from daq_service.web.answers.json_answer import build_framed_body
-from daq_service.web.answers.models import UNCHANGED, describe_file_answer, list_errors
+from daq_service.web.answers.models import UNCHANGED, describe_files, list_errors
 from daq_service.web.answers.problem import not_found
 from daq_service.web.answers.unchanged import check_etag
 from daq_service.web.context import Context, ContextOf
@@ -29,7 +29,7 @@ router = APIRouter(tags=["waveforms"])
 @router.get(
     "/sets/{position}/{set_index}/waveforms",
     response_class=Response,
-    responses=describe_file_answer(OCTET_STREAM) | UNCHANGED | list_errors(404, 503),
+    responses=describe_files(OCTET_STREAM) | UNCHANGED | list_errors(404, 503),
 )
 def get_set_waveforms(request: Request, context: ContextOf, position: str, set_index: SetOfPath) -> Response:
     """Return the accepted waveforms of a set: u32 header length, JSON header, then all samples.
@@ -89,7 +89,7 @@ def _compute_windows_s(context: Context, set_row: SetRow) -> dict[str, tuple[flo
     if set_row.method == SOLITARY_WAVE:
         if not isinstance(result, FeatureRow) or result.isw_time_s is None:
             return {}
-        return compute_search_windows_s(result.isw_time_s, result.psw_time_s, ExtractionSettings())
+        return search_windows_s(result.isw_time_s, result.psw_time_s, ExtractionSettings())
     # The reference echo of the test, as in the assessment.
     first = catalogue.read_first_thickness(set_row.position)
     delay_s = context.settings.ultrasound.delay_s

@@ -12,7 +12,7 @@ from starlette.responses import Response, StreamingResponse
 
 from daq_service.errors import UsageError
 from daq_service.web.answers.json_answer import JsonAnswer
-from daq_service.web.answers.models import TableList, describe_file_answer, list_errors
+from daq_service.web.answers.models import TableList, describe_files, list_errors
 from daq_service.web.answers.problem import Problem, invalid, not_found
 from daq_service.web.context import ContextOf
 from daq_service.web.routes.listing import (
@@ -36,7 +36,7 @@ MOST_RECORD_BYTES = 32_000_000
 """Limit of records in volts; creating their file needs some three times as much memory."""
 AT_ONCE = 2
 _making = threading.BoundedSemaphore(AT_ONCE)
-EXPORTS = describe_file_answer(*(kind.media_type for kind in FORMATS.values())) | list_errors(404, 503)
+EXPORTS = describe_files(*(kind.media_type for kind in FORMATS.values())) | list_errors(404, 503)
 """Exported files for OpenAPI."""
 Form = Annotated[
     Literal["csv", "parquet", "arrow", "npz", "mat", "h5"] | None,
@@ -77,7 +77,7 @@ def get_table(
         context.validate_position(position)
     find_last_hour(from_h, to_h)
     name = form or choose_format(request.headers.get("accept", ""))
-    catalogue, fresh = context.catalogue(), context.compute_freshness()
+    catalogue, fresh = context.catalogue(), context.read_freshness()
     headers = {"Vary": "Accept"}
     try:
         choice = Choice(
@@ -120,7 +120,7 @@ def get_waveforms(
     """
     context.validate_position(position)
     name = form or choose_format(request.headers.get("accept", ""))
-    catalogue, fresh = context.catalogue(), context.compute_freshness()
+    catalogue, fresh = context.catalogue(), context.read_freshness()
 
     def export_selected() -> bytes:
         choice = RecordChoice(

@@ -36,7 +36,7 @@ router = APIRouter()
 @router.get("/transducers", tags=["transducers"], response_model=PositionList, responses=list_errors(503))
 def list_transducers(context: ContextOf) -> JsonAnswer:
     """Return state, newest values, quality and age of every position."""
-    fresh = context.compute_freshness()
+    fresh = context.read_freshness()
     latest = read_latest_rows(context.catalogue(), fresh, context.settings.positions)
     items = [_build_state(context, fresh, last) for last in latest.values()]
     return JsonAnswer({"as_of": fresh.as_of(), "items": items})
@@ -51,7 +51,7 @@ def list_transducers(context: ContextOf) -> JsonAnswer:
 def get_transducer(position: str, context: ContextOf) -> JsonAnswer:
     """Return state, newest values, quality and age of one position."""
     context.validate_position(position)
-    fresh, place = context.compute_freshness(), {position: context.settings.positions[position]}
+    fresh, place = context.read_freshness(), {position: context.settings.positions[position]}
     (last,) = read_latest_rows(context.catalogue(), fresh, place).values()
     return JsonAnswer(_build_state(context, fresh, last))
 
@@ -61,7 +61,7 @@ def get_transducer(position: str, context: ContextOf) -> JsonAnswer:
 )
 def get_latest_environment(context: ContextOf) -> JsonAnswer:
     """Return the newest row, and the present status of the supply; null where there is none."""
-    fresh = context.compute_freshness()
+    fresh = context.read_freshness()
     row, drive = context.catalogue().read_last_environment(), read_supply_status(context.data_folder)
     return JsonAnswer(
         {

@@ -90,7 +90,7 @@ def get_trend(
     field_list = None if fields is None else ",".join(fields)
     chosen = parse_fields(method, field_list, known=(*METHODS[method].values, *ASSESSMENTS))
     last_h = find_last_hour(from_h, to_h)
-    fresh = context.compute_freshness()
+    fresh = context.read_freshness()
     kind = METHODS[method].row
     set_bytes, bin_bytes = estimate_entry_bytes(chosen)
     binned = read_trend_bins(
@@ -245,7 +245,7 @@ def get_fit(
 
     method = context.settings.positions[context.validate_position(position)].method
     (name,) = parse_fields(method, field.replace(",", " "), known=METHODS[method].values)
-    fresh = context.compute_freshness()
+    fresh = context.read_freshness()
     part = compute_trend_part(
         context.catalogue(), position, name, first_h=from_h, last_h=find_last_hour(from_h, to_h)
     )

@@ -21,7 +21,7 @@ from daq_service.catalogue import Catalogue
 from daq_service.catalogue.owner import build_experiment_identity
 from daq_service.catalogue.rows import AssessmentRow, SetRow
 from daq_service.web.answers.json_answer import JsonAnswer, build_framed_body
-from daq_service.web.answers.models import UNCHANGED, Waterfall, describe_file_answer, list_errors
+from daq_service.web.answers.models import UNCHANGED, Waterfall, describe_files, list_errors
 from daq_service.web.answers.problem import invalid, not_found
 from daq_service.web.answers.unchanged import check_etag
 from daq_service.web.context import Context, ContextOf
@@ -49,7 +49,7 @@ Seconds = Annotated[
 @router.get(
     "/waterfall/{position}",
     response_model=Waterfall,
-    responses=describe_file_answer(OCTET_STREAM)
+    responses=describe_files(OCTET_STREAM)
     | {204: {"description": "No record of the position is stored; /api/v1/sets tells why"}}
     | UNCHANGED
     | list_errors(404, 503),

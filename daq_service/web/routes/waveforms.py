@@ -19,7 +19,7 @@ from daq_service.assessment.methods import METHODS
 from daq_service.catalogue.rows import FeatureRow, SetRow, ShotRow, ThicknessRow
 from daq_service.shared_file import read_shared
 from daq_service.web.answers.json_answer import JsonAnswer, add_utc, format_rfc3339
-from daq_service.web.answers.models import UNCHANGED, WaveformAnswer, describe_file_answer, list_errors
+from daq_service.web.answers.models import UNCHANGED, WaveformAnswer, describe_files, list_errors
 from daq_service.web.answers.problem import not_found
 from daq_service.web.answers.unchanged import check_etag
 from daq_service.web.context import Context, ContextOf
@@ -40,7 +40,7 @@ ERRORS = list_errors(404, 503)
 @router.get(
     "/waveforms/live/{position}",
     response_class=Response,
-    responses=describe_file_answer(OCTET_STREAM) | ERRORS,
+    responses=describe_files(OCTET_STREAM) | ERRORS,
 )
 def get_live_waveform(position: str, context: ContextOf) -> Response:
     """Return the live figure: u32 header length, JSON header (volts = sum c[k] counts^k), samples."""
@@ -67,7 +67,7 @@ def get_live_waveform(position: str, context: ContextOf) -> Response:
 @router.get(
     "/waveforms/{position}/{set_index}/{shot_index}",
     response_model=WaveformAnswer,
-    responses=describe_file_answer(NPY, OCTET_STREAM) | UNCHANGED | ERRORS,
+    responses=describe_files(NPY, OCTET_STREAM) | UNCHANGED | ERRORS,
 )
 def get_waveform(
     request: Request,
@@ -122,7 +122,7 @@ def get_waveform(
         np.save(buffer, np.stack([time_s, voltage_v]))
         headers["Content-Disposition"] = disposition + '.npy"'
         return Response(buffer.getvalue(), media_type=NPY, headers=headers)
-    fresh = context.compute_freshness()
+    fresh = context.read_freshness()
     quality = _find_quality(context, position, set_key, row.sequence)
     due = add_utc({"due_h": set_row.due_h}, fresh.epoch_utc_ns)
     return JsonAnswer(

@@ -8,7 +8,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from daq_service.alarms.evidence import build_evidence_sentences
+from daq_service.alarms.evidence import evidence_sentences
 from daq_service.catalogue import Catalogue, rows
 from daq_service.catalogue.published_columns import PublishedColumn, Purposes, add_parts, describe_columns
 from daq_service.catalogue.reader import Filters
@@ -161,7 +161,7 @@ def read_pages(catalogue: Catalogue, fresh: Freshness, choice: Choice) -> Iterat
             if kind.row is rows.AlarmRow:
                 baselines = catalogue.read_baselines_by_id()
                 for row, alarm in zip(rows_json, selected, strict=True):
-                    row["evidence_sentences"] = build_evidence_sentences(alarm, baselines)
+                    row["evidence_sentences"] = evidence_sentences(alarm, baselines)
             yield _to_columns([add_parts(kind.row, row) for row in rows_json], names)
         if len(stored) < PAGE_ROWS:
             return

@@ -21,7 +21,7 @@ from simulator.electronics.transduction import add_noise_volts
 from simulator.errors import SimulatorError
 from simulator.experiment.corrosion import make_patch
 from simulator.numerics.arrays import FloatArray
-from simulator.numerics.keyed_random import Purpose, create_keyed_generator
+from simulator.numerics.keyed_random import Purpose, keyed_generator
 from simulator.parameters.electronics import AdcParameters
 from simulator.shot.model import ShotModel
 from simulator.specimen import Specimen, Transducer, build_specimen
@@ -194,7 +194,7 @@ class Strikes:
         twin, rate_hz = self.specimen.twin, adc.sample_rate_hz
         volts = np.zeros(adc.record_samples)
         if twin.noise.enabled:
-            random = create_keyed_generator(twin.seed, Purpose.NOISE, key=key)
+            random = keyed_generator(twin.seed, Purpose.NOISE, key=key)
             add_noise_volts(volts, rate_hz, twin.noise, random)
         usual = rate_hz / WAVE.sample_rate_hz
         wave_adc = replace(

@@ -12,7 +12,7 @@ from hardware_drivers.measurement import Calibration, ShotKey
 from simulator.doubles.chassis.description import ProbeWiring
 from simulator.echo.records import Disturbance, draw_disturbance, simulate_disturbed_records
 from simulator.electronics.transduction import quantise_volts
-from simulator.numerics.keyed_random import Purpose, create_keyed_generator
+from simulator.numerics.keyed_random import Purpose, keyed_generator
 from simulator.specimen import Specimen
 
 
@@ -56,6 +56,6 @@ def single_records(
         wall = specimen.probed_wall(key.position, hour_h)
         volts += simulate_disturbed_records(wall, echo, found, seed=twin.seed, key=key, records=shape.records)
     if twin.noise.enabled:
-        random = create_keyed_generator(twin.seed, Purpose.ECHO_NOISE, key=key)
+        random = keyed_generator(twin.seed, Purpose.ECHO_NOISE, key=key)
         volts += twin.echo.noise_rms_v * random.standard_normal(volts.shape)
     return quantise_volts(volts, calibration).astype(np.int32)

@@ -27,7 +27,7 @@ GAUSS_POINTS = tuple(
 """Natural coordinates (xi, eta) in the order in which the elements are integrated."""
 
 
-def compute_element_matrices(
+def element_matrices(
     plate: PlateParameters, width_m: FloatArray, height_m: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """Compute bending, shear, translational and rotary matrices of rectangles of full thickness.
@@ -52,7 +52,7 @@ def compute_element_matrices(
     return sums[0], sums[1], sums[2], sums[3]
 
 
-def compute_thinned_element_matrices(
+def thinned_element_matrices(
     plate: PlateParameters, a: FloatArray, b: FloatArray, linear: FloatArray, cubic: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Compute stiffness and mass of rectangles whose thickness varies between Gauss points.

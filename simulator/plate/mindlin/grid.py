@@ -31,20 +31,16 @@ def make_graded_half_edge(length_m: float, elements: int, first_m: float, edge_m
             f"make plate.contact_element_m smaller"
         )
     if edge_m > length_m * (1.0 - SAME_LINE):
-        return _grid_lines_of_growth(
-            0.0, length_m, first_m, _growth_of_sum(first_m, elements, length_m), elements
-        )
+        return _growing_lines(0.0, length_m, first_m, _growth_of_sum(first_m, elements, length_m), elements)
     best: tuple[float, FloatArray] | None = None
     for inner in range(1, elements):
         growth = _growth_of_sum(first_m, inner, edge_m)
-        left = _grid_lines_of_growth(0.0, edge_m, first_m, growth, inner)
+        left = _growing_lines(0.0, edge_m, first_m, growth, inner)
         last = left[-1] - left[-2]
         outer_growth = _continued_growth(last, elements - inner, length_m - edge_m)
         misfit = abs(math.log(growth / outer_growth))
         if best is None or misfit < best[0]:
-            right = _grid_lines_of_growth(
-                edge_m, length_m, last * outer_growth, outer_growth, elements - inner
-            )
+            right = _growing_lines(edge_m, length_m, last * outer_growth, outer_growth, elements - inner)
             best = misfit, np.concatenate((left, right[1:]))
     assert best is not None  # elements >= 4
     return best[1]
@@ -73,9 +69,7 @@ def _solve_growth(excess: Callable[[float], float], largest: float) -> float:
     return float(scipy.optimize.brentq(excess, 0.0, largest * (1.0 + 1e-9), xtol=1e-15, rtol=1e-14))
 
 
-def _grid_lines_of_growth(
-    start_m: float, end_m: float, first_m: float, growth: float, elements: int
-) -> FloatArray:
+def _growing_lines(start_m: float, end_m: float, first_m: float, growth: float, elements: int) -> FloatArray:
     """Place grid lines whose distances grow by a constant factor."""
     lines = start_m + np.concatenate(([0.0], np.cumsum(first_m * growth ** np.arange(elements))))
     lines[-1] = end_m

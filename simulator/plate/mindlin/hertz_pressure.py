@@ -8,7 +8,7 @@ from simulator.numerics.arrays import FloatArray, IntArray
 from simulator.plate.quadrature import hertz_pressure_points
 
 
-def compute_hertz_nodal_weights(
+def hertz_nodal_weights(
     x_m: FloatArray, y_m: FloatArray, radius_m: float, *, symmetric: tuple[bool, bool]
 ) -> FloatArray:
     """Compute nodal loads of a unit force of Hertz's pressure about the origin.

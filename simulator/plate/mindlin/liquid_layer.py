@@ -56,7 +56,7 @@ def choose_sine_terms(plate: PlateParameters) -> tuple[int, int]:
     return along_x, along_y
 
 
-def compute_layer_mass(
+def layer_mass(
     liquid: LiquidParameters,
     plate: PlateParameters,
     x_m: FloatArray,

@@ -101,7 +101,7 @@ def find_symmetric_axes(plate: PlateParameters, corrosion: CorrosionParameters) 
     return in_x, in_y
 
 
-def compute_patch_fraction(
+def patch_fraction(
     x_m: FloatArray, y_m: FloatArray, patch: PatchParameters | CorrosionParameters
 ) -> FloatArray:
     """Compute the fraction of each element's area within one patch's outline.

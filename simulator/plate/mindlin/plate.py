@@ -27,18 +27,18 @@ from simulator.parameters.plate import CorrosionParameters, PlateParameters
 from simulator.plate.mindlin.element import (
     DOF_PER_NODE,
     GAUSS_POINTS,
-    compute_element_matrices,
-    compute_thinned_element_matrices,
+    element_matrices,
+    thinned_element_matrices,
 )
 from simulator.plate.mindlin.grid import SAME_LINE, make_graded_edge, make_graded_half_edge
-from simulator.plate.mindlin.hertz_pressure import compute_hertz_nodal_weights
-from simulator.plate.mindlin.liquid_layer import compute_layer_mass
+from simulator.plate.mindlin.hertz_pressure import hertz_nodal_weights
+from simulator.plate.mindlin.liquid_layer import layer_mass
 from simulator.plate.mindlin.patches import (
     check_patches,
-    compute_patch_fraction,
     evaluate_profile_depth,
     find_symmetric_axes,
     list_patch_lines,
+    patch_fraction,
 )
 
 _Elements = tuple[IntArray, FloatArray]
@@ -184,7 +184,7 @@ def evaluate_thinning(x_m: FloatArray, y_m: FloatArray, corrosion: CorrosionPara
     """Evaluate the patches of `corrosion` on the elements of a grid with its origin at the contact."""
     flat = [patch for patch in corrosion.patches if patch.profile == "flat"]
     elements = (len(x_m) - 1) * (len(y_m) - 1)
-    covered = [compute_patch_fraction(x_m, y_m, patch).ravel() for patch in flat]
+    covered = [patch_fraction(x_m, y_m, patch).ravel() for patch in flat]
     profile = np.zeros((len(GAUSS_POINTS), elements))
     for patch in corrosion.patches:
         if patch.profile != "flat":
@@ -239,8 +239,8 @@ def assemble_plate(
         entries = scale * matrices[held], (rows[held], columns[held])
         return sparse.csc_matrix(entries, shape=(len(free), len(free)))
 
-    pristine = compute_element_matrices(plate, np.diff(x_m), np.diff(y_m))
-    stiffness, mass = _compute_element_coefficients(plate, x_m, y_m, pristine, thinning)
+    pristine = element_matrices(plate, np.diff(x_m), np.diff(y_m))
+    stiffness, mass = _element_coefficients(plate, x_m, y_m, pristine, thinning)
     k0, k1, k2, k3 = (matrix(elements) for elements in stiffness)
     m0, m1, m2, m3 = (matrix(elements) for elements in mass)
     if plate.support == "free":
@@ -254,13 +254,11 @@ def assemble_plate(
         x_m=x_m,
         y_m=y_m,
         free=free,
-        added_mass=None
-        if liquid is None
-        else compute_layer_mass(liquid, plate, x_m, y_m, free, symmetric=symmetric),
+        added_mass=None if liquid is None else layer_mass(liquid, plate, x_m, y_m, free, symmetric=symmetric),
     )
 
 
-def _compute_element_coefficients(
+def _element_coefficients(
     plate: PlateParameters,
     x_m: FloatArray,
     y_m: FloatArray,
@@ -276,7 +274,7 @@ def _compute_element_coefficients(
     is_uneven = thinning.profile.any(axis=0)
     uneven = np.flatnonzero(is_uneven)
     a, b = (s.ravel()[uneven] for s in np.meshgrid(np.diff(x_m), np.diff(y_m), indexing="ij"))
-    varied = compute_thinned_element_matrices(plate, a, b, linear[:, :, uneven], cubic[:, :, uneven])
+    varied = thinned_element_matrices(plate, a, b, linear[:, :, uneven], cubic[:, :, uneven])
     stiffness, mass = [], []
     for j in range(4):
         # An element that is thinned evenly has the same coefficients at all its Gauss points.
@@ -301,7 +299,7 @@ def _make_unit_load(
     """Return a unit force on all unknowns, at the contact's node or spread over its circle."""
     load = np.zeros((len(x_m), len(y_m), DOF_PER_NODE))
     if plate.contact == "patch":
-        load[:, :, 0] = compute_hertz_nodal_weights(x_m, y_m, plate.contact_radius_m, symmetric=symmetric)
+        load[:, :, 0] = hertz_nodal_weights(x_m, y_m, plate.contact_radius_m, symmetric=symmetric)
     else:
         load[np.searchsorted(x_m, 0.0), np.searchsorted(y_m, 0.0), 0] = 1.0
     return load.ravel()

@@ -38,9 +38,7 @@ def half_space_indentation_m_per_n(
     return 0.6 / (plane_modulus_pa(youngs_modulus_pa, poisson_ratio) * contact_radius_m)
 
 
-def compute_surface_flexibility_m_per_pa(
-    plate: PlateParameters, thickness_m: float, k: FloatArray
-) -> FloatArray:
+def surface_flexibility_m_per_pa(plate: PlateParameters, thickness_m: float, k: FloatArray) -> FloatArray:
     """Compute the loaded face's deflection per pressure ``sin ax sin by``, ``k^2 = a^2 + b^2``.
 
     Exact for hard simple support: half the load presses both faces against each other, half bends,
@@ -80,7 +78,7 @@ def exact_contact_compliance_m_per_n(
 
     def beyond_half_space(k: FloatArray) -> FloatArray:
         """Return the plate's flexibility at wave number k less the half-space's."""
-        return compute_surface_flexibility_m_per_pa(plate, thickness_m, k) - 2.0 / (plane_pa * k)
+        return surface_flexibility_m_per_pa(plate, thickness_m, k) - 2.0 / (plane_pa * k)
 
     total = _sum_wave_series(
         sizes, plate.contact_radius_m, WAVES_PER_THICKNESS / thickness_m, beyond_half_space

@@ -22,8 +22,8 @@ from simulator.plate.reduced import PlateModes
 from simulator.plate.solid.plate import build_solid_plate
 from simulator.plate.solid.reduction import (
     ProjectedSolid,
-    compute_contact_residual_m_per_n,
-    compute_krylov_fields,
+    contact_residual_m_per_n,
+    krylov_fields,
     make_modes_passive,
     project_layers,
 )
@@ -108,7 +108,7 @@ def build_solid_family(
     spaces = []
     for lost, vectors in depths:
         built = build_solid_plate(plate, _patch_at_loss(corrosion, lost))
-        spaces.append(compute_krylov_fields(built, vectors))
+        spaces.append(krylov_fields(built, vectors))
     built = build_solid_plate(plate, _patch_at_loss(corrosion, 0.5))
     fields = np.hstack(spaces)
     strength, directions = linalg.eigh(fields.T @ fields, check_finite=False)
@@ -119,7 +119,7 @@ def build_solid_family(
     residuals = []
     for place in places:
         patch = _patch_at_loss(corrosion, 1.0 - math.exp(0.5 * (1.0 - place) * deepest))
-        residuals.append(compute_contact_residual_m_per_n(build_solid_plate(plate, patch), patch))
+        residuals.append(contact_residual_m_per_n(build_solid_plate(plate, patch), patch))
     coefficients = chebyshev.chebfit(places, np.array(residuals), RESIDUAL_NODES - 1)
     return SolidFamily(projected=project_layers(built, basis), residual=np.asarray(coefficients))
 

@@ -15,7 +15,7 @@ from simulator.materials import shear_modulus_pa
 from simulator.numerics.arrays import FloatArray
 from simulator.numerics.tensor_basis import Axis, lagrange
 from simulator.parameters.plate import CorrosionParameters, PlateParameters
-from simulator.plate.quadrature import gauss_legendre_rule, hertz_pressure_points
+from simulator.plate.quadrature import gauss_rule, hertz_pressure_points
 
 COMPONENTS = 3
 
@@ -75,13 +75,13 @@ def _integrate_within_circle(x: Axis, y: Axis, ex: int, ey: int, radius_m: float
     at_x, at_y, weights = [], [], []
     for start, end in itertools.pairwise(ends):
         # Squared towards the end: there the arc may stand upright.
-        t, t_weight = gauss_legendre_rule(CUT_POINTS, 1.0)
+        t, t_weight = gauss_rule(CUT_POINTS, 1.0)
         across = end - (end - start) * t**2
         for a, a_weight in zip(across, 2.0 * (end - start) * t * t_weight, strict=True):
             reach = min(top, math.sqrt(max(radius_m**2 - a**2, 0.0))) - bottom
             if reach <= 0.0:
                 continue
-            up, up_weight = gauss_legendre_rule(CUT_POINTS, reach)
+            up, up_weight = gauss_rule(CUT_POINTS, reach)
             at_x.append(np.full(CUT_POINTS, a))
             at_y.append(bottom + up)
             weights.append(a_weight * up_weight)
@@ -106,7 +106,7 @@ def _evaluate_shape_functions(axis: Axis, interval: int, at_m: FloatArray) -> tu
     return value, slope * (2.0 / (end - start))
 
 
-def compute_hertz_nodal_weights(x: Axis, y: Axis, radius_m: float, *, whole: bool) -> FloatArray:
+def hertz_nodal_weights(x: Axis, y: Axis, radius_m: float, *, whole: bool) -> FloatArray:
     """Compute nodal loads of a unit force of Hertz's pressure about the origin.
 
     The shape is (nodes of x, nodes of y).

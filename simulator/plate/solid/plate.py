@@ -31,7 +31,7 @@ from simulator.errors import SpecimenError
 from simulator.numerics.arrays import FloatArray, IntArray
 from simulator.numerics.tensor_basis import Axis, lagrange, make_graded_breaks_m
 from simulator.parameters.plate import CorrosionParameters, PlateParameters, SolidMesh
-from simulator.plate.solid.integrals import COMPONENTS, compute_hertz_nodal_weights, integrate_over_patch
+from simulator.plate.solid.integrals import COMPONENTS, hertz_nodal_weights, integrate_over_patch
 
 Symmetry = Literal["eighth", "quarter", "none"]
 
@@ -293,7 +293,7 @@ def assemble_solid(
     fixed = _find_fixed_displacements(plate.support if support is None else support, existing.shape, symmetry)
     numbers = _number_free_displacements(existing[..., None] & ~fixed, symmetry)
     lift = _build_lift_matrix(numbers, kinds, shapes)
-    weights = compute_hertz_nodal_weights(x, y, plate.contact_radius_m, whole=symmetry == "none")
+    weights = hertz_nodal_weights(x, y, plate.contact_radius_m, whole=symmetry == "none")
     force = np.zeros((*kinds.shape, COMPONENTS, len(z_m)))
     force[:, :, 2, 0] = weights
     columns = np.argwhere(np.ones((len(x.degrees), len(y.degrees)), dtype=bool))

@@ -42,7 +42,7 @@ SHALLOWEST_FRACTION = 1e-4
 """A shallower patch is taken as none: rounding in so thin a layer would change more than the patch."""
 
 
-def compute_contact_correction_m_per_n(plate: SolidPlate, corrosion: CorrosionParameters) -> float:
+def contact_correction_m_per_n(plate: SolidPlate, corrosion: CorrosionParameters) -> float:
     """Compute the compliance that the mesh lacks under the contact, in m/N, from an exact case.
 
     The same elements as those within the patch make a plate of its remaining thickness, simply supported at
@@ -89,9 +89,7 @@ def _find_column_kind(plate: SolidPlate, ex: int, ey: int) -> tuple[int, int]:
     return 0, plate.upper_nodes if plate.inside[ex, ey] == 1.0 else plate.numbers.shape[2]
 
 
-def compute_column_matrices(
-    plate: SolidPlate, column: int, fold: sparse.csr_matrix
-) -> tuple[FloatArray, FloatArray]:
+def column_matrices(plate: SolidPlate, column: int, fold: sparse.csr_matrix) -> tuple[FloatArray, FloatArray]:
     """Compute stiffness and mass of one column over its unknowns, times its symmetric copies."""
     ex, ey = (int(e) for e in plate.columns[column])
     kind, nodes = _find_column_kind(plate, ex, ey)
@@ -126,7 +124,7 @@ def make_shifted_solver(plate: SolidPlate, shift_rad_per_s: float) -> Callable[[
 
     def cell(column: int) -> FloatArray:
         """Compute the shifted matrix of one column of elements."""
-        stiffness, mass = compute_column_matrices(plate, column, folds[column][1])
+        stiffness, mass = column_matrices(plate, column, folds[column][1])
         return stiffness + shift_rad_per_s**2 * mass
 
     return factorize(order_elimination(plate.columns, [unknowns for unknowns, _ in folds]), cell).solve
@@ -168,7 +166,7 @@ def make_mass_product(plate: SolidPlate) -> Callable[[FloatArray], FloatArray]:
     return product
 
 
-def compute_krylov_fields(plate: SolidPlate, vectors: int) -> FloatArray:
+def krylov_fields(plate: SolidPlate, vectors: int) -> FloatArray:
     """Build the load's mass-orthonormal Krylov space as nodal displacements, shape (n, vectors)."""
     solve, mass = make_shifted_solver(plate, SHIFT_RAD_PER_S), make_mass_product(plate)
     basis = np.empty((vectors, len(plate.load)))
@@ -259,7 +257,7 @@ def _energy_products(field: FloatArray, in_plane: FloatArray, through: FloatArra
     return np.asarray(field.reshape(-1, count).T @ product.reshape(-1, count))
 
 
-def compute_solid_modes(
+def solid_modes(
     plate: PlateParameters, corrosion: CorrosionParameters, vectors: int = SOLID_VECTORS
 ) -> PlateModes:
     """Compute modes of the solid plate at the depth of `corrosion`, ready for a shot.
@@ -271,19 +269,19 @@ def compute_solid_modes(
     """
     corrosion = _remove_shallow_patch(corrosion)
     built = build_solid_plate(plate, corrosion)
-    projected = project_layers(built, compute_krylov_fields(built, vectors))
+    projected = project_layers(built, krylov_fields(built, vectors))
     remaining = 1.0 - corrosion.depth_fraction * corrosion.depth_factor
-    return make_modes_passive(projected.modes(remaining, compute_contact_residual_m_per_n(built, corrosion)))
+    return make_modes_passive(projected.modes(remaining, contact_residual_m_per_n(built, corrosion)))
 
 
-def compute_contact_residual_m_per_n(plate: SolidPlate, corrosion: CorrosionParameters) -> float:
+def contact_residual_m_per_n(plate: SolidPlate, corrosion: CorrosionParameters) -> float:
     """Return the mesh's missing compliance under the contact in m/N, less the half-space's part."""
     indentation = half_space_indentation_m_per_n(
         plate.parameters.warm_youngs_modulus_pa,
         plate.parameters.poisson_ratio,
         plate.parameters.contact_radius_m,
     )
-    return compute_contact_correction_m_per_n(plate, corrosion) - indentation
+    return contact_correction_m_per_n(plate, corrosion) - indentation
 
 
 def _remove_shallow_patch(corrosion: CorrosionParameters) -> CorrosionParameters:

@@ -24,8 +24,8 @@ from daq_service.cli.maintenance.acceptance.readings import (
     NOT_AVAILABLE,
     NOT_KEPT,
     list_set_times,
-    read_machine_readings,
-    readings_with_value,
+    read_readings,
+    select_readings,
     sum_stage_times_s,
 )
 from daq_service.processes.recorder_state import FAREWELLS, PROCESS_EVENTS
@@ -45,7 +45,7 @@ def list_recorder_starts(evidence: Evidence) -> list[tuple[EventRow, EventRow | 
     return [(row, before) for before, row in following if row.kind == "recorder_started"]
 
 
-def make_restart_table(evidence: Evidence) -> Table:
+def restart_table(evidence: Evidence) -> Table:
     """Return the table of all starts but the first."""
     rows = [
         (
@@ -58,7 +58,7 @@ def make_restart_table(evidence: Evidence) -> Table:
     return Table("restarts", rows)
 
 
-def compute_recorder_quantities(evidence: Evidence) -> Iterator[Quantity]:
+def recorder_quantities(evidence: Evidence) -> Iterator[Quantity]:
     """Yield time span, restarts and unplanned ends."""
     recorder_starts = list_recorder_starts(evidence)
     n_crashes = sum(before is not None and before.kind not in FAREWELLS for _, before in recorder_starts)
@@ -82,7 +82,7 @@ def _compute_quantiles(
         )
 
 
-def compute_time_quantities(evidence: Evidence) -> Iterator[Quantity]:
+def time_quantities(evidence: Evidence) -> Iterator[Quantity]:
     """Yield start delays and durations of sets, and processing time."""
     real, times = evidence.experiment.clock == "wall", list_set_times(evidence)
     if real:
@@ -91,14 +91,14 @@ def compute_time_quantities(evidence: Evidence) -> Iterator[Quantity]:
         yield from _compute_quantiles("start_delay", [], NO_TIME, applies=False)
     yield from _compute_quantiles("set_duration", [took for _, _, took in times], "no set has ended")
     yield from _compute_quantiles(
-        "line_cost", [sum_stage_times_s(reading) for reading in read_machine_readings(evidence)], NOT_KEPT
+        "line_cost", [sum_stage_times_s(reading) for reading in read_readings(evidence)], NOT_KEPT
     )
 
 
-def compute_growth_quantities(evidence: Evidence, name: str) -> Iterator[Quantity]:
+def growth_quantities(evidence: Evidence, name: str) -> Iterator[Quantity]:
     """Yield the maximum of readings and their slope per 1,000 sets, of the longest run of a recorder."""
-    readings_of_name = readings_with_value(evidence, name)
-    missing = NOT_AVAILABLE if read_machine_readings(evidence) else NOT_KEPT
+    readings_of_name = select_readings(evidence, name)
+    missing = NOT_AVAILABLE if read_readings(evidence) else NOT_KEPT
     yield make_quantity(f"{name}_max", max((value for _, value in readings_of_name), default=None), missing)
     runs: defaultdict[tuple[int, int], list[tuple[int, float]]] = defaultdict(list)
     for reading, value in readings_of_name:
@@ -118,19 +118,19 @@ def compute_growth_quantities(evidence: Evidence, name: str) -> Iterator[Quantit
     )
 
 
-def compute_disk_quantities(evidence: Evidence) -> Iterator[Quantity]:
+def disk_quantities(evidence: Evidence) -> Iterator[Quantity]:
     """Yield the size of the files, their growth against the forecast, and the free space."""
     sizes, forecast_bytes = list(evidence.file_bytes.values()), evidence.forecast_bytes
     mean, missing = (sum(sizes) / len(sizes) if sizes else None), "no set has a file yet"
     over_forecast = None if mean is None else mean / forecast_bytes
-    free = min((value for _, value in readings_with_value(evidence, "free_bytes")), default=None)
+    free = min((value for _, value in select_readings(evidence, "free_bytes")), default=None)
     yield make_quantity("files_bytes", sum(sizes), files=len(sizes))
     yield make_quantity("growth_bytes", None if mean is None else 1e3 * mean, missing)
     yield make_quantity("growth_of_forecast", over_forecast, missing, forecast_bytes=forecast_bytes)
     yield make_quantity("free_bytes_min", free, NOT_KEPT)
 
 
-def compute_clock_quantities(evidence: Evidence) -> Iterator[Quantity]:
+def clock_quantities(evidence: Evidence) -> Iterator[Quantity]:
     """Yield steps, doubts, and the deviation of the computer's UTC from the test's time."""
     real = evidence.experiment.clock == "wall"
     steps = [abs(row.payload["step_s"]) for row in evidence.service if row.kind == CLOCK_STEP]
@@ -141,8 +141,8 @@ def compute_clock_quantities(evidence: Evidence) -> Iterator[Quantity]:
         ("clock_doubts", doubts),
     ):
         yield make_quantity(name, value if real else None, NO_TIME, applies=real)
-    ahead = [abs(value) for _, value in readings_with_value(evidence, "clock_ahead_s")]
-    known = [value for _, value in readings_with_value(evidence, "clock_synchronised")]
+    ahead = [abs(value) for _, value in select_readings(evidence, "clock_ahead_s")]
+    known = [value for _, value in select_readings(evidence, "clock_synchronised")]
     for name, value_if_known in (
         ("clock_ahead_max_s", max(ahead, default=None)),
         ("clock_synchronised_fraction", sum(known) / len(known) if known else None),

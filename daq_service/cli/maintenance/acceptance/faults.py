@@ -9,7 +9,7 @@ from itertools import pairwise
 
 from daq_service.cli.maintenance.acceptance.evidence import Evidence
 from daq_service.cli.maintenance.acceptance.quantity import Quantity, Table, make_quantity
-from daq_service.cli.maintenance.acceptance.readings import NOT_KEPT, readings_with_value
+from daq_service.cli.maintenance.acceptance.readings import NOT_KEPT, select_readings
 from daq_service.recording.resumed_time import CLOCK_STEP
 from hardware_drivers.nanoseconds import NS_PER_H
 
@@ -46,7 +46,7 @@ def list_faults(evidence: Evidence) -> list[Fault]:
     )
 
 
-def make_fault_table(evidence: Evidence) -> Table:
+def fault_table(evidence: Evidence) -> Table:
     """Return the table of faults by kind."""
     kinds: defaultdict[str, list[Fault]] = defaultdict(list)
     for fault in list_faults(evidence):
@@ -61,7 +61,7 @@ def make_fault_table(evidence: Evidence) -> Table:
     return Table("faults", rows)
 
 
-def make_damage_table(evidence: Evidence) -> Table:
+def damage_table(evidence: Evidence) -> Table:
     """Return the table of the specimen's alarms: findings, not faults."""
     rows = [
         (row.kind, row.position or "", row.priority, row.state, row.raised_h, row.message)
@@ -71,7 +71,7 @@ def make_damage_table(evidence: Evidence) -> Table:
     return Table("findings", rows)
 
 
-def make_clock_step_table(evidence: Evidence) -> Table:
+def clock_step_table(evidence: Evidence) -> Table:
     """Return the table of steps of the computer's UTC."""
     rows = [
         (evidence.hour(row.utc_ns), row.payload["step_s"], row.payload["ahead_s"])
@@ -81,12 +81,12 @@ def make_clock_step_table(evidence: Evidence) -> Table:
     return Table("clock_steps", rows)
 
 
-def compute_fault_quantities(evidence: Evidence) -> Iterator[Quantity]:
+def fault_quantities(evidence: Evidence) -> Iterator[Quantity]:
     """Yield active faults and detected corruption."""
     yield make_quantity("faults_standing", sum(fault.until_ns is None for fault in list_faults(evidence)))
     corrupt = {row.payload["file"] for row in evidence.service if row.kind == "data_corrupt"}
     yield make_quantity("files_found_damaged", len(corrupt))
-    read = [reading for reading, _ in readings_with_value(evidence, "files_read")]
+    read = [reading for reading, _ in select_readings(evidence, "files_read")]
     ends = [
         reading
         for reading, following in pairwise([*read, None])

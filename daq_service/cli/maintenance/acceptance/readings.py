@@ -29,7 +29,7 @@ class Reading:
         return self.payload["process"], self.payload["recorder_wall_utc_ns"]
 
 
-def read_machine_readings(evidence: Evidence) -> list[Reading]:
+def read_readings(evidence: Evidence) -> list[Reading]:
     """Return the machine readings in the order of their sets."""
     found = [
         Reading(set_index=row.set_index, hour=evidence.hour(row.utc_ns), payload=row.payload)
@@ -39,11 +39,11 @@ def read_machine_readings(evidence: Evidence) -> list[Reading]:
     return sorted(found, key=lambda reading: reading.set_index)
 
 
-def readings_with_value(evidence: Evidence, name: str) -> list[tuple[Reading, float]]:
+def select_readings(evidence: Evidence, name: str) -> list[tuple[Reading, float]]:
     """Return the readings that have a value of this name."""
     return [
         (reading, reading.payload[name])
-        for reading in read_machine_readings(evidence)
+        for reading in read_readings(evidence)
         if reading.payload[name] is not None
     ]
 

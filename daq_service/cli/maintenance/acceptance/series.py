@@ -12,8 +12,8 @@ from daq_service.cli.maintenance.acceptance.readings import (
     NOT_AVAILABLE,
     NOT_KEPT,
     list_set_times,
-    read_machine_readings,
-    readings_with_value,
+    read_readings,
+    select_readings,
     sum_stage_times_s,
 )
 from daq_service.cli.maintenance.acceptance.sets import count_records_by_set
@@ -29,7 +29,7 @@ def yield_series(evidence: Evidence) -> Iterator[Series]:
     else:
         yield Series("start_delay_s", hours, late, "no set has begun")
     yield Series("set_duration_s", hours, took, "no set has ended")
-    machine_readings = read_machine_readings(evidence)
+    machine_readings = read_readings(evidence)
     hours = [reading.hour for reading in machine_readings]
     stages = [reading.payload["stage_s"] for reading in machine_readings]
     fsync_s = [stage.get("fsync_s", 0.0) + stage.get("directory_fsync_s", 0.0) for stage in stages]
@@ -57,5 +57,5 @@ def yield_series(evidence: Evidence) -> Iterator[Series]:
 
 def _hours_and_values(evidence: Evidence, name: str) -> tuple[list[float], list[float]]:
     """Return hours and values of the readings that have a value."""
-    found = readings_with_value(evidence, name)
+    found = select_readings(evidence, name)
     return [reading.hour for reading, _ in found], [value for _, value in found]

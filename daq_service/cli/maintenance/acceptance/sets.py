@@ -106,7 +106,7 @@ def _compute_fraction(part: int, total: int) -> float | None:
     return part / total if total else None
 
 
-def make_gap_table(evidence: Evidence) -> Table:
+def gap_table(evidence: Evidence) -> Table:
     """Return the table of gaps with their reasons."""
     rows = [
         (gap.sets[0].set_index, len(gap.sets), gap.from_h, gap.until_h, gap.hours, "; ".join(gap.reasons))
@@ -115,7 +115,7 @@ def make_gap_table(evidence: Evidence) -> Table:
     return Table("gaps", rows)
 
 
-def make_shortfall_table(evidence: Evidence) -> Table:
+def shortfall_table(evidence: Evidence) -> Table:
     """Return the table of missing records in sets with records, by reason."""
     found: defaultdict[tuple[str, str], list[SetRow]] = defaultdict(list)
     with_records = {row.set_index for row in evidence.sets if row.n_taken}
@@ -136,7 +136,7 @@ def make_shortfall_table(evidence: Evidence) -> Table:
     return Table("shortfalls", rows)
 
 
-def make_flag_table(evidence: Evidence) -> Table:
+def flag_table(evidence: Evidence) -> Table:
     """Return the table of shots by flag."""
     return Table("flags", Counter(evidence.flags).most_common())
 

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict
 from importlib.metadata import version
 
-from daq_service.alarms.evidence import build_evidence_sentences
+from daq_service.alarms.evidence import evidence_sentences
 from daq_service.alarms.guidance import GUIDANCE
 from daq_service.alarms.transitions import build_transition
 from daq_service.catalogue.rows import to_columns
@@ -105,7 +105,7 @@ def _recomputed_facts(recomputed: Recomputed) -> dict[str, object]:
 def _evidence_sentences(found: Explained) -> list[str]:
     """Return the evidence in sentences."""
     baseline = None if found.again is None else found.again.baseline
-    return build_evidence_sentences(found.alarm, {} if baseline is None else {baseline.id or 0: baseline})
+    return evidence_sentences(found.alarm, {} if baseline is None else {baseline.id or 0: baseline})
 
 
 def _facts_with_value(facts: Mapping[str, object]) -> Iterator[tuple[str, object]]:

@@ -14,7 +14,7 @@ from analysis.diagnosis.diagnose import (
     update_state,
 )
 from analysis.diagnosis.hypotheses import COUPLING, OK, SENSOR, WALL
-from analysis.diagnosis.parameters import DiagnosisParameters, compute_diagnosis_parameters, log_features
+from analysis.diagnosis.parameters import DiagnosisParameters, diagnosis_parameters, log_features
 from analysis.diagnosis.slopes import (
     COMPONENTS,
     DAMPING,
@@ -29,8 +29,8 @@ from analysis.diagnosis.state import (
     MOST_AVERAGED,
     SETTLING,
     DiagnosisState,
-    compute_average_weights,
-    compute_covariance_of_averages,
+    average_weights,
+    covariance_of_averages,
     with_confirmation,
     with_set,
 )
@@ -67,7 +67,7 @@ def diagnoses(change, seed=1, confirmation=None):
     """Yield the diagnosis of every fifth set after the baseline; a confirmation follows their 30th."""
     logs = healthy(seed)
     logs[BASELINE:] += change
-    design = compute_diagnosis_parameters(logs[:BASELINE])
+    design = diagnosis_parameters(logs[:BASELINE])
     memory = DiagnosisState()
     for index in range(BASELINE, BASELINE + AFTER):
         memory = with_set(memory, design.mean, logs[index], index)
@@ -122,7 +122,7 @@ def test_a_change_along_the_wall_s_own_curve_is_no_wall_where_it_comes_at_once(d
 
 def test_an_alarm_that_no_cause_explains_is_undetermined():
     logs = healthy(3)
-    design = compute_diagnosis_parameters(logs[:BASELINE])
+    design = diagnosis_parameters(logs[:BASELINE])
     memory = with_set(DiagnosisState(), design.mean, logs[BASELINE], BASELINE)
     assert diagnose_latest_set(memory, design).cause == OK
     diagnosis = diagnose_latest_set(memory, design, suspicious=True)
@@ -132,7 +132,7 @@ def test_an_alarm_that_no_cause_explains_is_undetermined():
 
 def test_the_diagnosis_state_survives_a_restart_as_json():
     logs = healthy(4) + 0.002
-    design = compute_diagnosis_parameters(logs[:BASELINE])
+    design = diagnosis_parameters(logs[:BASELINE])
     memory = DiagnosisState()
     for index in range(BASELINE, BASELINE + 20):
         stored = json.loads(json.dumps(asdict(memory)))
@@ -151,11 +151,11 @@ def test_a_set_without_a_feature_has_no_logarithms_and_a_wrong_history_is_report
     assert log_features(values | {"isw_fwhm_s": None}) is None
     assert log_features(values | {"psw_area_v_s": -1.0}) is None
     with pytest.raises(InvalidInputError, match=r"shape \(200, 5\)"):
-        compute_diagnosis_parameters(healthy(1)[:200, :5])
+        diagnosis_parameters(healthy(1)[:200, :5])
 
 
 def test_few_sets_give_parameters_that_show_a_small_change_less():
-    few, many = (compute_diagnosis_parameters(healthy(6)[:n]) for n in (24, 200))
+    few, many = (diagnosis_parameters(healthy(6)[:n]) for n in (24, 200))
     assert isinstance(few, DiagnosisParameters)
     change = tuple(tuple(row) for row in np.tile(0.5 * np.array(WALL_B[0]), (3, 1)))
     diagnoses_of_both = [
@@ -169,7 +169,7 @@ def test_a_slow_drift_decays_with_the_scheduled_sets_wherever_the_baseline_start
     change = tuple(tuple(row) for row in np.tile(0.5 * np.array(WALL_B[0]), (3, 1)))
 
     def ok(first_index, index):
-        design = compute_diagnosis_parameters(history, first_index)
+        design = diagnosis_parameters(history, first_index)
         return diagnose_latest_set(DiagnosisState(n=60, index=index, changes=change), design).probabilities[
             OK
         ]
@@ -182,7 +182,7 @@ def test_a_slow_drift_decays_with_the_scheduled_sets_wherever_the_baseline_start
 def test_a_wall_is_diagnosed_by_two_consecutive_sets_including_a_confirmation():
     logs = healthy(2)
     logs[BASELINE:] += wall(0.4)
-    design = compute_diagnosis_parameters(logs[:BASELINE])
+    design = diagnosis_parameters(logs[:BASELINE])
     memory = DiagnosisState()
     for index in range(BASELINE, BASELINE + AFTER):
         memory = with_set(memory, design.mean, logs[index], index)
@@ -201,7 +201,7 @@ def test_a_wall_is_diagnosed_by_two_consecutive_sets_including_a_confirmation():
 
 
 def test_a_first_wall_diagnosis_needs_a_higher_probability():
-    design = compute_diagnosis_parameters(healthy(2)[:BASELINE])
+    design = diagnosis_parameters(healthy(2)[:BASELINE])
     course = np.array([[1.0], [0.95], [0.6]]) * wall(0.3)[-1]  # it grows: the longest average is behind
     last = BASELINE + AFTER - 1
     looked = [
@@ -219,7 +219,7 @@ def test_a_first_wall_diagnosis_needs_a_higher_probability():
 
 def test_a_wall_diagnosis_is_withdrawn_only_by_healthy_sets():
     logs = healthy(2)
-    design = compute_diagnosis_parameters(logs[:BASELINE])
+    design = diagnosis_parameters(logs[:BASELINE])
     memory = DiagnosisState(wall=True)
     for index in range(BASELINE, BASELINE + 60):
         sick = logs[index] + (index - BASELINE) * -0.01 * np.array(GAIN)
@@ -253,7 +253,7 @@ def test_the_new_contact_level_is_estimated_from_the_following_sets():
 def test_growth_during_a_gap_is_not_a_step():
     logs = healthy(7)
     logs[BASELINE:] += wall(0.4)
-    design = compute_diagnosis_parameters(logs[:BASELINE])
+    design = diagnosis_parameters(logs[:BASELINE])
     memory = DiagnosisState()
     for index in (*range(BASELINE, BASELINE + 5), *range(BASELINE + 110, BASELINE + 114)):
         memory = with_set(memory, design.mean, logs[index], index)
@@ -279,8 +279,8 @@ def test_a_gap_is_forgotten_with_the_sets_before_it_and_the_wider_of_two_is_kept
 def test_averages_scatter_as_autocorrelated_sets_do(phi):
     n, confirmation_ago = 40, 3
     sets = phi ** np.abs(np.subtract.outer(np.arange(n), np.arange(n)))
-    found = compute_covariance_of_averages(n, phi, confirmation_ago)
-    assert found[:3, :3] == pytest.approx(compute_average_weights(n) @ sets @ compute_average_weights(n).T)
+    found = covariance_of_averages(n, phi, confirmation_ago)
+    assert found[:3, :3] == pytest.approx(average_weights(n) @ sets @ average_weights(n).T)
     # The unscheduled set is no copy of the scheduled one that it follows.
     confirmation_change = sets[confirmation_ago] - (1.0 - phi) * (np.arange(n) == confirmation_ago)
-    assert found[3] == pytest.approx([*(compute_average_weights(n) @ confirmation_change), 1.0])
+    assert found[3] == pytest.approx([*(average_weights(n) @ confirmation_change), 1.0])

@@ -8,10 +8,10 @@ from analysis.diagnosis.noise import (
     END_RATES,
     PHI,
     compute_covariances,
-    compute_end_averages,
+    end_averages,
     estimate_variances,
 )
-from analysis.diagnosis.state import MOST_AVERAGED, compute_average_weights
+from analysis.diagnosis.state import MOST_AVERAGED, average_weights
 
 BASELINE, DIRECTIONS = 200, 7
 
@@ -51,7 +51,7 @@ def test_differences_from_a_baseline_scatter_as_its_parts_make_them(n, since, co
     reference = 50
     ago = np.arange(reference)[::-1]
     ends = np.array([rate * (1.0 - rate) ** ago for rate in END_RATES])
-    after = compute_average_weights(n)[:, ::-1]
+    after = average_weights(n)[:, ::-1]
     rows = np.zeros((5, reference + since))
     rows[:2, :reference], rows[2:, reference + since - n :] = ends, after
     rows[:, :reference] -= rows.sum(axis=1)[:, None] / reference
@@ -71,8 +71,8 @@ def test_differences_from_a_baseline_scatter_as_its_parts_make_them(n, since, co
 def test_the_end_of_a_baseline_is_estimated_from_its_last_sets():
     changes = np.zeros((BASELINE, DIRECTIONS))
     changes[-1] = 1.0
-    assert compute_end_averages(changes) == pytest.approx(np.outer(END_RATES, np.ones(DIRECTIONS)))
-    assert compute_end_averages(changes[:-1]) == pytest.approx(0.0)
+    assert end_averages(changes) == pytest.approx(np.outer(END_RATES, np.ones(DIRECTIONS)))
+    assert end_averages(changes[:-1]) == pytest.approx(0.0)
     # What a wander owes to the baseline is forgotten in the end, and nothing else.
     near, far = (
         compute_covariances(MOST_AVERAGED, since, None, BASELINE)[5, 2:, 2:] for since in (250, 2000)

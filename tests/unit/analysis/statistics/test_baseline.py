@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from analysis.errors import InvalidInputError, NotEnoughSetsError, SingularCovarianceError
-from analysis.statistics.baseline import compute_whitening_matrix, fit_baseline
+from analysis.statistics.baseline import fit_baseline, whitening_matrix
 from analysis.statistics.distance import contributions, distance_squared, named_contributions
 from analysis.statistics.limits import phase_one_limit
 from analysis.waves.features import FEATURE_NAMES
@@ -127,6 +127,6 @@ def test_arrays_of_a_baseline_cannot_be_changed():
 
 def test_whitening_matrix_is_the_symmetric_inverse_root():
     correlation = fitted().correlation
-    root = compute_whitening_matrix(correlation)
+    root = whitening_matrix(correlation)
     assert root == pytest.approx(root.T, abs=1e-12)
     assert root @ correlation @ root == pytest.approx(np.eye(5), abs=1e-12)

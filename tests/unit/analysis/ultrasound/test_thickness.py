@@ -9,8 +9,8 @@ from analysis.errors import EchoNotFoundError, InvalidInputError, RecordError
 from analysis.ultrasound.thickness import (
     compute_thickness,
     find_reference_echo,
-    measure_travel_time,
     substitute_reference,
+    travel_time,
 )
 from hardware_drivers.measurement import Calibration, Waveform
 
@@ -51,7 +51,7 @@ def reference(waveform=None, **changes):
 
 
 def measured_m(waveform, echo):
-    found = measure_travel_time(waveform, echo)
+    found = travel_time(waveform, echo)
     return compute_thickness(found.travel_time_s, echo.travel_time_s, DELAY_S, INITIAL_M).thickness_m
 
 
@@ -72,7 +72,7 @@ def test_reference_needs_no_exact_speed_or_thickness():
 @pytest.mark.parametrize("thickness_mm", [6.5, 6.35, 6.3, 6.0, 5.55, 5.0, 4.5, 4.2, 3.8, 3.0, 2.0])
 def test_thinning_wall_is_followed_without_a_cycle_skip(thickness_mm):
     echo = reference()
-    found = measure_travel_time(record(thickness_mm * 1e-3), echo)
+    found = travel_time(record(thickness_mm * 1e-3), echo)
     # Neighbour echoes and quantisation move the pick by up to .1 ns; a slip would be 200 ns.
     assert found.travel_time_s == pytest.approx(arrival_s(thickness_mm * 1e-3), abs=0.2e-9)
     assert found.quality == "good"
@@ -86,7 +86,7 @@ def test_a_later_echo_stands_in_for_a_lost_reference():
     seen = record(later_m, noise_v=0.01)
     later = substitute_reference(
         reference(seen, initial_thickness_m=later_m),
-        travel_time_s=measure_travel_time(seen, first).travel_time_s,
+        travel_time_s=travel_time(seen, first).travel_time_s,
         reference_travel_time_s=first.travel_time_s,
     )
     for wall_m in (INITIAL_M, later_m, 3.9e-3):
@@ -97,9 +97,7 @@ def test_a_later_echo_stands_in_for_a_lost_reference():
 def test_noise_moves_the_pick_by_what_theory_allows():
     echo = reference()
     noise_v = 0.0025  # 46 dB, sixteen averages of the receiver
-    picks = [
-        measure_travel_time(record(5e-3, noise_v=noise_v, seed=s), echo).travel_time_s for s in range(200)
-    ]
+    picks = [travel_time(record(5e-3, noise_v=noise_v, seed=s), echo).travel_time_s for s in range(200)]
     t = np.arange(-100, 101) / RATE_HZ
     slope = np.gradient(0.5 * burst(t, 0.0), 1.0 / RATE_HZ)
     bound_s = noise_v / math.sqrt(float(slope @ slope))  # Cramer-Rao, known shape
@@ -117,7 +115,7 @@ def test_weaker_echo_before_the_back_wall_is_not_taken_for_it(height):
         pretrigger_samples=0,
         calibration=CALIBRATION,
     )
-    found = measure_travel_time(disturbed, reference())
+    found = travel_time(disturbed, reference())
     assert found.travel_time_s == pytest.approx(arrival_s(5e-3), abs=1e-9)
 
 
@@ -130,13 +128,13 @@ def test_stronger_echo_beyond_the_gate_does_not_matter():
         calibration=CALIBRATION,
     )
     assert extra.max() > 1.1 * 0.5  # the first echo is .5 V
-    found = measure_travel_time(focused, reference())
+    found = travel_time(focused, reference())
     assert found.travel_time_s == pytest.approx(arrival_s(INITIAL_M), abs=0.2e-9)
 
 
 def test_gain_does_not_matter():
     echo = reference()
-    strong, weak = measure_travel_time(record(5e-3), echo), measure_travel_time(record(5e-3, scale=0.2), echo)
+    strong, weak = travel_time(record(5e-3), echo), travel_time(record(5e-3, scale=0.2), echo)
     # A fifth of the amplitude makes the ADC's steps five times coarser: .1 ns.
     assert weak.travel_time_s == pytest.approx(strong.travel_time_s, abs=0.1e-9)
     assert weak.correlation_coefficient == pytest.approx(strong.correlation_coefficient, abs=1e-3)
@@ -146,29 +144,27 @@ def test_pretrigger_is_not_travel_time():
     shifted = record(INITIAL_M, pretrigger=50, n=2098)
     assert reference(shifted).travel_time_s == pytest.approx(reference().travel_time_s, abs=1e-12)
     echo = reference()
-    late = measure_travel_time(record(5e-3, pretrigger=50, n=2098), echo)
-    assert late.travel_time_s == pytest.approx(
-        measure_travel_time(record(5e-3), echo).travel_time_s, abs=1e-12
-    )
+    late = travel_time(record(5e-3, pretrigger=50, n=2098), echo)
+    assert late.travel_time_s == pytest.approx(travel_time(record(5e-3), echo).travel_time_s, abs=1e-12)
 
 
 @pytest.mark.parametrize("degrees", [120, 150, 180, 210, 240])
 def test_a_possible_cycle_slip_is_reported(degrees):
     # A carrier turned that far under the same envelope puts two maxima about equally far from its peak.
-    found = measure_travel_time(record(5e-3, phase_rad=math.radians(degrees)), reference())
+    found = travel_time(record(5e-3, phase_rad=math.radians(degrees)), reference())
     assert found.quality == "suspect"
     assert "slip" in found.reason
 
 
 @pytest.mark.parametrize("degrees", [-60, -30, 30, 60])
 def test_carrier_turned_a_little_is_no_slip(degrees):
-    assert measure_travel_time(record(5e-3, phase_rad=math.radians(degrees)), reference()).quality == "good"
+    assert travel_time(record(5e-3, phase_rad=math.radians(degrees)), reference()).quality == "good"
 
 
 def test_quality_follows_the_likeness_of_the_echo():
     echo, seen = reference(), set()
     for seed in range(60):
-        found = measure_travel_time(record(5e-3, noise_v=0.02 + 0.005 * seed, seed=seed), echo)
+        found = travel_time(record(5e-3, noise_v=0.02 + 0.005 * seed, seed=seed), echo)
         coefficient = found.correlation_coefficient
         if coefficient < 0.6:
             assert found.quality == "bad"
@@ -182,9 +178,7 @@ def test_quality_follows_the_likeness_of_the_echo():
 
 
 def test_buried_echo_is_bad_or_suspect():
-    qualities = {
-        measure_travel_time(record(5e-3, noise_v=0.5, seed=s), reference()).quality for s in range(20)
-    }
+    qualities = {travel_time(record(5e-3, noise_v=0.5, seed=s), reference()).quality for s in range(20)}
     assert "good" not in qualities
 
 
@@ -195,7 +189,7 @@ def test_silence_has_no_travel_time():
         pretrigger_samples=0,
         calibration=CALIBRATION,
     )
-    found = measure_travel_time(silent, reference())
+    found = travel_time(silent, reference())
     assert math.isnan(found.travel_time_s)
     assert math.isnan(found.correlation_coefficient)
     assert (found.quality, found.reason) == ("bad", "no echo in the gate")
@@ -238,7 +232,7 @@ def test_bad_input_is_refused():
     with pytest.raises(RecordError, match="record longer"):
         reference(record(INITIAL_M, n=900))
     with pytest.raises(RecordError, match="record longer"):
-        measure_travel_time(record(INITIAL_M, n=1000), reference())
+        travel_time(record(INITIAL_M, n=1000), reference())
     other = Waveform(
         counts=np.zeros(2048, dtype=np.int16),
         sample_rate_hz=50e6,
@@ -246,4 +240,4 @@ def test_bad_input_is_refused():
         calibration=CALIBRATION,
     )
     with pytest.raises(RecordError, match="new reference"):
-        measure_travel_time(other, reference())
+        travel_time(other, reference())

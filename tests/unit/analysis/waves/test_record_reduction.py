@@ -10,11 +10,11 @@ from analysis.waves.record_reduction import (
     ExtractionSettings,
     VoltRecord,
     apply_matched_filter,
-    estimate_block_noise,
-    estimate_fine_noise,
-    estimate_noise_rms,
+    block_noise,
+    fine_noise,
     kernel_noise_gain,
     moving_mean,
+    noise_rms,
     reduce_records,
 )
 
@@ -26,7 +26,7 @@ def test_noise_is_the_scaled_median_of_differences(n, scale):
     exact = 1.4826 * np.median(np.abs(np.diff(values))) / np.sqrt(2.0)
     # A histogram bin is 1/64 of the mean, 1.2 % of the median; inside it the density is even to a tenth,
     # and n values leave about n/80 in it, whose own unevenness is what remains: 1 / sqrt(n/80) of a bin.
-    assert estimate_noise_rms(values) == pytest.approx(exact, rel=0.012 * (0.1 + np.sqrt(80 / n)))
+    assert noise_rms(values) == pytest.approx(exact, rel=0.012 * (0.1 + np.sqrt(80 / n)))
 
 
 @pytest.mark.parametrize("height", [100.0, 1000.0, 1e6])
@@ -37,22 +37,22 @@ def test_noise_ignores_offset_hum_and_a_few_glitches(height):
     disturbed[random.integers(0, 13_000, 20)] += height
     # 40 of 13,000 differences are glitches: they push the median up by .15 % of ranks, .4 % of its value;
     # wider bins, where it is read from a histogram, add up to 1 %.
-    assert estimate_noise_rms(disturbed) == pytest.approx(estimate_noise_rms(values), rel=0.014)
+    assert noise_rms(disturbed) == pytest.approx(noise_rms(values), rel=0.014)
 
 
 def test_noise_of_a_constant_is_zero():
-    assert estimate_noise_rms(np.full(1000, 3.3)) == 0.0
+    assert noise_rms(np.full(1000, 3.3)) == 0.0
 
 
 @pytest.mark.parametrize("n", [999, 1000])
 def test_noise_of_blocks_is_the_fine_one_where_that_is_larger_than_by_chance(n):
     blocks = np.random.default_rng(n).standard_normal(n)
-    fine = estimate_fine_noise(blocks)
+    fine = fine_noise(blocks)
     differences = blocks[:-3] - 3.0 * blocks[1:-2] + 3.0 * blocks[2:-1] - blocks[3:]
     assert fine == pytest.approx(1.4826 * np.median(np.abs(differences)) / np.sqrt(20.0), rel=1e-12)
     least = fine / LEAST_EXCESS
-    assert estimate_block_noise(blocks, 0.999 * least) == fine
-    assert estimate_block_noise(blocks, 1.001 * least) == 1.001 * least
+    assert block_noise(blocks, 0.999 * least) == fine
+    assert block_noise(blocks, 1.001 * least) == 1.001 * least
 
 
 def test_moving_mean_takes_zeros_outside():

@@ -19,7 +19,7 @@ from support.memory_line import SETS, Line, healthy, silent
 from support.table_rows import execute
 
 from daq_service.cli.main import cli
-from daq_service.cli.maintenance.acceptance.conduct import compute_growth_quantities
+from daq_service.cli.maintenance.acceptance.conduct import growth_quantities
 from daq_service.cli.maintenance.acceptance.contents import build_report
 from daq_service.cli.maintenance.acceptance.criteria import (
     DEFAULTS,
@@ -272,7 +272,7 @@ def readings(values, *, recorder=1, first=0):
 
 def memory(evidence, machine):
     """Return the maximum memory and its growth."""
-    return list(compute_growth_quantities(replace(evidence, machine=machine), "resident_bytes"))
+    return list(growth_quantities(replace(evidence, machine=machine), "resident_bytes"))
 
 
 def grown(evidence, values):

@@ -18,7 +18,7 @@ from daq_service.recording.set_assessor import SetAssessor
 from hardware_drivers.errors import ConnectionLostError
 from hardware_drivers.instruments import Echo, Rig
 from hardware_drivers.measurement import ShotKey, Waveform
-from simulator.echo.pulse import compute_echo_volts, echo_calibration
+from simulator.echo.pulse import echo_calibration, echo_volts
 from simulator.electronics.transduction import quantise_volts
 from simulator.parameters.echo import EchoParameters
 
@@ -308,7 +308,7 @@ class ThinningWall:
 
     def acquire(self, key, timeout_s):
         calibration = echo_calibration(self.echo)
-        volts = compute_echo_volts(6.35e-3 - 0.2e-3 * key.set_index, self.echo)
+        volts = echo_volts(6.35e-3 - 0.2e-3 * key.set_index, self.echo)
         waveform = Waveform(
             counts=quantise_volts(volts, calibration),
             sample_rate_hz=1e8,

@@ -10,7 +10,7 @@ from support.memory_line import Line, healthy, memory_settings
 
 from daq_service.clock import parse_utc, wall
 from daq_service.processes.heartbeat import Heartbeat
-from daq_service.processes.service_manager import notify_service_manager, service_manager_notifications
+from daq_service.processes.service_manager import notify_manager, service_manager_notifications
 from hardware_drivers.measurement import ShotKey
 
 pytestmark = pytest.mark.skipif(
@@ -126,9 +126,9 @@ def test_a_hanging_line_does_not_feed_the_watchdog(manager, tmp_path):
 
 def test_no_notification_is_sent_without_a_service_manager(tmp_path, monkeypatch):
     monkeypatch.delenv("NOTIFY_SOCKET", raising=False)
-    notify_service_manager("WATCHDOG=1")
+    notify_manager("WATCHDOG=1")
     monkeypatch.setenv("NOTIFY_SOCKET", str(tmp_path / "gone"))
-    notify_service_manager("WATCHDOG=1")
+    notify_manager("WATCHDOG=1")
     assert list(tmp_path.iterdir()) == []
 
 
@@ -148,8 +148,8 @@ def test_the_activity_is_sent_in_one_line():
 def test_a_manager_of_another_program_is_sent_nothing(manager, monkeypatch):
     """A shell of a service (Jupyter, tmux) passes its notify socket on."""
     monkeypatch.setenv("SYSTEMD_EXEC_PID", "1")
-    notify_service_manager("STOPPING=1")
+    notify_manager("STOPPING=1")
     monkeypatch.setenv("SYSTEMD_EXEC_PID", str(os.getpid()))
-    notify_service_manager("READY=1")
+    notify_manager("READY=1")
     manager.report_message()
     assert [lines for _, lines in manager.heard] == [["READY=1"]]

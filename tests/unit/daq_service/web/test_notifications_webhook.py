@@ -21,7 +21,7 @@ from daq_service.processes.notifications.addresses import (
     Address,
     check_receivers,
     hide_address_secrets,
-    read_receiver_address,
+    read_address,
 )
 from daq_service.processes.notifications.by_apprise import deliver_by_apprise
 from daq_service.processes.notifications.messages import Message
@@ -179,7 +179,7 @@ def webhook(**given):
 def test_addresses_and_secrets_are_read_from_the_configured_source(tmp_path):
     (tmp_path / "url").write_text("http://127.0.0.1:8/hook/T0K3N\n", encoding="utf-8")
     receiver = webhook(url="", url_file=str(tmp_path / "url"))
-    address = read_receiver_address("duty", receiver, {"DUTY_SECRET": SECRET})
+    address = read_address("duty", receiver, {"DUTY_SECRET": SECRET})
     assert (address.url, address.secret) == ("http://127.0.0.1:8/hook/T0K3N", SECRET.encode())
     assert SECRET not in repr(address)
     assert "T0K3N" not in str(address)
@@ -212,7 +212,7 @@ def test_addresses_and_secrets_are_read_from_the_configured_source(tmp_path):
 )
 def test_an_invalid_receiver_is_reported_without_its_secret(given, held, message):
     with pytest.raises(UsageError, match=message) as refusal:
-        read_receiver_address("duty", webhook(**given), held)
+        read_address("duty", webhook(**given), held)
     assert SECRET not in str(refusal.value)
     assert str(refusal.value).startswith("notifications.receivers.duty: ")
 

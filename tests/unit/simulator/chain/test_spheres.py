@@ -13,7 +13,7 @@ from simulator.chain.hertz_contact import (
     sphere_on_flat_stiffness,
     sphere_on_sphere_stiffness,
 )
-from simulator.chain.spheres import build_chain, compute_tilted_damping
+from simulator.chain.spheres import build_chain, tilted_damping
 from simulator.parameters.chain import ChainParameters, SphereParameters
 from simulator.parameters.plate import PlateParameters
 
@@ -80,9 +80,9 @@ def test_sensor_place_and_numbers_of_spheres_are_free():
 def test_tilt_adds_damping_at_the_sensors_faces_only():
     upright, tilted = build_chain(DISK, PLATE), build_chain(replace(DISK, tilt_rad=0.02), PLATE)
     assert np.flatnonzero(upright.damping_n_s_per_m != tilted.damping_n_s_per_m).tolist() == [3, 4]
-    assert tilted.damping_n_s_per_m[3] == compute_tilted_damping(4.5, 0.02) > 4.5
+    assert tilted.damping_n_s_per_m[3] == tilted_damping(4.5, 0.02) > 4.5
     np.testing.assert_array_equal(upright.static_force_n, tilted.static_force_n)
-    assert compute_tilted_damping(4.5, 0.0) == 4.5
+    assert tilted_damping(4.5, 0.0) == 4.5
 
 
 STEEL = Surface(radius_m=9.525e-3, youngs_modulus_pa=200e9, poisson_ratio=0.3)

@@ -9,9 +9,9 @@ from simulator.echo.far_wall import smooth_wall
 from simulator.echo.pulse import (
     SALT_WATER_VELOCITY_M_PER_S,
     STEEL_REFLECTION,
-    compute_bubble_volts,
-    compute_echo_volts,
+    bubble_volts,
     echo_calibration,
+    echo_volts,
     travel_time_s,
     warm_probe_and_wall,
 )
@@ -46,7 +46,7 @@ def test_a_plain_correlation_recovers_the_travel_time(thickness_m, noise_v):
     calibration = echo_calibration(ECHO)
 
     def record(thickness):
-        volts = compute_echo_volts(thickness, ECHO) + noise_v * random.standard_normal(ECHO.record_samples)
+        volts = echo_volts(thickness, ECHO) + noise_v * random.standard_normal(ECHO.record_samples)
         return calibration.volts(quantise_volts(volts, calibration))
 
     now, initial = record(thickness_m), record(PRISTINE_M)
@@ -70,7 +70,7 @@ def envelope_peak_v(volts, time_s):
 
 def test_multiples_follow_at_the_round_trip_and_fade():
     echo = replace(ECHO, front_wall_v=0.0)
-    volts = compute_echo_volts(PRISTINE_M, echo)
+    volts = echo_volts(PRISTINE_M, echo)
     round_trip_s = 2.0 * PRISTINE_M / ECHO.velocity_m_per_s
     peaks = [envelope_peak_v(volts, echo.delay_s + k * round_trip_s) for k in (1, 2, 3, 4)]
     loss = 10.0 ** (-echo.attenuation_db_per_m * 2.0 * PRISTINE_M / 20.0)
@@ -83,14 +83,14 @@ def test_attenuation_grows_with_the_path():
     none = replace(ECHO, attenuation_db_per_m=0.0, multiple_ratio=0.0, front_wall_v=0.0)
     strong = replace(none, attenuation_db_per_m=500.0)
     for thickness_m in (3e-3, 6e-3):
-        ratio = np.max(np.abs(compute_echo_volts(thickness_m, strong))) / np.max(
-            np.abs(compute_echo_volts(thickness_m, none))
+        ratio = np.max(np.abs(echo_volts(thickness_m, strong))) / np.max(
+            np.abs(echo_volts(thickness_m, none))
         )
         assert 20.0 * np.log10(ratio) == pytest.approx(-500.0 * 2.0 * thickness_m, rel=1e-9)
 
 
 def test_the_front_wall_is_small_inverted_and_at_the_delay():
-    volts = compute_echo_volts(PRISTINE_M, ECHO)
+    volts = echo_volts(PRISTINE_M, ECHO)
     k = round(ECHO.delay_s * ECHO.sample_rate_hz)
     assert volts[k] == pytest.approx(-ECHO.front_wall_v, rel=1e-3)
     assert np.all(volts[: k - 100] == 0.0)
@@ -98,7 +98,7 @@ def test_the_front_wall_is_small_inverted_and_at_the_delay():
 
 def test_bandwidth_is_the_one_asked_for():
     alone = replace(ECHO, multiple_ratio=0.0, front_wall_v=0.0)
-    volts = compute_echo_volts(PRISTINE_M, alone)
+    volts = echo_volts(PRISTINE_M, alone)
     n = 1 << 16
     spectrum = np.abs(np.fft.rfft(volts, n))
     frequency_hz = np.fft.rfftfreq(n, 1.0 / ECHO.sample_rate_hz)
@@ -110,7 +110,7 @@ def test_bandwidth_is_the_one_asked_for():
 
 def test_no_wall_no_echo():
     with pytest.raises(ValueError, match=r"thickness_m is 0\.0 m"):
-        compute_echo_volts(0.0, ECHO)
+        echo_volts(0.0, ECHO)
 
 
 def envelope(volts):
@@ -125,7 +125,7 @@ def envelope(volts):
 @pytest.mark.parametrize("separation_m", [1e-3, 2.7e-3, 6e-3])
 def test_the_way_between_two_elements_is_a_v(separation_m):
     echo = replace(ECHO, element_separation_m=separation_m, front_wall_v=0.0)
-    volts = envelope(compute_echo_volts(3.8e-3, echo))
+    volts = envelope(echo_volts(3.8e-3, echo))
     for times in (1, 2, 3):
         arrival_s = echo.delay_s + np.hypot(2.0 * times * 3.8e-3, separation_m) / echo.velocity_m_per_s
         centre = round(arrival_s * echo.sample_rate_hz)
@@ -140,7 +140,7 @@ def test_the_way_between_two_elements_is_a_v(separation_m):
 @pytest.mark.parametrize("separation_m", [0.0, 2.7e-3])
 def test_facets_of_one_thickness_give_the_pulses_drawn_one_by_one(thickness_m, separation_m):
     echo = replace(ECHO, element_separation_m=separation_m)
-    drawn, summed = compute_echo_volts(thickness_m, echo), compute_echo_volts(smooth_wall(thickness_m), echo)
+    drawn, summed = echo_volts(thickness_m, echo), echo_volts(smooth_wall(thickness_m), echo)
     # Sharing an arrival between two points of the grid: (2 pi / 320)^2 / 8 = 5e-5 of an echo's peak.
     np.testing.assert_allclose(summed, drawn, atol=1e-4 * echo.back_wall_v)
 
@@ -150,7 +150,7 @@ def test_attenuation_grows_with_its_power_of_the_frequency(exponent):
     echo = replace(
         ECHO, attenuation_db_per_m=300.0, attenuation_exponent=exponent, multiple_ratio=0.0, front_wall_v=0.0
     )
-    near, far = (np.fft.rfft(compute_echo_volts(th, echo)) for th in (3e-3, 6e-3))
+    near, far = (np.fft.rfft(echo_volts(th, echo)) for th in (3e-3, 6e-3))
     frequency_hz = np.fft.rfftfreq(ECHO.record_samples, 1.0 / ECHO.sample_rate_hz)
     band = np.abs(frequency_hz - 5e6) < 2e6
     lost_db = -20.0 * np.log10(np.abs(far[band] / near[band]))
@@ -169,7 +169,7 @@ def test_a_warmer_wall_sends_its_echo_later_by_the_gauges_coefficient():
 
 def test_bubbles_follow_the_wall_echo_with_the_given_rate_and_strength():
     echo = replace(ECHO, bubbles_per_beam=3.0)
-    records = compute_bubble_volts(5e-3, echo, np.random.default_rng(0), 400)
+    records = bubble_volts(5e-3, echo, np.random.default_rng(0), 400)
     seen = np.abs(records) > 0.0
     first, last = np.flatnonzero(seen.any(axis=0))[[0, -1]] / echo.sample_rate_hz
     # Nothing before the first back-wall echo, less the pulse's half length of .9 us.
@@ -184,9 +184,7 @@ def test_bubbles_follow_the_wall_echo_with_the_given_rate_and_strength():
     loss = 10.0 ** (-echo.attenuation_db_per_m * 10e-3 / 20.0)
     through = (1.0 - STEEL_REFLECTION**2) / STEEL_REFLECTION
     height_v = 0.5 * loss * through * 1e-3 * (SALT_WATER_VELOCITY_M_PER_S / 5e6) / (2.0 * spot_m2)
-    pulse = compute_echo_volts(
-        3e-3, replace(ECHO, multiple_ratio=0.0, front_wall_v=0.0, attenuation_db_per_m=0.0)
-    )
+    pulse = echo_volts(3e-3, replace(ECHO, multiple_ratio=0.0, front_wall_v=0.0, attenuation_db_per_m=0.0))
     energy = float(pulse @ pulse) / 0.5**2
     # Those whose echo starts after the record's end are not in it.
     within = (20.48e-6 - travel_time_s(5e-3, echo)) * SALT_WATER_VELOCITY_M_PER_S / 2.0 / echo.liquid_depth_m

@@ -11,7 +11,7 @@ from simulator.experiment.processes import (
     compute_ar1_weights,
     draw_autocorrelated_values,
     draw_slow_drift,
-    draw_unit_student_t,
+    draw_unit_t,
     draw_values_after_reseats,
     evaluate_slow_drift,
     is_noisy_hour,
@@ -74,7 +74,7 @@ def test_the_tails_are_student_s():
     low, high = stats.binom.interval(1.0 - 1e-4, x.size, 2.0 * unit.sf(4.0))
     assert low <= beyond.sum() <= high
     assert high > low > 20.0 * x.size * 2.0 * stats.norm.sf(4.0), "a normal one has not a twentieth of these"
-    assert draw_unit_student_t(np.random.default_rng(1), 1e3, 200_000).std() == pytest.approx(
+    assert draw_unit_t(np.random.default_rng(1), 1e3, 200_000).std() == pytest.approx(
         1.0, abs=4.0 / np.sqrt(4e5)
     )
 

@@ -7,7 +7,7 @@ import pytest
 from scipy import linalg
 
 from simulator.numerics import driven_modes as module
-from simulator.numerics.driven_modes import compute_driven_modes
+from simulator.numerics.driven_modes import driven_modes
 
 
 def system(size, slowest=300.0, fastest=3e7):
@@ -23,7 +23,7 @@ def system(size, slowest=300.0, fastest=3e7):
 @pytest.mark.parametrize("size", [1, 2, 3, 40, 101])
 def test_modes_are_those_that_made_the_matrices(size):
     stiffness, mass, omega, last = system(size)
-    found, participation, residual = compute_driven_modes(stiffness, mass, 3.0, size)
+    found, participation, residual = driven_modes(stiffness, mass, 3.0, size)
     # Rounding of the matrices, relative to the fastest mode: they span a factor of 1e10 in omega^2.
     np.testing.assert_allclose(found, omega, rtol=1e-5)
     np.testing.assert_allclose(participation, 3.0 * last, rtol=1e-5)
@@ -33,7 +33,7 @@ def test_modes_are_those_that_made_the_matrices(size):
 def test_the_response_equals_that_of_a_general_solver():
     stiffness, mass, _, _ = system(80)
     squares, shapes = linalg.eigh(stiffness, mass)
-    found, participation, _ = compute_driven_modes(stiffness.copy(), mass.copy(), 1.0, 80)
+    found, participation, _ = driven_modes(stiffness.copy(), mass.copy(), 1.0, 80)
     for s in 1e4 + 2j * np.pi * np.array([0.0, 1e3, 1e4, 1e5]):
         expected = np.sum(shapes[-1] ** 2 / (squares + s**2))
         assert abs(np.sum(participation**2 / (found**2 + s**2)) - expected) < 1e-8 * abs(expected)
@@ -44,7 +44,7 @@ def test_fewer_steps_keep_the_whole_static_deflection_and_are_a_krylov_space(ste
     stiffness, mass, _, _ = system(40)
     load = np.zeros(40)
     load[-1] = 2.0
-    omega, participation, _ = compute_driven_modes(stiffness.copy(), mass.copy(), 2.0, steps)
+    omega, participation, _ = driven_modes(stiffness.copy(), mass.copy(), 2.0, steps)
     assert len(omega) == steps
     exact = load @ np.linalg.solve(stiffness, load)
     assert np.sum((participation / omega) ** 2) == pytest.approx(exact, rel=1e-10)
@@ -63,7 +63,7 @@ def test_modes_hidden_by_rounding_stay_as_compliance():
     """Deflections (0.6, 0.8) and (-0.8, 0.6), equally stiff, omega a factor 1e8 apart."""
     turned = np.array([[0.6, -0.8], [0.8, 0.6]])
     mass = turned @ np.diag([1.0, 1e-16]) @ turned.T
-    omega, participation, residual = compute_driven_modes(np.eye(2), mass, 1.0, 2)
+    omega, participation, residual = driven_modes(np.eye(2), mass, 1.0, 2)
     np.testing.assert_allclose(omega, [1.0], rtol=1e-12)
     np.testing.assert_allclose(participation, [0.8], rtol=1e-12)
     assert residual == pytest.approx(0.36, rel=1e-12)
@@ -81,7 +81,7 @@ def test_modes_hidden_by_rounding_stay_as_compliance():
 )
 def test_invalid_stiffness_and_mass_are_refused(stiffness, mass):
     with pytest.raises(np.linalg.LinAlgError):
-        compute_driven_modes(stiffness, mass, 1.0, 2)
+        driven_modes(stiffness, mass, 1.0, 2)
 
 
 def test_the_compiled_ql_is_the_one_in_python():

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from hardware_drivers.measurement import ShotKey
-from simulator.numerics.keyed_random import Purpose, create_keyed_generator
+from simulator.numerics.keyed_random import Purpose, keyed_generator
 
 
 def draws(seed=1, purpose=Purpose.NOISE, position="B", set_index=3, shot_index=2, **parts):
     key = ShotKey(position=position, set_index=set_index, shot_index=shot_index, **parts)
-    return create_keyed_generator(seed, purpose, key=key).standard_normal(4)
+    return keyed_generator(seed, purpose, key=key).standard_normal(4)
 
 
 def test_the_same_key_gives_the_same_numbers_in_any_order():
@@ -56,5 +56,5 @@ def test_streams_of_neighbouring_shots_are_uncorrelated():
 
 def test_the_stream_is_pinned():
     # Stored experiments are reproduced from their seed: a change of the recipe must be a decision.
-    words = create_keyed_generator(1, Purpose.THINNING, position="B").integers(0, 2**32, 2).tolist()
+    words = keyed_generator(1, Purpose.THINNING, position="B").integers(0, 2**32, 2).tolist()
     assert words == [2996663429, 698336576]

@@ -5,7 +5,7 @@ import pytest
 
 from simulator.errors import SpecimenError
 from simulator.plate.mindlin.grid import make_graded_edge
-from simulator.plate.mindlin.hertz_pressure import compute_hertz_nodal_weights
+from simulator.plate.mindlin.hertz_pressure import hertz_nodal_weights
 
 FIRST_M = 1e-4
 
@@ -66,7 +66,7 @@ def test_even_grid_needs_no_growth(first_m):
 @pytest.mark.parametrize("symmetric", [(True, True), (False, True), (True, False), (False, False)])
 def test_loads_of_the_circle_add_up_and_lie_about_the_contact(symmetric):
     x, y = (np.linspace(0.0 if half else -8e-3, 8e-3, 33 if half else 65) for half in symmetric)
-    weights = compute_hertz_nodal_weights(x, y, 3e-3, symmetric=symmetric)
+    weights = hertz_nodal_weights(x, y, 3e-3, symmetric=symmetric)
     assert weights.sum() == pytest.approx(1.0, rel=1e-14)
     assert np.all(weights[np.hypot(x[:, None], y) > 3e-3 + 0.36e-3] == 0.0)
     # Mean square radius under Hertz's pressure: 2/5 a^2; bilinear functions add h^2 / 6 along both axes.
@@ -76,8 +76,8 @@ def test_loads_of_the_circle_add_up_and_lie_about_the_contact(symmetric):
 
 def test_loads_of_a_part_are_those_of_the_whole_folded():
     half, full = np.linspace(0.0, 8e-3, 33), np.linspace(-8e-3, 8e-3, 65)
-    whole = compute_hertz_nodal_weights(full, full, 3e-3, symmetric=(False, False))
+    whole = hertz_nodal_weights(full, full, 3e-3, symmetric=(False, False))
     folded = whole[32:] + np.pad(whole[:32][::-1], ((1, 0), (0, 0)))
     np.testing.assert_allclose(
-        compute_hertz_nodal_weights(half, full, 3e-3, symmetric=(True, False)), folded, atol=1e-15
+        hertz_nodal_weights(half, full, 3e-3, symmetric=(True, False)), folded, atol=1e-15
     )

@@ -9,11 +9,11 @@ from simulator.errors import SpecimenError
 from simulator.parameters.plate import CorrosionParameters, PlateParameters
 from simulator.plate.mindlin.element import (
     GAUSS_POINTS,
-    compute_element_matrices,
-    compute_thinned_element_matrices,
+    element_matrices,
+    thinned_element_matrices,
 )
 from simulator.plate.mindlin.grid import make_graded_half_edge
-from simulator.plate.mindlin.patches import compute_patch_fraction
+from simulator.plate.mindlin.patches import patch_fraction
 from simulator.plate.mindlin.plate import build_plate
 
 SMALL = PlateParameters(
@@ -55,10 +55,10 @@ def test_patch_must_fit():
 def test_affine_family_equals_direct_assembly_element_by_element():
     depth = 0.37
     plate = build_plate(SMALL, PATCH, whole=True)
-    covered = compute_patch_fraction(plate.x_m, plate.y_m, PATCH).ravel() > 0.5
+    covered = patch_fraction(plate.x_m, plate.y_m, PATCH).ravel() > 0.5
     sizes = np.diff(plate.x_m), np.diff(plate.y_m)
-    thick = compute_element_matrices(SMALL, *sizes)
-    thin = compute_element_matrices(replace(SMALL, thickness_m=(1 - depth) * SMALL.thickness_m), *sizes)
+    thick = element_matrices(SMALL, *sizes)
+    thin = element_matrices(replace(SMALL, thickness_m=(1 - depth) * SMALL.thickness_m), *sizes)
 
     values = np.zeros(3 * len(plate.x_m) * len(plate.y_m))
     values[plate.free] = np.random.default_rng(1).standard_normal(len(plate.free))
@@ -79,7 +79,7 @@ def test_matrices_are_symmetric_and_mass_is_the_plates():
     stiffness, mass = plate.at_depth(0.5)
     assert abs(stiffness - stiffness.T).max() <= 1e-12 * abs(stiffness).max()
     assert abs(mass - mass.T).max() <= 1e-12 * abs(mass).max()
-    _, _, translation, _ = compute_element_matrices(SMALL, np.diff(plate.x_m), np.diff(plate.y_m))
+    _, _, translation, _ = element_matrices(SMALL, np.diff(plate.x_m), np.diff(plate.y_m))
     rigid = np.tile([1.0, 0.0, 0.0], 4)
     total = np.einsum("i,eij,j->", rigid, translation, rigid)
     assert total == pytest.approx(7800 * 0.3 * 0.2 * 4e-3, rel=1e-12)
@@ -93,9 +93,9 @@ def test_elements_thinned_alike_at_all_points_are_thinner_elements(s):
         for terms in ((1 - p, p, 0, 0), ((1 - p) ** 3, 3 * (1 - p) ** 2 * p, 3 * (1 - p) * p**2, p**3))
     )
     a, b = (side.ravel() for side in np.meshgrid(*sizes, indexing="ij"))
-    coefficients = compute_thinned_element_matrices(SMALL, a, b, linear, cubic)
+    coefficients = thinned_element_matrices(SMALL, a, b, linear, cubic)
     thinner = replace(SMALL, thickness_m=SMALL.thickness_m * (1 - p + s * p))
-    bending, shear, translation, rotation = compute_element_matrices(thinner, *sizes)
+    bending, shear, translation, rotation = element_matrices(thinner, *sizes)
     for found, direct in zip(coefficients, (bending + shear, translation + rotation), strict=True):
         at_s = np.tensordot(s ** np.arange(4), found, axes=1)
         assert np.max(np.abs(at_s - direct)) <= 1e-14 * np.max(np.abs(direct))  # rounding
@@ -115,8 +115,8 @@ def test_points_of_an_element_are_thinned_where_they_lie(axis):
     thin = replace(SMALL, thickness_m=1e-3)
     one = np.array([0.02])
     none = np.zeros_like(terms)
-    stiffness, _ = compute_thinned_element_matrices(thin, one, one, none, terms)  # bending alone
-    direct = bent @ compute_element_matrices(thin, one, one)[0][0] @ bent
+    stiffness, _ = thinned_element_matrices(thin, one, one, none, terms)  # bending alone
+    direct = bent @ element_matrices(thin, one, one)[0][0] @ bent
     near, far = (1 - 3**-0.5) ** 2, (1 + 3**-0.5) ** 2
     found = bent @ stiffness[0, 0] @ bent
     # The twist along the axis, the same at all points, takes part as well.

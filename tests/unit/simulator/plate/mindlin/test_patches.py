@@ -13,7 +13,7 @@ from simulator.parameters.plate import (
     PatchParameters,
     PlateParameters,
 )
-from simulator.plate.mindlin.patches import compute_patch_fraction, find_symmetric_axes
+from simulator.plate.mindlin.patches import find_symmetric_axes, patch_fraction
 from simulator.plate.mindlin.plate import build_plate, evaluate_thinning
 
 PLATE = PlateParameters(
@@ -276,7 +276,7 @@ def test_flat_rectangle_covers_whole_elements_wherever_it_lies():
         shape="rectangular", size_m=0.05, size_y_m=0.03, offset_x_m=0.031, offset_y_m=-0.017
     )
     parts = build_plate(PLATE, CorrosionParameters(**_keys(patch)))
-    covered = compute_patch_fraction(parts.x_m, parts.y_m, patch)
+    covered = patch_fraction(parts.x_m, parts.y_m, patch)
     assert set(np.unique(covered)) == {0.0, 1.0}
     areas = np.outer(np.diff(parts.x_m), np.diff(parts.y_m))
     assert np.sum(covered * areas) == pytest.approx(0.05 * 0.03, rel=1e-9)

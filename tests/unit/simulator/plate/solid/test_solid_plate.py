@@ -10,13 +10,13 @@ from simulator.errors import SpecimenError
 from simulator.numerics.tensor_basis import Axis
 from simulator.parameters.plate import CorrosionParameters, PatchParameters, PlateParameters, SolidMesh
 from simulator.plate.solid.integrals import (
-    compute_hertz_nodal_weights,
     compute_in_plane_elasticity,
+    hertz_nodal_weights,
     integrate_in_plane,
 )
 from simulator.plate.solid.plate import UPPER_LINES, build_solid_plate
 from simulator.plate.solid.reduction import (
-    compute_column_matrices,
+    column_matrices,
     list_column_folds,
     make_mass_product,
     make_shifted_solver,
@@ -33,7 +33,7 @@ def assembled(plate):
     size = len(plate.load)
     stiffness, mass = np.zeros((size, size)), np.zeros((size, size))
     for column, (unknowns, fold) in enumerate(list_column_folds(plate)):
-        k, m = compute_column_matrices(plate, column, fold)
+        k, m = column_matrices(plate, column, fold)
         stiffness[np.ix_(unknowns, unknowns)] += k
         mass[np.ix_(unknowns, unknowns)] += m
     return stiffness, mass
@@ -195,7 +195,7 @@ def test_material_scales_stiffness_and_mass():
 def test_hertz_weights_are_a_unit_force_and_hold_its_moments():
     """Mean of ``|x|`` under Hertz's pressure: ``3 a / 8``, of ``r^2``: ``2 a^2 / 5``."""
     axis = Axis(breaks_m=np.array([0.0, 0.7e-3, 3e-3]), degrees=(3, 4))
-    weights = compute_hertz_nodal_weights(axis, axis, 2e-3, whole=False)
+    weights = hertz_nodal_weights(axis, axis, 2e-3, whole=False)
     at = axis.nodes_m
     assert weights.sum() == pytest.approx(1.0, rel=1e-13)
     assert weights.sum(axis=1) @ at == pytest.approx(0.75e-3, rel=1e-5)  # 48 points of a square root

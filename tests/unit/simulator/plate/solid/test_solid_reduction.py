@@ -14,12 +14,12 @@ from simulator.plate.reduced import PlateModes
 from simulator.plate.solid.contact import exact_contact_compliance_m_per_n, half_space_indentation_m_per_n
 from simulator.plate.solid.plate import build_solid_plate
 from simulator.plate.solid.reduction import (
-    compute_contact_residual_m_per_n,
-    compute_krylov_fields,
-    compute_solid_modes,
+    contact_residual_m_per_n,
+    krylov_fields,
     make_modes_passive,
     make_shifted_solver,
     project_layers,
+    solid_modes,
 )
 from simulator.shot.model import ENERGY_TOLERANCE, ShotModel
 
@@ -33,7 +33,7 @@ PATCH = CorrosionParameters()
 def test_projection_keeps_the_plates_response(shape, depth):
     """A growing force, by which the response of a finite time is weighed: in K + sigma^2 M."""
     plate = build_solid_plate(COARSE, replace(PATCH, shape=shape, depth_fraction=depth))
-    projected = project_layers(plate, compute_krylov_fields(plate, 60))
+    projected = project_layers(plate, krylov_fields(plate, 60))
     modes = projected.modes(1.0 - depth, 0.0)
     for sigma in (0.0, 1e4, 6e4, 1.2e5):
         exact = plate.load @ make_shifted_solver(plate, sigma)(plate.load)
@@ -46,7 +46,7 @@ def test_projected_layers_hold_at_another_thickness():
     """Fields of one depth, taken at another with the same grid: its own stiffness and mass."""
     plate, other = (build_solid_plate(COARSE, replace(PATCH, depth_fraction=d)) for d in (0.5, 0.7))
     # Displacements within the upper layer and its neighbour's nodes only, alike in both.
-    fields = compute_krylov_fields(plate, 5)
+    fields = krylov_fields(plate, 5)
     here, there = project_layers(plate, fields), project_layers(other, fields)
     np.testing.assert_allclose(
         here.stiffness, there.stiffness, rtol=1e-9, atol=1e-9 * np.abs(here.stiffness).max()
@@ -62,7 +62,7 @@ def test_contact_no_longer_depends_on_its_elements():
         plate = build_solid_plate(replace(COARSE, solid=mesh), PATCH)
         value = plate.load @ make_shifted_solver(plate, 0.0)(plate.load)
         bare.append(value)
-        corrected.append(value + compute_contact_residual_m_per_n(plate, PATCH))
+        corrected.append(value + contact_residual_m_per_n(plate, PATCH))
     indentation = half_space_indentation_m_per_n(200e9, 0.3, COARSE.contact_radius_m)
     assert np.ptp(bare) > 0.1 * indentation
     # Growing from the contact, the meshes also differ away from it.
@@ -72,7 +72,7 @@ def test_contact_no_longer_depends_on_its_elements():
 def test_static_compliance_of_the_pristine_plate_is_the_exact_one():
     exact = exact_contact_compliance_m_per_n(COARSE, 0.6096, 0.6096, 6.35e-3)
     exact -= half_space_indentation_m_per_n(200e9, 0.3, COARSE.contact_radius_m)
-    modes = compute_solid_modes(replace(COARSE, solid=SolidMesh()), PATCH)
+    modes = solid_modes(replace(COARSE, solid=SolidMesh()), PATCH)
     assert modes.static_compliance_m_per_n == pytest.approx(exact, rel=1e-5)
     assert modes.residual_compliance_m_per_n >= 0.0
 
@@ -97,7 +97,7 @@ def test_kept_modes_are_those_computed_to_the_last_bit(tmp_path, monkeypatch):
     patch = replace(PATCH, depth_fraction=0.4)
     bare = CachedSolid(COARSE, patch, None).modes(0.4)
     first = CachedSolid(COARSE, patch, tmp_path).modes(0.4)
-    monkeypatch.setattr(plate_models, "compute_solid_modes", None)  # from here on, only what is kept
+    monkeypatch.setattr(plate_models, "solid_modes", None)  # from here on, only what is kept
     second = CachedSolid(COARSE, patch, tmp_path).modes(0.4)
     for modes in (first, second):
         assert modes.omega_rad_per_s.tobytes() == bare.omega_rad_per_s.tobytes()
@@ -123,7 +123,7 @@ def test_shots_on_the_solid_keep_their_energy_at_every_depth(shots):
 def test_response_changes_smoothly_with_depth(shots):
     """Of the modes: the shots themselves also see at which step a contact opens."""
     depths = (0.3, 0.301, 0.302)
-    modes = [compute_solid_modes(COARSE, replace(PATCH, depth_fraction=depth)) for depth in depths]
+    modes = [solid_modes(COARSE, replace(PATCH, depth_fraction=depth)) for depth in depths]
     for sigma in (1e4, 6e4):
         a, b, c = (
             np.sum(m.participation**2 / (m.omega_rad_per_s**2 + sigma**2)) + m.residual_compliance_m_per_n
@@ -144,7 +144,7 @@ def test_one_basis_holds_every_depth(one_basis, tmp_path, monkeypatch):
     """Against a plate of each depth alone; in one basis the layers of other depths help to resolve it."""
     plate = CachedSolid(one_basis, PATCH, tmp_path)
     for depth in (0.0, 2e-3, 0.52):
-        alone = compute_solid_modes(COARSE, replace(PATCH, depth_fraction=depth))
+        alone = solid_modes(COARSE, replace(PATCH, depth_fraction=depth))
         found = plate.modes(depth)
         for s in (1e4, 1e4 + 6e4j):
             one, other = (
