@@ -2,7 +2,7 @@
 
 
 def main() -> None:
-    """Run the command line; imported on call, so that importing this package is fast."""
+    """Run the command line; the import on call keeps the import of this package fast."""
     from daq_service.processes.inherited import reset_inherited
 
     reset_inherited()

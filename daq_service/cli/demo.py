@@ -41,7 +41,7 @@ def run_demo(
     rig: str,
     as_json: bool,
 ) -> int:
-    """Run the command and return its exit code."""
+    """Run the demonstration of the twin with its web service and return the exit code."""
     started_s = _read_process_start_s()
     web, stay = not no_web, not exit_when_done and not no_web
     browser = not (no_browser or exit_when_done)
@@ -62,6 +62,7 @@ def run_demo(
                 address_printer = _AddressPrinter(progress.line, open_page if browser else lambda url: False)
 
                 def on_message(child: str, message: Message) -> None:
+                    """Pass a message of a child process to the progress report and the address printer."""
                     progress.report_message(child, message)
                     if message["event"] == "listening":
                         address_printer.note_address(message["url"])
@@ -103,7 +104,7 @@ def run_demo(
 def _overridden_values(
     hours: float | None, seed: int | None, pace: float | None
 ) -> dict[str, dict[str, object]]:
-    """Return the configuration that the options override."""
+    """Return the configuration values, by key, that the options override."""
     options: dict[str, dict[str, object]] = {
         "schedule": {"end_h": hours},
         "twin": {"nuisance": NUISANCE, "seed": seed},
@@ -143,20 +144,20 @@ class _AddressPrinter:
         self._patience.start()
 
     def note_address(self, url: str) -> None:
-        """Store the address of the web service."""
+        """Store the address of the web service and print it if data exist."""
         with self._lock:
             self._url = url
             self._print_address()
 
     def note_first_set(self) -> None:
-        """Record the first set, or the end of the wait for it."""
+        """Note that the first set is stored, or that the wait for it has ended, and print the address."""
         with self._lock:
             self._recording = True
             self._patience.cancel()
             self._print_address()
 
     def _print_address(self) -> None:
-        """Print and open the address once it is known and there is data."""
+        """Print the address and open the page, once the address is known and there is data."""
         if self._url is not None and self._recording:
             opened = ", opened in your browser" if self._open_page(self._url) else ""
             self._print_line(f"dashboard: {self._url}  (Ctrl-C ends{opened})")

@@ -54,7 +54,7 @@ class RecordSize:
 
 
 def predict_record_sizes(settings: Settings) -> tuple[RecordSize, RecordSize]:
-    """Return the sizes of the records of a strike and of an echo for the configured instruments."""
+    """Compute the sizes of the records of a strike and of an echo for the configured instruments."""
     adc, sampled_echo = settings.twin.adc, settings.twin.echo
     known = settings.rig.kind in ("simulated", "daqmx")
     strike = RecordSize(samples=adc.record_samples, sample_rate_hz=adc.sample_rate_hz, known=known)
@@ -74,7 +74,7 @@ def predict_record_sizes(settings: Settings) -> tuple[RecordSize, RecordSize]:
 
 
 def predict_stored_bytes(settings: Settings, n_sets: int) -> int:
-    """Return the size of the data folder after so many sets: files, tiles, catalogue and journal."""
+    """Compute the size of the data folder after a number of sets: files, tiles, catalogue and journal."""
     records = settings.schedule.shots_per_set * len(settings.list_positions(SOLITARY_WAVE)) + len(
         settings.list_positions(PULSE_ECHO)
     )
@@ -84,7 +84,7 @@ def predict_stored_bytes(settings: Settings, n_sets: int) -> int:
 
 
 def maximum_confirmation_bytes(settings: Settings, last_h: float) -> int:
-    """Return the maximum size of confirmation sets up to an hour."""
+    """Compute the maximum size of the confirmation sets up to an hour, in bytes."""
     transducers, shots = settings.list_positions(SOLITARY_WAVE), settings.schedule.shots_per_set
     days = math.ceil(max(0.0, last_h - settings.baseline.hours) / BUDGET_H)
     sets = days * settings.alarms.confirmation_sets_a_day * len(transducers)
@@ -96,7 +96,7 @@ def maximum_confirmation_bytes(settings: Settings, last_h: float) -> int:
 
 
 def predict_tile_bytes(settings: Settings, n_sets: int) -> int:
-    """Return the size of the waterfall's tiles after so many sets."""
+    """Compute the size of the waterfall's tiles after a number of sets, in bytes."""
     from daq_service.archive.waterfall.cells import ALIGNMENTS, build_frame
     from daq_service.archive.waterfall.tiles import estimate_tile_bytes
 
@@ -106,7 +106,7 @@ def predict_tile_bytes(settings: Settings, n_sets: int) -> int:
 
 
 def predict_set_file_bytes(settings: Settings) -> float:
-    """Return the size of the file of one complete set."""
+    """Build the file of one complete set and return its size in bytes."""
     from daq_service.archive.layout import build_image
 
     strike, echo = predict_record_sizes(settings)
@@ -116,7 +116,7 @@ def predict_set_file_bytes(settings: Settings) -> float:
 
 
 def _build_noisy_set(settings: Settings, strike: RecordSize, echo: RecordSize, shots: int) -> Any:
-    """Build a set of noisy records; their pulses are few samples."""
+    """Build a synthetic set of noisy records, each with a short pulse."""
     import numpy as np
 
     from daq_service.archive import PositionRecord, SetRecord
@@ -125,6 +125,7 @@ def _build_noisy_set(settings: Settings, strike: RecordSize, echo: RecordSize, s
     random, twin, records = np.random.default_rng(0), settings.twin, list[Any]()
 
     def build_waveform(size: RecordSize, adc: Any, noise_v: float, at_s: float, width_s: float) -> Any:
+        """Build a waveform with a pulse of a width at a time, and noise."""
         time_s = np.arange(size.samples) / size.sample_rate_hz
         phase = np.clip((time_s - at_s) / width_s, -0.5, 0.5)
         volts = 0.5 * adc.range_v * np.cos(np.pi * phase) ** 4
@@ -184,7 +185,7 @@ def _build_noisy_set(settings: Settings, strike: RecordSize, echo: RecordSize, s
 def _build_results(
     probes: Sequence[str], transducers: Sequence[str], records: Sequence[Shot | PulseEchoRecord]
 ) -> Results:
-    """Build results of records; their size does not depend on the values."""
+    """Build placeholder results of records; their size does not depend on the values."""
     from daq_service.assessment.results_in_file import build_result_tables
     from daq_service.catalogue.rows import FeatureRow, ThicknessRow
     from daq_service.recording.set_assessor import build_shot_row

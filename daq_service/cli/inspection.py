@@ -25,7 +25,7 @@ from hardware_drivers.methods import PULSE_ECHO, SOLITARY_WAVE
 
 
 def print_configuration(*, config: Path | None, data_dir: Path | None, schema: bool, as_json: bool) -> None:
-    """Run ``check-config``."""
+    """Run `solimon check-config`: validate the configuration and print the planned test."""
     if schema:
         click.echo(json.dumps(build_schema_with_kinds(), indent=1))
         return
@@ -85,7 +85,7 @@ def _print_receivers(notifications: NotificationSettings) -> None:
 
 
 def describe_plan(settings: Settings, folder: Path) -> dict[str, Any]:
-    """Return the numbers of a planned test."""
+    """Compute the numbers of a planned test, such as sets, records and bytes."""
     start_ns = parse_utc(settings.clock.epoch) if settings.clock.kind == "simulated" else time.time_ns()
     planned = plan_sets(settings.schedule.phases, start_ns, end_h=settings.schedule.end_h)
     strikes = len(planned) * settings.schedule.shots_per_set * len(settings.list_positions(SOLITARY_WAVE))

@@ -29,7 +29,7 @@ class _CommandGroup(click.Group):
     """Group of the commands of the registry, in sections."""
 
     def invoke(self, ctx: click.Context) -> object:
-        """Run a command and exit with its code; a library that ends the process is an error."""
+        """Run a command and exit with its code; treat a library that ends the process as an error."""
         try:
             ctx.exit(super().invoke(ctx) or 0)
         except (Exception, KeyboardInterrupt):
@@ -38,11 +38,11 @@ class _CommandGroup(click.Group):
             raise EndedByLibraryError(ending) from ending
 
     def list_commands(self, ctx: click.Context) -> list[str]:
-        """Return the names in the order of the help."""
+        """List the names of the commands in the order of the help."""
         return [name for commands in SECTIONS.values() for name in commands]
 
     def get_command(self, ctx: click.Context, name: str) -> click.Command | None:
-        """Return the command with its options."""
+        """Return the click command with its options; None if there is no such command."""
         return find_command(name)
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
@@ -93,7 +93,7 @@ def main() -> None:
 
 
 def _format_error(error: SolimonError) -> str:
-    """Return the message of an error; if the catalogue is lost, state that."""
+    """Compose the message of an error; if the catalogue is lost, state that."""
     if isinstance(error, StorageError):
         from daq_service.catalogue.errors import NoDataYetError
         from daq_service.processes.lost_catalogue import loss_reason
@@ -105,7 +105,7 @@ def _format_error(error: SolimonError) -> str:
 
 
 def _locate_error(error: Exception) -> str:
-    """Return the location in this project where an error occurred; a running test's log has the traceback."""
+    """Return the location in this project where an error occurred; the log of a test has the traceback."""
     root = Path(__file__).parents[2]
     frames = traceback.extract_tb(error.__traceback__)
     ours = [frame for frame in frames if Path(frame.filename).is_relative_to(root)]
@@ -113,7 +113,7 @@ def _locate_error(error: Exception) -> str:
 
 
 def _exit_with_message(message: str, code: int) -> None:
-    """Print a message and exit."""
+    """Print a message on standard error and exit with a code."""
     from daq_service.processes.printing import print_line
 
     print_line(f"solimon: {message}")

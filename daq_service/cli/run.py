@@ -68,7 +68,7 @@ STOPPED = "the recorder was told to stop and strikes no more; start again with t
 
 
 def run_as_child(carry_out: Callable[..., int]) -> Callable[..., int]:
-    """Make a command a child process, which sends its exit code to the supervisor.
+    """Wrap a command as a child process, which sends its exit code to the supervisor.
 
     Raises
     ------
@@ -79,7 +79,10 @@ def run_as_child(carry_out: Callable[..., int]) -> Callable[..., int]:
 
     @wraps(carry_out)
     def run_child(*, restart_reason: str, supervised: bool, **options: object) -> int:
+        """Run the command and announce its exit code."""
+
         def run() -> int:
+            """Run the command; after a restart, mark a storage error as one to try again."""
             try:
                 return carry_out(restart_reason=restart_reason, supervised=supervised, **options)
             except StorageUnavailableError as error:
@@ -93,7 +96,7 @@ def run_as_child(carry_out: Callable[..., int]) -> Callable[..., int]:
 
 
 def run_supervised(*, config: Path | None, data_dir: Path | None, port: int | None, no_web: bool) -> int:
-    """Record and serve under a supervisor."""
+    """Record and serve in child processes under a supervisor."""
     settings, folder = settings_and_folder(config, data_dir)
     prepare_data_folder(folder)
     check_owner(settings, folder)
@@ -110,6 +113,7 @@ def run_supervised(*, config: Path | None, data_dir: Path | None, port: int | No
     with stop_on_signals() as stop, ProgressReport() as progress, ExitStack() as stack:
 
         def on_message(child: str, message: Message) -> None:
+            """Pass a message of a child process to the progress report."""
             progress.report_message(child, message)
             if message["event"] == "listening":
                 progress.line(f"dashboard: {message['url']}")
@@ -137,7 +141,7 @@ def run_supervised(*, config: Path | None, data_dir: Path | None, port: int | No
 
 
 def report_full_disk(folder: Path, storage: StorageSettings, report: Callable[[str], None]) -> None:
-    """Report immediately why the recorder waits, since it cannot store an alarm yet."""
+    """Report at once why the recorder waits, since it cannot store an alarm yet."""
     if reason := refusal(disk_space(folder, storage), storage):
         report(f"WAITING: {reason}")
 
@@ -151,7 +155,7 @@ def plan_children(
     linger: bool,
     environment: Mapping[str, str] = MappingProxyType({}),
 ) -> list[ChildPlan]:
-    """Return the command lines of the children; a lingering recorder takes commands after its last set.
+    """List the command lines of the children; a lingering recorder takes commands after its last set.
 
     Parameters
     ----------
@@ -233,6 +237,7 @@ def _open_rig_to_stay(
     from daq_service.rig.open_rig import open_rig
 
     def preparing(what: str, begins: bool) -> None:
+        """Report the start or the end of a preparation."""
         report("preparing" if begins else "prepared", what=what)
 
     without_supply = settings.model_copy(update={"rig": settings.rig.copy_without_supply()})
@@ -253,7 +258,7 @@ def start_supply_process(settings: Settings, folder: Path) -> subprocess.Popen[b
 
 
 def read_supply_port(settings: Settings) -> str:
-    """Return the supply's port, or all its parameters if its kind has no such key."""
+    """Return the supply's port, or all its parameters if its kind has no port."""
     from daq_service.settings.instruments import list_instruments
 
     (supply,) = (item.parameters for item in list_instruments(settings) if "supply" in item.serves)
@@ -263,7 +268,7 @@ def read_supply_port(settings: Settings) -> str:
 def create_remote_drive(
     settings: Settings, parameters: DriveParameters, folder: Path, *, watches: bool = True
 ) -> RemoteDrive:
-    """Return the client of the supply process of this configuration."""
+    """Create the client of the supply process of this configuration."""
     from daq_service.corrosion_drive.remote import RemoteDrive
 
     start = partial(start_supply_process, settings, folder)
@@ -283,17 +288,19 @@ def provide_drive_guard(settings: Settings, folder: Path) -> Iterator[Callable[[
 
 
 def run_supply_process_alone(*, config: Path | None, data_dir: Path | None, for_recorder: bool) -> int:
-    """Run the supply process: log, keep the interlock, switch off when no recorder watches."""
+    """Run the supply process: log, keep the interlock, switch off if no recorder watches."""
     from daq_service.clock import WallClock
     from daq_service.corrosion_drive.own_process import run_supply_process
     from daq_service.rig.open_rig import open_supply
 
     def open_owned() -> AbstractContextManager[PowerSupply]:
+        """Report that the process is ready and open the supply; the caller holds its lock."""
         if not for_recorder:
             notify_manager("READY=1")  # the lock is held: no recorder starts another process
         return open_supply(settings, clock=WallClock())
 
     def beat() -> None:
+        """Notify the watchdog of the service manager."""
         if not for_recorder:
             notify_manager("WATCHDOG=1")
 
@@ -352,12 +359,14 @@ def serve_app(app: FastAPI, web: WebSettings, port: int | None, *, supervised: b
     reduce_garbage_collection()
 
     def on_bound(url: str) -> None:
+        """Report the address of the web service."""
         if supervised:
             notify_supervisor("listening", url=url, port=int(url.rstrip("/").rpartition(":")[2]))
         else:
             print_line(f"dashboard: {url}", err=False)
 
     def on_beat() -> None:
+        """Report to the supervisor or the service manager that the web service responds."""
         if supervised:
             notify_supervisor("beat", **asdict(create_web_beat()))
         else:

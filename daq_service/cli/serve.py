@@ -26,7 +26,7 @@ def serve_tests(
     restart_reason: str,
     supervised: bool,
 ) -> int:
-    """Serve until a person stops it."""
+    """Run `solimon serve`: serve one or several tests until a person stops it."""
     if len(paths) > 1:
         return _serve_many(paths, data_dir, port, web)
     if web is not None:
@@ -48,7 +48,7 @@ def serve_tests(
 
 
 def _serve_many(paths: Sequence[Path], data_dir: Path | None, port: int | None, web: Path | None) -> int:
-    """Serve several tests by one web service; return the exit code."""
+    """Serve several tests with one web service and return the exit code."""
     from daq_service.web.auth.middleware import refuse_unprotected_service
     from daq_service.web.multi_test.app import create_app_of_many
 

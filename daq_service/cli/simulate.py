@@ -52,7 +52,7 @@ def print_simulation(
     as_json: bool,
     **options: Any,
 ) -> None:
-    """Run the command."""
+    """Run `solimon simulate`: compute shots of the model and print them."""
     settings = load_settings(config)
     if model == "zener" and tilt_rad is not None:
         raise UsageError("--tilt-rad tilts the sensor disk, which --model zener does not have: leave it out")
@@ -118,7 +118,7 @@ def _apply_options(
     drop_height_m: float | None,
     tilt_rad: float | None,
 ) -> Specimen:
-    """Return the specimen with the options applied."""
+    """Build the specimen with the options applied."""
     place: Settings | PositionSettings = settings
     if position is not None:
         if position not in settings.positions:
@@ -138,7 +138,7 @@ def _apply_options(
 
 
 def _parse_grid(text: str) -> list[float]:
-    """Parse ``first:last:count``."""
+    """Parse ``first:last:count`` to equally spaced values."""
     parts = text.split(":")
     try:
         first, last, count = float(parts[0]), float(parts[1]), int(parts[2])

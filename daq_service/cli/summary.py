@@ -51,7 +51,7 @@ def summarise_run(settings: Settings, folder: Path) -> dict[str, object]:
 
 
 def sum_stage_seconds(cost: dict[str, float]) -> float:
-    """Return the sum of the stages of a run."""
+    """Compute the sum of the stages of a run, s."""
     return sum(value for name, value in cost.items() if name != "sets")
 
 
@@ -64,7 +64,7 @@ def _read_cost(catalogue: Catalogue) -> dict[str, float] | None:
 def _summarise_solitary_wave(
     catalogue: Catalogue, rules: BaselineSettings, limit_name: str, position: str
 ) -> dict[str, object]:
-    """Return the summary of a solitary-wave transducer."""
+    """Build the summary of a solitary-wave transducer."""
     assessments = catalogue.rows(AssessmentRow, position=position)
     assessed = [row for row in assessments if not row.in_baseline and row.outlier is not None]
     after = [row for row in assessed if row.due_h > SPLIT_H]
@@ -91,7 +91,7 @@ def _summarise_solitary_wave(
 
 
 def _summarise_pulse_echo(catalogue: Catalogue, position: str) -> dict[str, object]:
-    """Return the summary of an ultrasonic probe."""
+    """Build the summary of an ultrasonic probe."""
     rows = [row for row in catalogue.rows(ThicknessRow, position=position) if row.thickness_m is not None]
     last = rows[-1] if rows else None
     return {
@@ -103,26 +103,26 @@ def _summarise_pulse_echo(catalogue: Catalogue, position: str) -> dict[str, obje
 
 
 def _scale_value(value: float | None, factor: float) -> float | None:
-    """Multiply by a factor; None stays None."""
+    """Multiply a value by a factor; None stays None."""
     return None if value is None else value * factor
 
 
 def _last_good_feature(catalogue: Catalogue, minimum_valid: int, position: str) -> FeatureRow | None:
-    """Return the newest feature of a set with enough valid shots."""
+    """Find the newest feature of a set with enough valid shots."""
     rows = catalogue.rows(FeatureRow, position=position, scope="set")
     good = [row for row in rows if row.n_valid >= minimum_valid and row.tof_pp_s is not None]
     return good[-1] if good else None
 
 
 def _count_baseline_sets(catalogue: Catalogue, baseline: BaselineRow | None, position: str) -> int:
-    """Return the number of sets in the baseline so far."""
+    """Count the sets in the baseline so far."""
     if baseline is not None:
         return baseline.n_sets
     return sum(1 for row in catalogue.rows(AssessmentRow, position=position) if row.in_baseline)
 
 
 def _first_alarm_h(catalogue: Catalogue, position: str) -> float | None:
-    """Return the hour of the first damage alarm."""
+    """Find the hour of the first damage alarm; None without one."""
     hours = [
         row.raised_h for row in catalogue.rows(AlarmRow, position=position) if row.alarm_class == "damage"
     ]
@@ -130,7 +130,7 @@ def _first_alarm_h(catalogue: Catalogue, position: str) -> float | None:
 
 
 def _outlier_fraction(outliers: Iterable[bool | None]) -> float | None:
-    """Return the fraction of outliers; None without assessed sets."""
+    """Compute the fraction of outliers; None without assessed sets."""
     known = [outlier for outlier in outliers if outlier is not None]
     return sum(known) / len(known) if known else None
 
@@ -165,7 +165,7 @@ def format_summary_lines(summary: dict[str, Any], folder: Path) -> Iterator[str]
 
 
 def _format_limit(row: dict[str, object]) -> str:
-    """Return the limit of a position as text."""
+    """Format the limit of a position."""
     if row["n_baseline"] is None:
         return "-"
     if row["limit"] is None:
@@ -179,5 +179,5 @@ def _format_cell(value: float | None, form: str, unit: str) -> str:
 
 
 def _format_percent(value: float | None) -> str:
-    """Format a fraction in per cent; a dash if there is no value."""
+    """Format a fraction in percent; a dash if there is no value."""
     return "-" if value is None else f"{100 * value:.1f} %"

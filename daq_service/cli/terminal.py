@@ -40,7 +40,7 @@ def print_progress_of_sets(done: int, total: int) -> None:
 
 
 def create_console(stream: Literal["stdout", "stderr"]) -> Console:
-    """Return rich's console: colour only on a terminal and without ``NO_COLOR``; it invents no highlights."""
+    """Create rich's console, without highlights; color only on a terminal and without ``NO_COLOR``."""
     from rich.console import Console
 
     file = getattr(sys, stream)
@@ -50,7 +50,7 @@ def create_console(stream: Literal["stdout", "stderr"]) -> Console:
 
 
 def format_duration(seconds: float) -> str:
-    """Format a time in the unit with two or three digits."""
+    """Format a time in the unit that gives two or three digits."""
     for unit, length_s, digits in (("d", 86_400.0, 1), ("h", 3600.0, 1), ("min", 60.0, 0)):
         if seconds >= 2.0 * length_s:
             return f"{seconds / length_s:.{digits}f} {unit}"
@@ -83,6 +83,7 @@ class ProgressReport:
         self._writer = threading.Thread(target=self._write_queued_lines, name=PRINTING, daemon=True)
 
     def __enter__(self) -> Self:
+        """Start the display of the progress on a terminal and the writing thread."""
         if sys.stderr.isatty():
             from rich.live import Live
 
@@ -98,6 +99,7 @@ class ProgressReport:
         return self
 
     def __exit__(self, *_: object) -> None:
+        """Print the last lines and end the writing thread."""
         self._print_gap_end()
         self._lines.put(None)
         self._writer.join(HELD_AFTER_S)
@@ -112,7 +114,7 @@ class ProgressReport:
             self._lines.put((to_one_line(text), err, style))
 
     def _write_queued_lines(self) -> None:
-        """Write the queued lines until the end."""
+        """Print the queued lines until the end (body of the writing thread)."""
         live = self._live
         if live is not None:
             with suppress(OSError):  # the terminal is gone
@@ -140,7 +142,7 @@ class ProgressReport:
             log.debug("nobody reads %r: %s", text, gone)
 
     def _compose_progress_line(self) -> Text:
-        """Compose the line that is rewritten."""
+        """Compose the line that is rewritten on a terminal."""
         from rich.text import Text
 
         with self._lock:
@@ -160,7 +162,7 @@ class ProgressReport:
                 hear(**values)
 
     def report_message(self, child: str, message: Mapping[str, Any]) -> None:
-        """Print a message that a supervisor received from a child."""
+        """Print a message that a supervisor received from a child process."""
         values = {name: value for name, value in message.items() if name != "event"}
         if message["event"] == "restarts":
             self._queue_line(
@@ -172,16 +174,16 @@ class ProgressReport:
             self(message["event"], **values)
 
     def _report_beat(self, *, doing: str, **_: object) -> None:
-        """Note what the recorder does, and since when."""
+        """Store the activity of the recorder, and since when it lasts."""
         if doing != self._doing:
             self._doing, self._doing_since_s = doing, self._machine.mono_s()
 
     def _report_preparing(self, *, what: str) -> None:
-        """Note what is being prepared, and since when."""
+        """Store the present preparation and its start."""
         self._preparing.append((what, self._machine.mono_s()))
 
     def _report_prepared(self, *, what: str) -> None:
-        """Print how long a preparation took, if it was long."""
+        """Print the duration of a preparation, if it was long."""
         started = [item for item in self._preparing if item[0] == what]
         if started:  # else a line was lost on the way
             self._preparing.remove(started[-1])
@@ -200,13 +202,13 @@ class ProgressReport:
             self._queue_line(self._progress)
 
     def _report_alarm(self, *, change: str, hour: float, priority: str, message: str, **_: object) -> None:
-        """Print a change of an alarm."""
+        """Print the change of an alarm."""
         is_active = change in ("alarm_raised", "alarm_priority_raised", "alarm_reactivated")
         text = f"ALARM, {priority}" if is_active else change.replace("_", " ")
         self._queue_line(f"hour {hour:.1f}, {text}: {message}", style="bold red" if is_active else "")
 
     def _report_waits(self, *, reason: str) -> None:
-        """Print why the recorder waits."""
+        """Print the reason why the recorder waits."""
         self._queue_line(f"waiting: {reason}", style="yellow")
 
     def _report_asked(
@@ -217,7 +219,7 @@ class ProgressReport:
         self._queue_line(f"{text}{shot}: within {format_duration(within_s)}", style="bold")
 
     def _report_gap(self, *, set_index: int, state: str, positions: list[str], reason: str) -> None:
-        """Print the first of consecutive incomplete sets with one reason; of the rest the last one."""
+        """Print the first and the last of consecutive incomplete sets with one reason."""
         description = f"{state} at {', '.join(positions)}: {reason}"
         if self._gap is not None and self._gap[0] == description:
             self._gap = (description, self._gap[1], set_index)
@@ -239,7 +241,7 @@ class ProgressReport:
 
 
 def no_screen_reason(environment: Mapping[str, str], platform: str = sys.platform) -> str:
-    """Return why a page opened here would not be visible; empty if there is a screen."""
+    """Return the reason why a page opened here would not be visible; empty if there is a screen."""
     if not sys.stderr.isatty():
         return "no terminal"
     if environment.get("CI"):
@@ -251,7 +253,7 @@ def no_screen_reason(environment: Mapping[str, str], platform: str = sys.platfor
 
 
 def open_page(url: str) -> bool:
-    """Open a page in the browser of this computer; False without screen or browser.
+    """Open a page in the browser of this computer; return False without screen or browser.
 
     In a thread, since a browser that starts may take seconds; and not in a browser that would take the
     terminal itself, unless the person named one (``BROWSER``).

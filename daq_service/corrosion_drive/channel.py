@@ -27,13 +27,13 @@ Message = Mapping[str, Any]
 
 
 def sign_message(key: bytes, message: Message) -> bytes:
-    """Return the signed line of a message."""
+    """Encode a message as a signed line."""
     body = json.dumps(message).encode()
     return hmac.new(key, body, "sha256").hexdigest().encode() + b" " + body + b"\n"
 
 
 def verify_line(key: bytes, line: bytes) -> Message | None:
-    """Return the message of a line; None where it was not signed with this key."""
+    """Decode the message of a line; return None if it was not signed with this key."""
     signature, _, body = line.rstrip(b"\n").partition(b" ")
     if not hmac.compare_digest(signature, hmac.new(key, body, "sha256").hexdigest().encode()):
         return None
@@ -49,7 +49,7 @@ class Connection:
         self.socket, self._key, self._pending = connected, key, b""
 
     def send(self, message: Message) -> None:
-        """Send a message.
+        """Send a signed message to the peer.
 
         Raises
         ------
@@ -61,7 +61,7 @@ class Connection:
             raise BlockingIOError("the other side does not read")
 
     def read_messages(self) -> list[Message]:
-        """Return the received messages.
+        """Return the messages received since the last call, without waiting.
 
         Raises
         ------
@@ -81,12 +81,12 @@ class Connection:
         return [message for message in messages if message is not None]
 
     def close(self) -> None:
-        """Close the connection; may be called again."""
+        """Close the connection; repeated calls have no effect."""
         self.socket.close()
 
 
 def connect_to_server(port: int, key: bytes) -> Connection:
-    """Connect to a server of this machine.
+    """Connect to a server on this computer.
 
     Raises
     ------

@@ -44,7 +44,7 @@ def add_interval(
 
 
 def compute_elapsed_s(before: Stamp, after: Stamp) -> float:
-    """Return the time between two stamps, s: monotonic within a boot, UTC across boots."""
+    """Compute the time between two stamps, s: monotonic within a boot, UTC across boots."""
     if before.boot_id == after.boot_id:
         return (after.mono_ns - before.mono_ns) / NS_PER_S
     return (after.utc_ns - before.utc_ns) / NS_PER_S
@@ -87,7 +87,7 @@ class DriveState:
 def restore_charge_state(
     row: EnvironmentRow | None, *, written_utc_ns: int, parameters: DriveParameters
 ) -> DriveState:
-    """Return the state from the newest row of ``environment``, which was written at ``written_utc_ns``."""
+    """Restore the state from the newest row of ``environment``, written at ``written_utc_ns``."""
     if row is None or row.supply_state == "absent":
         return DriveState()
     charge = Charge(coulomb=row.charge_coulomb or 0.0, unknown_s=row.unknown_s or 0.0)

@@ -27,7 +27,7 @@ class ClimateLog:
         self._changed_ns = clock.mono_ns()
 
     def tick(self) -> None:
-        """Read the probe if it is due; an instrument's error is logged and never raised."""
+        """Read the probe if a reading is due; log an instrument's error without raising it."""
         now_ns = self._clock.mono_ns()
         if not self._log.is_due(now_ns):
             return
@@ -45,7 +45,7 @@ class ClimateLog:
             self._log.record_success(now_ns)
 
     def quality(self) -> ReadingQuality:
-        """Return the quality of the newest reading; suspect: it has repeated the same values for long."""
+        """Return the quality of the newest reading; "suspect" if it has repeated the same values for long."""
         now_ns = self._clock.mono_ns()
         quality = self._log.quality(now_ns)
         unchanged_s = (now_ns - self._changed_ns) / NS_PER_S
@@ -72,5 +72,5 @@ class ClimateLog:
 
 
 def _read_climate_values(reading: ClimateReading) -> tuple[float, float]:
-    """Return temperature in degrees Celsius and relative humidity."""
+    """Return the temperature in degrees Celsius and the relative humidity of a reading."""
     return reading.temperature_c, reading.relative_humidity

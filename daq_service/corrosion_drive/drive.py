@@ -122,7 +122,7 @@ class SupplyLogger:
     # Called by its owner continuously ------------------------------------------------------------
 
     def tick(self) -> None:
-        """Read the supply or switch it off, if due; an instrument's error is logged and never raised."""
+        """Read the supply or switch it off, if due; log an instrument's error without raising it."""
         now_ns = self._clock.mono_ns()
         if self._supply_log.is_due(now_ns):
             self._supply_log.record_attempt(now_ns)
@@ -183,7 +183,7 @@ class SupplyLogger:
         return reading.stamp.mono_ns >= self._commanded_ns
 
     def _commanded_values(self) -> tuple[float, float]:
-        """Return the commanded voltage in V and current limit in A."""
+        """Return the commanded voltage in V and the commanded current limit in A."""
         command, parameters = self._command or Command(), self._parameters
         return (
             parameters.voltage_v if command.voltage_v is None else command.voltage_v,
@@ -229,7 +229,7 @@ class SupplyLogger:
         self._booked_utc_ns = reading.stamp.utc_ns
 
     def _handle_failure(self, error: InstrumentError, now_ns: int) -> None:
-        """Process an instrument error: log it, and trip the interlock after a long silence."""
+        """Log an instrument's error, and trip the interlock after a long silence."""
         if not self._supply_log.error:
             log.warning("supply: %s", error)
         self._supply_log.error = str(error)
@@ -307,13 +307,13 @@ class SupplyLogger:
         self.switch_off("the end of the test")
 
     def end_command(self) -> None:
-        """End the command `on`: from now on, an output found on is switched off."""
+        """End the command `on`; after this, an output found on is switched off."""
         if self._command is not None:
             self._supply_log.read_at_once(self._clock.mono_ns())
         self._command, self._high_readings = None, 0
 
     def trip(self, reason: str, *, kind: str | None = None) -> bool:
-        """Trip the interlock: switch off now, or as soon as the supply responds, and stay off.
+        """Trip the interlock: switch the output off at once or when the supply responds, and keep it off.
 
         Parameters
         ----------
@@ -330,7 +330,7 @@ class SupplyLogger:
         return self._switch_off_now()
 
     def _latch_interlock(self, reason: str) -> None:
-        """Trip the interlock for a reason; the output must be switched off."""
+        """Trip the interlock for a reason, and request that the output is switched off."""
         if self.tripped is None:
             self.tripped = reason
             log.error("interlock tripped: %s", reason)
@@ -353,7 +353,7 @@ class SupplyLogger:
     # Readings and conditions ----------------------------------------------------------------------
 
     def output(self) -> SupplyState:
-        """Return the output as last read; unknown as soon as the newest reading is not good."""
+        """Return the output state as last read; unknown once the newest reading is not good."""
         if self._newest is None or self._supply_log.quality(self._clock.mono_ns()) != "good":
             return "unknown"
         return "on" if self._newest.output_on else "off"
@@ -398,11 +398,11 @@ class SupplyLogger:
         )
 
     def start_window(self, n_stored: int | None = None) -> None:
-        """Restart the means after a row is stored; only readings after its first ``n_stored`` remain."""
+        """Restart the means after a row is stored; keep only readings after its first ``n_stored``."""
         del self._window[:n_stored]
 
     def row(self, set_index: int, due_h: float) -> EnvironmentRow:
-        """Return the row of a set in ``environment``: means since `start_window`, totals since hour 0."""
+        """Build the row of a set in ``environment``: means since `start_window`, totals since hour 0."""
         now_ns, reading_log = self._clock.mono_ns(), self._supply_log
         voltages_v = [reading.voltage_v for reading in self._window]
         currents_a = [reading.current_a for reading in self._window]
@@ -432,7 +432,7 @@ class SupplyLogger:
 
 
 def row_without_supply(set_index: int, due_h: float) -> EnvironmentRow:
-    """Return the row of a set without a supply."""
+    """Build the row of a set without a supply."""
     return EnvironmentRow(
         set_index=set_index,
         due_h=due_h,
@@ -450,5 +450,5 @@ def summarise_row(row: EnvironmentRow) -> dict[str, float | str | None]:
 
 
 def _mean_or_none(numbers: Sequence[float]) -> float | None:
-    """Return the mean; None if there are no numbers."""
+    """Compute the mean of numbers; None if there are none."""
     return sum(numbers) / len(numbers) if numbers else None

@@ -19,28 +19,30 @@ class FileThread:
         self._thread = threading.Thread(target=self._run_newest_jobs, name="files", daemon=True)
 
     def __enter__(self) -> Self:
+        """Start the thread."""
         self._thread.start()
         return self
 
     def __exit__(self, *_: object) -> None:
+        """Close the thread and wait for the running job for a limited time."""
         with self._changed:
             self._closed = True
             self._changed.notify_all()
         self._thread.join(0.0 if self._busy else FLUSH_WITHIN_S)
 
     def run(self, job: Callable[[], None]) -> None:
-        """Run a job as soon as the previous one has ended; return at once."""
+        """Run a job as soon as the previous one has ended, without waiting for it."""
         with self._changed:
             self._job = job
             self._changed.notify_all()
 
     def flush(self, within_s: float = FLUSH_WITHIN_S) -> bool:
-        """Wait for the end of all jobs, for a limited time; return False if one hangs."""
+        """Wait for the end of all jobs, for a limited time; return False if a job hangs."""
         with self._changed:
             return self._changed.wait_for(lambda: self._job is None and not self._busy, within_s)
 
     def _run_newest_jobs(self) -> None:
-        """Run the newest job of each moment until the thread is closed."""
+        """Run the newest job each time until the thread is closed (body of the thread)."""
         while True:
             with self._changed:
                 self._changed.wait_for(lambda: self._job is not None or self._closed)

@@ -44,7 +44,7 @@ class DriveGuard:
         self._next_s = self._checked_s = machine.mono_s()
 
     def check(self) -> None:
-        """Start, connect to or replace the process, if that is due."""
+        """Start, connect to or replace the supply process, if that is due."""
         now_s = self._machine.mono_s()
         if is_owned(self._folder, DRIVE_LOCK) is not False:
             self._checked_s = now_s

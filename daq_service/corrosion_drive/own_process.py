@@ -63,14 +63,14 @@ Jobs = Callable[[Callable[[], None]], None]
 
 @cache
 def hash_supply_settings(parameters: DriveParameters) -> str:
-    """Return a hash that must be the same in a recorder and in its supply process."""
+    """Compute a hash that must be the same in a recorder and in its supply process."""
     return hashlib.sha256(f"{version('solimon')} {parameters!r}".encode()).hexdigest()
 
 
 def decide_next_action(
     *, silent_s: float, alone_s: float, watchdog_timeout_s: float, commanded: bool, pending: bool, stays: bool
 ) -> Action:
-    """Return the next action from the time without a recorder.
+    """Choose the next action from the time without a recorder.
 
     Parameters
     ----------
@@ -175,7 +175,7 @@ class DriveProcess:
             self._hand_over(self._successor_port)
 
     def store_state(self, *, at_once: bool = False) -> None:
-        """Store the state for the next process; errors of the disk are logged."""
+        """Store the state for the next process; log errors of the disk."""
         stored, now_ns, row = self._stored, self._clock.mono_ns(), self._drive.row(0, 0.0)
         state = self._drive.state
         if row.supply_age_s is not None:
@@ -233,7 +233,7 @@ class DriveProcess:
         self.store_state(at_once=True)
 
     def close(self) -> None:
-        """Release port and lock."""
+        """Release the port and the lock."""
         self._resources.close()
 
     # Hand-over ---------------------------------------------------------------------------------------
@@ -273,7 +273,7 @@ class DriveProcess:
                 self.leaves = self._reclaim_port()
 
     def _check_successor(self) -> None:
-        """Note whether another process has taken the supply over."""
+        """Detect whether another process has taken over the supply."""
         stored = read_stored_state(self._folder)
         self._succeeded = stored is not None and stored.writer != self._writer and stored.output != "unknown"
 
@@ -290,7 +290,7 @@ class DriveProcess:
         return True
 
     def _store_reclaimed(self) -> None:
-        """Store the output as off without a command, unless another process has written since."""
+        """Store the output as off without a command, unless another process has written since then."""
         stored = read_stored_state(self._folder)
         if self._stored is not None and (stored is None or stored.writer == self._writer):
             self._write_state(
@@ -300,7 +300,7 @@ class DriveProcess:
     # Requests of a recorder --------------------------------------------------------------------------
 
     def answer(self, request: Message) -> Message:
-        """Execute a request of a recorder, and return the state of the supply.
+        """Execute a request of a recorder and return the state of the supply.
 
         Each request but ``ping`` shows that a recorder watches.
         """
@@ -356,7 +356,7 @@ class DriveProcess:
 
 
 def _state_to_restore(before: StoredState | None, watchdog_timeout_s: float, now_ns: int) -> DriveState:
-    """Return the state to restore; a command outlives no boot, nor ``watchdog_timeout_s`` without process."""
+    """Restore the state; a command outlives no boot, nor ``watchdog_timeout_s`` without a process."""
     if before is None:
         return DriveState()
     if before.boot_id == boot_name() and before.written_before_s(now_ns) <= watchdog_timeout_s:

@@ -24,7 +24,7 @@ class ReadingLog:
         return now_ns >= self._due_ns
 
     def record_attempt(self, now_ns: int) -> None:
-        """Schedule the next attempt an interval after this one was due, without catching up missed ones."""
+        """Schedule the next attempt one interval after this one was due; do not catch up missed ones."""
         missed = (now_ns - self._due_ns) // self._interval_ns
         self._due_ns += (missed + 1) * self._interval_ns
 
@@ -41,11 +41,11 @@ class ReadingLog:
         self._read_ns, self.error = now_ns, ""
 
     def silent_s(self, now_ns: int) -> float:
-        """Return the time since the newest reading, or since the start, s."""
+        """Compute the time since the newest reading, or since the start, s."""
         return (now_ns - (self._started_ns if self._read_ns is None else self._read_ns)) / NS_PER_S
 
     def age_s(self, now_ns: int) -> float | None:
-        """Return the age of the newest reading, s; None where there is none."""
+        """Compute the age of the newest reading, s; None without a reading."""
         return None if self._read_ns is None else self.silent_s(now_ns)
 
     def is_too_old(self, now_ns: int) -> bool:

@@ -57,7 +57,7 @@ Start = Callable[[], "subprocess.Popen[bytes]"]
 
 
 def longest_answer_time_s(parameters: DriveParameters) -> float:
-    """Return the longest time between a request and its answer, s: the current call, then the request."""
+    """Compute the longest time from a request to its answer, s: the current call, then the request."""
     return parameters.read_timeout_s + 2.0 * parameters.longest_order_s + 5.0
 
 
@@ -116,6 +116,7 @@ class RemoteDrive:
         return self
 
     def __exit__(self, *_: object) -> None:
+        """Disconnect from the supply process; before that, withdraw an unanswered command `on`."""
         if any(request.values["do"] == "energise" for request in self._sent.values()):
             # The answer to that command would be lost.
             self._queue_command("switch off", author="the recorder's end")
@@ -141,7 +142,7 @@ class RemoteDrive:
     # While the recorder is idle ------------------------------------------------------------------
 
     def tick(self) -> None:
-        """Read answers and send requests; start a missing process, replace one that hangs; never wait."""
+        """Read answers and send requests without waiting; start a missing process, replace one that hangs."""
         now_s = self._machine.mono_s()
         for request in [request for request in self._unsent if now_s - request.since_s >= COMES_WITHIN_S]:
             self._unsent.remove(request)
@@ -202,7 +203,7 @@ class RemoteDrive:
             self._handle_lost_connection(error)
 
     def _send_to_process(self, do: str, **values: object) -> None:
-        """Send a request to the process of the drive."""
+        """Send a request to the supply process."""
         self._send_request(
             _Request(values={"do": do, **values}, since_s=self._machine.mono_s(), reply=Reply())
         )
@@ -230,7 +231,7 @@ class RemoteDrive:
             self._pending = None  # a failed switch-off is retried by the process itself
 
     def _handle_lost_connection(self, error: Exception) -> None:
-        """Log that the connection is lost, and mark the state of the output as unknown."""
+        """Log the lost connection, and mark the state of the output as unknown."""
         log.log(logging.WARNING if self._newest else logging.DEBUG, "the process of the drive: %s", error)
         self._disconnect("the process of the drive has not answered, what the output does is unknown")
 
@@ -324,7 +325,7 @@ class RemoteDrive:
     # Readings and conditions ---------------------------------------------------------------------
 
     def conditions(self) -> tuple[DriveCondition, ...]:
-        """Return the conditions of the newest answer, plus those of a process that does not answer."""
+        """Return the conditions of the newest answer, and those of a process that does not answer."""
         answered = () if self._newest is None else self._newest["conditions"]
         conditions = {condition["name"]: DriveCondition(**condition) for condition in answered}
         tripped = conditions.get("interlock_tripped")
@@ -348,7 +349,7 @@ class RemoteDrive:
         return tuple(conditions.values())
 
     def row(self, set_index: int, due_h: float) -> EnvironmentRow:
-        """Return the row of a set from the newest answer; without one, output and charge are unknown."""
+        """Build the row of a set from the newest answer; without one, output and charge are unknown."""
         unknown = replace(
             row_without_supply(set_index, due_h),
             supply_state="unknown",
@@ -374,7 +375,7 @@ class RemoteDrive:
         )
 
     def start_window(self) -> None:
-        """Restart the means with the readings that were not in the last row."""
+        """Restart the means with the readings that are not in the last row."""
         if self._connection is not None and self._newest is not None:
             try:
                 self._send_to_process("begin window", window_length=self._newest["window_length"])

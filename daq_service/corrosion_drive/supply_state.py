@@ -58,7 +58,7 @@ class StoredState:
     supply_port: str = ""
 
     def written_before_s(self, now_ns: int | None = None) -> float:
-        """Return the time since the file was written, s; by UTC where that was in another boot."""
+        """Compute the time since the file was written, s; by UTC if that was in another boot."""
         boot = boot_name()
         if self.boot_id == boot is not None:
             return max(0.0, ((elapsed_ns() if now_ns is None else now_ns) - self.boot_ns) / NS_PER_S)
@@ -98,19 +98,19 @@ def read_address(folder: Path) -> Address:
 
 
 def read_process_number(folder: Path) -> int:
-    """Read the process number of the holder of the lock; ValueError where it is not written yet."""
+    """Read the process number of the holder of the lock; raise ValueError if it is not written yet."""
     return int(lock_text(folder, DRIVE_LOCK).partition("\n")[0].removeprefix("process "))
 
 
 def stamp_state(state: DriveState, **values: Any) -> StoredState:
-    """Return the state with the present time stamps."""
+    """Create the stored state with the present time stamps."""
     now_ns = elapsed_ns()
     stamps = {"utc_ns": time.time_ns(), "boot_ns": now_ns, "boot_id": boot_name(), "heard_boot_ns": now_ns}
     return StoredState(state=state, **{**stamps, **values})
 
 
 def write_stored_state(folder: Path, stored: StoredState) -> None:
-    """Write the state durably.
+    """Write the state durably to its file.
 
     Raises
     ------
@@ -173,7 +173,7 @@ class SupplyStatus:
 
 
 def read_supply_status(folder: Path) -> SupplyStatus | None:
-    """Read the present status of the supply; None where it never had a supply process."""
+    """Read the present status of the supply; None if it never had a supply process."""
     stored, process = read_stored_state(folder), is_owned(folder, DRIVE_LOCK)
     if stored is None:
         return None
@@ -194,7 +194,7 @@ def read_supply_status(folder: Path) -> SupplyStatus | None:
 
 
 def describe_supply(status: SupplyStatus) -> str:
-    """Return the status in one line of text."""
+    """Describe the status of the supply in one line."""
     last = "" if status.quality == "good" else f"{status.last} when it was "
     age = "never read" if status.age_s is None else f"{last}read {status.age_s:.0f} s ago"
     parts = [f"{status.state}, {age}"]

@@ -86,7 +86,7 @@ class DriveWatch:
         return self._drive is not None
 
     def tick(self, hour: float) -> None:
-        """Read what is due, and store changed alarms."""
+        """Read supply and climate probe if due, and store changed alarms."""
         if self._climate is not None:
             self._climate.tick()
         if self._drive is not None:
@@ -129,14 +129,14 @@ class DriveWatch:
         return summarise_row(self._make_row(0, 0.0))
 
     def add_row(self, transaction: SetCommit, due: DueSet, moment: Moment) -> None:
-        """Add the row of a set, and restart the means."""
+        """Store the row of a set, and restart the means."""
         transaction.environment.append(self._make_row(due.set_index, due.due_h))
         transaction.events.append(moment.event("environment", "environment_read", {}))
         if self._drive is not None:
             self._drive.start_window()
 
     def _make_row(self, set_index: int, due_h: float) -> EnvironmentRow:
-        """Return the row of supply and climate for a set."""
+        """Build the row of supply and climate for a set."""
         row = (
             row_without_supply(set_index, due_h) if self._drive is None else self._drive.row(set_index, due_h)
         )
@@ -147,16 +147,17 @@ class DriveWatch:
     def supply_on(
         self, author: str, hour: float, *, voltage_v: float | None, current_limit_a: float | None
     ) -> PendingReply:
-        """Switch the drive on at a person's command; see `_send`."""
+        """Switch the supply on at a person's command; see `_send`."""
 
         def energise(drive: SupplyDrive) -> Reply:
+            """Command the output on with the given voltage and current limit."""
             return drive.energise(author, voltage_v=voltage_v, current_limit_a=current_limit_a)
 
         done, failed = "the supply is on, read back as commanded", "the supply was not switched on: {error}"
         return self._send_command(energise, hour, done, failed)
 
     def supply_off(self, author: str, hour: float) -> PendingReply:
-        """Switch the drive off at a person's command; see `_send`."""
+        """Switch the supply off at a person's command; see `_send`."""
         done, failed = "the supply is off, read back", "the supply may be on: {error}; switch it off by hand"
         return self._send_command(lambda drive: drive.switch_off(author), hour, done, failed)
 
@@ -177,6 +178,7 @@ class DriveWatch:
             reply = Reply(error=str(error))
 
         def poll_reply() -> str | None:
+            """Return the reply; None before there is one, ValueError if the command failed."""
             if reply.error:
                 raise ValueError(failed.format(error=reply.error))
             if not reply.done:
@@ -187,7 +189,7 @@ class DriveWatch:
         return poll_reply
 
     def trip(self, reason: str, hour: float) -> None:
-        """Trip the interlock, for a possible hole: it lets the solution through, and with it the current."""
+        """Trip the interlock for a possible hole, through which solution and current can pass."""
         if self._drive is not None:
             self._drive.trip(reason)
             self._update_alarms(hour)
@@ -205,7 +207,7 @@ class DriveWatch:
 
 
 def _restore_last_state(supply: DriveParameters | None, catalogue: Catalogue, alarms: Alarms) -> DriveState:
-    """Return the state of the last recorder; the active alarm shows whether the interlock has tripped."""
+    """Restore the state of the last recorder; the active alarm shows whether the interlock has tripped."""
     state = DriveState()
     row = None if supply is None else catalogue.read_last_environment()
     last_event = None if row is None else catalogue.read_last_event("environment")

@@ -48,10 +48,12 @@ def stop_on_signals() -> Iterator[threading.Event]:
     signals: SimpleQueue[int | None] = SimpleQueue()
 
     def set_on_signal() -> None:
+        """Set the event at each signal, until the end of the context."""
         while signals.get() is not None:
             stop.set()
 
     def on_signal(number: int, frame: FrameType | None) -> None:
+        """Pass the number of a signal to the waiting thread."""
         del frame
         signals.put(number)
 
@@ -80,7 +82,7 @@ def stop_on_signals() -> Iterator[threading.Event]:
 
 
 def run_and_announce(run: Callable[[], int], *, supervised: bool) -> int:
-    """Run a child, announce its exit code (also that of an error) to the supervisor and return the code.
+    """Run a child, announce its exit code (also after an error) to the supervisor, and return the code.
 
     A code without announcement counts as a crash there: a library may end the process with any code.
     """
@@ -112,14 +114,14 @@ class LogFile(logging.handlers.RotatingFileHandler):
         self.lost = 0
 
     def doRollover(self) -> None:  # noqa: N802 - logging's name
-        """Rotate the log, or continue with the present file."""
+        """Rotate the log; continue with the present file if that fails."""
         try:
             super().doRollover()
         except OSError:
             self.stream = self._open()
 
     def handleError(self, record: logging.LogRecord) -> None:  # noqa: N802 - logging's name
-        """Count a line that was not written, where logging would print a traceback for each."""
+        """Count a line that was not written, instead of printing a traceback for each."""
         del record
         self.lost += 1
 
@@ -191,6 +193,7 @@ def leave_when_pipe_closes(stop: threading.Event) -> threading.Event:
 
     def wait_for_close() -> None:
         # Not through Python's buffer: a thread that waits in it holds its lock at the interpreter's shutdown.
+        """Wait until the pipe closes, then set the events."""
         if os.read(pipe, 1) != FAREWELL:
             supervisor_killed.set()
         stop.set()
@@ -225,7 +228,7 @@ def start_detached(command: Sequence[str], standard_input: bytes) -> subprocess.
 
 
 def notify_supervisor(event: str, **values: object) -> None:
-    """Send one JSON line from a child to its supervisor.
+    """Send a message from a child to its supervisor as one JSON line.
 
     A supervisor that is gone or suspended is no error here: a line that does not fit into the full pipe is
     dropped (the kernel takes a line of this length completely or not at all).

@@ -49,7 +49,7 @@ if sys.platform == "win32":
     import msvcrt
 
     def try_lock(file: IO[bytes]) -> None:
-        """Lock an open file for this process, at its present offset; OSError if another process holds it."""
+        """Lock an open file for this process; raise OSError if another process holds it."""
         msvcrt.locking(file.fileno(), msvcrt.LK_NBLCK, 1)
 
     def is_locked(file: IO[bytes]) -> bool:
@@ -65,7 +65,7 @@ else:
     import fcntl
 
     def try_lock(file: IO[bytes]) -> None:
-        """Lock an open file for this process; OSError if another process holds it."""
+        """Lock an open file for this process; raise OSError if another process holds it."""
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
 
     def is_locked(file: IO[bytes]) -> bool:
@@ -210,13 +210,13 @@ def remove_temporary_files(folder: Path) -> None:
 
 
 def _find_foreign_file(folder: Path) -> str:
-    """Return the name of a foreign file; empty where the folder is a data folder of solimon or is empty."""
+    """Find a foreign file by name; empty if the folder is a data folder of solimon or is empty."""
     names = {path.name for path in folder.iterdir() if not path.name.startswith(WRITE_TEST)}
     return min(names) if names and not names & OWN_NAMES else ""
 
 
 def refuse_other_folders(folder: Path) -> None:
-    """Raise UsageError where a folder is no data folder; a mistyped folder is neither made nor written.
+    """Raise UsageError if a folder is no data folder; a mistyped folder is not created or changed.
 
     Raises
     ------
@@ -320,7 +320,7 @@ def one_at_a_time(path: Path) -> Iterator[None]:
 
 
 def is_owned(folder: Path, name: str = LOCK_FILE) -> bool | None:
-    """Return whether a recorder runs on a folder; None where its lock cannot be read.
+    """Return whether a recorder runs on a folder; None if its lock cannot be read.
 
     Parameters
     ----------
@@ -338,7 +338,7 @@ def is_owned(folder: Path, name: str = LOCK_FILE) -> bool | None:
 
 
 def lock_text(folder: Path, name: str) -> str:
-    """Return the text of the owner of a lock, or a sentence where it cannot be read."""
+    """Read the text of the owner of a lock; return a sentence if it cannot be read."""
     # On Windows the locked byte cannot be read by others, so only the bytes after it are read.
     try:
         with (folder / name).open("rb", buffering=0) as file:

@@ -40,7 +40,7 @@ class DiskSpace:
 
 
 def disk_usage(folder: Path) -> tuple[int, int]:
-    """Return the free and the total bytes; for a folder that does not exist yet, of its nearest parent."""
+    """Return the free and the total bytes; for a missing folder, those of its nearest parent."""
     usage = shutil.disk_usage(next(path for path in (folder, *folder.parents) if path.exists()))
     return usage.free, usage.total
 
@@ -65,7 +65,7 @@ def disk_space(
 
 
 def refusal(space: DiskSpace, settings: StorageSettings) -> str:
-    """Return the reason why nothing is stored now; empty: there is room."""
+    """Return the reason why nothing can be stored at present; empty if there is room."""
     if space.level != "stop":
         return ""
     return (

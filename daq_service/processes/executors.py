@@ -37,14 +37,14 @@ SAME_EVERYWHERE = ("solimon", "numpy", "scipy", "numba")
 
 
 def count_usable_cores() -> int:
-    """Return the number of cores that this process may use."""
+    """Count the cores that this process may use."""
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
 
 
 def check_executor_name(name: str, workers: int | None) -> str:
-    """Check and return the name of an executor.
+    """Validate the name of an executor and return it.
 
     Raises
     ------
@@ -59,14 +59,14 @@ def check_executor_name(name: str, workers: int | None) -> str:
 
 
 def prepare_worker() -> None:
-    """Prepare a worker process: one BLAS thread, and end with the parent."""
+    """Initialize a worker process: one BLAS thread, and end with the parent."""
     use_one_blas_thread().__enter__()
     leave_with_parent()
 
 
 @contextmanager
 def open_executor(name: str, workers: int) -> Iterator[Executor]:
-    """Yield an executor; leaving it early cancels pending tasks and waits for running ones.
+    """Yield an executor; an early exit cancels pending tasks and waits for running ones.
 
     Parameters
     ----------
@@ -96,7 +96,7 @@ def open_executor(name: str, workers: int) -> Iterator[Executor]:
 
 
 def count_workers(executor: Executor, workers: int) -> int:
-    """Return the number of parallel tasks of an executor; ``workers`` where it is no cluster."""
+    """Return the number of parallel tasks of an executor; ``workers`` if it is no cluster."""
     return executor.n_workers if isinstance(executor, _ClusterExecutor) else workers
 
 
@@ -115,7 +115,7 @@ class _Task(Future[T]):
         self.attempt: Future[T] | None = None
 
     def cancel(self) -> bool:
-        """Cancel the task unless it runs."""
+        """Cancel the task unless it runs; return whether it is canceled."""
         return (self.attempt is None or self.attempt.cancel()) and super().cancel()
 
 
@@ -130,7 +130,7 @@ class _ProcessExecutor(Executor):
         self._pool = self._start_pool()
 
     def submit(self, work: Callable[..., T], /, *args: object, **named: object) -> Future[T]:
-        """Submit work; it is repeated if a worker process dies."""
+        """Submit work to the pool; repeat it if a worker process dies."""
         task = _Task(partial(work, *args, **named))
         self._submit_attempt(task)
         return task
@@ -142,7 +142,7 @@ class _ProcessExecutor(Executor):
         pool.shutdown(wait, cancel_futures=cancel_futures)
 
     def _start_pool(self) -> ProcessPoolExecutor:
-        """Return new worker processes."""
+        """Create a pool of worker processes."""
         context = multiprocessing.get_context("spawn")
         return ProcessPoolExecutor(self._workers, mp_context=context, initializer=prepare_worker)
 
@@ -192,12 +192,12 @@ class _ClusterExecutor(Executor):
         return future
 
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
-        """End the connection to the cluster."""
+        """Close the connection to the cluster."""
         self._executor.shutdown(wait=wait and not cancel_futures)
 
 
 def _run_in_one_thread(work: Callable[..., T], *args: object, **named: object) -> T:
-    """Run work with one BLAS thread."""
+    """Run work with one BLAS thread and return its result."""
     with use_one_blas_thread():
         return work(*args, **named)
 
@@ -243,5 +243,5 @@ def _open_cluster(name: str) -> Iterator[Executor]:
 
 
 def _list_versions() -> dict[str, str]:
-    """Return the versions of a process that affect the digits."""
+    """Return the versions of a process that affect the digits of results."""
     return {"python": sys.version.split()[0], **{name: version(name) for name in SAME_EVERYWHERE}}

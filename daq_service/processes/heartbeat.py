@@ -117,7 +117,7 @@ class Heartbeat:
         self._last_doing = ""
 
     def beat(self, doing: str, *, at_once: bool = False) -> None:
-        """Write a beat with the present activity; ``at_once`` where a long wait begins."""
+        """Write a heartbeat with the present activity; ``at_once`` where a long wait starts."""
         doing = doing[:LONGEST_DOING]
         now_ns = self._machine.mono_ns()
         is_change = doing != self._last_doing
@@ -147,13 +147,13 @@ class Heartbeat:
 
 
 def encode_heartbeat(beat: Beat) -> bytes:
-    """Return the content of the heartbeat file."""
+    """Encode a heartbeat as the content of its file."""
     values = asdict(beat)
     return json.dumps({**values, "crc32": _compute_crc32(values)}).encode().ljust(FILE_BYTES)
 
 
 def _compute_crc32(values: Mapping[str, Any]) -> int:
-    """Return the CRC-32 of values as JSON."""
+    """Compute the CRC-32 of values as JSON."""
     return zlib.crc32(json.dumps(values).encode())
 
 
@@ -167,7 +167,7 @@ def _overwrite_file(path: Path, content: bytes) -> None:
 
 
 def read_heartbeat(folder: Path, file: str = FILE_NAME) -> Beat | None:
-    """Read the latest beat; None where there is none, or where the file is invalid (with a warning)."""
+    """Read the newest heartbeat; None without a file, or (with a warning) if it is invalid."""
     path = folder / file
     reason = ""
     for _ in range(LOOKS):
@@ -184,7 +184,7 @@ def read_heartbeat(folder: Path, file: str = FILE_NAME) -> Beat | None:
 
 
 def _decode_heartbeat(content: bytes) -> Beat:
-    """Return the heartbeat of a file's content; raise ValueError if it is corrupt."""
+    """Decode the heartbeat of a file's content; raise ValueError if it is corrupt."""
     values = json.loads(content)
     crc32 = values.pop("crc32", None)  # an older version wrote none
     if crc32 is not None and crc32 != _compute_crc32(values):
@@ -193,7 +193,7 @@ def _decode_heartbeat(content: bytes) -> Beat:
 
 
 def check_beat(values: Mapping[str, Any]) -> Beat:
-    """Check the values of a beat and return it.
+    """Validate the values of a heartbeat and return it.
 
     Raises
     ------
@@ -213,13 +213,13 @@ def check_beat(values: Mapping[str, Any]) -> Beat:
 
 
 def _int_or_none(value: Any) -> int | None:
-    """Return an integer; None stays None."""
+    """Convert a value to an integer; None stays None."""
     return None if value is None else int(value)
 
 
 @lru_cache(maxsize=8)
 def _warn_once(path: Path, problem: str) -> None:
-    """Log a warning once for each problem: the file is written and read many times a second."""
+    """Log a warning once for each problem, since the file is read many times a second."""
     log.warning("%s %s", path, problem)
 
 
@@ -234,7 +234,7 @@ def compute_beat_age_s(beat: Beat, *, boot: str | None, mono_ns: int) -> float |
 
 
 def create_web_beat() -> Beat:
-    """Return a beat of the web service that runs in this process, for its supervisor."""
+    """Create a heartbeat of the web service that runs in this process, for its supervisor."""
     now_ns = time.monotonic_ns()
     return Beat(process=os.getpid(), mono_ns=now_ns, deadline_s=WEB_DEADLINE_S, doing="serving")
 
@@ -257,7 +257,7 @@ class WebWatch:
         self._until_ns: float | None = self._next_ns + WEB_STARTS_WITHIN_S * NS_PER_S
 
     def is_missing(self) -> bool | None:
-        """Check at most once a second; None: not checked, or not confirmed yet."""
+        """Check at most once a second whether the web service is missing; None: unchecked or unconfirmed."""
         now_ns = self._machine.mono_ns()
         if now_ns < self._next_ns:
             return None
@@ -270,7 +270,7 @@ class WebWatch:
 
 
 def read_time_line(beat: Beat | None, *, boot: str | None, elapsed_ns: int) -> TimeLine | None:
-    """Return the test time of a recorder of this boot; None where it is unknown."""
+    """Return the test time of a recorder of this boot; None if it is unknown."""
     if beat is None or beat.utc_ns is None or beat.elapsed_ns is None:
         return None
     if beat.boot is None or beat.boot != boot or beat.elapsed_ns > elapsed_ns:

@@ -14,7 +14,7 @@ from pathlib import Path
 
 
 def reset_inherited() -> None:
-    """Reset streams, encodings, file mask, signals, timers and limits that a process inherits.
+    """Reset streams, encodings, file mask, signals, timers and limits inherited by this process.
 
     Signals that are ignored stay ignored (`child.stop_on_signals`), but for SIGCHLD, without which the exit
     code of every child would be read as 0.

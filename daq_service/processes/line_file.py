@@ -26,7 +26,7 @@ Line = tuple[int, Mapping[str, Any]]
 
 
 def append_line(path: Path, table: str, row: Mapping[str, Any]) -> None:
-    """Append a line durably.
+    """Append a line durably to a file.
 
     Raises
     ------

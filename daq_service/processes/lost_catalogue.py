@@ -43,7 +43,7 @@ def is_catalogue_lost(folder: Path) -> bool:
 
 
 def loss_reason(folder: Path) -> str:
-    """Return that the catalogue is lost and the remedy; empty: it is not lost.
+    """Describe the loss of the catalogue and the remedy; empty if it is not lost.
 
     Raises
     ------
@@ -62,7 +62,7 @@ def loss_reason(folder: Path) -> str:
 
 
 def read_folder_history(folder: Path) -> History:
-    """Read the history next to a catalogue.
+    """Read the history of events stored next to a catalogue.
 
     Raises
     ------

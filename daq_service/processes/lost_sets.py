@@ -15,7 +15,7 @@ FILED_WITHIN_S = 2.0
 
 
 def find_lost_sets(folder: Path, catalogue: Catalogue, *, newest_rows: int | None = None) -> dict[str, str]:
-    """Return the missing or empty set files of the catalogue, each with which of the two it is.
+    """List the set files of the catalogue that are missing or empty, with which of the two.
 
     Parameters
     ----------
@@ -53,12 +53,12 @@ def find_lost_sets(folder: Path, catalogue: Catalogue, *, newest_rows: int | Non
 
 
 def _list_file_names(sets: Path) -> list[str]:
-    """Return the names of the files of sets; none without the folder."""
+    """List the names of the set files; empty without the folder."""
     return os.listdir(sets) if sets.is_dir() else []  # noqa: PTH208 - only names are needed
 
 
 def _has_changed_since(sets: Path, files: Sequence[str]) -> bool:
-    """Return whether the folder changed after the newest of these files was filed."""
+    """Return whether the folder changed after the newest of these files was stored."""
     try:
         written_s = max((sets.parent / file).stat().st_mtime for file in files[-1:])
         return sets.stat().st_mtime > written_s + FILED_WITHIN_S

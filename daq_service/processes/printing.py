@@ -24,6 +24,7 @@ def print_line(text: str, *, err: bool = True) -> None:
     """Print a line on standard error, or on standard output; wait for `HELD_AFTER_S` at most."""
 
     def write() -> None:
+        """Print the text; discard it if the stream is closed."""
         try:
             print(text, file=sys.stderr if err else sys.stdout, flush=True)
         except (OSError, ValueError) as error:
@@ -36,7 +37,7 @@ def print_line(text: str, *, err: bool = True) -> None:
 
 
 def print_result(result: object, lines: Iterable[str], *, as_json: bool) -> None:
-    """Print what a command found: one JSON object, or lines for a person."""
+    """Print the result of a command: one JSON object, or lines for a person."""
     for line in [json.dumps(result)] if as_json else lines:
         click.echo(line)
 
@@ -52,7 +53,7 @@ def discard_unwritten() -> None:
 
 
 def end_process(code: int) -> None:
-    """End the process at once where Python would not end with this exit code.
+    """End the process at once if Python would not end with this exit code.
 
     A thread that prints on a held stream holds its lock, without which Python aborts the process; with
     PYTHONINSPECT it would go on to read commands from standard input.

@@ -96,7 +96,7 @@ def determine_recorder_state(
 def _describe_state(
     beat: Beat | None, age: float | None, *, is_running: bool, is_late: bool, has_started: bool
 ) -> str:
-    """Return the state of the recorder in words."""
+    """Describe the state of the recorder in words."""
     if beat is None and is_running:
         return "running; no heartbeat of it can be read yet"
     if beat is None:

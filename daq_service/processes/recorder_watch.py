@@ -57,7 +57,7 @@ class RecorderWatch:
         self._attended_h = 0.0
 
     def check(self) -> None:
-        """Raise the alarm where the recorder is missing; clear it once a planned set is stored.
+        """Raise the alarm if the recorder is missing; clear it once a scheduled set is stored.
 
         Raises
         ------
@@ -80,7 +80,7 @@ class RecorderWatch:
             self._update_alarm("" if is_over else finding, fresh)
 
     def _count_restarts(self, fresh: Freshness) -> None:
-        """Count a restart of the recorder that no person made."""
+        """Count a restart of the recorder that was not commanded by a person."""
         beat = fresh.recorder.beat
         if beat is None:
             return
@@ -93,7 +93,7 @@ class RecorderWatch:
         self._ended = beat.stage == "ended" or fresh.recorder.beat_age_s is None
 
     def _missing_reason(self, fresh: Freshness, stored_h: float, *, is_paused: bool) -> str:
-        """Return the evidence that the recorder is missing; empty: there is none."""
+        """Return the evidence that the recorder is missing; empty without evidence."""
         now_s, status = self._machine.mono_s(), fresh.recorder.status
         if is_paused or status == "finished":
             self._attended_h = fresh.now_h

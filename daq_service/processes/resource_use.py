@@ -24,7 +24,7 @@ if sys.platform == "win32":
         )
 
     def resident_bytes() -> int | None:
-        """Return the resident memory of this process in bytes (its working set)."""
+        """Return the resident memory (working set) of this process in bytes."""
         counters = _MemoryCounters()
         counters.cb = ctypes.sizeof(counters)
         process = wintypes.HANDLE(ctypes.windll.kernel32.GetCurrentProcess())
@@ -41,7 +41,7 @@ if sys.platform == "win32":
 else:
 
     def resident_bytes() -> int | None:
-        """Return the resident memory of this process in bytes."""
+        """Return the resident memory (working set) of this process in bytes."""
         try:
             return int((_PROC / "statm").read_bytes().split()[1]) * os.sysconf("SC_PAGE_SIZE")
         except (OSError, ValueError, LookupError):  # another system, or /proc is not mounted

@@ -18,7 +18,7 @@ Notifier = Callable[..., None]
 
 
 def notify_manager(*assignments: str) -> None:
-    """Send ``KEY=value`` lines to the service manager of this process, if there is one; never wait for it."""
+    """Send ``KEY=value`` lines to the service manager of this process, if any, without waiting."""
     address = os.environ.get("NOTIFY_SOCKET", "")
     if not address or sys.platform == "win32":
         return
@@ -45,6 +45,7 @@ def service_manager_notifications(
     is_ready = False
 
     def pass_on(event: str, **values: object) -> None:
+        """Pass an event on, and notify the service manager of start and heartbeats."""
         nonlocal is_ready
         on_event(event, **values)
         if event == "begun":

@@ -285,7 +285,7 @@ class Supervisor:
                 self._messages.put((child.plan.name, message))
 
     def _overdue_reason(self, child: _Child) -> str:
-        """Return why a running child must be killed; empty while its heartbeat is in time."""
+        """Return the reason why a running child must be killed; empty while its heartbeat is in time."""
         beats = (child.reported_beat, self._read_beat_of(child))
         now_ns = self._machine.mono_ns()
         # A folder has one recorder: a beat since the start is this child's. Process numbers are reused, and
@@ -319,19 +319,20 @@ class Supervisor:
 
     @staticmethod
     def _close_pipe(child: _Child) -> None:
-        """Close the standard input of a child with a farewell."""
+        """Close the standard input of a child after a farewell."""
         if child.process is not None and child.process.stdin is not None:
             with suppress(OSError, ValueError):  # the child is gone, or its pipe is closed already
                 child.process.stdin.write(FAREWELL)
                 child.process.stdin.close()
 
     def _end_children(self) -> None:
-        """Close every pipe at once, then wait; kill children that do not end."""
+        """Close all pipes at once and wait; kill children that do not end."""
         for child in self._children:
             self._close_pipe(child)
         deadline_ns = self._machine.mono_ns() + round(self._leave_within_s * NS_PER_S)
 
         def remaining_s(minimum_s: float) -> float:
+            """Return the time until the deadline, s, at least a minimum."""
             return max(minimum_s, (deadline_ns - self._machine.mono_ns()) / NS_PER_S)
 
         for child in self._children:
@@ -349,5 +350,5 @@ class Supervisor:
 
 
 def _describe_end(code: int) -> str:
-    """Describe how a process ended."""
+    """Describe how a process ended, from its exit code."""
     return f"was killed by signal {-code}" if code < 0 else f"ended with exit code {code}"

@@ -22,6 +22,7 @@ def leave_with_parent() -> None:
         return
 
     def leave() -> None:
+        """Wait for the end of the parent, then end this process."""
         parent.join()
         os._exit(1)
 

@@ -61,13 +61,13 @@ class Check:
 
 
 def exit_code_of_checks(checks: Sequence[Check]) -> int:
-    """Return the exit code of a list of checks: 0 if none failed."""
+    """Return the exit code of a list of checks: 0 if none failed, otherwise that of the failed area."""
     failed = {check.area for check in checks if check.state == "fail"}
     return next((code for area, code in EXIT_CODES.items() if area in failed), errors.EXIT_OK)
 
 
 def check_of_error(name: str, error: InstrumentError, otherwise: str) -> Check:
-    """Return the failed check for an instrument's error, whose message may contain the remedy.
+    """Create the failed check for an instrument's error, whose message may contain the remedy.
 
     Parameters
     ----------
@@ -84,7 +84,7 @@ def check_of_error(name: str, error: InstrumentError, otherwise: str) -> Check:
 
 
 def check_of_finding(finding: Finding, instrument: str = "") -> Check:
-    """Return the check for an instrument's finding.
+    """Convert an instrument's finding to a check.
 
     Parameters
     ----------
@@ -100,5 +100,5 @@ def check_of_finding(finding: Finding, instrument: str = "") -> Check:
 
 
 def read_time_stamp() -> Stamp:
-    """Return the time of this computer's own clocks."""
+    """Return a time stamp of this computer's own clocks."""
     return Stamp(utc_ns=time.time_ns(), mono_ns=time.monotonic_ns(), boot_id=read_boot_id())

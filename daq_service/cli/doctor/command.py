@@ -31,7 +31,7 @@ KNOWN_AS = {"daqmx": "boards", "niscope": "ultrasonic probes", "climate": "clima
 
 
 def run_doctor(*, config: Path | None, data_dir: Path | None, strike: str | None, as_json: bool) -> int:
-    """Run the command and return its exit code."""
+    """Run `solimon doctor`: check computer, folder and instruments, and return the exit code."""
     settings = load_settings(config)
     folder = data_folder(settings.storage, config, data_dir)
     if strike is not None:
@@ -69,7 +69,7 @@ def run_doctor(*, config: Path | None, data_dir: Path | None, strike: str | None
 
 
 def run_checks(settings: Settings, folder: Path, owner: str, progress: Progress) -> Iterator[Check]:
-    """Yield all checks except the test strike.
+    """Yield all checks of computer, software, storage and instruments, but not the test strike.
 
     Parameters
     ----------
@@ -108,7 +108,7 @@ def run_rig_checks(
     *,
     driven: bool = False,
 ) -> Iterator[Check]:
-    """Yield the checks of the instruments; nothing strikes or switches.
+    """Yield the checks of the instruments, without a strike and without switching an output.
 
     Parameters
     ----------
@@ -136,12 +136,12 @@ def run_rig_checks(
 
 
 def _skipped_check(name: str, found: str, remedy: str) -> Check:
-    """Return a skipped check."""
+    """Create a skipped check with its reason."""
     return Check("rig", name, "skipped", found, remedy)
 
 
 def _recorder_check(owner: str) -> Check:
-    """Return the check for a recorder that owns the folder."""
+    """Create the check that reports a recorder which owns the folder."""
     name = "recorder"
     if not owner:
         return Check("recorder", name, "ok", "no recorder owns the data folder")
@@ -153,12 +153,12 @@ def _recorder_check(owner: str) -> Check:
 
 
 def _print_step(text: str) -> None:
-    """Print the current step."""
+    """Print the current step to standard error."""
     click.echo(f"looking at: {text}", err=True)
 
 
 def _print_table(checks: list[Check], trial: Trial | None) -> None:
-    """Print checks, features of the strike, and totals."""
+    """Print the checks, the features of the strike, and the totals."""
     width = max(len(check.name) for check in checks)
     for check in checks:
         state = check.state.upper() if check.state in ("warn", "fail") else check.state

@@ -24,7 +24,7 @@ def check_machine(
     started_wall_s: float | None = None,
     started_mono_s: float | None = None,
 ) -> list[Check]:
-    """Check clocks, sleep, updates and scanners.
+    """Check the clocks, sleep settings, updates and virus scanners of this computer.
 
     Parameters
     ----------
@@ -76,7 +76,7 @@ def _check_monotonic_clock(wall_elapsed_s: float, mono_elapsed_s: float) -> Chec
 
 
 def _time_zone_check() -> Check:
-    """Return the time zone as a check."""
+    """Create a check that reports the time zone of this computer."""
     now = datetime.now().astimezone()
     offset = now.utcoffset()
     offset_s = 0.0 if offset is None else offset.total_seconds()
@@ -100,7 +100,7 @@ def _check_synchronization(ask: Ask, system: str) -> Check:
 
 
 def _read_clock_source(ask: Ask, system: str) -> tuple[str, bool | None]:
-    """Return the source of the answer, and whether the clock is synchronized; None: unknown."""
+    """Return the source of the answer, and whether the clock is synchronized (None if unknown)."""
     if system == "win32":
         # The words are the system's language, the leap indicator's digit is not: 3 is not synchronised.
         text = ask(["w32tm", "/query", "/status"]) or ""

@@ -29,7 +29,7 @@ def check_software(
     installed: Callable[[str], str] = installed_version,
     load: Callable[[str], object] = importlib.import_module,
 ) -> list[Check]:
-    """Compare the installed versions with the minimum ones.
+    """Compare the installed versions of Python and packages with the minimum ones.
 
     Parameters
     ----------
@@ -50,7 +50,7 @@ EXTRAS = {"grpcio": "grpc", "niscope": "niscope", "npTDMS": "tdms", "pyvisa": "v
 
 
 def _check_python() -> Check:
-    """Check version and word size of Python."""
+    """Check the version and the word size of Python."""
     bits = 64 if sys.maxsize > 2**32 else 32
     fits = sys.version_info[:2] >= OLDEST_PYTHON and bits == 64
     version, system = platform.python_version(), platform.platform()
@@ -61,7 +61,7 @@ def _check_python() -> Check:
 
 
 def _check_package(name: str, oldest: str, installed: Callable[[str], str]) -> Check:
-    """Check the version of a package; what a kind of another package needs comes with nothing of ours."""
+    """Check that a package is installed in the minimum version."""
     requirement = f"solimon[{EXTRAS[name]}]" if name in EXTRAS else "solimon" if oldest else name
     remedy = f'install it: python -m pip install "{requirement}"'
     try:

@@ -19,7 +19,7 @@ HARDWARE_CURE = (
 
 
 def survey_coil(parameters: DaqmxParameters, position: str, timeout_s: float) -> SpikeSurvey:
-    """Strike once and analyze the complete record.
+    """Strike once and analyze the complete record for the ringing of the coil.
 
     Raises
     ------
@@ -63,7 +63,7 @@ def check_coil_spike(
 
 
 def _check_of_survey(name: str, parameters: DaqmxParameters, survey: SpikeSurvey) -> Check:
-    """Return the check for a survey of the coil."""
+    """Convert a survey of the coil to a check."""
     holdoff_s, off = parameters.holdoff_s, survey.off
     armed_over = survey.takes_the_trigger if holdoff_s is None else holdoff_s <= off.ringing_s
     too_late = holdoff_s is not None and holdoff_s >= survey.latest_holdoff_s
@@ -99,7 +99,7 @@ def _check_of_survey(name: str, parameters: DaqmxParameters, survey: SpikeSurvey
 
 
 def propose_ringing_s(survey: SpikeSurvey) -> float:
-    """Return the ringing in s, rounded up to 0.1 ms, for a configuration."""
+    """Compute the ringing time for a configuration, s, rounded up to 0.1 ms."""
     return math.ceil(survey.off.ringing_s * 1e4) / 1e4
 
 
@@ -124,7 +124,7 @@ def _remedy_for_survey(parameters: DaqmxParameters, survey: SpikeSurvey) -> str:
 
 
 def describe_edge(edge: EdgeSpike) -> str:
-    """Describe what follows an edge of the coil's pulse."""
+    """Describe in words what follows an edge of the coil's pulse."""
     if not edge.height_v:
         return "no spike"
     flyback = f", flyback {edge.flyback_v:.3g} V" if edge.flyback_v else ""
@@ -134,5 +134,5 @@ def describe_edge(edge: EdgeSpike) -> str:
 
 
 def _format_time(time_s: float) -> str:
-    """Format a time with its unit."""
+    """Format a time in s with a suitable unit."""
     return f"{time_s * 1e6:.3g} us" if 0.0 < time_s < 1e-3 else f"{time_s * 1e3:.3g} ms"

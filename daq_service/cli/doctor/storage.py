@@ -37,7 +37,7 @@ COMFORTABLE = 2.0
 
 @contextmanager
 def hold_folder(folder: Path) -> Iterator[str]:
-    """Hold the recorder's lock, so that no recorder starts meanwhile.
+    """Hold the recorder's lock while the context is open, so that no recorder starts.
 
     Yields
     ------
@@ -61,7 +61,7 @@ def hold_folder(folder: Path) -> Iterator[str]:
 
 
 def read_lock_owner(folder: Path) -> str:
-    """Return the owner of the recorder's lock without keeping it.
+    """Read the owner of the recorder's lock, without keeping the lock.
 
      The lock is released at once: a recorder that restarts now would find it taken, and its supervisor would
     end the test. A recorder waits for boards that are being checked.
@@ -77,7 +77,7 @@ def refuse_while_owned(what: str, owner: str) -> None:
 
 
 def check_storage(settings: Settings, folder: Path) -> list[Check]:
-    """Check the folder; only a probe file is written and removed."""
+    """Check the data folder; only a probe file is written and removed."""
     return [
         _check_file_system(folder),
         _check_writable(folder),
@@ -137,12 +137,12 @@ def _check_writable(folder: Path) -> Check:
 
 
 def _failed_check(name: str, found: str, remedy: str) -> Check:
-    """Return a failed check of the folder."""
+    """Create a failed check of the folder."""
     return Check("folder", name, "fail", found, remedy)
 
 
 def _check_owner(settings: Settings, folder: Path) -> Check:
-    """Check that the folder belongs to this configuration."""
+    """Check that the folder belongs to the test of this configuration."""
     name, own_hash = "data folder: configuration", settings.configuration_hash()
     try:
         check_owner(settings, folder)
@@ -169,7 +169,7 @@ def _check_catalogue(folder: Path) -> list[Check]:
 
 
 def _check_stored_sets(folder: Path) -> list[Check]:
-    """Check that every set with rows exists; only `solimon verify` reads their contents."""
+    """Check that each set with rows has a file; only `solimon verify` reads the contents."""
     name = "data folder: sets"
     try:
         with open_catalogue(folder) as catalogue:
@@ -188,7 +188,7 @@ def _check_stored_sets(folder: Path) -> list[Check]:
 
 
 def _check_space(settings: Settings, folder: Path) -> Check:
-    """Compare the free space with the data still to come."""
+    """Compare the free disk space with the size of the data still to come."""
     facts = describe_plan(settings, folder)
     stored = FolderSetReader(folder).n_bytes()
     needed, free = max(0, facts["stored_bytes"] - stored), int(facts["free_bytes"])

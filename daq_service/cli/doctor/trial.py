@@ -58,7 +58,7 @@ class Trial:
     spike: SpikeSurvey | None = None
 
     def as_row(self) -> dict[str, Any]:
-        """Return the result for JSON."""
+        """Convert the result to a JSON object."""
         features = self.features
         return {
             "position": self.position,
@@ -115,7 +115,7 @@ def strike_transducer(
 def _take_shot(
     settings: Settings, position: str, spike: SpikeSurvey | None, report: Callable[[str], None]
 ) -> Trial:
-    """Take one shot and return its checks and features."""
+    """Strike once and return the checks and the features of the shot."""
     clock = WallClock() if settings.clock.kind == "wall" else SimulatedClock(parse_utc(settings.clock.epoch))
     plan = SetPlan(
         due=DueSet(set_index=0, due_h=0.0, due_utc_ns=clock.utc_ns()),
@@ -157,7 +157,7 @@ def _take_shot(
 
 
 def _restrict_settings(settings: Settings, position: str) -> Settings:
-    """Return settings without other instruments, whose faults must not prevent the strike."""
+    """Return the settings without other instruments, whose faults must not prevent the strike."""
     used = settings.rig.positions.get(position)
     needed = {name: item for name, item in settings.rig.instruments.items() if used and name in used.names}
     unneeded = dict.fromkeys(("niscope", "supply", "drive", "climate", "air"))
@@ -169,14 +169,14 @@ def _restrict_settings(settings: Settings, position: str) -> Settings:
 
 
 def _restrict_boards(boards: DaqmxParameters, position: str) -> DaqmxParameters:
-    """Return the boards with one transducer only."""
+    """Return the parameters of the boards with the wiring of one transducer only."""
     wiring = boards.transducers[position]
     watchdog = boards.find_watchdog(wiring.coil_serial)
     return replace(boards, transducers={position: wiring}, watchdog=watchdog, watchdogs=None)
 
 
 def _missed_strike_check(missed: MissedShot) -> Check:
-    """Return the check of a strike without a record."""
+    """Create the check for a strike without a record."""
     found = f"no record ({missed.reason}): {missed.cause}"
     remedy = (
         "see whether the striker lifts and falls, then the sensor's cable, trigger_level_v and trigger_slope"
@@ -187,7 +187,7 @@ def _missed_strike_check(missed: MissedShot) -> Check:
 
 
 def _check_record_flags(shot: Shot, features: ShotFeatures, took_s: float) -> Check:
-    """Return the check of the record's flags."""
+    """Create the check for the flags of a record."""
     flags = features.flags
     incident = "no incident wave, "
     if not math.isnan(features.isw_amplitude_v):
@@ -216,7 +216,7 @@ def _read_trigger_level_v(rig: RigSettings, simulated_v: float, shot: Shot) -> f
 def _check_trigger_level(
     level_v: float, shot: Shot, features: ShotFeatures, spike: SpikeSurvey | None
 ) -> Check:
-    """Compare the trigger level with the incident wave of the shot, or of the survey before."""
+    """Compare the trigger level with the incident wave of the shot, or of the previous survey."""
     name = f"strike {shot.key.position}: trigger level"
     incident_v = features.isw_amplitude_v
     if (math.isnan(incident_v) or not features.valid) and spike is not None and spike.wave_v is not None:

@@ -42,14 +42,14 @@ def run_program(command: Sequence[str]) -> str | None:
 
 
 def check_unattended_settings(folder: Path, ask: Ask, system: str) -> list[Check]:
-    """Check sleep, updates and scanners; unknown settings give a warning."""
+    """Check sleep, updates and virus scanners; settings that cannot be read give a warning."""
     return [_check_sleep(ask, system), _check_updates(ask, system), _check_antivirus(folder, ask, system)]
 
 
 def _computer_check(
     name: str, good: bool | None, found: str, remedy: str, **values: str | bool | None
 ) -> Check:
-    """Return a check of the computer."""
+    """Create a check of the computer for unattended operation."""
     return Check("machine", name, "ok" if good else "warn", found, remedy, values)
 
 
@@ -57,7 +57,7 @@ def _computer_check(
 
 
 def _check_sleep(ask: Ask, system: str) -> Check:
-    """Check that the computer never sleeps."""
+    """Check that the computer never enters sleep mode."""
     idle = None
     if system == "win32":
         source, never = "powercfg", _windows_never_sleeps(ask)
@@ -81,7 +81,7 @@ def _check_sleep(ask: Ask, system: str) -> Check:
 
 
 def _windows_never_sleeps(ask: Ask) -> bool | None:
-    """Read both timeouts on mains power: the second last number of each answer, in any language."""
+    """Read both timeouts on mains power: the next-to-last number of each answer, in any language."""
     timeouts = []
     for kind in ("STANDBYIDLE", "HIBERNATEIDLE"):
         text = ask(["powercfg", "/query", "SCHEME_CURRENT", "SUB_SLEEP", kind]) or ""
@@ -96,7 +96,7 @@ def _windows_never_sleeps(ask: Ask) -> bool | None:
 
 
 def _check_updates(ask: Ask, system: str) -> Check:
-    """Check that updates do not restart the computer."""
+    """Check that automatic updates do not restart the computer."""
     waits, restarts, source = None, None, f"not asked on {system}"
     remedy = "let updates restart this computer only when a person says so"
     if system == "linux":
@@ -117,7 +117,7 @@ def _check_updates(ask: Ask, system: str) -> Check:
 
 
 def _read_linux_updates(ask: Ask) -> tuple[bool | None, bool | None, str]:
-    """Return whether a restart is pending, whether updates restart, and the source."""
+    """Read on Linux whether a restart is pending, whether updates restart, and the source."""
     waits = ask(["ls", "/run/reboot-required"]) is not None
     # It prints what is set, and the root of an empty tree else.
     text = ask(["apt-config", "dump"])
@@ -131,7 +131,7 @@ def _read_linux_updates(ask: Ask) -> tuple[bool | None, bool | None, str]:
 
 
 def _read_windows_updates(ask: Ask) -> tuple[bool | None, bool | None, str]:
-    """Return whether a restart is pending, whether updates restart, and the source."""
+    """Read on Windows whether a restart is pending, whether updates restart, and the source."""
     waits = ask(["reg", "query", UPDATE_WAITS]) is not None
     text = ask(["reg", "query", UPDATE_POLICY]) or ""
     policy = {name: int(value, 16) for name, value in re.findall(r"(\w+)\s+REG_DWORD\s+(0x\w+)", text)}
@@ -144,7 +144,7 @@ def _read_windows_updates(ask: Ask) -> tuple[bool | None, bool | None, str]:
 
 
 def _check_antivirus(folder: Path, ask: Ask, system: str) -> Check:
-    """Check that no scanner locks files of the folder."""
+    """Check that no virus scanner locks files of the folder."""
     is_excluded, finding, remedy = None, f"not asked on {system}", f"except {folder} from scanning on access"
     if system == "linux":
         processes = ask(["ps", "-e", "-o", "comm="])
@@ -164,7 +164,7 @@ def _check_antivirus(folder: Path, ask: Ask, system: str) -> Check:
 
 
 def _read_defender_exclusion(folder: Path, ask: Ask) -> tuple[bool | None, str]:
-    """Return whether Windows Defender excludes the folder, and a description."""
+    """Check whether Windows Defender excludes the folder, and return that with a description."""
     text = ask(["powershell", "-NoProfile", "-NonInteractive", "-Command", DEFENDER])
     if text is None:
         return None, "unknown: Windows Defender does not answer, maybe another one is installed"

@@ -9,7 +9,7 @@ import click
 
 
 def send_command(*, kind: str, note: str, **given: object) -> int:
-    """Send the command."""
+    """Send a control command to the recorder and return the exit code."""
     code: int = import_module("daq_service.commands.send").send_command(kind, note=note, **given)
     return code
 
@@ -26,7 +26,7 @@ def send_with_reason(*, kind: str, note: str, question: str, without_reason: str
 def switch_supply(
     *, on: bool | None, voltage_v: float | None, current_limit_a: float | None, note: str, **given: object
 ) -> int:
-    """Send ``supply_on`` with its values, or ``supply_off``."""
+    """Send the command ``supply_on`` with its values, or ``supply_off``."""
     if on is None:
         raise click.UsageError("give --on or --off")
     values = {"voltage_v": voltage_v, "current_limit_a": current_limit_a}

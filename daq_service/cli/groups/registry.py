@@ -32,7 +32,7 @@ class _Positive(click.FloatRange):
     """Positive finite number: a range alone accepts infinity and NaN."""
 
     def convert(self, value: float, param: click.Parameter | None, ctx: click.Context | None) -> float:
-        """Convert a text to a finite number."""
+        """Convert a text to a finite positive number, or report a usage error."""
         number = super().convert(value, param, ctx)
         if not math.isfinite(number):
             self.fail(f"{value} is no finite number.", param, ctx)
@@ -52,13 +52,13 @@ _TYPES: Mapping[str, click.ParamType[Any]] = {
 
 
 def find_command(name: str) -> click.Command | None:
-    """Build a command with its options; None if there is no such command."""
+    """Build a click command with its options; return None if there is no such command."""
     table = next((commands[name] for commands in _SECTIONS.values() if name in commands), None)
     return None if table is None else _build_command(name, table)
 
 
 def call_function(target: str, starting: str = "", **options: Any) -> int:
-    """Import the function ``MODULE:NAME`` of the command line and return its exit code.
+    """Import the function ``MODULE:NAME``, call it with the options, and return its exit code.
 
     Parameters
     ----------
@@ -74,7 +74,7 @@ def call_function(target: str, starting: str = "", **options: Any) -> int:
 
 
 def _build_command(name: str, table: Table) -> click.Command:
-    """Return a command, or a group of commands, from its entry in the table."""
+    """Build a click command, or a group of commands, from its entry in the table."""
     text = f"{table['summary']}\n\n{table.get('details', '')}"
     if "commands" in table:
         return click.Group(name, [_build_command(*item) for item in table["commands"].items()], help=text)
@@ -83,7 +83,7 @@ def _build_command(name: str, table: Table) -> click.Command:
 
 
 def _build_parameters(options: Sequence[str | Table]) -> Iterator[click.Parameter]:
-    """Yield the options of a command; a name is a shared option."""
+    """Yield the click options of a command; a text in the list is the name of a shared option."""
     for option in options:
         if isinstance(option, str):
             shared: Table | Sequence[str] = _SHARED[option]
@@ -101,7 +101,7 @@ def _build_parameter(
     range: Table | None = None,  # noqa: A002 - a key of the file
     **attributes: Any,
 ) -> click.Parameter:
-    """Return an option or argument of click from its entry in the table of commands."""
+    """Build an option or argument of click from its entry in the table of commands."""
     kind = click.Choice(choices) if choices else _TYPES.get(type)
     if range is not None:
         kind = (click.IntRange if isinstance(range["min"], int) else click.FloatRange)(**range)

@@ -100,7 +100,7 @@ class Copied:
 def back_up(
     folder: Path, destination: Path, progress: Callable[[int, int], None] = lambda done, planned: None
 ) -> Copied:
-    """Copy new data; every copy is read back and compared.
+    """Copy new data of a folder to a backup; each copy is read back and compared.
 
     Raises
     ------
@@ -142,7 +142,7 @@ def back_up(
 
 
 def _mark_destination(destination: Path, experiment: dict[str, object] | None) -> None:
-    """Mark a new destination for this test, and reject that of another test."""
+    """Mark a new destination for this test, and raise an error for that of another test."""
     if experiment is None:
         raise StorageError("the test has not begun; there is nothing to copy")
     experiment = to_current_row("experiment", experiment)
@@ -199,7 +199,7 @@ def _copy_sets(
     copied: Copied,
     progress: Callable[[int, int], None],
 ) -> None:
-    """Copy new files of sets; corrupt ones go to the quarantine."""
+    """Copy new files of sets; put corrupt ones into the quarantine."""
     files = to_references(path.name for path in (folder / SETS_FOLDER).glob("*.h5"))
     for number, (set_key, file) in enumerate(files.items()):
         progress(number, len(files))
@@ -221,7 +221,7 @@ def _copy_sets(
 def _list_lost_sets(
     folder: Path, destination: Path, catalogue: UnchangedCatalogue, copied: Copied
 ) -> list[Finding]:
-    """List sets with rows that have neither a file nor journal frames.
+    """List the sets with rows that have neither a file nor journal frames.
 
     Files first, in one listing: only for those that are not among them the journal is read.
     """
@@ -239,7 +239,7 @@ def _list_lost_sets(
 
 
 def _copy_others(folder: Path, destination: Path, copied: Copied) -> None:
-    """Copy all other files: configuration, supply counters, logs, quarantine."""
+    """Copy the other files: configuration, supply counters, logs, quarantine."""
     for name in sorted(OWN_NAMES - LEFT_OUT):
         place = folder / name
         paths = sorted(place.rglob("*")) if place.is_dir() else [place]
@@ -271,7 +271,7 @@ def _write_copy(target: Path, content: bytes, copied: Copied) -> None:
 
 
 def _drop_from_cache(path: Path) -> None:
-    """Drop a file from the system's cache, so that it is read from the disk."""
+    """Drop a file from the system's cache, so that the next read is from the disk."""
     if hasattr(os, "posix_fadvise"):
         descriptor = os.open(path, os.O_RDONLY)
         try:
@@ -281,7 +281,7 @@ def _drop_from_cache(path: Path) -> None:
 
 
 def _sync_file(path: Path) -> None:
-    """Sync a file to disk."""
+    """Flush a file to the disk."""
     descriptor = os.open(path, os.O_RDWR | O_BINARY)
     try:
         os.fsync(descriptor)

@@ -139,7 +139,7 @@ def run_export(
 
 
 def _print_files(files: Sequence[ExportedTable], *, as_json: bool) -> int:
-    """Print the exported files."""
+    """Print the paths of the exported files."""
     lines = [f"{item.file}: table {item.table} ({item.n_bytes / 1e6:.1f} MB)" for item in files]
     print_result({"ok": True, "files": list(map(asdict, files))}, lines, as_json=as_json)
     return EXIT_OK
@@ -154,7 +154,7 @@ def run_acceptance_report(*, data_dir: Path, **options: Any) -> int:
 
 
 def _format_findings(damage: Sequence[Finding]) -> list[str]:
-    """Return a line for each finding."""
+    """Format each finding of corruption as a line."""
     return [f"{finding.kind:<18} {finding.file}: {finding.description}" for finding in damage]
 
 
@@ -164,16 +164,17 @@ def _join_counts(counts: dict[str, int]) -> str:
 
 
 def _lower_priority(folder: Path) -> None:
-    """Lower the priority while a recorder runs."""
+    """Lower the priority of this process while a recorder runs."""
     if is_owned(folder) and hasattr(os, "nice"):
         os.nice(LOWEST_PRIORITY)
 
 
 def _progress_printer(what: str) -> Callable[[int, int], None]:
-    """Return a function that prints the progress to standard error."""
+    """Create a function that prints the progress to standard error."""
     terminal, printed_s = sys.stderr.isatty(), time.monotonic()
 
     def print_progress(done: int, planned: int) -> None:
+        """Print the number of finished steps: continuously on a terminal, otherwise from time to time."""
         nonlocal printed_s
         text, now_s = f"{done} of {planned} {what}", time.monotonic()
         if terminal:

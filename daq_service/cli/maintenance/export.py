@@ -147,7 +147,7 @@ def export_hdf5(
 
 
 def refuse_target(folder: Path, target: Path, *, overwrite: bool) -> None:
-    """Raise an error for a target that must not be written.
+    """Raise UsageError for a target that must not be written.
 
     Raises
     ------
@@ -174,7 +174,7 @@ def refuse_target(folder: Path, target: Path, *, overwrite: bool) -> None:
 def _list_arrays(
     folder: Path, files: Mapping[SetKey, SetReference], progress: Callable[[int, int], None]
 ) -> tuple[dict[Sampling, list[Block]], int, dict[str, str]]:
-    """Return the arrays of all files, the number of sets without a file, and unreadable files."""
+    """Return the arrays of all files, the number of sets without a file, and the unreadable files."""
     blocks, waiting, left_out = dict[Sampling, list[Block]](), 0, dict[str, str]()
     journaled = FolderSetReader(folder).sets()
     for number, (set_key, file) in enumerate(sorted(files.items())):
@@ -196,7 +196,7 @@ def _list_arrays(
 def _read_shot_columns(
     catalogue: Catalogue, sampling: Sampling, blocks: Sequence[Block], sets: Sequence[SetRow]
 ) -> Columns:
-    """Return columns of shots and their results, in the order of the shots."""
+    """Collect the columns of shots and their results, in the order of the shots."""
     due_h = {row.set_index: row.due_h for row in sets}
     kind: type[FeatureRow] | type[ThicknessRow] = ThicknessRow if sampling.is_echo else FeatureRow
     parts = []
@@ -220,7 +220,7 @@ def _read_shot_columns(
 
 
 def _read_set_columns(catalogue: Catalogue, position: str, sets: Sequence[SetRow]) -> Columns:
-    """Return columns of a position's sets and their results, in the order of the sets."""
+    """Collect the columns of a position's sets and their results, in the order of the sets."""
     kinds: tuple[type[FeatureRow | AssessmentRow | ThicknessRow], ...] = (FeatureRow, AssessmentRow)
     if sets[0].method == PULSE_ECHO:
         kinds = (ThicknessRow,)
@@ -246,13 +246,13 @@ def _read_set_columns(catalogue: Catalogue, position: str, sets: Sequence[SetRow
 
 
 def _select_result_columns(kind: type[Row]) -> tuple[str, ...]:
-    """Return the columns of results without keys and nested values."""
+    """Collect the columns of results, without keys and nested values."""
     nested = ("contributions", "statistics", "limits", "averages")
     return tuple(name for name in kind.__slots__ if name not in (*_NO_RESULT, *nested))
 
 
 def _to_columns(rows: Sequence[Row | None], kind: type[Row], names: Sequence[str]) -> dict[str, Column]:
-    """Return values by column; missing ones are NaN, -1, or an empty text."""
+    """Convert values to arrays by column; missing ones are NaN, -1, or an empty text."""
     forms = {column.name: choose_form(column.type) for column in list_columns(kind)}
     columns: dict[str, Column] = {}
     for name in names:
@@ -265,7 +265,7 @@ def _to_columns(rows: Sequence[Row | None], kind: type[Row], names: Sequence[str
 
 
 def _concatenate_column(parts: Sequence[Column]) -> Column:
-    """Concatenate parts of a column."""
+    """Concatenate the parts of a column to one array."""
     if isinstance(parts[0], list):
         return [value for part in parts for value in part]
     return np.concatenate(parts)

@@ -38,7 +38,7 @@ class ExportedTable:
 def export_table(
     folder: Path, choice: Choice, targets: Sequence[Path], *, overwrite: bool = False
 ) -> list[ExportedTable]:
-    """Write what was chosen to each of the files, also of a test that runs.
+    """Write the chosen table to each of the files, also for a running test.
 
     Raises
     ------
@@ -58,7 +58,7 @@ def export_table(
 def export_records(
     folder: Path, choice: RecordChoice, targets: Sequence[Path], *, overwrite: bool = False
 ) -> list[ExportedTable]:
-    """Write the chosen records in volts to each of the files, also of a test that runs.
+    """Write the chosen records in volts to each of the files, also for a running test.
 
     Raises
     ------
@@ -70,6 +70,7 @@ def export_records(
     read: list[RecordSlice] = []
 
     def make_file(catalogue: Catalogue, fresh: Freshness, form: str) -> Parts:
+        """Build the parts of an export in a format; read the records only once."""
         if not read:
             archive = FolderSetReader(folder)
             read.append(read_record_slice(catalogue, archive, choice, most_bytes=MOST_RECORD_BYTES))
@@ -99,7 +100,7 @@ def _write_targets(
 
 
 def _format_of_target(target: Path) -> str:
-    """Return the format of a target's suffix."""
+    """Return the export format of a target's suffix."""
     form = {"hdf5": "h5"}.get(target.suffix[1:].lower(), target.suffix[1:].lower())
     if form not in FORMATS:
         raise UsageError(f"{target} has no known ending; choose from {', '.join(FORMATS)}")

@@ -47,7 +47,7 @@ class Step:
 
 
 def plan_repair(folder: Path, report: Report, backup: Path | None) -> list[Step]:
-    """Return the step for each corruption and for unfinished files.
+    """List the repair step for each corruption and for unfinished files.
 
     Parameters
     ----------
@@ -74,7 +74,7 @@ def plan_repair(folder: Path, report: Report, backup: Path | None) -> list[Step]
 def _plan_file_repair(
     folder: Path, file: SetReference, journal: Mapping[SetKey, JournaledSet], backup: Path | None
 ) -> Step:
-    """Return the step for a corrupt or missing file of a set."""
+    """Choose the repair step for a corrupt or missing file of a set."""
     ((set_key, _),) = to_references([Path(file).name]).items()
     journaled = journal.get(set_key)
     if journaled is not None and journaled.is_whole and journaled.reference == file:
@@ -97,7 +97,7 @@ def _plan_file_repair(
 
 
 def _read_rows(folder: Path, set_key: SetKey) -> RowsOfSet | None:
-    """Read the rows of a set; None if the catalogue is unreadable."""
+    """Read the rows of a set; return None if the catalogue is unreadable."""
     try:
         with UnchangedCatalogue(folder) as catalogue:
             return RowsOfSet(**{table: catalogue.of_set(table, set_key) for table in TABLES})
@@ -106,7 +106,7 @@ def _read_rows(folder: Path, set_key: SetKey) -> RowsOfSet | None:
 
 
 def _read_results(folder: Path, set_key: SetKey) -> Results:
-    """Return the results for the file; none without a catalogue."""
+    """Read the results for the file; empty without a catalogue."""
     try:
         with open_catalogue(folder) as catalogue:
             return read_set_results(catalogue, set_key)
@@ -129,7 +129,7 @@ def _reason_against_backup(backup: Path, file: SetReference, rows: RowsOfSet | N
 
 
 def execute_step(folder: Path, step: Step, backup: Path | None) -> None:
-    """Execute one step; the caller owns the folder.
+    """Execute one repair step; the caller holds the lock of the folder.
 
     Raises
     ------

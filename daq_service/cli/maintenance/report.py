@@ -21,7 +21,7 @@ def write_report(
     overwrite: bool,
     as_json: bool,
 ) -> None:
-    """Write the report of a data folder, or of a configuration's.
+    """Write the report of a data folder, or of the folder of a configuration.
 
     Raises
     ------

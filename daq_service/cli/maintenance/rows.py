@@ -86,12 +86,12 @@ def find_row_differences(
 
 
 def _to_current_row(kind: type[R], row: Found) -> R:
-    """Return a row of today's kind."""
+    """Create a row of the present kind from a stored one, without columns that it does not have."""
     return kind(**{name: row[name] for name in kind.__slots__ if name in row})
 
 
 def _decode_flags(row: Found) -> list[str]:
-    """Decode the flags of a shot."""
+    """Decode the quality flags of a shot."""
     try:
         found = json.loads(row["flags"])
     except (TypeError, ValueError):  # corrupt: then it differs from the file
@@ -102,7 +102,7 @@ def _decode_flags(row: Found) -> list[str]:
 def _find_shot_differences(
     found: Sequence[Found], record: SetRecord, lost: frozenset[int]
 ) -> Iterator[tuple[int | None, str]]:
-    """Yield the differences of shots."""
+    """Yield the differences between stored and catalogued shots."""
     by_sequence = {row["sequence"]: row for row in found}
     for item in record.records:
         outcome: Outcome = "superseded" if record.outcomes.get(item.sequence) == "superseded" else "accepted"
@@ -120,14 +120,14 @@ def _find_shot_differences(
 
 
 def _find_column_differences(where: str, row: Found, wanted: Found) -> Iterator[str]:
-    """Yield the differing columns of a row; an earlier revision lacks columns."""
+    """Yield the columns of a row that differ from the file; columns that one of them lacks are ignored."""
     for name in wanted.keys() & row.keys():
         if row[name] != wanted[name]:
             yield f"{where}: {name} is {row[name]!r}, in the file {wanted[name]!r}"
 
 
 def _check_results(rows: RowsOfSet, position: str, method: str) -> Iterator[str]:
-    """Yield a message if results do not match the stored shots."""
+    """Yield a message if the results do not match the stored shots."""
     shots = {row["sequence"] for row in rows.shots if row["position"] == position}
     if method == PULSE_ECHO:
         read = [row["sequence"] for row in rows.thickness if row["position"] == position]

@@ -171,7 +171,7 @@ def check_catalogue(state: FolderCheck) -> Iterator[Finding]:
 
 
 def check_experiment(state: FolderCheck) -> Iterator[Finding]:
-    """Check the files that a lost catalogue is rebuilt from."""
+    """Check the files from which a lost catalogue is rebuilt."""
     try:
         stored = read_experiment(state.folder)
     except CatalogueError as error:
@@ -205,7 +205,7 @@ def check_experiment(state: FolderCheck) -> Iterator[Finding]:
 
 
 def _find_missing_events(state: FolderCheck, last_id: int, *, running: bool) -> Iterator[str]:
-    """Yield missing events after the end of the history.
+    """Yield the events of the catalogue that are missing at the end of the history.
 
     A recorder appends them within a second and before it ends; after a crash the next start does.
     """
@@ -237,7 +237,7 @@ def check_logs(state: FolderCheck) -> Iterator[Finding]:
 
 
 def check_frames(state: FolderCheck) -> Iterator[Finding]:
-    """Check every frame of the journal twice, since a frame may be incomplete while it is written."""
+    """Check each frame of the journal twice, since a frame may be incomplete while it is written."""
     first = check_journal(state.folder)
     state.journal = check_journal(state.folder) if first.damages else first
     state.checked |= {"frames": state.journal.n_frames, "bytes": state.journal.n_bytes}
@@ -291,7 +291,7 @@ def _check_file(state: FolderCheck, set_key: SetKey, reference: SetReference) ->
 
 
 def stored_sha256(rows: Sequence[Found], reference: SetReference) -> str | None:
-    """Return the SHA-256 of a set's file in its rows; None if there is none."""
+    """Return the SHA-256 of a set's file that its rows state; None if there is none."""
     return next((row.get("file_sha256") for row in rows if row["file"] == reference), None)
 
 
@@ -407,7 +407,7 @@ def verify_folder(folder: Path, progress: Callable[[int, int], None] = lambda do
 
 
 def _list_noteworthy(state: FolderCheck) -> list[str]:
-    """List what is not corrupt but noteworthy: unfinished, foreign or quarantined files."""
+    """List unusual but not corrupt files: unfinished, foreign or quarantined ones."""
     others = [path.name for path in (state.folder / SETS_FOLDER).glob("*") if not to_references([path.name])]
     unfinished = sorted(name for name in others if name.endswith(TEMPORARY_SUFFIX))
     foreign = sorted(set(others) - set(unfinished))

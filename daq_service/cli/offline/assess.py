@@ -40,6 +40,7 @@ class AlarmAnswer(TypedDict):
 
 
 def _alarm_of_refused() -> AlarmAnswer:
+    """Return the alarm entry of a table that could not be assessed."""
     return {"rows": [], "rate_guaranteed": False, "why": "refused", "limit": None}
 
 
@@ -75,7 +76,7 @@ class Sensor:
     rows: Sequence[dict[str, float | None]] | None = None
 
     def as_json(self) -> dict[str, object]:
-        """Return the answer without what only an assessed table has, or only one whose rows were wanted."""
+        """Convert the result to a JSON object, without keys that do not apply."""
         optional = ("default_because", "rows")
         return {
             name: value for name, value in vars(self).items() if name not in optional or value is not None
@@ -144,7 +145,7 @@ def run_assess(
 
 @contextmanager
 def _provide_map(tables: tuple[Path, ...]) -> Iterator[Map]:
-    """Provide a `map` over tables: with processes for many files, and progress on a terminal."""
+    """Provide a `map` over tables, in processes for many files, with progress on a terminal."""
     workers = min(count_usable_cores(), -(-len(tables) // FILES_A_TASK))
     if len(tables) < FEW_FILES or workers < 2:
         yield map
@@ -152,6 +153,7 @@ def _provide_map(tables: tuple[Path, ...]) -> Iterator[Map]:
     with open_executor("processes", workers) as executor:
 
         def map_in_processes(function: Callable[[Any], Any], paths: Sequence[Any]) -> Iterator[Any]:
+            """Apply a function to paths in processes and yield the results in order."""
             progress = Progress(len(paths), 0, what="tables") if sys.stderr.isatty() else None
             for result in executor.map(function, paths, chunksize=FILES_A_TASK):
                 if progress is not None:
@@ -164,7 +166,7 @@ def _provide_map(tables: tuple[Path, ...]) -> Iterator[Map]:
 def assess_table_or_error(
     path: Path, *, read: Read, budget: Budget, with_rows: bool
 ) -> tuple[Sensor, UsageError | None]:
-    """Assess one table, or return the error of reading it, so that other tables are assessed."""
+    """Assess one table, or return the error of reading it, so that the other tables are assessed."""
     try:
         return assess_one_table(path, read=read, budget=budget, with_rows=with_rows), None
     except UsageError as error:
@@ -214,7 +216,7 @@ def assess_one_table(path: Path, *, read: Read, budget: Budget, with_rows: bool)
 
 
 def _result_rows(assessed: Assessed) -> list[dict[str, float | None]]:
-    """Return a result per row."""
+    """Return one result per row of the table."""
     columns = {
         "distance_squared": assessed.distances_squared,
         "mewma_textbook": assessed.mewma_textbook,
@@ -228,7 +230,7 @@ def _result_rows(assessed: Assessed) -> list[dict[str, float | None]]:
 
 
 def describe_sensor(answer: Sensor, budget: float, sets_per_day: float) -> str:
-    """Return the lines about a transducer."""
+    """Format the result of a transducer as lines of text."""
     if answer.refused is not None:
         return f"{answer.file}: refused: {answer.refused}"
     alarm, lines = answer.alarm, [answer.file]

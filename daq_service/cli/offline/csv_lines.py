@@ -23,7 +23,7 @@ class NoTableError(UsageError):
 
 
 def read_csv_lines(path: Path) -> tuple[list[str], list[str]]:
-    """Read the leading comments of a file and its other lines, without empty ones.
+    """Read the leading comments of a file and its other non-empty lines.
 
     It is in UTF-8, or in UTF-16 as a spreadsheet's "Unicode text". A spreadsheet's line ``sep=;`` is none.
 
@@ -50,7 +50,7 @@ def read_csv_lines(path: Path) -> tuple[list[str], list[str]]:
 
 
 def finite_or_none(value: float) -> float | None:
-    """Return a number for JSON, which has no NaN and no infinity."""
+    """Convert a number for JSON, which has no NaN and no infinity; None replaces them."""
     return value if math.isfinite(value) else None
 
 
@@ -60,7 +60,7 @@ def is_comment(line: str) -> bool:
 
 
 def map_npy_array(path: Path, form: str, *, one_row: bool = False) -> NDArray[Any]:
-    """Map the array of a `.npy` file.
+    """Map the array of a `.npy` file into memory.
 
     Parameters
     ----------

@@ -69,7 +69,7 @@ def run_features(
     psw_window_s: str | None,
     as_json: bool,
 ) -> None:
-    """Extract the features of every record of every file, and print them."""
+    """Extract the features of each record of each file, and print them."""
     parameters = FileParameters(
         rate_hz=rate_hz,
         pretrigger_s=pretrigger_s,
@@ -170,7 +170,7 @@ def extract_file_features(
 def _choose_settings(
     path: Path, file: RecordFile, transducer: TransducerParameters
 ) -> dict[str, ExtractionSettings]:
-    """Return extraction settings by position: given values, or a width measured from the records."""
+    """Build the extraction settings by position: given values, or a width measured from the records."""
     widths_s: dict[str, list[float]] = defaultdict(list)
     for record in file.records(-(-file.n // LOOKED_AT)):
         found = widths_s[record.position]
@@ -197,7 +197,7 @@ def _choose_settings(
 
 
 def _extract_record(where: str, record: Record, settings: ExtractionSettings) -> ShotFeatures:
-    """Extract the features of a record; a record with invalid values is flagged."""
+    """Extract the features of a record; flag a record with invalid values."""
     if not (np.abs(record.volts_v) < LARGEST_V).all():
         return apply_flags(ShotFeatures(), {DISTURBED})  # samples are missing, or no volts
     try:
@@ -219,7 +219,7 @@ def _extract_record(where: str, record: Record, settings: ExtractionSettings) ->
 def _combine_templates(
     transducer: TransducerParameters, found: Template | None, width_s: float
 ) -> Template | None:
-    """Combine given parameters and learn_template ones; given ones have priority."""
+    """Combine given and learned parameters of the template; given ones have priority."""
     height_v = transducer.isw_amplitude_v
     if found is None:
         return None if height_v is None else Template(isw_fwhm_s=width_s, isw_amplitude_v=height_v)
@@ -231,7 +231,7 @@ def _combine_templates(
 
 
 def _describe_template(template: Template) -> str:
-    """Describe the template that the records are compared with."""
+    """Describe the template with which the records are compared."""
     early = template.earliest_tof_s
     since = "" if early is None else f", reflections from {1e6 * early:.0f} us on"
     width_us, height_v = 1e6 * template.isw_fwhm_s, template.isw_amplitude_v
@@ -239,7 +239,7 @@ def _describe_template(template: Template) -> str:
 
 
 def _shot_to_json(shot: ShotFeatures) -> dict[str, object]:
-    """Return a shot for JSON: null for missing values."""
+    """Convert a shot to a JSON object, with null for missing values."""
     return {
         "flags": list(shot.flags),
         "quality": shot.quality,

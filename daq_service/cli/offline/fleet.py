@@ -117,7 +117,7 @@ class Fleet(TypedDict):
 
 
 def read_deviations(path: Path, read: Read) -> Deviations:
-    """Read a table and return its deviations."""
+    """Read a table and compute its deviations from the baseline."""
     table = read(path)
     z, _ = standardized(table.vectors, table.in_baseline)
     z = np.clip(z, -FARTHEST_SD, FARTHEST_SD).astype(np.float32)
@@ -146,7 +146,7 @@ def assess_individually(
 
 
 def _first_row_after_baseline(table: Deviations) -> int:
-    """Return the first row after the baseline."""
+    """Return the index of the first row after the baseline."""
     healthy = np.flatnonzero(table.in_baseline)
     return int(healthy[-1]) + 1 if healthy.size else len(table.in_sd)
 
@@ -231,7 +231,7 @@ def assess_fleet(
 
 
 def _rate_not_verified_reason(of_sensors: Sequence[str], sensors: int, kept_sd: float) -> str:
-    """Return why the false discovery rate is not verified; empty if it is.
+    """Return the reason why the false discovery rate is not verified; empty if it is.
 
     A healthy baseline is doubted by chance in `SLOW_RATE` of either test; only more than that counts.
     """
@@ -261,7 +261,7 @@ def _stack_tables(parts: Sequence[np.ndarray], n_rows: int) -> np.ndarray:
 
 
 def describe_fleet(answer: Fleet) -> str:
-    """Return the lines about the fleet."""
+    """Format the result of the fleet as lines of text."""
     sensors = f"fleet of {answer['sensors']} sensors, {answer['judged']} judged"
     raised = (
         f"{len(answer['raised'])} raised, of which at most {answer['false_discovery_rate']:.0%} are false"

@@ -67,7 +67,7 @@ class RecordFile:
 
 
 def open_records(path: Path, parameters: FileParameters) -> RecordFile:
-    """Open a file of waveforms.
+    """Open a file of waveforms in the format of its suffix.
 
     Raises
     ------
@@ -100,7 +100,7 @@ def open_records(path: Path, parameters: FileParameters) -> RecordFile:
 
 
 def _open_npy(path: Path, parameters: FileParameters) -> RecordFile:
-    """Open a `.npy` file."""
+    """Open the records of a `.npy` file."""
     array = map_npy_array(path, "records x samples", one_row=True)
     table = np.atleast_2d(array)
     if not table.shape[1]:
@@ -113,7 +113,7 @@ def _open_npy(path: Path, parameters: FileParameters) -> RecordFile:
 
 
 def _open_csv(path: Path, parameters: FileParameters) -> RecordFile:
-    """Open a CSV file."""
+    """Open the records of a CSV file."""
     _, lines = read_csv_lines(path)
     names = _split_cells(lines[0]) if lines else []
     numbered = [str(k) for k in range(len(names))]
@@ -124,6 +124,7 @@ def _open_csv(path: Path, parameters: FileParameters) -> RecordFile:
     scaled = _make_scaling(path, parameters, counts=counts, ends=None)
 
     def read_csv_records(every: int) -> Iterator[Record]:
+        """Yield every n-th record; raise UsageError for a line that is no record."""
         for number, line in list(enumerate(lines))[::every]:
             if is_comment(line):
                 raise UsageError(f"{path}, record {number}: {line[:40]!r} is a comment; {COMMENTS}")
@@ -136,7 +137,7 @@ def _open_csv(path: Path, parameters: FileParameters) -> RecordFile:
 
 
 def _split_cells(line: str) -> list[str]:
-    """Split a line of CSV."""
+    """Split a line of CSV into cells."""
     separator = next((one for one in SEPARATORS if one in line.strip()), ",")
     cells = line.strip().rstrip(separator).split(None if separator == " " else separator)
     return [cell.replace(",", ".") for cell in cells] if separator in ";\t" else cells
@@ -154,7 +155,7 @@ def _is_number(cell: str) -> bool:
 def _make_scaling(
     path: Path, parameters: FileParameters, *, counts: bool, ends: tuple[float, float] | None
 ) -> Callable[[NDArray[np.generic]], Record]:
-    """Return the function that converts values of a file without metadata to a record."""
+    """Create the function that converts values of a file without metadata to a record."""
     if counts and parameters.volts_per_count is None:
         raise UsageError(
             f"{path} holds whole numbers, which are counts of an ADC: give --volts-per-count, and with it "
@@ -167,6 +168,7 @@ def _make_scaling(
     pretrigger_s = PAPER_PRETRIGGER_S if parameters.pretrigger_s is None else parameters.pretrigger_s
 
     def scale_values(values: NDArray[np.generic]) -> Record:
+        """Convert values to a record in volts."""
         volts = values.astype(np.float64)
         clipped = _is_clipped(volts, rails)
         if parameters.volts_per_count is not None:
@@ -182,10 +184,11 @@ def _make_scaling(
 
 
 def _open_hdf5(path: Path, _: FileParameters) -> RecordFile:
-    """Open a set's file."""
+    """Open the records of a set's HDF5 file."""
     shots = [one for one in read_records(path, read_shared(path)) if isinstance(one, Shot)]
 
     def read_hdf5_records(every: int) -> Iterator[Record]:
+        """Yield every n-th record of the file."""
         for shot in shots[::every]:
             waveform = shot.waveform
             yield Record(
@@ -200,7 +203,7 @@ def _open_hdf5(path: Path, _: FileParameters) -> RecordFile:
 
 
 def _open_tdms(path: Path, parameters: FileParameters) -> RecordFile:
-    """Open a TDMS file."""
+    """Open the records of a TDMS file."""
     from hardware_drivers.playback.tdms_records import list_channel_records
 
     mapping = TdmsMapping(
@@ -219,6 +222,7 @@ def _open_tdms(path: Path, parameters: FileParameters) -> RecordFile:
         raise UsageError(f"{error} (--rate-hz, --pretrigger-s, --volts-per-count, --rail-counts)") from error
 
     def read_tdms_records() -> Iterator[Record]:
+        """Yield each record of the channels."""
         for one in channels:
             ends = parameters.rails
             if ends is None and one.conversion.polynomial is None:
@@ -238,5 +242,5 @@ def _open_tdms(path: Path, parameters: FileParameters) -> RecordFile:
 
 
 def _is_clipped(values: NDArray[np.generic], ends: tuple[float, float] | None) -> bool:
-    """Return whether values reach the ends of the range."""
+    """Return whether values reach the ends of the input range."""
     return ends is not None and bool(values.min() <= ends[0] or values.max() >= ends[1])

@@ -92,7 +92,7 @@ class TableFile:
 def read_table(
     path: Path, *, features: Sequence[str], baseline_rows: int | None, baseline_where: tuple[str, str] | None
 ) -> TableFile:
-    """Read a table.
+    """Read a table of features from a CSV, Parquet or `.npy` file.
 
     Parameters
     ----------
@@ -156,7 +156,7 @@ def read_table(
 
 
 def _reason_to_leave_out(name: str, column: Column, numbers: NDArray[np.float64] | None) -> str:
-    """Return why a column is not a feature; empty if it is, or if it has neither name nor value."""
+    """Return the reason why a column is not a feature; empty for a feature and an unnamed empty column."""
     if not name:
         return "" if numbers is not None and np.isnan(numbers).all() else "it has no name"
     if ROWS_BY_NAME.fullmatch(re.split(r"[\[(]", name)[0].strip().lower().rstrip(".:")):
@@ -172,13 +172,13 @@ def _reason_to_leave_out(name: str, column: Column, numbers: NDArray[np.float64]
 
 
 def _describe_left_out(name: str, column: Column, reason: str) -> LeftOut:
-    """Describe a column that is no feature."""
+    """Describe a column that is not used as a feature."""
     row = next((row for row, cell in enumerate(column) if not _is_missing(cell)), 0)
     return {"name": name, "reason": reason, "row": row, "cell": str(column[row])}
 
 
 def _refuse_malformed_numbers(path: Path, name: str, column: Column, decimal: str) -> None:
-    """Raise an error for a column of numbers with other text, or with two decimal marks."""
+    """Raise UsageError for a column of numbers mixed with text, or with two decimal marks."""
     known = {row: cell for row, cell in enumerate(column) if not _is_missing(cell)}
     mixed = decimal == "," and {",", "."} <= {*"".join(map(str, known.values()))}
     nearly = [row for row, cell in known.items() if _is_malformed_number(cell, decimal, mixed=mixed)]
@@ -191,14 +191,14 @@ def _refuse_malformed_numbers(path: Path, name: str, column: Column, decimal: st
 
 
 def _is_malformed_number(cell: object, decimal: str, *, mixed: bool) -> bool:
-    """Return whether a text looks like a number with other characters."""
+    """Return whether a text looks like a number with additional characters."""
     if not isinstance(cell, str) or _to_number(cell, decimal) is not None:
         return isinstance(cell, timedelta) or (mixed and THOUSANDS.fullmatch(str(cell)) is not None)
     return NEARLY.fullmatch(cell.strip()) is not None and not DATE.match(cell.strip())
 
 
 def _read_columns(path: Path) -> Columns:
-    """Return every column by its name, and the decimal mark of its texts."""
+    """Read each column by its name, and the decimal mark of the texts."""
     reader = {".csv": _read_csv, ".parquet": _read_parquet, ".npy": _read_npy}.get(path.suffix.lower())
     if reader is None:
         ending = path.suffix or "one without ending"
@@ -258,7 +258,7 @@ def _remove_empty_ends(header: list[str], body: list[list[str]]) -> None:
 
 
 def _remove_unit_row(path: Path, header: list[str], body: list[list[str]], decimal: str) -> list[list[str]]:
-    """Remove a row of units below the names; raise an error for a second row of names."""
+    """Remove a row of units below the names; raise UsageError for a second row of names."""
     first, second = (*body, [], [])[:2]
     if not len(header) == len(first) > 0 or any(is_comment(one) or _is_number(one, decimal) for one in first):
         return body
@@ -274,7 +274,7 @@ def _remove_unit_row(path: Path, header: list[str], body: list[list[str]], decim
 def _split_names_and_rows(
     last_comment: list[str], rows: list[list[str]], decimal: str
 ) -> tuple[list[str], list[list[str]]]:
-    """Return names of columns and the data rows: names from the first line, or the last comment."""
+    """Split lines into column names (from the first line, or the last comment) and data rows."""
     header = [cell.strip() for cell in rows[0]]
     numbered = [str(k) for k in range(len(header))]
     numbers = [_is_number(cell, decimal) for cell in header]
@@ -287,7 +287,7 @@ def _split_names_and_rows(
 
 
 def _refuse_repeated_names(path: Path, names: Sequence[str]) -> None:
-    """Raise an error for repeated names of columns."""
+    """Raise UsageError for repeated column names."""
     named = [name for name in names if name]
     if len(set(named)) < len(named):
         raise NoTableError(f"{path}: each column must be named once; they are {','.join(names)[:80]!r}")
@@ -326,7 +326,7 @@ def _read_npy(path: Path) -> Columns:
 
 
 def _to_numbers(column: Column, decimal: str) -> NDArray[np.float64] | None:
-    """Return the column as numbers, NaN if missing; None if most cells are not numbers."""
+    """Convert a column to numbers, NaN if missing; None if most cells are not numbers."""
     if isinstance(column, np.ndarray):
         return _replace_overload(column.astype(np.float64))
     cells = [None if _is_missing(cell) else cell for cell in column]
@@ -338,7 +338,7 @@ def _to_numbers(column: Column, decimal: str) -> NDArray[np.float64] | None:
 
 
 def _replace_overload(values: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Replace values for overload and missing readings by NaN."""
+    """Replace the values for overload and missing readings by NaN."""
     over = np.abs(np.abs(values) - OVERLOAD) < 0.011 * OVERLOAD
     return np.asarray(np.where(over | np.isin(values, NO_READINGS), np.nan, values))
 
@@ -365,12 +365,12 @@ def _is_number(cell: str, decimal: str) -> bool:
 
 
 def _first_non_number(column: Column, decimal: str) -> object:
-    """Return the first cell that is not a number."""
+    """Find the first cell that is not a number."""
     return next(cell for cell in column if not _is_missing(cell) and _to_number(cell, decimal) is None)
 
 
 def _select_equal_rows(column: Column, value: str, decimal: str) -> NDArray[np.bool_]:
-    """Return the rows whose cell equals a value, as text or as a number."""
+    """Find the rows whose cell equals a value, as text or as a number."""
     wanted = _to_numbers([value], decimal)
     numbers = _to_numbers(column, decimal)
     if numbers is not None and wanted is not None and np.isfinite(wanted[0]):

@@ -46,14 +46,14 @@ class AssessedSet:
 
 
 def build_twin(settings: Settings) -> Specimen:
-    """Build the twin of a configuration; `assessed_sets` of multiple positions share it."""
+    """Build the twin of a configuration, which `assessed_sets` of multiple positions share."""
     return build_specimen(settings.twin, transducers=build_transducers(settings), probed_thickness_m={})
 
 
 def simulate_assessed_sets(
     settings: Settings, position: str, specimen: Specimen | None = None
 ) -> Iterator[AssessedSet]:
-    """Strike and assess every scheduled set of a transducer, until the schedule or its wall ends.
+    """Strike and assess each scheduled set of a transducer, until the schedule or its wall ends.
 
     Raises
     ------

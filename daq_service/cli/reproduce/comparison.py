@@ -59,7 +59,7 @@ def compare_item(
     origin: str,
     missing_reason: str = "this figure does not give it",
 ) -> list[Row]:
-    """Return the rows of one item in the paper's order, with a reason for missing quantities.
+    """Compare the paper's quantities of one item with ours, with a reason for missing ones.
 
     Parameters
     ----------
@@ -112,18 +112,18 @@ def _compare_value(value: PaperValue, ours: Found, *, origin: str) -> Row:
 
 
 def _is_rounding_only(deviation: float, paper: float | None) -> bool:
-    """Return whether a deviation is only rounding of floats."""
+    """Return whether a deviation is only a rounding error."""
     return abs(deviation) < 1e-9 * max(1.0, abs(paper or 0.0))
 
 
 def _cause_of_deviation(value: PaperValue, ours: Found, *, agrees: bool, origin: str) -> str:
-    """Return the cause of a deviation; empty if the values agree."""
+    """Return the reason for a deviation; empty if the values agree."""
     cause = "" if ours.value is None else cause_of(value, origin=origin)
     return "" if agrees and not cause.startswith(GIVEN) else cause
 
 
 def _format_paper_value(value: PaperValue) -> str:
-    """Format a value of the paper."""
+    """Format a value of the paper as printed."""
     number = "" if value.value is None else f"{value.value:.{value.decimals}f}"
     sign = "±" if value.wording.startswith("+-") else ""
     qualification = value.wording.removeprefix("+-").strip("; ")

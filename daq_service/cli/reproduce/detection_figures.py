@@ -70,7 +70,7 @@ def _draw_distances(axis: Axes, pulses: Series, baseline_h: float, colour: str) 
 
 
 def _outlier_percentage(pulses: Series, outlier: str, from_h: float) -> tuple[float | None, int]:
-    """Return the percentage of outliers of the sets assessed after an hour, and their number."""
+    """Compute the percentage of outliers of the sets assessed after an hour, and their number."""
     outliers = pulses.values[outlier]
     is_assessed = (pulses.hour_h > from_h) & np.isfinite(outliers) & (pulses.values["in_baseline"] == 0.0)
     n = int(is_assessed.sum())
@@ -78,7 +78,7 @@ def _outlier_percentage(pulses: Series, outlier: str, from_h: float) -> tuple[fl
 
 
 def _describe_outliers(pulses: Series) -> str:
-    """Describe the percentages of outliers."""
+    """Describe the percentages of outliers of the positions."""
     parts = []
     for limit, outlier in (("mean + 3 SD", "outlier_mean_3sd"), ("the exact limit", "outlier")):
         share, n = _outlier_percentage(pulses, outlier, SPLIT_H)
@@ -89,7 +89,7 @@ def _describe_outliers(pulses: Series) -> str:
 
 
 def _fig14_values(test: Evidence) -> dict[str, item.Found]:
-    """Return our values of figure 14, or why they are missing."""
+    """Return the computed values of figure 14, or the reason why they are missing."""
     values = {"smallest_loss": _loss_at_first_alarm(test)}
     for name in "BCD":
         pulses = test.pulses.get(name)
@@ -119,7 +119,7 @@ def _fig14_values(test: Evidence) -> dict[str, item.Found]:
 
 
 def _loss_at_first_alarm(test: Evidence) -> item.Found:
-    """Return the loss that the ultrasonic probe read when the first transducer raised its alarm."""
+    """Return the loss that the ultrasonic probe measured when the first transducer raised its alarm."""
     alarms = [(p.first_alarm_h, name) for name, p in test.pulses.items() if p.first_alarm_h is not None]
     if not alarms:
         return item.missing_value(f"no alarm about the wall up to hour {test.last_h:g}")
@@ -190,7 +190,7 @@ def draw_fig15(material: item.Material) -> item.Product:
 
 
 def _draw_paper_reading(wall: Axes, loss: Axes) -> None:
-    """Draw the reading and the core of the paper."""
+    """Draw the thickness reading and the core thickness of the paper."""
     initial_mm = printed_number("fig15", "initial")
     for hour, quantity, marker, label in (
         (READ_H, "thickness_300", "D", "paper, read at 300 h"),
@@ -202,7 +202,7 @@ def _draw_paper_reading(wall: Axes, loss: Axes) -> None:
 
 
 def _read_true_thickness(test: Evidence, position: str) -> tuple[FloatArray, FloatArray] | None:
-    """Return hours and true thickness of the twin; None for a real specimen."""
+    """Return the hours and the true thickness of the twin; None for a real specimen."""
     known = [
         (trace.hour_h, trace.truth["thickness_m"])
         for trace in test.traces.get(position, ())
@@ -225,7 +225,7 @@ def _fit_line(probe: Series) -> tuple[float, float] | None:
 
 
 def _fig15_values(test: Evidence, probe: Series, line: tuple[float, float] | None) -> dict[str, item.Found]:
-    """Return our values of figure 15."""
+    """Return the computed values of figure 15."""
     names = ("thickness_300", "loss_300", "core", "linearity", "initial")
     if probe.position != "A":
         return dict.fromkeys(names, item.missing_value("the test has no pulse-echo position A"))

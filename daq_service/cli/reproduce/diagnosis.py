@@ -22,7 +22,7 @@ _CAUSES = {name: cause.text for cause in TEXTS.causes for name in cause.of}
 
 
 def cause_of(value: PaperValue, *, origin: str) -> str:
-    """Return the cause of a deviation.
+    """Return the reason for a deviation from the paper.
 
     Parameters
     ----------

@@ -30,7 +30,7 @@ _COLUMNS = (
 
 
 def draw_equations(material: Material) -> Product:
-    """Draw autocorrelation lag, coefficient and area under the PSW over the test."""
+    """Draw the autocorrelation lag, its coefficient and the area under the PSW over the test."""
     test, names = material.test, material.transducers
     figure, axes = create_sheet(1, 3, height_in=3.0)
     for name in names:
@@ -53,7 +53,7 @@ def draw_equations(material: Material) -> Product:
 
 
 def _list_check_results(test: Evidence) -> Sequence[str]:
-    """Return the results of the checks in sentences."""
+    """Describe the results of the checks in sentences."""
     sentences = []
     for name, pulses in test.pulses.items():
         error = _check_equation_16(pulses)
@@ -79,7 +79,7 @@ def _list_check_results(test: Evidence) -> Sequence[str]:
 
 
 def _check_equation_16(pulses: Series) -> tuple[float, int] | None:
-    """Return the largest relative difference of stored distances from eq. 16, and their number."""
+    """Compute the largest relative difference of stored distances from eq. 16, and their number."""
     baseline = pulses.baseline
     if baseline is None or None in baseline.mean:
         return None
@@ -98,7 +98,7 @@ def _check_equation_16(pulses: Series) -> tuple[float, int] | None:
 
 
 def _check_equation_17(probe: Series, ultrasound: UltrasoundSettings) -> tuple[float, int] | None:
-    """Return the spread of ``th / (UT - D)``, which eq. 17 makes constant, and the number of readings.
+    """Compute the spread of ``th / (UT - D)``, which eq. 17 makes constant, and the number of readings.
 
     None if the path between two elements is corrected: then eq. 17 was not used.
     """
@@ -111,7 +111,7 @@ def _check_equation_17(probe: Series, ultrasound: UltrasoundSettings) -> tuple[f
 
 
 def _check_autocorrelation(pulses: Series, traces: Sequence[Trace]) -> tuple[float, int] | None:
-    """Return the largest deviation in us of the averaged records' lag, and the number of records."""
+    """Compute the largest deviation in us of the averaged records' lag, and the number of records."""
     row_of = {int(index): row for row, index in enumerate(pulses.set_index)}
     distances = []
     for trace in traces:
@@ -128,7 +128,7 @@ def _check_autocorrelation(pulses: Series, traces: Sequence[Trace]) -> tuple[flo
 
 
 def _compute_lag_s(trace: Trace, isw_s: float, psw_s: float) -> float:
-    """Return the lag of the highest autocorrelation near the peaks' distance, with a parabola."""
+    """Compute the lag in s of the highest autocorrelation near the peaks' distance, with a parabola."""
     step_s = float(trace.time_s[1] - trace.time_s[0])
     every = max(1, round(BLOCK_S / step_s))
     n = trace.volts.size // every

@@ -135,7 +135,7 @@ class Evidence:
 
 
 def read_evidence(folder: Path, *, with_traces: bool = True) -> Evidence:
-    """Read a data folder.
+    """Read the sets, readings and traces that the reproduction needs from a data folder.
 
     Raises
     ------
@@ -185,7 +185,7 @@ def read_evidence(folder: Path, *, with_traces: bool = True) -> Evidence:
 
 
 def _read_series(catalogue: Catalogue, position: str, settings: PositionSettings) -> Series:
-    """Read the sets of a position."""
+    """Read the sets of a position as arrays."""
     columns = {}
     if settings.method == PULSE_ECHO:
         found = catalogue.columns(ThicknessRow, ["set_index", "due_h", *ECHOES], position=position)
@@ -211,7 +211,7 @@ def _read_series(catalogue: Catalogue, position: str, settings: PositionSettings
 
 
 def _to_float_array(values: Sequence[float | bool | None]) -> FloatArray:
-    """Return values as float64; None becomes NaN."""
+    """Convert values to a float64 array; None becomes NaN."""
     return np.array([np.nan if value is None else float(value) for value in values], dtype=np.float64)
 
 
@@ -241,7 +241,7 @@ def _average_traces(
 
 
 def _average_records(record: SetRecord, position: str) -> Trace | None:
-    """Average the accepted records of a position."""
+    """Average the accepted records of a set at a position."""
     accepted = [
         shot
         for shot in record.records

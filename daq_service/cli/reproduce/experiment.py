@@ -21,7 +21,7 @@ _ERRORS = {kind.exit_code: kind for kind in (UsageError, RigError, StorageError,
 
 
 def load_twin_settings(seed: int | None) -> Settings:
-    """Return the shipped configuration with the paper's alarm rule instead of the control chart.
+    """Read the shipped configuration, with the paper's alarm rule instead of the control chart.
 
     The environment is on top, and another seed if one is given.
     """
@@ -32,7 +32,7 @@ def load_twin_settings(seed: int | None) -> Settings:
 def run_test(
     settings: Settings, folder: Path, *, stop: threading.Event, progress: Callable[[int, int, float], None]
 ) -> bool:
-    """Record to the schedule's end, or until `stop`; a complete folder is left unchanged.
+    """Record until the end of the schedule, or until `stop`; do not change a complete folder.
 
     Parameters
     ----------
@@ -54,6 +54,7 @@ def run_test(
     log_to(folder / "logs" / "supervisor.log")
 
     def on_message(child: str, message: Message) -> None:
+        """Pass a progress message of the recorder to the callback."""
         del child
         if message["event"] == "progress":
             progress(int(message["done"]), int(message["planned"]), float(message["due_h"]))

@@ -57,14 +57,14 @@ class Found:
 
 
 def found_value(value: float | None, words: str = "", *, reason: str = "") -> Found:
-    """Return our value; None or NaN becomes "not available" with the reason."""
+    """Create a computed value; None or NaN becomes "not available" with the reason."""
     if value is None or not math.isfinite(value):
         return Found(words=words, reason=reason or "not a finite number")
     return Found(value=float(value), words=words)
 
 
 def missing_value(reason: str) -> Found:
-    """Return a missing value with its reason."""
+    """Create a missing value with its reason."""
     return Found(reason=reason)
 
 
@@ -75,12 +75,13 @@ class Table:
     columns: Mapping[str, Sequence[object] | NDArray[np.generic]]
 
     def __post_init__(self) -> None:
+        """Raise ValueError if the columns differ in length."""
         lengths = {name: len(values) for name, values in self.columns.items()}
         if len(set(lengths.values())) > 1:
             raise ValueError(f"columns of a table differ in length: {lengths}")
 
     def rows(self) -> Iterator[tuple[object, ...]]:
-        """Yield the rows."""
+        """Yield the rows of the table."""
         return zip(*self.columns.values(), strict=True)
 
 
@@ -111,7 +112,7 @@ class Material:
     results: Mapping[str, object]
 
     def result(self, name: str) -> Any:
-        """Return the result of a job.
+        """Return the result of a computation by name.
 
         Raises
         ------

@@ -20,7 +20,7 @@ ITEMS = (
 
 
 def choose_items(only: str | None) -> tuple[Item, ...]:
-    """Return the items with these names, separated by commas; None means all.
+    """Parse item names separated by commas and return the items; None means all.
 
     Raises
     ------

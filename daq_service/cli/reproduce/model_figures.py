@@ -45,7 +45,7 @@ class _Curve:
 def _draw_curves(
     styles: Mapping[str, _Curve], curves: _Curves, *, height_in: float
 ) -> tuple[Figure, list[Axes]]:
-    """Draw ToF and AR over what is varied."""
+    """Draw ToF and AR over the varied quantity."""
     figure, axes = style.create_sheet(1, 2, height_in=height_in)
     for name, points in curves.items():
         curve, columns = styles[name], np.transpose(points)
@@ -58,7 +58,7 @@ def _draw_curves(
 
 
 def _make_curve_table(curves: _Curves, varied: str) -> item.Table:
-    """Return the points of all curves as a table."""
+    """Build a table of the points of all curves."""
     rows = [(name, *point) for name, points in curves.items() for point in points]
     names = ("curve", varied, "tof_us", "amplitude_ratio")
     return item.Table(columns={name: [row[k] for row in rows] for k, name in enumerate(names)})
@@ -68,7 +68,7 @@ def _make_curve_table(curves: _Curves, varied: str) -> item.Table:
 
 
 def draw_fig10(material: item.Material) -> item.Product:
-    """Draw restitution and contact time over lambda."""
+    """Draw the coefficient of restitution and the contact time over lambda."""
     columns: dict[str, list[float]] = material.result("curve")
     case_3: dict[str, list[float]] = material.result("case_3")
     figure, axes = style.create_sheet(1, 2, height_in=3.0)
@@ -104,7 +104,7 @@ def draw_fig10(material: item.Material) -> item.Product:
 
 
 def _worst_percent(columns: Mapping[str, Sequence[float]], approximate: str, exact: str) -> float:
-    """Return the largest deviation of an approximation in per cent."""
+    """Compute the largest deviation of an approximation, %."""
     return 100.0 * float(np.nanmax(np.abs(np.divide(columns[approximate], columns[exact]) - 1.0)))
 
 
@@ -112,12 +112,12 @@ def _worst_percent(columns: Mapping[str, Sequence[float]], approximate: str, exa
 
 
 def _simulate_over_isw(chain: ChainParameters) -> item.Job:
-    """Return the simulation of a chain over the height of the incident wave."""
+    """Define the job that simulates a chain over the amplitude of the incident wave."""
     return item.Job(function=models.compute_pulses_over_isw, arguments=(chain, _PLATE, models.ISW_STEPS))
 
 
 def _compute_zener_over_isw(*, closed_form: bool) -> item.Job:
-    """Return Zener's model over the height of the incident wave."""
+    """Define the job that computes Zener's model over the amplitude of the incident wave."""
     return item.Job(function=models.compute_zener_over_isw, arguments=(models.ISW_STEPS, closed_form))
 
 
@@ -165,7 +165,7 @@ def draw_fig12(material: item.Material) -> item.Product:
 
 
 def _fig12_values(curves: _Curves) -> dict[str, item.Found]:
-    """Return our values of figure 12."""
+    """Return the computed values of figure 12."""
     at = {name: {round(point[0], 6): point[1:] for point in points} for name, points in curves.items()}
     nominal, strong, zener = (at[name][1.0] for name in ("disk", "disk_gamma", "zener_eq8"))
     found = {}
@@ -187,7 +187,7 @@ def _fig12_values(curves: _Curves) -> dict[str, item.Found]:
 def _simulate_over_depth(
     chain: ChainParameters, plate: PlateParameters, patch: CorrosionParameters, depths: tuple[float, ...]
 ) -> item.Job:
-    """Return the simulation of a chain over the depth of a patch."""
+    """Define the job that simulates a chain over the depth of a patch."""
     return item.Job(function=models.compute_pulses_over_depth, arguments=(chain, plate, patch, depths))
 
 
@@ -252,7 +252,7 @@ def draw_fig13(material: item.Material) -> item.Product:
 
 
 def _fig13_values(curves: _Curves, absent: Mapping[str, str]) -> dict[str, item.Found]:
-    """Return our values of figure 13."""
+    """Return the computed values of figure 13."""
     ends = [
         (f"{kind}_{ending}", k, depth)
         for k, kind in ((1, "tof"), (2, "ar"))
@@ -266,7 +266,7 @@ def _fig13_values(curves: _Curves, absent: Mapping[str, str]) -> dict[str, item.
 
 
 def _describe_minimum(name: str, points: Sequence[models.Point]) -> str:
-    """Describe where the amplitude ratio is minimal, among the computed depths."""
+    """Describe the depth, among the computed ones, at which the amplitude ratio is minimal."""
     depth, _, lowest = min(points, key=lambda point: point[2] if math.isfinite(point[2]) else math.inf)
     return (
         f"{_DEPTH_CURVES[name].label.capitalize()}: AR is least, {lowest:.3f}, at a depth of "

@@ -61,7 +61,7 @@ class ForceTrace:
 def compute_pulses_over_depth(
     chain: ChainParameters, plate: PlateParameters, patch: CorrosionParameters, depths: tuple[float, ...]
 ) -> list[Pulse]:
-    """Compute a shot for each depth."""
+    """Compute one shot for each depth of the patch."""
     model = ShotModel(chain, plate, patch)
     return [_compute_pulse(model, depth, chain.drop_height_m) for depth in depths]
 
@@ -136,12 +136,12 @@ def compute_forces_along_chain(plate: PlateParameters) -> list[ForceTrace]:
 
 
 def compute_impact_speed(chain: ChainParameters, plate: PlateParameters) -> float:
-    """Return the striker's speed in m/s."""
+    """Compute the speed of the striker at impact, m/s."""
     return build_chain(chain, plate).impact_speed_m_per_s
 
 
 def _compute_pulse(model: ShotModel, depth: float, drop_height_m: float) -> Pulse:
-    """Compute a shot and its peaks."""
+    """Simulate a shot and measure its peaks."""
     summary = summarise_pulses(model.shot(depth_fraction=depth, drop_height_m=drop_height_m))
     return Pulse(
         depth_fraction=depth,
@@ -174,7 +174,7 @@ class MeshLines:
 
 
 def build_mindlin_mesh(plate: PlateParameters) -> MeshLines:
-    """Return the mesh of the plate theory."""
+    """Create the mesh of the Mindlin plate theory."""
     patch = CorrosionParameters()
     built = build_plate(plate, patch)
     return MeshLines(
@@ -190,7 +190,7 @@ def build_mindlin_mesh(plate: PlateParameters) -> MeshLines:
 
 
 def build_solid_mesh(plate: PlateParameters, depth_fraction: float) -> MeshLines:
-    """Return the mesh of the solid plate with the default patch of a depth."""
+    """Create the mesh of the solid plate with the default patch at a depth."""
     patch = CorrosionParameters(depth_fraction=depth_fraction)
     built = build_solid_plate(plate, patch)
     x_m, y_m = built.x.breaks_m, built.y.breaks_m
@@ -207,5 +207,5 @@ def build_solid_mesh(plate: PlateParameters, depth_fraction: float) -> MeshLines
 
 
 def compute_zener_on_thickness(thickness_m: float) -> ZenerReflection:
-    """Compute Zener's model on a plate of another thickness; a very thick one is a rigid wall."""
+    """Compute Zener's model on a plate of another thickness; a very thick one acts as a rigid wall."""
     return compute_reflection(ChainParameters(), replace(PlateParameters(), thickness_m=thickness_m))

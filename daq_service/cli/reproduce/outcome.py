@@ -79,7 +79,7 @@ class Outcome:
 
 
 def describe_run() -> Facts:
-    """Return the facts of a run before it has a test."""
+    """Collect the facts of a reproduction before it has a test, such as versions."""
     return {
         "seed": None,
         "configuration_hash": None,
@@ -94,7 +94,7 @@ def describe_run() -> Facts:
 
 
 def add_test_facts(facts: Facts, test: Evidence) -> None:
-    """Add the facts of a test."""
+    """Add the facts of the test."""
     facts |= {
         "seed": test.seed,
         "configuration_hash": test.configuration_hash,
@@ -106,7 +106,7 @@ def add_test_facts(facts: Facts, test: Evidence) -> None:
 
 
 def write_outcome(run: Outcome, names: Sequence[str], *, interrupted: bool) -> dict[str, object]:
-    """Write report and JSON file, and return the contents of the latter.
+    """Write the report and the JSON file, and return the contents of the latter.
 
     Parameters
     ----------
@@ -168,7 +168,7 @@ def write_outcome(run: Outcome, names: Sequence[str], *, interrupted: bool) -> d
 
 
 def _describe_counts(counts: Mapping[str, int]) -> str:
-    """Return the counts of the comparison in words."""
+    """Describe the counts of the comparison in words."""
     return (
         f"{counts['values']}: {counts['agree']} agree to rounding, {counts['deviate']} deviate, "
         f"{counts['words']} are words in the paper, {counts['not_available']} are not available here"
@@ -176,7 +176,7 @@ def _describe_counts(counts: Mapping[str, int]) -> str:
 
 
 def print_result(result: Mapping[str, Any]) -> None:
-    """Print the result of `finish`."""
+    """Print the result of `finish` for a person."""
     rows = result["comparison"]
     if rows:
         click.echo(f"{'':<8}{'quantity':<66}{'paper':>26}{'ours':>15}  {'unit':<5}{'deviation':>15}  cause")

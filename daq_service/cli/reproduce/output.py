@@ -42,7 +42,7 @@ def prepare_output(folder: Path) -> None:
 
 
 def format_csv(table: Table) -> bytes:
-    """Return comma-separated values: a header, then a line per row; missing values are empty cells.
+    """Encode columns as CSV: a header, then one line per row; missing values are empty cells.
 
     Floats are written with all their digits, so that they read back as the same numbers.
     """
@@ -55,7 +55,7 @@ def format_csv(table: Table) -> bytes:
 
 
 def _format_cell(value: object) -> str:
-    """Return a value as a cell of a CSV file."""
+    """Format a value as a cell of a CSV file."""
     if value is None:
         return ""
     if isinstance(value, float):  # numpy's float64 too

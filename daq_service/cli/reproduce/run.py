@@ -59,7 +59,7 @@ class _StoppedError(Exception):
 def reproduce(
     *, out: Path | None, data_dir: Path | None, only: str | None, seed: int | None, as_json: bool
 ) -> int:
-    """Run the command and return its exit code."""
+    """Run `solimon reproduce` and return its exit code."""
     if seed is not None and data_dir is not None:
         raise UsageError(
             "--seed is for a new test on the twin; the test of --from has been run: leave one out"
@@ -153,6 +153,7 @@ def _run_and_read(settings: Settings, folder: Path, stop: threading.Event, repor
     last_tenth = -1
 
     def progress(done: int, planned: int, due_h: float) -> None:
+        """Report the progress of the test at each tenth."""
         nonlocal last_tenth
         tenth = 10 * done // max(planned, 1)
         if tenth > last_tenth:
@@ -183,7 +184,7 @@ def _make_item(
     stop: threading.Event,
     report: Report,
 ) -> None:
-    """Wait for the inputs of an item, compute it, write its files."""
+    """Wait for the inputs of an item, compute it, and write its files."""
     results: dict[str, object] = {}
     for name, job in item.jobs.items():
         try:
@@ -215,7 +216,7 @@ def _make_item(
 def _write_item(
     run: Outcome, item: Item, product: Product, pictures: Mapping[str, bytes], *, origin: str
 ) -> Section:
-    """Write the files of an item and return its section."""
+    """Write the files of an item and return its section of the report."""
     stem = f"fig{int(item.name[3:]):02d}" if item.name.startswith("fig") else item.name
     contents = {f"{stem}.{ending}": content for ending, content in pictures.items()}
     for ending, table in product.tables.items():
@@ -233,7 +234,7 @@ def _write_item(
 
 
 def _describe_origin(test: Evidence | None) -> str:
-    """Return whose measurements these are, for their causes."""
+    """Return the origin of the measurements: a specimen, a twin, or the shipped configuration."""
     if test is not None and not test.from_twin:
         return "specimen"
     if test is None:

@@ -27,7 +27,7 @@ _PLATE = PlateParameters()
 
 
 def _mirror_grid_lines(lines_m: FloatArray) -> FloatArray:
-    """Return grid lines on both sides of the centre, in mm."""
+    """Mirror grid lines to both sides of the center, in mm."""
     return 1e3 * np.concatenate((-lines_m[:0:-1], lines_m))
 
 
@@ -52,7 +52,7 @@ def _draw_grid(
 
 
 def _draw_patch(axis: Axes, from_mm: float, size_mm: float) -> None:
-    """Draw the outline of the patch."""
+    """Draw the outline of the corroded patch."""
     corner = (from_mm, from_mm)
     axis.add_patch(Rectangle(corner, size_mm, size_mm, fill=False, ec=VERMILLION, lw=1.4, zorder=3))
 

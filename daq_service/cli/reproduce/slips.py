@@ -31,17 +31,17 @@ _Numbers = Mapping[str, object]
 
 
 def _undamped_chain(chain: ChainParameters) -> ChainParameters:
-    """Return the chain without dashpots."""
+    """Return the parameters of the chain without dashpots."""
     return replace(chain, damping_n_s_per_m=0.0, contact_damping_n_s_per_m=0.0)
 
 
 def _pristine_shot(chain: ChainParameters, plate: PlateParameters = _PLATE) -> Job:
-    """Return the simulation of one shot on the pristine plate."""
+    """Define the job that simulates one shot on the pristine plate."""
     return Job(function=models.compute_pulses_over_depth, arguments=(chain, plate, _PATCH, (0.0,)))
 
 
 def _shot_on_element(size_m: float) -> Job:
-    """Return the simulation of one shot with the contact on an element of this size."""
+    """Define the job that simulates one shot with the contact on a mesh element of this size."""
     return _pristine_shot(_DISK, replace(_PLATE, contact_element_m=size_m))
 
 
@@ -84,20 +84,23 @@ class _Values(dict[str, object]):
         self._material = material
 
     def __missing__(self, name: str) -> models.Pulse:
+        """Return the only shot of the simulation with this name."""
         return _only_shot(self._material, name)
 
 
 def _only_shot(material: Material, name: str) -> models.Pulse:
-    """Return the only shot of a simulation."""
+    """Return the only shot of a simulation by name."""
     shot: models.Pulse = material.result(name)[0]
     return shot
 
 
 def _format_percent(new: float, old: float) -> float:
+    """Compute the relative change from an old to a new value, %."""
     return 100.0 * (new / old - 1.0)
 
 
 def _check_dashpot(material: Material) -> _Numbers:
+    """Compute the overlap of two spheres at the peak of the incident wave, m and um."""
     overlap_m = indentation_m(
         _only_shot(material, "sphere").isw_peak_n,
         sphere_on_sphere_stiffness(_SPHERE.radius_m, _SPHERE.youngs_modulus_pa, _SPHERE.poisson_ratio),
@@ -106,23 +109,25 @@ def _check_dashpot(material: Material) -> _Numbers:
 
 
 def _check_bracket(_: Material) -> _Numbers:
+    """Compute the contact stiffness as printed and with the correct bracket."""
     E, nu, radius = _PLATE.youngs_modulus_pa, _PLATE.poisson_ratio, _SPHERE.radius_m
     as_printed = 4.0 * math.sqrt(radius) / 3.0 * 2.0 / plane_modulus_pa(E, nu)
     return {"as_printed": as_printed, "right": sphere_on_flat_stiffness(radius, E, nu, E, nu)}
 
 
 def _check_shear_modulus(_: Material) -> _Numbers:
-    """Return the finding on the printed shear modulus."""
+    """Compute the finding on the printed shear modulus."""
     E, nu = _PLATE.youngs_modulus_pa, _PLATE.poisson_ratio
     return {"printed_gpa": E / (1.0 + nu) / 1e9, "right_gpa": shear_modulus_pa(E, nu) / 1e9}
 
 
 def _check_locking(material: Material) -> _Numbers:
-    """Look whether any setting or limit gives the paper's time of flight and amplitude ratio together."""
+    """Check whether any setting or limit gives the paper's time of flight and amplitude ratio together."""
     tof_us, ar = printed_number("fig12", "tof"), printed_number("fig12", "ar")
     candidates = {label: _only_shot(material, name) for name, (label, _) in _CANDIDATES.items()}
 
     def distance_to_paper(shot: models.Pulse) -> float:
+        """Compute the relative distance of a shot from the paper's ToF and AR."""
         return math.hypot(shot.tof_us / tof_us - 1.0, shot.amplitude_ratio / ar - 1.0)
 
     label, nearest = min(candidates.items(), key=lambda item: distance_to_paper(item[1]))
@@ -130,6 +135,7 @@ def _check_locking(material: Material) -> _Numbers:
 
 
 def _check_monotonicity(material: Material) -> _Numbers:
+    """Find the depth with the minimal amplitude ratio, and check that the ToF rises with depth."""
     shots: list[models.Pulse] = material.result("disk_depths")
     minimum = min(shots, key=lambda shot: shot.amplitude_ratio)
     rises = all(after.tof_us > before.tof_us for before, after in pairwise(shots))
@@ -144,6 +150,7 @@ def _check_monotonicity(material: Material) -> _Numbers:
 
 
 def _check_equation_13(material: Material) -> _Numbers:
+    """Compare the time of flight of eq. 13 with that of the simulated wall."""
     equation_us = 1e6 * material.result("zener_wall").tof_s
     return {
         "equation_us": equation_us,
@@ -152,7 +159,7 @@ def _check_equation_13(material: Material) -> _Numbers:
 
 
 def _check_thresholds(material: Material) -> _Numbers:
-    """Compute how many false alarms mean + 3 SD gives with each baseline."""
+    """Compute how many false alarms the limit mean + 3 SD gives with each baseline."""
     sentences = []
     for name, pulses in material.test.pulses.items():
         baseline = pulses.baseline
@@ -174,6 +181,7 @@ def _check_thresholds(material: Material) -> _Numbers:
 
 
 def _check_row_5(_: Material) -> _Numbers:
+    """Compute the amplitude ratio of row 5 of table 2 from the rounded and the printed values."""
     rounded_e, inelasticity = (
         printed_number("table2", "restitution_5"),
         printed_number("table2", "inelasticity_5"),
@@ -187,6 +195,7 @@ def _check_row_5(_: Material) -> _Numbers:
 
 
 def _check_thinner_plate(_: Material) -> _Numbers:
+    """Compare the wall loss of the ultrasonic reading with that of the core."""
     initial, read, core = (printed_number("fig15", name) for name in ("initial", "thickness_300", "core"))
     end_h = printed_number("table1", "end")
     return {
@@ -200,12 +209,13 @@ def _check_thinner_plate(_: Material) -> _Numbers:
 
 
 def _check_energy(_: Material) -> _Numbers:
-    """Return the finding on the energy of the measured amplitude ratio."""
+    """Compute the finding on the energy of the measured amplitude ratio."""
     ar = printed_number("fig12", "ar_measured")
     return {"ar": ar, "energy": ar ** (5.0 / 3.0)}
 
 
 def _check_gamma(material: Material) -> _Numbers:
+    """Compute the shift of the time of flight that a strong dashpot causes, us and %."""
     weak_us, strong_us = _only_shot(material, "disk").tof_us, _only_shot(material, "disk_gamma").tof_us
     gamma = STRONG_GAMMA_N_S_PER_M
     return {"gamma": gamma, "shift_us": strong_us - weak_us, "shift": _format_percent(strong_us, weak_us)}
@@ -245,7 +255,7 @@ SLIPS = TEXTS.slips
 
 
 def make_slips(material: Material) -> Product:
-    """List every slip with our finding, or why there is none in this run."""
+    """List each slip of the paper with our finding, or the reason why there is none here."""
     columns = {
         "where": [slip.where for slip in SLIPS],
         "printed": [slip.prints for slip in SLIPS],
@@ -256,7 +266,7 @@ def make_slips(material: Material) -> Product:
 
 
 def _finding_of(slip: Slip, material: Material) -> str:
-    """Return the finding of a slip, or why there is none."""
+    """Compose the finding of a slip, or the reason why there is none."""
     try:
         numbers = _FINDINGS[slip.finding](material) if slip.finding else {}
         return slip.sentence.format_map(_Values(material, numbers))

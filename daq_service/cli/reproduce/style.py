@@ -48,7 +48,7 @@ def create_sheet(
 
 
 def choose_colour(position: str, positions: Sequence[str]) -> str:
-    """Return the colour of a position; the paper's letters have fixed ones."""
+    """Return the color of a position; the paper's letters have fixed ones."""
     if position in OF_POSITION:
         return OF_POSITION[position]
     return COLOURS[list(positions).index(position) % len(COLOURS)]
@@ -86,7 +86,7 @@ METADATA: Any = {"png": {"Software": None}, "svg": {"Date": None, "Creator": "so
 
 
 def render_figure(figure: Figure, endings: Sequence[str] = tuple(METADATA)) -> dict[str, bytes]:
-    """Return PNG and SVG of a figure by file ending; call it with `RULES`."""
+    """Render a figure as PNG and SVG, by file ending; call this within `RULES`."""
     pictures = {}
     for ending in endings:
         buffer = io.BytesIO()

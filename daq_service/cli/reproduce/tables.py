@@ -19,7 +19,7 @@ from simulator.zener.table_2 import Table2Row, table_2
 
 
 def make_table1(material: Material) -> Product:
-    """Return the positions of the test: method, size of the corroded square, sets."""
+    """Build table 1: measuring method, size of the corroded square and sets of each position."""
     test = material.test
     places = dict(sorted({**test.pulses, **test.echoes}.items()))
     table = Table(
@@ -41,7 +41,7 @@ def make_table1(material: Material) -> Product:
 
 
 def _compute_loss_at_d(material: Material) -> Found:
-    """Return the wall loss at D in percent, from the truth of the twin."""
+    """Return the wall loss at D from the truth of the twin, %."""
     known = [trace for trace in material.test.traces.get("D", ()) if "depth_fraction" in trace.truth]
     if not known:
         return missing_value("nobody measured the wall at D")
@@ -49,7 +49,7 @@ def _compute_loss_at_d(material: Material) -> Found:
 
 
 def make_table2(material: Material) -> Product:
-    """Return Zener's model over the drop height, rounded as in the paper."""
+    """Build table 2: Zener's model over the drop height, rounded as in the paper."""
     rows: tuple[Table2Row, ...] = material.result("rows")
     columns = {field.name: [float(getattr(row, field.name)) for row in rows] for field in fields(Table2Row)}
     values = {

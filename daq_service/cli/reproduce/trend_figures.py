@@ -55,6 +55,7 @@ def draw_feature(material: item.Material, feature: Trended) -> item.Product:
     add_legend_below(figure, ncols=3)
 
     def columns(pulses: Series) -> dict[str, FloatArray]:
+        """Build the columns of a transducer: the feature and its fit."""
         fit, hours = fits[pulses.position], pulses.hour_h
         fitted = fit.trend.at(hours) / feature.scale if isinstance(fit, _Fit) else np.full(hours.size, np.nan)
         return {feature.column: pulses.values[feature.column], f"fit_of_{feature.column}": fitted}
@@ -72,7 +73,7 @@ def draw_feature(material: item.Material, feature: Trended) -> item.Product:
 
 
 def _fit_position(pulses: Series, feature: Trended) -> _Fit | str:
-    """Fit the sets of a position, or return why there is no fit."""
+    """Fit the sets of a position, or return the reason why there is no fit."""
     values = feature.scale * pulses.values[feature.column]
     try:
         trend = fit_trend(pulses.hour_h, values)
@@ -82,7 +83,7 @@ def _fit_position(pulses: Series, feature: Trended) -> _Fit | str:
 
 
 def _draw_feature_panel(axis: Axes, pulses: Series, feature: Trended, fit: _Fit | str, colour: str) -> None:
-    """Draw a feature of one transducer."""
+    """Draw a feature of one transducer in its panel."""
     values, label = feature.scale * pulses.values[feature.column], "sets, mean of the valid strikes"
     axis.plot(pulses.hour_h, values, ".", color=colour, alpha=0.45, ms=2.5, label=label)
     last_h = float(pulses.hour_h[-1])
@@ -101,7 +102,7 @@ def _draw_feature_panel(axis: Axes, pulses: Series, feature: Trended, fit: _Fit 
 
 
 def _make_fit_table(fits: _Fits) -> item.Table:
-    """Return the coefficients in the axis's unit: constant + linear t + quadratic t^2, t in h."""
+    """Build a table of coefficients in the axis's unit: constant + linear t + quadratic t^2, t in h."""
     rows = {name: fit for name, fit in fits.items() if isinstance(fit, _Fit)}
     trends = [fit.trend for fit in rows.values()]
     return item.Table(
@@ -119,7 +120,7 @@ def _make_fit_table(fits: _Fits) -> item.Table:
 
 
 def _value_of_fit(fits: _Fits, position: str, what: str) -> item.Found:
-    """Return a value of a position's fit, or why it is missing."""
+    """Return a value of a position's fit, or the reason why it is missing."""
     fit = fits.get(position)
     if fit is None:
         return item.missing_value(f"the test has no solitary-wave position {position}")

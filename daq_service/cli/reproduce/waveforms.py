@@ -88,12 +88,12 @@ def _draw_waterfall(axis: Axes, traces: Sequence[Trace], pulses: Series, last_h:
 
 
 def _sample_step(trace: Trace) -> int:
-    """Return the step between drawn samples."""
+    """Compute the step between drawn samples."""
     return max(1, round(STEP_S / float(trace.time_s[1] - trace.time_s[0])))
 
 
 def _make_trace_table(traces: Sequence[Trace]) -> item.Table:
-    """Return all traces of a position at the times of the first one; shorter ones are padded."""
+    """Build a table of all traces of a position at the times of the first one; pad shorter ones."""
     first = traces[0].time_s
     every = _sample_step(traces[0])
     times_s = [round(float(t), 9) for t in first[::every]]
@@ -106,7 +106,7 @@ def _make_trace_table(traces: Sequence[Trace]) -> item.Table:
 
 
 def _time_from_contact(test: Evidence, names: Sequence[str]) -> dict[str, item.Found]:
-    """Return the time from the striker's contact; a record's zero is the trigger instead."""
+    """Compute the time from the striker's contact; a record's zero is the trigger instead."""
     times = [
         trace.truth["isw_time_s"]
         for name in names

@@ -97,12 +97,12 @@ class Bench:
         return record
 
     def look(self, position: str) -> Waveform:
-        """Record an input at rest."""
+        """Record the input of a transducer at rest and store the record."""
         self.quiet[position] = record = self._on_boards(position, lambda free: free.quiet())
         return record
 
     def watch(self) -> tuple[str | None, Waveform | None]:
-        """Record at rest for the page; the stored records do not change.
+        """Record an input at rest for the page; the stored records do not change.
 
         Raises
         ------
@@ -135,12 +135,12 @@ class Bench:
             self.strikes += 1
 
     def take_range(self, position: str, range_v: float) -> None:
-        """Use another range for a transducer and record its input."""
+        """Set another input range for a transducer and record its input."""
         self.transducers[position] = replace(self.transducers[position], range_v=range_v)
         self.look(position)
 
     def proposal(self) -> Proposal | None:
-        """Assess all strikes so far; None before the first.
+        """Assess all strikes so far and return the proposed values; None before the first strike.
 
         Raises
         ------
@@ -158,7 +158,7 @@ class Bench:
         return propose_settings(known, pulse_s=self.pulse_s, fall_s=fall_s(self.drop_height_m))
 
     def newest(self) -> dict[str, object]:
-        """Return the newest strike, and the shot in it that the proposal would record."""
+        """Return the newest strike, and the shot in it that the proposed values would record."""
         position, strike = self.position, self.struck.get(self.position or "")
         if position is None or strike is None:
             return {"strike": None, "shot": None}
@@ -185,12 +185,12 @@ class Bench:
         return answer | prepare_shot_for_page(shot, extract_features(shot), rising=proposal.rising)
 
     def ranges_v(self, wiring: TransducerWiring) -> list[float]:
-        """Return the ranges -r .. +r of the transducer's board in V, rising."""
+        """List the ranges -r .. +r of the transducer's board in V, rising."""
         board = self.boards[wiring.board_serial]
         return sorted(high for low, high in board.ranges_v if math.isclose(-low, high))
 
     def parameters(self, position: str | None = None) -> DaqmxParameters:
-        """Return the driver's parameters with the chosen values, of all transducers or of one."""
+        """Build the driver's parameters with the chosen values, of all transducers or of one."""
         wirings = self.transducers if position is None else {position: self.transducers[position]}
         rate_hz = min(
             PAPER_RATE_HZ, *(self.boards[wiring.board_serial].max_rate_hz for wiring in wirings.values())
@@ -226,7 +226,7 @@ class Bench:
         )
 
     def choose(self, proposal: Proposal) -> None:
-        """Accept a proposal, as it is or as a person changed it.
+        """Accept a proposal, with or without a person's changes.
 
         Raises
         ------
@@ -244,22 +244,22 @@ class Bench:
             raise
 
     def table(self) -> dict[str, object]:
-        """Return [rig.daqmx] as a file has it."""
+        """Build the table [rig.daqmx] of the configuration file."""
         return {name: value for name, value in asdict(self.parameters()).items() if value is not None}
 
     def close(self) -> None:
-        """Release the boards."""
+        """Close the open input and release the boards."""
         self._thread.submit(self._close_input).result()
         self._thread.shutdown()
 
     def _on_boards(self, position: str, work: Callable[[FreeInput], T]) -> T:
-        """Run work in the thread of the boards."""
+        """Run work in the thread of the boards and return its result."""
         return self._thread.submit(self._work_with_input, position, self.parameters(position), work).result()
 
     def _work_with_input(
         self, position: str, parameters: DaqmxParameters, work: Callable[[FreeInput], T]
     ) -> T:
-        """Open the input of a position if necessary, and work with it."""
+        """Open the input of a position if necessary, and run work with it."""
         from hardware_drivers.daqmx.pulse_record import FreeInput
 
         if self._free is None or (self._free.position, self._free.parameters) != (position, parameters):
@@ -279,5 +279,5 @@ class Bench:
 
 
 def compute_noise_rms_v(record: Waveform) -> float:
-    """Return the noise of a record in V rms, hum included."""
+    """Compute the noise of a record in V rms, hum included."""
     return float(np.std(record.volts()))

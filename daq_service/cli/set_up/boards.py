@@ -37,7 +37,7 @@ class Boards:
         return self.bench.transducers
 
     def introduce(self, flags: Flags, *, asks: bool) -> None:
-        """Return drop height and pulse from the options, or ask for them."""
+        """Read drop height and pulse from the options, or ask for them."""
         for name, text, bounds in (
             ("drop_height_m", "Height from which the strikers fall, m", (0.0, 1.0)),
             ("pulse_s", "Time a coil is on, s (it lifts the striker)", (1e-3, 0.5)),
@@ -50,7 +50,7 @@ class Boards:
                 setattr(self.bench, name, value)
 
     def wire(self, position: str, text: str) -> None:
-        """Wire a transducer as ``BOARD/INPUT/COUNTER`` and print its input at rest."""
+        """Wire a transducer given as ``BOARD/INPUT/COUNTER`` and print its input at rest."""
         wiring = parse_wiring(self.bench.boards, text)
         record = self.bench.wire(position, wiring)
         self.dialogue.report(
@@ -89,7 +89,7 @@ class Boards:
                 return
 
     def check(self) -> None:
-        """Do nothing: each input was read when it was wired."""
+        """Do nothing, since each input is read when it is wired."""
 
     def strike(self, position: str) -> None:
         """Strike once; print the survey and its remedies."""
@@ -120,11 +120,11 @@ class Boards:
                 self.bench.strike(position)
 
     def conclude(self, *, asks: bool) -> None:
-        """Propose values from the strikes."""
+        """Propose values of the configuration from the strikes."""
         assess_strikes(self.dialogue, self.bench, asks=asks)
 
     def contents(self, others: Tables, off: set[KeyPath]) -> Contents:
-        """Return values, switched-off tables and head of the file."""
+        """Return the values, the switched-off tables and the head of the configuration file."""
         values, _ = read_laboratory()
         methods = dict.fromkeys(others.get("niscope", {}).get("probes", {}), PULSE_ECHO)
         if clash := set(methods) & set(self.wired):
@@ -137,7 +137,7 @@ class Boards:
         return values, {*off, ("rig", "daqmx", "watchdog")}, head
 
     def result(self) -> Mapping[str, object]:
-        """Return the boards, their wiring and the proposal for ``--json``."""
+        """Return the boards, their wiring and the proposal as an object for ``--json``."""
         proposal = self.bench.proposal()
         return {
             "boards": {serial: board.product for serial, board in self.bench.boards.items()},
@@ -149,16 +149,17 @@ class Boards:
         }
 
     def _ask_choice(self, name: str, text: str, choices: Sequence[str]) -> str:
-        """Ask for one of the choices."""
+        """Ask for one of several choices."""
         if not choices:
             raise UsageError(f"{text}: nothing is left to choose; add a board, or end with fewer positions")
         return self.dialogue.ask(name, text, str, default=choices[0], choices=choices)
 
 
 def _make_number_parser(low: float, high: float) -> Callable[[str], float]:
-    """Return a parser of numbers within bounds."""
+    """Create a parser of numbers within bounds."""
 
     def parse_number(text: str) -> float:
+        """Parse a number; raise ValueError outside the bounds."""
         value = float(text)
         if not low < value <= high:
             raise ValueError(f"{value:g} is not within {low:g} .. {high:g}")

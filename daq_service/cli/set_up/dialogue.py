@@ -69,7 +69,7 @@ class Dialogue:
     _reads: bool = False
 
     def report(self, text: str = "") -> None:
-        """Print a line on standard error, since standard output may belong to a program."""
+        """Print a line on standard error, since standard output may be read by a program."""
         click.echo(text, err=True)
         self.lines = [*self.lines, text][-KEPT_LINES:]
 
@@ -82,7 +82,7 @@ class Dialogue:
         default: str = "",
         choices: Sequence[str] = (),
     ) -> T:
-        """Ask until an answer is valid.
+        """Ask a question until an answer is valid, and return the parsed answer.
 
         Parameters
         ----------
@@ -118,11 +118,11 @@ class Dialogue:
                 self._waiting = None
 
     def ask_yes_or_no(self, name: str, text: str, *, default: str) -> bool:
-        """Ask for yes or no."""
+        """Ask a question that is answered by yes or no."""
         return self.ask(name, text, lambda answer: answer == "yes", default=default, choices=("yes", "no"))
 
     def answer(self, number: int, text: str) -> bool:
-        """Accept the page's answer; False if another question is waiting."""
+        """Accept an answer of the page; return False if another question is waiting."""
         with self._lock:
             if self._waiting is None or number != self.number:
                 return False
@@ -130,14 +130,14 @@ class Dialogue:
         return True
 
     def as_row(self) -> Mapping[str, object]:
-        """Return the state for the page."""
+        """Convert the state of the dialogue to a JSON object for the page."""
         with self._lock:
             waiting, number = self._waiting, self.number
         question = None if waiting is None else {"number": number, **asdict(waiting)}
         return {"question": question, "lines": self.lines}
 
     def _next_answer(self, question: Question) -> str:
-        """Wait for the next valid answer."""
+        """Wait for the next valid answer and return it."""
         while True:
             try:
                 answer = self._answers.get(timeout=LOOK_S)

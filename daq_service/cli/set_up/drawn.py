@@ -12,7 +12,7 @@ COLUMNS = 1000
 
 
 def compute_envelope(record: Waveform, first_s: float = 0.0) -> dict[str, object]:
-    """Return the lowest and highest voltage of each of `COLUMNS` sections of a record.
+    """Compute the lowest and highest voltage in each of `COLUMNS` sections of a record.
 
     Parameters
     ----------
@@ -34,7 +34,7 @@ def compute_envelope(record: Waveform, first_s: float = 0.0) -> dict[str, object
 def prepare_shot_for_page(
     shot: Waveform, features: ShotFeatures, *, rising: bool = True
 ) -> dict[str, object]:
-    """Return a shot with marks of its waves and its flags."""
+    """Convert a shot to a JSON object for drawing, with marks of its waves and its flags."""
     sign = 1.0 if rising else -1.0
     marks = {
         "ISW": (features.isw_time_s, sign * features.isw_amplitude_v),

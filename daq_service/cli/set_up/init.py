@@ -40,7 +40,7 @@ def write_configuration(
     switch_off: Sequence[str],
     as_json: bool,
 ) -> None:
-    """Run ``init``."""
+    """Run `solimon init`: write a configuration file and its schema."""
     if (source is not None) != (kind == "playback"):
         raise UsageError("--source names the recording of `init playback`, and belongs to it alone")
     values, off = (
@@ -65,7 +65,7 @@ def write_configuration(
 
 
 def format_schema() -> str:
-    """Return the contents of ``config/settings.schema.json``."""
+    """Return the contents of ``config/settings.schema.json`` as text."""
     return json.dumps(build_settings_schema(), indent=1) + "\n"
 
 
@@ -86,7 +86,7 @@ def _read_twin_values() -> Tables:
 
 
 def _make_playback_values(source: Path) -> Tables:
-    """Return the configuration of a recorded test, or that of the paper for other files."""
+    """Build the configuration of a recorded test, or that of the paper for other files."""
     if not source.exists():
         raise UsageError(f"{source} is not there; give the folder or file of the recording")
     playback: Tables = {"source": str(source.absolute()), "format": "archive"}
@@ -127,7 +127,7 @@ def _assign_values(values: Tables, assignments: Sequence[str]) -> Tables:
 
 
 def _parse_value_like(text: str, *, like: object) -> object:
-    """Parse a value of the type of another one."""
+    """Parse a text to a value of the type of another one."""
     if isinstance(like, str):
         return text
     try:
@@ -137,7 +137,7 @@ def _parse_value_like(text: str, *, like: object) -> object:
 
 
 def _find_table(values: Tables, name: str) -> KeyPath:
-    """Return the path of a named table."""
+    """Return the path of a table from its name."""
     tables = {".".join(key[:depth]): key[:depth] for key in flatten(values) for depth in range(1, len(key))}
     if name not in tables:
         raise _unknown_name_error(name, tables, "--with or --without TABLE")
@@ -145,13 +145,13 @@ def _find_table(values: Tables, name: str) -> KeyPath:
 
 
 def _unknown_name_error(name: str, known: Collection[str], option: str) -> UsageError:
-    """Return the error for an unknown name."""
+    """Create the error for an unknown name."""
     near = difflib.get_close_matches(name, known, n=1, cutoff=0.6)
     return UsageError(f"{option}: there is no {name!r} here" + (f"; did you mean {near[0]}?" if near else ""))
 
 
 def _remove_tables(values: Tables, off: Collection[KeyPath]) -> Tables:
-    """Return the values without switched-off tables."""
+    """Remove the switched-off tables from the values."""
     return nest_tables({key: value for key, value in flatten(values).items() if not _is_in_tables(key, off)})
 
 
@@ -164,12 +164,12 @@ def _is_in_tables(key: KeyPath, tables: Collection[KeyPath]) -> bool:
 
 
 def _read_head(name: str) -> str:
-    """Return what a person reads first in a kind of file."""
+    """Return the comment at the top of a kind of file, which a person reads first."""
     return (Path(__file__).parent / "heads" / f"{name}.txt").read_text(encoding="utf-8").rstrip()
 
 
 def format_head(instruments: Collection[str], struck: Collection[str]) -> str:
-    """Return the head of a file of `solimon setup`: instruments and strikes."""
+    """Compose the comment at the top of a file of `solimon setup`: instruments and strikes."""
     sentence = (
         f"From strikes of {', '.join(struck)}."
         if struck
@@ -179,7 +179,7 @@ def format_head(instruments: Collection[str], struck: Collection[str]) -> str:
 
 
 def refuse_to_overwrite(file: Path) -> Path:
-    """Raise an error if a file would be overwritten; return the schema's path."""
+    """Raise an error if a file would be overwritten; return the path of the schema."""
     if file.suffix != ".toml":
         raise UsageError(f"{file} will hold TOML: let its name end in .toml")
     schema = file.absolute().parent / SCHEMA
@@ -194,7 +194,7 @@ def refuse_to_overwrite(file: Path) -> Path:
 
 
 def validate_new_file(values: Tables, off: Collection[KeyPath], file: Path) -> Settings:
-    """Return the settings of the new file; UsageError as for a file that is read."""
+    """Validate the values of a new file; raise UsageError as for a file that is read."""
     return validate_settings(_remove_tables(values, off), file.absolute())
 
 

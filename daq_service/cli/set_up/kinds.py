@@ -35,7 +35,7 @@ NOT_INSTRUMENTS = frozenset({"twin", "playback"})
 
 
 def list_other_kinds() -> dict[str, Offer]:
-    """Return the installed kinds other than NI boards that digitize or strike."""
+    """List the installed kinds, other than NI boards, that digitize or strike."""
     excluded = NOT_INSTRUMENTS | {"daqmx"}
     return {
         name: offer
@@ -71,7 +71,7 @@ class Kinds:
     # For the page ------------------------------------------------------------------------------------
 
     def watch(self) -> tuple[str | None, Waveform | None]:
-        """Return the position of the page; nothing is recorded between strikes."""
+        """Return the position of the page without a record: nothing is recorded between strikes."""
         return self.position, None
 
     def newest(self) -> dict[str, object]:
@@ -89,7 +89,7 @@ class Kinds:
     # For the dialogue --------------------------------------------------------------------------------
 
     def introduce(self, flags: Flags, *, asks: bool) -> None:
-        """Print roles and parameters of each instrument."""
+        """Print the roles and parameters of each instrument."""
         for name, offer in self.offers.items() if asks else ():
             texts = [
                 f"{key} = {schema['default']}" if "default" in schema else f"{key} (needed)"
@@ -100,7 +100,7 @@ class Kinds:
             )
 
     def wire(self, position: str, text: str) -> None:
-        """Wire a transducer as ``DIGITIZER/STRIKER``."""
+        """Wire a transducer given as ``DIGITIZER/STRIKER``."""
         digitizer, slash, striker = text.partition("/")
         self.wired[position] = {"digitizer": digitizer, "striker": striker if slash else digitizer}
 
@@ -123,22 +123,22 @@ class Kinds:
         self._print_checks(run_rig_checks(settings, list_instruments(settings), set(), lambda what: None))
 
     def strike(self, position: str) -> None:
-        """Strike once; print the checks and ask for changes."""
+        """Strike once, print the checks and ask for changes."""
         trial = self._strike_and_check(position)
         self._propose_level(position, trial)
         self._ask_parameters()
 
     def strike_each(self, positions: Collection[str]) -> None:
-        """Strike each transducer once; RigError if one gives no waveform."""
+        """Strike each transducer once; raise RigError if one gives no waveform."""
         for position in positions:
             if self._strike_and_check(position).record is None:
                 raise RigError(f"{position} gave no record; fix what is reported above, then run it again")
 
     def conclude(self, *, asks: bool) -> None:
-        """Do nothing: each strike was assessed by itself."""
+        """Do nothing, since each strike is assessed by itself."""
 
     def contents(self, others: Tables, off: set[KeyPath]) -> Contents:
-        """Return values with all defaults, switched-off tables and head of the file."""
+        """Return the values with all defaults, the switched-off tables and the head of the file."""
         values = self._values_of_file(others)
         for item in list_instruments(validate_new_file(values, off, self.file)):
             if item.name in self.offers:
@@ -148,7 +148,7 @@ class Kinds:
         return values, off, format_head(self.offers, struck)
 
     def result(self) -> Mapping[str, object]:
-        """Return the instruments, their roles and the strikes for ``--json``."""
+        """Return the instruments, their roles and the strikes as an object for ``--json``."""
         return {
             "instruments": {name: list(offer.distributions) for name, offer in self.offers.items()},
             "transducers": self.wired,
@@ -156,7 +156,7 @@ class Kinds:
         }
 
     def give(self, text: str) -> None:
-        """Set a parameter ``INSTRUMENT.KEY=VALUE``; without VALUE it gets its default again.
+        """Set a parameter ``INSTRUMENT.KEY=VALUE``; without VALUE restore its default.
 
         Raises
         ------
@@ -182,11 +182,11 @@ class Kinds:
             table.pop(keys[-1], None)
 
     def settings(self) -> Settings:
-        """Return the settings so far; UsageError describes what is missing or wrong."""
+        """Build the settings so far; raise UsageError that describes a missing or wrong value."""
         return validate_new_file(self._values_of_file({}), set(), self.file)
 
     def _values_of_file(self, others: Tables) -> Tables:
-        """Return the values of the new file; `others` are further tables of [rig]."""
+        """Build the values of the new file; `others` are further tables of [rig]."""
         values, _ = read_laboratory()
         rig = {name: value for name, value in values["rig"].items() if not isinstance(value, Mapping)}
         used = {name for roles in self.wired.values() for name in roles.values()}
@@ -202,7 +202,7 @@ class Kinds:
         }
 
     def _strike_and_check(self, position: str) -> Trial:
-        """Strike once like a normal shot, keep the result and print its checks.
+        """Strike once like a normal shot, store the result and print its checks.
 
         Raises
         ------
@@ -230,6 +230,7 @@ class Kinds:
         """Ask for parameters until they are valid and no change is requested."""
 
         def parse(text: str) -> bool:
+            """Set a parameter from a text; return True for "-", which ends the questions."""
             if text != "-":
                 self.give(text)
             return text == "-"
@@ -267,7 +268,7 @@ class Kinds:
 def parse_named_kinds(
     dialogue: Dialogue, names: Sequence[str], assignments: Sequence[str], file: Path, folder: Path
 ) -> Kinds:
-    """Return the named kinds with given parameters.
+    """Build the named instruments with given parameters.
 
     Raises
     ------
@@ -309,14 +310,14 @@ def parse_named_kinds(
 
 
 def _known_parameters(instrument: str) -> Tables:
-    """Return the parameters of an instrument by name, as JSON Schema."""
+    """Return the parameters of an instrument as JSON Schema by name."""
     kind, _ = find_kind(instrument)
     properties: Tables = TypeAdapter[object](kind.parameters).json_schema().get("properties", {})
     return properties
 
 
 def _parse_toml_value(text: str) -> object:
-    """Read a number, a truth value, a list or a table as TOML; anything else is text."""
+    """Parse a number, a truth value, a list or a table as TOML; return other text unchanged."""
     try:
         return tomlkit.value(text).unwrap()
     except TOMLKitError:

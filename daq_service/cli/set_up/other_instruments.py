@@ -22,7 +22,7 @@ T = TypeVar("T")
 def ask_for_others(
     dialogue: Dialogue, probes: Mapping[str, str] | None, supply: str, climate: str, *, asks: bool
 ) -> tuple[Tables, set[KeyPath]]:
-    """Return tables of [rig] for existing instruments, and the tables to switch off.
+    """Ask for further instruments; return tables of [rig] and the tables to switch off.
 
     Parameters
     ----------
@@ -69,9 +69,10 @@ def ask_for_others(
 def _ask_for_address(
     dialogue: Dialogue, name: str, text: str, connect: Callable[[str], dict[str, T]]
 ) -> dict[str, T]:
-    """Ask for an address until it answers, or there is none."""
+    """Ask for an address until an instrument answers there, or there is none."""
 
     def parse(address: str) -> dict[str, T]:
+        """Connect to an address; raise ValueError with the instrument's error."""
         try:
             return {} if address == "-" else connect(address)
         except InstrumentError as error:
@@ -96,7 +97,7 @@ def _find_probes(addresses: Mapping[str, str]) -> dict[str, ProbeWiring]:
 
 
 def _identify_supply(port: str) -> Tables:
-    """Read the supply's identity, and nothing else."""
+    """Read the identity of the supply, and nothing else."""
     from hardware_drivers.serial_port.power_supply import ScpiPowerSupply
 
     line = SerialLineParameters(port=port)
@@ -107,7 +108,7 @@ def _identify_supply(port: str) -> Tables:
 
 
 def _identify_climate_probe(port: str) -> Tables:
-    """Read the climate probe's identity."""
+    """Read the identity of the climate probe."""
     from hardware_drivers.serial_port.climate_probe import ScpiClimateProbe
 
     line = SerialLineParameters(port=port)
@@ -118,11 +119,11 @@ def _identify_climate_probe(port: str) -> Tables:
 
 
 def _identity_pattern(identity: Mapping[str, str]) -> str:
-    """Return the regular expression of maker, model and serial number: the firmware may change."""
+    """Build a regular expression of maker, model and serial number, for any firmware version."""
     parts = [identity[name] for name in ("maker", "model", "serial_number") if identity[name]]
     return ",".join(re.escape(part) for part in parts)
 
 
 def _to_parameter_table(parameters: ProbeWiring | SupplyParameters | ClimateParameters) -> Tables:
-    """Return parameters as a table, without those that are not set."""
+    """Convert parameters to a table, without those that are not set."""
     return {name: value for name, value in asdict(parameters).items() if value is not None}

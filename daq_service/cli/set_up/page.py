@@ -40,17 +40,17 @@ class Scope(Protocol):
         ...
 
     def watch(self) -> tuple[str | None, Waveform | None]:
-        """Return a position and its record at rest; None if recording needs a strike."""
+        """Return a position and its record at rest; the record is None if it needs a strike."""
         ...
 
     def newest(self) -> dict[str, object]:
-        """Return the newest strike as prepared by `drawn`."""
+        """Return the newest strike, prepared for drawing by `drawn`."""
         ...
 
 
 @contextmanager
 def serve_page(dialogue: Dialogue, scope: Scope, port: int) -> Iterator[str]:
-    """Serve the page and provide its address; at the end an open page receives the final state.
+    """Serve the page while the context is open and provide its address; send it the final state.
 
     Raises
     ------
@@ -63,6 +63,7 @@ def serve_page(dialogue: Dialogue, scope: Scope, port: int) -> Iterator[str]:
     app = build_page_app(dialogue, scope, audience)
 
     def run() -> None:
+        """Serve the page, and pass an error of the server to the waiting thread."""
         try:
             serve(app, "127.0.0.1", port, on_bound=bound.put, stop=stop, close_streams=lambda: None)
         except Exception as error:  # noqa: BLE001 - raised by the thread that waits for the address
@@ -90,7 +91,7 @@ class Audience:
         self._received_end = threading.Event()
 
     def note_request(self) -> None:
-        """Record that a page asked for the state."""
+        """Record that a page has asked for the state."""
         self._last_request_s = time.monotonic()
         if self.done:
             self._received_end.set()
@@ -103,17 +104,19 @@ class Audience:
 
 
 def build_page_app(dialogue: Dialogue, scope: Scope, audience: Audience) -> FastAPI:
-    """Build the page's service, protected like the dashboard."""
+    """Create the web application of the page, protected like the dashboard."""
     app = FastAPI(openapi_url=None, docs_url=None, redoc_url=None, default_response_class=JsonAnswer)
     app.add_middleware(RequestGuard)
     problem.install_error_handlers(app)
 
     @app.get("/")
     async def get_page(request: Request) -> Response:
+        """Return the HTML of the page."""
         return assets.answer_asset("setup.html", request)
 
     @app.get("/static/{name:path}")
     async def get_asset(name: str, request: Request) -> Response:
+        """Return a file of the page, such as a script or a style sheet."""
         return assets.answer_asset(name, request)
 
     @app.get("/api/state")
@@ -126,6 +129,7 @@ def build_page_app(dialogue: Dialogue, scope: Scope, audience: Audience) -> Fast
 
     @app.post("/api/answer")
     async def post_answer(number: int = Body(), text: str = Body(max_length=200)) -> JsonAnswer:
+        """Accept the answer to a question; respond with a conflict if another one waits."""
         if not dialogue.answer(number, text):
             raise problem.conflict("Another question waits by now.", "Answer the one that is shown.")
         return JsonAnswer({"taken": True})
@@ -133,6 +137,7 @@ def build_page_app(dialogue: Dialogue, scope: Scope, audience: Audience) -> Fast
     # A POST, since it uses the boards: the guard lets no other site's page ask for it.
     @app.post("/api/record")
     def post_record() -> JsonAnswer:
+        """Record at rest and return the envelope of the record, or the instrument's error."""
         try:
             position, record = scope.watch()
         except InstrumentError as error:
@@ -143,6 +148,7 @@ def build_page_app(dialogue: Dialogue, scope: Scope, audience: Audience) -> Fast
 
     @app.get("/api/strike")
     def get_strike() -> JsonAnswer:
+        """Return the newest strike for drawing."""
         return JsonAnswer(scope.newest())
 
     return app

@@ -37,7 +37,7 @@ def write_services(
     out: Path,
     as_json: bool,
 ) -> None:
-    """Run the command: write the files, print how to install them."""
+    """Write the files of system services and print how to install them."""
     settings, folder = settings_and_folder(config, data_dir)
     user = user or os.environ.get("SUDO_USER") or _current_user_name()
     describe = build_systemd_units if manager == "systemd" else build_windows_tasks
@@ -57,13 +57,13 @@ def write_services(
 
 
 def _current_user_name() -> str:
-    """Return the name of the user, with the domain on Windows."""
+    """Return the name of the present user, with the domain on Windows."""
     domain = os.environ.get("USERDOMAIN")
     return f"{domain}\\{getpass.getuser()}" if domain else getpass.getuser()
 
 
 def _installation_commands(manager: str, files: Sequence[PurePath]) -> list[str]:
-    """Return the commands that install the files."""
+    """Return the commands that install the service files."""
     if manager == "systemd":
         names = " ".join(file.name for file in files)
         copy = f"sudo cp {shlex.join(map(str, files))} /etc/systemd/system/"
@@ -78,7 +78,7 @@ def _installation_commands(manager: str, files: Sequence[PurePath]) -> list[str]
 def build_systemd_units(
     settings: Settings, config: PurePath, folder: PurePath, *, user: str, name: str
 ) -> dict[str, str]:
-    """Return the units of recorder, web service and, if there is a supply, its process, by file name."""
+    """Build the systemd units of recorder, web service and supply process, by file name."""
     longest_s = math.ceil(compute_longest_call_s(settings) + settings.rig.stall_timeout_s)
     supply = settings.rig.driven
     reply_s = 0 if supply is None else math.ceil(longest_answer_time_s(supply))
@@ -106,18 +106,18 @@ def build_systemd_units(
 
 
 def _read_template(file: str) -> str:
-    """Return the text of a template."""
+    """Read the text of a template."""
     return (Path(__file__).parent / "services" / file).read_text(encoding="utf-8")
 
 
 def _service_command_line(command: str, config: PurePath, folder: PurePath) -> list[str]:
-    """Return the command line of a service; a recorder stays after its last set for commands."""
+    """Build the command line of a service; a recorder stays after its last set for commands."""
     linger = ["--linger"] if command == "record" else []
     return [*PROGRAM, command, str(config), "--data-dir", str(folder), *linger]
 
 
 def _escape_percent(text: str) -> str:
-    """Escape per cent signs, which systemd would expand."""
+    """Escape percent signs, which systemd would expand."""
     return text.replace("%", "%%")
 
 
@@ -135,7 +135,7 @@ def _quote_word(text: str) -> str:
 def build_windows_tasks(
     settings: Settings, config: PurePath, folder: PurePath, *, user: str, name: str
 ) -> Mapping[str, str]:
-    """Return the tasks of the supervisor and, if there is a supply, its process, by file name."""
+    """Build the Windows tasks of the supervisor and of the supply process, by file name."""
     commands, template = {name: "run"}, _read_template("task.xml")
     if settings.rig.driven is not None:
         commands[f"{name}-supply-process"] = "supply-process"

@@ -61,7 +61,7 @@ def run_setup(
     pulse_s: float | None,
     strike: bool,
 ) -> None:
-    """Run the command."""
+    """Run `solimon setup`: find, wire and strike instruments, and write the configuration."""
     refuse_to_overwrite(file)
     flags = Flags(
         transducers=_parse_named_options(transducers),
@@ -111,7 +111,7 @@ def _translate_driver_errors() -> Iterator[None]:
 
 
 def _parse_named_options(given: Sequence[str]) -> dict[str, str]:
-    """Parse ``NAME=VALUE`` options."""
+    """Parse options of the form ``NAME=VALUE``."""
     named = {}
     for text in given:
         name, equals, value = text.partition("=")
@@ -129,7 +129,7 @@ def _parse_named_options(given: Sequence[str]) -> dict[str, str]:
 def find_boards(
     dialogue: Dialogue, data_folder: Path, transport: Literal["library", "grpc"], grpc_address: str
 ) -> Bench:
-    """Find the boards and print them.
+    """Find the boards of this computer and print them.
 
     Parameters
     ----------
@@ -159,7 +159,7 @@ def find_boards(
 
 
 def _describe_boards(survey: Survey) -> str:
-    """Describe the boards that were found."""
+    """Describe the boards that were found, as text."""
     failed = [finding for finding in survey.findings if finding.state == "fail"]
     if failed:
         return "; ".join(f"{finding.subject}: {finding.detail}, {finding.remedy}" for finding in failed)
@@ -174,7 +174,7 @@ def _describe_boards(survey: Survey) -> str:
 def write_and_validate(
     dialogue: Dialogue, instruments: Instruments, file: Path, others: Tables, off: set[KeyPath]
 ) -> dict[str, object]:
-    """Write the file and its schema, validate it, and print the next steps."""
+    """Write the configuration and its schema, validate it, and print the next steps."""
     values, off, head = instruments.contents(others, off)
     settings = validate_new_file(values, off, file)
     write_file(file, values, head=head, off=off)

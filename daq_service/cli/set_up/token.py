@@ -18,7 +18,7 @@ from daq_service.web.auth.tokens import Token, create_token, find_tokens_file, r
 def run_create(
     *, name: str, role: Role, days: float | None, config: Path | None, data_dir: Path | None, as_json: bool
 ) -> None:
-    """Create a token and print it; the printed text is not stored."""
+    """Create an access token and print it; only its hash is stored."""
     path, audit = _token_files(config, data_dir)
     token, text = create_token(path, name, role, days=days)
     _add_audit_entry(audit, "create_token", name=name, role=role, days=days)
@@ -31,7 +31,7 @@ def run_create(
 
 
 def run_list(*, config: Path | None, data_dir: Path | None, as_json: bool) -> None:
-    """Print all tokens without their secrets."""
+    """Print all access tokens without their secrets."""
     path, _ = _token_files(config, data_dir)
     tokens = [_describe_token(token) for token in read_tokens(path)]
     if as_json:
@@ -45,7 +45,7 @@ def run_list(*, config: Path | None, data_dir: Path | None, as_json: bool) -> No
 
 
 def run_revoke(*, name: str, config: Path | None, data_dir: Path | None, as_json: bool) -> None:
-    """Revoke a token."""
+    """Revoke an access token."""
     path, audit = _token_files(config, data_dir)
     token = revoke_token(path, name)
     _add_audit_entry(audit, "revoke_token", name=name)
@@ -55,21 +55,21 @@ def run_revoke(*, name: str, config: Path | None, data_dir: Path | None, as_json
 
 
 def _token_files(config: Path | None, data_dir: Path | None) -> tuple[Path, Audit]:
-    """Return the file of tokens and the audit log of a test."""
+    """Return the paths of the token file and the audit log of a test."""
     settings, folder = settings_of_folder(config, data_dir)
     prepare_data_folder(folder)
     return find_tokens_file(settings.web, folder), Audit(folder)
 
 
 def _add_audit_entry(audit: Audit, action: str, **arguments: object) -> None:
-    """Add the command to the audit log."""
+    """Append the command to the audit log."""
     audit.add(
         author=user_name(), role=CLAIMED, source=TERMINAL, what=action, arguments=arguments, result="done"
     )
 
 
 def _describe_token(token: Token) -> dict[str, object]:
-    """Return a token without its secret."""
+    """Convert a token to an object without its secret."""
     shown = asdict(token) | {"state": token.state}
     del shown["sha256"]
     return shown

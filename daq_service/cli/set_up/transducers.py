@@ -39,37 +39,37 @@ class Instruments(Protocol):
         ...
 
     def introduce(self, flags: Flags, *, asks: bool) -> None:
-        """Print what there is, and take or ask for what all transducers share."""
+        """Print the instruments, and read or ask for the values that all transducers share."""
 
     def wire(self, position: str, text: str) -> None:
-        """Wire a transducer as a flag says; ValueError if that is impossible."""
+        """Wire a transducer as an option states; raise ValueError if that is impossible."""
 
     def ask_wiring(self, position: str) -> None:
         """Ask for the wiring of a transducer until it works."""
 
     def check(self) -> None:
-        """Check what was wired by flags."""
+        """Check the transducers that were wired by options."""
 
     def strike(self, position: str) -> None:
-        """Strike once and print what came."""
+        """Strike once and print the result."""
 
     def strike_each(self, positions: Collection[str]) -> None:
-        """Strike each without a question."""
+        """Strike each transducer without a question."""
 
     def conclude(self, *, asks: bool) -> None:
-        """Propose values from the strikes."""
+        """Propose values of the configuration from the strikes."""
 
     def contents(self, others: Tables, off: set[KeyPath]) -> Contents:
-        """Return values, switched-off tables and head of the file; `others` are further tables of [rig]."""
+        """Return values, switched-off tables and head of the file; `others` are tables of [rig]."""
         ...
 
     def result(self) -> Mapping[str, object]:
-        """Return what ``--json`` prints of them."""
+        """Return the object that ``--json`` prints."""
         ...
 
 
 def set_up_transducers(dialogue: Dialogue, instruments: Instruments, flags: Flags) -> None:
-    """Wire and strike the transducers of the flags; without any, ask for them until the person ends.
+    """Wire and strike the transducers of the options; without any, ask for them until the person ends.
 
     Raises
     ------
@@ -105,7 +105,7 @@ def _ask_for_transducers(dialogue: Dialogue, instruments: Instruments) -> None:
 
 
 def make_positions_table(methods: Mapping[str, str]) -> dict[str, dict[str, str]]:
-    """Return [positions] for measuring methods by position, with the labels of the paper's."""
+    """Build [positions] from measuring methods by position, with the labels of the paper's positions."""
     labels = {name: place["label"] for name, place in read_laboratory()[0]["positions"].items()}
     return {
         name: {"method": method, "label": labels.get(name, ""), "serial_number": ""}
@@ -114,10 +114,11 @@ def make_positions_table(methods: Mapping[str, str]) -> dict[str, dict[str, str]
 
 
 def _ask_position(dialogue: Dialogue, taken: Mapping[str, object]) -> str | None:
-    """Ask for one more transducer; None if there is none."""
+    """Ask for one more transducer; return None if there is none."""
     text_of_question = "Position of a solitary-wave transducer" + (", - to end" if taken else "")
 
     def parse(text: str) -> str | None:
+        """Parse a new position; raise ValueError for an invalid or used name."""
         if text == "-" and taken:
             return None
         if not text.isalnum() or text in taken:
@@ -130,6 +131,6 @@ def _ask_position(dialogue: Dialogue, taken: Mapping[str, object]) -> str | None
 
 
 def _ask_whether_to_strike(dialogue: Dialogue, position: str) -> bool:
-    """Ask whether to strike; the default is no."""
+    """Ask whether to strike; return False by default."""
     text, choices = f"Strike {position} once, all hands out of the rig? Or go on", ("strike", "go on")
     return dialogue.ask(f"{position}.strike", text, str, default="go on", choices=choices) == "strike"

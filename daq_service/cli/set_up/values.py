@@ -21,7 +21,7 @@ REMEDIES: Mapping[Trouble, str] = {
 
 
 def assess_strikes(dialogue: Dialogue, bench: Bench, *, asks: bool) -> None:
-    """Propose values from the strikes; return them, or those that the person enters."""
+    """Propose values from the strikes; return them, or the values that the person enters."""
     proposal = bench.proposal()
     if proposal is None:
         dialogue.report("nothing was struck: level, slope, ranges and holdoff are not yet your rig's own")
@@ -48,9 +48,10 @@ def assess_strikes(dialogue: Dialogue, bench: Bench, *, asks: bool) -> None:
 
 
 def _ask_for_values(dialogue: Dialogue, bench: Bench, proposal: Proposal) -> Proposal:
-    """Ask for each value, with the proposed one as default."""
+    """Ask for each value, with the proposed one as the default."""
 
     def number(name: str, text: str, default: float | None) -> float | None:
+        """Ask for a number; "-" gives None."""
         shown = "-" if default is None else f"{default:g}"
         return dialogue.ask(
             name, text, lambda answer: None if answer == "-" else float(answer), default=shown
@@ -78,7 +79,7 @@ def _ask_for_values(dialogue: Dialogue, bench: Bench, proposal: Proposal) -> Pro
 
 
 def format_values(proposal: Proposal) -> list[str]:
-    """Return the proposed values, one per line."""
+    """Format the proposed values, one per line."""
     ranges = ", ".join(f"{name} +-{range_v:g} V" for name, range_v in proposal.range_v.items())
     holdoff = "none" if proposal.holdoff_s is None else f"{proposal.holdoff_s * 1e3:.3g} ms"
     return [

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
 
 def describe_board(board: BoardFacts) -> str:
-    """Describe a board."""
+    """Describe a board in one line."""
     ranges = ", ".join(
         f"{high:g}" for low, high in sorted(board.ranges_v, key=lambda ends: ends[1]) if high == -low
     )
@@ -25,19 +25,19 @@ def describe_board(board: BoardFacts) -> str:
 
 
 def list_coil_counters(board: BoardFacts) -> list[str]:
-    """Return the counters of a board that can time a pulse."""
+    """List the counters of a board that can time a pulse."""
     return [name for name in (path.rpartition("/")[2] for path in board.counters) if name.startswith("ctr")]
 
 
 def default_pulse_terminal(board: BoardFacts, counter: str) -> str:
-    """Return the default terminal of a counter's pulse for the board's family."""
+    """Return the default output terminal of a counter for the board's family."""
     number = int(counter[3:])
     counter_output = f"Ctr{number}Out"
     return counter_output if f"/{board.name}/{counter_output}" in board.terminals else f"PFI{12 + number}"
 
 
 def parse_wiring(boards: Mapping[str, BoardFacts], text: str) -> TransducerWiring:
-    """Read ``BOARD/INPUT/COUNTER[/TERMINAL]`` or ``BOARD/INPUT/COIL_BOARD/COUNTER[/TERMINAL]``."""
+    """Parse ``BOARD/INPUT/COUNTER[/TERMINAL]`` or ``BOARD/INPUT/COIL_BOARD/COUNTER[/TERMINAL]``."""
     board, *ends = text.split("/")
     serial = board.upper().zfill(8)
     coil_serial = ends.pop(1).upper().zfill(8) if len(ends) > 2 and ends[2].startswith("ctr") else serial
@@ -67,5 +67,5 @@ def parse_wiring(boards: Mapping[str, BoardFacts], text: str) -> TransducerWirin
 
 
 def list_analog_inputs(board: BoardFacts) -> list[str]:
-    """Return the analog inputs of a board."""
+    """List the analog inputs of a board."""
     return [path.rpartition("/")[2] for path in board.inputs]

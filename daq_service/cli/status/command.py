@@ -57,14 +57,14 @@ def run_status(*, config: Path | None, data_dir: Path | None, as_json: bool, wat
 
 
 def _read_status(config: Path | None, data_dir: Path | None) -> tuple[Path, dict[str, object]]:
-    """Read the status of a folder."""
+    """Read the status of a data folder."""
     settings, folder = settings_of_folder(config, data_dir)
     refuse_other_folders(folder)
     return folder, describe_status(folder, settings)
 
 
 def _watch_status(console: Console, config: Path | None, data_dir: Path | None) -> int:
-    """Draw the status until Ctrl-C; an error is shown and the status read again."""
+    """Print the status repeatedly until Ctrl-C; after an error, print it and try again."""
     from rich.live import Live
 
     last: RenderableType = ""
@@ -79,7 +79,7 @@ def _watch_status(console: Console, config: Path | None, data_dir: Path | None) 
 
 
 def _status_table_or_error(config: Path | None, data_dir: Path | None) -> RenderableType:
-    """Return the table of the status, or the error of reading it."""
+    """Compose the table of the status, or the error of reading it."""
     from daq_service.cli.status.table import compose_status
 
     try:

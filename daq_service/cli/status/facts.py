@@ -128,7 +128,7 @@ def describe_status(folder: Path, settings: Settings) -> dict[str, object]:
 
 
 def _newest_climate(row: EnvironmentRow | None) -> dict[str, object] | None:
-    """Return the climate of the newest set; None where there is no probe or no set yet."""
+    """Return the climate of the newest set; None without a probe or without a set."""
     if row is None or row.climate_quality == "absent":
         return None
     names = ("climate_quality", "climate_age_s", "temperature_c", "relative_humidity")
@@ -145,7 +145,7 @@ def _lost_rows_error(folder: Path, catalogue: Catalogue) -> dict[str, str]:
 
 
 def _newest_rows(latest: LatestRows) -> dict[str, object]:
-    """Return the newest rows of a position."""
+    """Read the newest rows of a position."""
     names = ("last_set", "last_feature", "last_assessment", "last_thickness")
     rows_by_name = {
         name: None if (row := getattr(latest, name)) is None else to_columns(row) for name in names
@@ -159,7 +159,7 @@ def _newest_rows(latest: LatestRows) -> dict[str, object]:
 
 
 def _present_state(settings: Settings, fresh: Freshness, last: LatestRows) -> dict[str, object]:
-    """Return what changes with time: state, age, limits, the interval of a thickness."""
+    """Compute the values that change with time: state, age, limits, the interval of a thickness."""
     age_h = find_data_age_h(last, fresh)
     chart = find_chart(last.last_assessment, settings.alarms)
     return {
@@ -208,7 +208,7 @@ def _count_confirmations(
 
 
 def _open_commands(catalogue: Catalogue) -> list[dict[str, object]]:
-    """Return the commands that wait for the recorder or are executed; not the expired ones."""
+    """List the commands that wait for the recorder or are executed, without expired ones."""
     waiting = catalogue.rows(CommandRow, states={"pending", "started"})
     commands_with_time = [(row, remaining_now_s(row)) for row in waiting]
     names = ("id", "kind", "author", "arguments", "state")
@@ -220,7 +220,7 @@ def _open_commands(catalogue: Catalogue) -> list[dict[str, object]]:
 
 
 def _newest_gaps(catalogue: Catalogue) -> list[dict[str, object]]:
-    """Return the newest incomplete sets with positions and reasons."""
+    """List the newest incomplete sets with positions and reasons."""
     found: dict[tuple[int, str, str | None, float], list[str]] = {}
     for row in catalogue.read_newest_gaps(GAPS_A_POSITION):
         found.setdefault((row.set_index, row.state, row.reason, row.due_h), []).append(row.position)

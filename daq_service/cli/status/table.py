@@ -40,7 +40,7 @@ LARGEST_IN_FULL = 1e4
 
 
 def compose_status(facts: Facts, folder: str) -> RenderableType:
-    """Compose the complete output from `facts.describe_status`."""
+    """Compose the complete output of the status from `facts.describe_status`."""
     facts, folder = escape_all_to_one_line(facts), to_one_line(folder)
     head = Table.grid(padding=(0, 2, 0, 0))
     for name, text, style in _yield_head_lines(facts, folder):
@@ -55,7 +55,7 @@ def compose_status(facts: Facts, folder: str) -> RenderableType:
 
 
 def _yield_head_lines(facts: Facts, folder: str) -> Iterator[tuple[str, str, str]]:
-    """Yield name, text and style of each line."""
+    """Yield the name, text and style of each line above the tables."""
     yield "data", folder, ""
     yield "recorder", facts["recorder"], STYLES[facts["recorder_state"]]
     if facts["now_h"] is not None:
@@ -144,7 +144,7 @@ def _yield_diagnosis_lines(positions: Mapping[str, Facts]) -> Iterator[tuple[str
 
 
 def _format_confirmations(facts: Facts) -> str:
-    """Return the number of confirmation sets, the newest result, and how many are left today."""
+    """Describe the number of confirmation sets, the newest result, and how many are left today."""
     remaining = ", ".join(f"{name} {number}" for name, number in facts["left_today"].items())
     last = facts["last"]
     last_text = "" if last is None else f". The last was at {last['position']}. {describe_confirmation(last)}"
@@ -167,7 +167,7 @@ def _yield_gap_lines(gaps: Sequence[Facts]) -> Iterator[str]:
 
 
 def describe_disk_space(disk: Facts) -> str:
-    """Return free space, needed space, and when the disk will be full."""
+    """Describe the free space, the needed space, and when the disk will be full."""
     level = {"ample": "", "stop": "; nothing more is stored until some is freed"}.get(disk["level"], "; low")
     needed = disk["needed_bytes"]
     rest = "" if needed is None else f", about {needed / 1e9:.2f} GB still to come"
@@ -176,7 +176,7 @@ def describe_disk_space(disk: Facts) -> str:
 
 
 def _create_table(*columns: str) -> Table:
-    """Return an empty table with columns."""
+    """Create an empty table with columns."""
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False, collapse_padding=True, header_style="bold")
     for column in columns:
         table.add_column(column)
@@ -184,7 +184,7 @@ def _create_table(*columns: str) -> Table:
 
 
 def _make_position_table(positions: Mapping[str, Facts]) -> Table:
-    """Return the table of positions."""
+    """Build the table of positions."""
     table = _create_table("position", "state", "result", "limit", "chart", "quality", "age", "last set")
     for name, row in positions.items():
         result, limit, quality = _format_result(row)
@@ -204,7 +204,7 @@ def _make_position_table(positions: Mapping[str, Facts]) -> Table:
 
 
 def _format_result(row: Facts) -> tuple[str, str, str]:
-    """Return result, limit and quality of a position's newest data, by its method."""
+    """Format result, limit and quality of a position's newest data, by its method."""
     echo, feature, assessment = row["last_thickness"], row["last_feature"], row["last_assessment"]
     if echo is not None:
         wall_m, low_m, high_m = (echo[name] for name in ("thickness_m", "interval_low_m", "interval_high_m"))
@@ -232,7 +232,7 @@ def _is_of_same_set(feature: Facts | None, assessment: Facts | None) -> bool:
 
 
 def _format_chart(row: Facts) -> str:
-    """Return the statistic and the limit of the control chart."""
+    """Format the statistic and the limit of the control chart."""
     chart = row["chart"]
     if chart is None or not _is_of_same_set(row["last_feature"], row["last_assessment"]):
         return "-"
@@ -247,7 +247,7 @@ def _yield_first_checks(alarms: Sequence[Facts]) -> Iterator[Text]:
 
 
 def _describe_alarm_state(row: Facts) -> str:
-    """Return the state of an alarm, with end and reason of a suppression."""
+    """Describe the state of an alarm, with end and reason of a suppression."""
     state: str = row["state"].replace("_", " ")
     if row["suppressed"] is None:
         return state
@@ -257,7 +257,7 @@ def _describe_alarm_state(row: Facts) -> str:
 
 
 def _make_alarm_table(alarms: Sequence[Facts]) -> Table:
-    """Return the table of alarms."""
+    """Build the table of alarms."""
     table = _create_table("alarm", "priority", "where", "state", "age", "what")
     for row in alarms:
         table.add_row(

@@ -59,7 +59,7 @@ class SweepRequest:
 
 
 def sweep(request: SweepRequest, columns: Columns, *, as_json: bool) -> None:
-    """Run a sweep and print its table, or where it was written.
+    """Run a sweep of the model and print its table, or the path to which it was written.
 
     Raises
     ------
@@ -100,7 +100,7 @@ def sweep(request: SweepRequest, columns: Columns, *, as_json: bool) -> None:
 
 
 def _read_axes(request: SweepRequest) -> list[Axis]:
-    """Return the axes of a sweep from its file or its options."""
+    """Read the axes of a sweep from its file or its options."""
     if request.sweep_file is not None:
         if request.sweeps or request.depths is not None:
             raise UsageError("--sweep-file holds every shot: give it without --sweep and --depths")

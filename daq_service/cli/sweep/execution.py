@@ -42,7 +42,7 @@ def compute_plan(
     keep: Callable[[Sequence[Outcome]], None],
     stop: threading.Event,
 ) -> None:
-    """Compute rows of a plan, until all are done or `stop` is set.
+    """Compute rows of a plan, until all are finished or `stop` is set.
 
     Parameters
     ----------

@@ -31,7 +31,7 @@ ZENER_KEYS = TypeAdapter(dict[str, tuple[str, ...]]).validate_python(load_table(
 
 @cache
 def list_known_keys() -> tuple[str, ...]:
-    """Return all keys of the physics as in the configuration."""
+    """List all keys of the physics as in the configuration."""
     return tuple(key for name, section in SECTIONS.items() for key in _yield_keys(section, name))
 
 
@@ -47,7 +47,7 @@ def _yield_keys(section: type, above: str) -> Iterator[str]:
 
 
 def _list_tables(hint: object) -> list[type]:
-    """Return the dataclasses that a value of this type may be: tables in the configuration."""
+    """List the dataclasses that a value of this type may be: tables in the configuration."""
     if get_origin(hint) is Annotated:
         return _list_tables(get_args(hint)[0])
     if get_origin(hint) in (Union, types.UnionType):
@@ -75,7 +75,7 @@ def check_key(key: str, model: str) -> None:
 
 
 def change_section(section: Any, changes: Mapping[tuple[str, ...], object]) -> Any:
-    """Return a section with changed values, validated like a configuration file.
+    """Copy a section with changed values, validated like a configuration file.
 
     Parameters
     ----------
@@ -119,7 +119,7 @@ _ADAPTERS: Mapping[type, TypeAdapter[Any]] = {section: TypeAdapter(section) for 
 
 
 def _describe_validation_error(error: ValidationError) -> str:
-    """Return the messages of a validation error in one line."""
+    """Format the messages of a validation error in one line."""
     problems = []
     for problem in error.errors():
         where = ".".join(str(part) for part in problem["loc"])

@@ -53,7 +53,7 @@ def check_outputs(paths: Sequence[Path], *, waveforms: bool) -> None:
 
 
 def list_output_files(path: Path) -> tuple[Path, ...]:
-    """Return all files of an output."""
+    """List all files of an output."""
     return (facts_path_of_csv(path), path) if path.suffix.lower() == ".csv" else (path,)
 
 
@@ -89,7 +89,7 @@ def write_output(path: Path, table: SweepTable) -> None:
 
 
 def format_csv(table: SweepTable) -> str:
-    """Return the table as CSV (RFC 4180); numbers with all digits, missing ones empty."""
+    """Format the table as CSV (RFC 4180); numbers with all digits, missing ones empty."""
     text = io.StringIO(newline="")
     writer = csv.writer(text)
     writer.writerow(table.columns)
@@ -98,7 +98,7 @@ def format_csv(table: SweepTable) -> str:
 
 
 def format_parquet(table: SweepTable) -> bytes:
-    """Return the Parquet file; its metadata hold the facts under the key ``solimon``."""
+    """Encode the table as Parquet; its metadata hold the facts under the key ``solimon``."""
     arrow = import_pyarrow(OTHERWISE)
     from pyarrow import parquet
 
@@ -109,7 +109,7 @@ def format_parquet(table: SweepTable) -> bytes:
 
 
 def _write_file(path: Path, content: bytes) -> None:
-    """Write a file durably."""
+    """Write a file durably to the disk."""
     try:
         write_durably(path, content, temporary=path.with_name(path.name + ".part"))
     except OSError as error:

@@ -115,7 +115,7 @@ def make_plan(
 
 
 def describe_row(keys: Sequence[str], row: Row) -> str:
-    """Return the description of a row: its number and values."""
+    """Describe a row by its number and values."""
     values = ", ".join(f"{key} = {value}" for key, value in zip(keys, row.values, strict=True))
     return f"row {row.index + 1} ({values})"
 
@@ -145,7 +145,7 @@ def _yield_rows(
 
     @cache
     def make_section(name: str, given: str) -> tuple[Any, str, str]:
-        """Make a section from values as JSON: itself, its hash, or the reason of its refusal."""
+        """Create a section from values as JSON: the section, its hash, or the reason why it is invalid."""
         values = json.loads(given)
         changes = {paths[k][1:]: value for k, value in zip(places[name], values, strict=True)}
         try:
@@ -170,7 +170,7 @@ def _yield_rows(
 
 @cache
 def compute_code_version() -> str:
-    """Return the SHA-256 of the twin's source and of its libraries."""
+    """Compute the SHA-256 of the twin's source and of the versions of its libraries."""
     from simulator.numerics.source import hash_source
 
     return _hash_json(
@@ -189,7 +189,7 @@ def _to_json_value(value: object) -> object:
 
 
 def to_json_text(value: object) -> str:
-    """Return a value of the configuration as JSON, parameter tables included."""
+    """Encode a value of the configuration as JSON, parameter tables included."""
     return json.dumps(value, sort_keys=True, separators=(",", ":"), default=asdict)
 
 

@@ -67,7 +67,7 @@ class Progress:
         self._stream.flush()
 
     def _format_progress(self, now: float) -> str:
-        """Return the progress as text, with rate and remaining time."""
+        """Format the progress with rate and remaining time."""
         percent = 100.0 * self._done / self._total
         text = f"{self._done} of {self._total} {self._what} ({percent:.0f} %)"
         elapsed = now - self._started
@@ -80,7 +80,7 @@ class Progress:
 
 
 def _format_duration(seconds: float) -> str:
-    """Return a duration in hours, minutes or seconds as text."""
+    """Format a duration in hours, minutes or seconds."""
     minutes, rest = divmod(round(seconds), 60)
     hours, minutes = divmod(minutes, 60)
     return (

@@ -75,7 +75,7 @@ def _refuse_to_overwrite(plan: Plan, options: SweepOptions, work: Path | None) -
 def _compute_outcomes(
     plan: Plan, options: SweepOptions, work: WorkFile | None, stop: threading.Event
 ) -> list[Outcome]:
-    """Return the outcome of every row in order: refused, finished and computed ones."""
+    """Compute or read the outcome of each row in order: refused, finished and computed ones."""
     outcomes = {row.index: _refused_outcome(plan, row) for row in plan.rows if row.specimen is None}
     if work is not None:
         outcomes |= work.finished
@@ -83,6 +83,7 @@ def _compute_outcomes(
     progress = Progress(len(plan.rows), len(outcomes))
 
     def keep_outcome(new: Sequence[Outcome]) -> None:
+        """Store new outcomes and count them; raise an error for contradictory parameters."""
         if work is not None:
             work.keep(new)
         outcomes.update((outcome.index, outcome) for outcome in new)
@@ -106,7 +107,7 @@ def _compute_outcomes(
 
 
 def _refused_outcome(plan: Plan, row: Row) -> Outcome:
-    """Return the outcome of a row whose parameters are invalid."""
+    """Create the outcome of a row whose parameters are invalid."""
     return Outcome(
         index=row.index,
         numbers=(math.nan,) * len(RESULTS[plan.model]),

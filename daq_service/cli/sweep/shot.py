@@ -119,7 +119,7 @@ def _compute_outcome(model: str, index: int, specimen: Specimen, waveforms: bool
 def integrate_coupled_shot(
     chain: ChainParameters, plate: PlateParameters, corrosion: CorrosionParameters
 ) -> ShotForce:
-    """Integrate chain and plate; prepared models are cached."""
+    """Integrate chain and plate together; prepared models are cached."""
     return _build_model(chain, plate, replace(corrosion, depth_fraction=0.0)).shot(
         depth_fraction=corrosion.depth_fraction
     )
@@ -147,7 +147,7 @@ def _cached_plate_modes(plate: PlateParameters, outline: CorrosionParameters) ->
 
 
 def summarise_coupled_shot(force: ShotForce) -> dict[str, float | None]:
-    """Return peaks, times and integration quality of a shot; None if nothing was reflected."""
+    """Compute peaks, times and integration quality of a shot; None if nothing was reflected."""
     return {
         **asdict(summarise_pulses(force)),
         "preload_n": force.preload_n,

@@ -32,7 +32,7 @@ class Axis:
 
 
 def parse_axis(text: str) -> Axis:
-    """Read one ``KEY=VALUES``.
+    """Parse one axis of the form ``KEY=VALUES``.
 
     Raises
     ------
@@ -84,7 +84,7 @@ def read_sweep_file(path: Path) -> tuple[Axis, ...]:
 
 
 def _split_items(text: str) -> list[str]:
-    """Split at the commas outside brackets and quotes."""
+    """Split a text at the commas outside brackets and quotes."""
     items, depth, quoted, start = [], 0, False, 0
     for place, letter in enumerate(text):
         if letter == '"':
@@ -100,7 +100,7 @@ def _split_items(text: str) -> list[str]:
 
 
 def _parse_item_values(item: str, text: str) -> Sequence[object]:
-    """Return the values of one item of an axis: a value, or a range FIRST:LAST:COUNT."""
+    """Parse one item of an axis: a value, or a range FIRST:LAST:COUNT."""
     parts = item.split(":")
     if len(parts) == 1 or item[0] in '[{"':
         return [_parse_value(item)]
@@ -130,7 +130,7 @@ def _parse_item_values(item: str, text: str) -> Sequence[object]:
 
 
 def space_evenly(first: float, last: float, count: int, *, logarithmic: bool = False) -> list[float]:
-    """Return a range with its ends; inner values have 15 digits, so that a third of 0.9 is 0.3."""
+    """Compute equally spaced values with both ends; inner ones have 15 digits, for a third of 0.9 is 0.3."""
     with np.errstate(all="ignore"):
         values = np.geomspace(first, last, count) if logarithmic else np.linspace(first, last, count)
     if count < 3:
@@ -139,7 +139,7 @@ def space_evenly(first: float, last: float, count: int, *, logarithmic: bool = F
 
 
 def _parse_value(text: str) -> object:
-    """Read a number, true, false, null or a bracketed list as JSON does; anything else is the text itself."""
+    """Parse a number, true, false, null or a bracketed list as JSON; return other text unchanged."""
     try:
         return json.loads(text)
     except ValueError:
@@ -151,5 +151,5 @@ def _parse_value(text: str) -> object:
 
 
 def _too_many_values_message(text: str) -> str:
-    """Return the message that a sweep has too many values."""
+    """Compose the message that a sweep has too many values."""
     return f"--sweep is {text!r}: more than {LARGEST_COUNT} values; make it coarser or split the sweep"

@@ -50,13 +50,13 @@ class SweepTable:
         return {**self.swept, **self.results, "status": self.status}
 
     def rows(self) -> list[dict[str, object]]:
-        """Return rows ready for JSON: None if there is no number."""
+        """Convert the rows for JSON: None if there is no number."""
         columns = {name: _to_plain_list(values) for name, values in self.columns.items()}
         return [dict(zip(columns, cells, strict=True)) for cells in zip(*columns.values(), strict=True)]
 
 
 def make_table(plan: Plan, outcomes: Sequence[Outcome], origin: Mapping[str, object]) -> SweepTable:
-    """Arrange the outcomes of a plan, given in the order of its rows.
+    """Arrange the outcomes of a plan, given in the order of its rows, as a table.
 
     Parameters
     ----------
@@ -93,7 +93,7 @@ def make_table(plan: Plan, outcomes: Sequence[Outcome], origin: Mapping[str, obj
 
 
 def hash_table(plan: Plan, outcomes: Sequence[Outcome]) -> str:
-    """Return the SHA-256 of the table: one line of JSON for the column names, then one per row.
+    """Compute the SHA-256 of the table: one line of JSON for the column names, then one per row.
 
     Numbers are written with the digits that give them back exactly, so the hash is that of their bits.
     """
@@ -109,7 +109,7 @@ def _encode_row(cells: list[object]) -> bytes:
 
 
 def _unify_column(values: list[object]) -> Column:
-    """Keep numbers of one kind as numbers; text or a mixture becomes text."""
+    """Convert a column of one kind of numbers to numbers; text or a mixture becomes text."""
     kinds = {type(value) for value in values}
     if kinds <= {int, float} and kinds != {int}:
         return np.array(values, dtype=np.float64)
@@ -121,7 +121,7 @@ def _unify_column(values: list[object]) -> Column:
 
 
 def _to_plain_list(values: Column) -> Sequence[object]:
-    """Return a column as a list; NaN becomes None."""
+    """Convert a column to a list; NaN becomes None."""
     if isinstance(values, list):
         return values
     cells = values.tolist()
@@ -129,5 +129,5 @@ def _to_plain_list(values: Column) -> Sequence[object]:
 
 
 def format_facts(table: SweepTable) -> str:
-    """Return the facts as JSON, always with the same bytes."""
+    """Encode the facts as JSON, always with the same bytes."""
     return json.dumps(table.facts, sort_keys=True, indent=1, default=list) + "\n"

@@ -57,7 +57,7 @@ class WorkFile:
     _file: IO[bytes]
 
     def keep(self, outcomes: Iterable[Outcome]) -> None:
-        """Append outcomes; once this returns they survive the end of this process.
+        """Append outcomes durably: after the return they survive the end of this process.
 
         Raises
         ------
@@ -101,7 +101,7 @@ def open_work_file(path: Path, plan: Plan) -> Iterator[WorkFile]:
 
 
 def _read_or_start(path: Path, file: IO[bytes], plan: Plan) -> WorkFile:
-    """Read the finished rows of a work file, or start it."""
+    """Read the finished rows of a work file, or write its header."""
     file.seek(0)
     stored = file.read()
     whole = stored.rfind(b"\n") + 1
@@ -145,7 +145,7 @@ def is_work_file_of(path: Path, plan: Plan) -> bool:
 
 
 def _outcome_to_json(plan: Plan, outcome: Outcome) -> dict[str, object]:
-    """Return the JSON object of an outcome."""
+    """Convert an outcome to a JSON object."""
     content = {
         "row": outcome.index,
         "key": plan.rows[outcome.index].key,
@@ -162,7 +162,7 @@ def _outcome_to_json(plan: Plan, outcome: Outcome) -> dict[str, object]:
 
 
 def _outcome_from_json(plan: Plan, content: Mapping[str, Any]) -> Outcome | None:
-    """Return the outcome of a JSON object; None if it does not belong to the plan."""
+    """Convert a JSON object to an outcome; return None if it does not belong to the plan."""
     index = content["row"]
     if not 0 <= index < len(plan.rows) or plan.rows[index].key != content["key"]:
         return None
@@ -187,13 +187,13 @@ def _write_all(file: IO[bytes], content: bytes) -> None:
 
 
 def _format_checksum_line(content: Mapping[str, object]) -> bytes:
-    """Return a line with its checksum."""
+    """Encode JSON as a line with its checksum."""
     text = json.dumps(content, separators=(",", ":")).encode()
     return hashlib.sha256(text).hexdigest().encode() + b" " + text + b"\n"
 
 
 def _parse_checksum_line(line: bytes) -> Mapping[str, Any] | None:
-    """Return the JSON of a line; None if its checksum is wrong."""
+    """Decode the JSON of a line; return None if its checksum is wrong."""
     digest, _, text = line.partition(b" ")
     if hashlib.sha256(text).hexdigest().encode() != digest:
         return None

@@ -30,7 +30,7 @@ class Address:
 def read_address(
     name: str, receiver: ReceiverSettings, environment: Mapping[str, str] = os.environ
 ) -> Address:
-    """Read the address and the secret of a receiver; a changed one applies at once.
+    """Read the address and the secret of a receiver; a change applies at once.
 
     Raises
     ------
@@ -55,7 +55,7 @@ def read_address(
 
 
 def hide_address_secrets(receiver: ReceiverSettings) -> str:
-    """Return the address of a receiver without secrets: of a URL only scheme and host."""
+    """Return the address of a receiver without secrets; of a URL only scheme and host."""
     if receiver.url:
         parts = urlsplit(receiver.url)
         return f"{parts.scheme}://{parts.netloc}"
@@ -67,7 +67,7 @@ def hide_address_secrets(receiver: ReceiverSettings) -> str:
 
 
 def check_receivers(settings: NotificationSettings) -> None:
-    """Check before a start that every receiver has an address, and that rules name known kinds of alarms.
+    """Raise UsageError for a receiver without an address, or a rule with an unknown kind of alarm.
 
     Raises
     ------
@@ -87,7 +87,7 @@ def check_receivers(settings: NotificationSettings) -> None:
 def _read_configured_text(
     name: str, key: str, file: str, variable: str, environment: Mapping[str, str]
 ) -> str:
-    """Return an address or secret from its variable or file."""
+    """Read an address or secret from its variable or file."""
     if variable:
         text = environment.get(variable, "").strip()
         if not text:
@@ -106,5 +106,5 @@ def _read_configured_text(
 
 
 def _receiver_error(name: str, problem: str) -> UsageError:
-    """Return the error of an invalid receiver."""
+    """Create the error for an invalid receiver."""
     return UsageError(f"notifications.receivers.{name}: {problem}")

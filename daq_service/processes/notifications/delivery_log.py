@@ -87,7 +87,7 @@ class DeliveryLog:
         self._last_error = ""
 
     def append(self, delivery: Delivery) -> None:
-        """Append a line; an error of the disk is logged, as it must not stop notifications."""
+        """Append a line; log an error of the disk, which must not stop notifications."""
         try:
             append_line(self.path, TABLE, asdict(delivery))
         except OSError as error:
@@ -109,7 +109,7 @@ class DeliveryLog:
         return [(number, _delivery_of(row)) for number, row in lines], previous_end
 
     def last_heartbeat_ns(self, receiver: str) -> int | None:
-        """Return when the newest logged heartbeat message was sent, ns of UTC; None: none is logged.
+        """Find when the newest logged heartbeat message was sent, ns of UTC; None without one.
 
         Raises
         ------
@@ -118,6 +118,7 @@ class DeliveryLog:
         """
 
         def is_sent(row: Mapping[str, object]) -> bool:
+            """Return whether a line is a heartbeat message to this receiver that was sent."""
             is_heartbeat = (row.get("receiver"), row.get("what")) == (receiver, "heartbeat")
             return is_heartbeat and not str(row.get("result", row.get("told"))).startswith("withheld")
 
@@ -125,7 +126,7 @@ class DeliveryLog:
         return int(lines[0][1]["utc_ns"]) if lines else None
 
     def read_progress(self, receivers: Collection[str]) -> dict[str, Progress]:
-        """Return the progress of each receiver; a receiver without a line is missing.
+        """Read the progress of each receiver; a receiver without a line is missing.
 
         Raises
         ------
@@ -145,7 +146,7 @@ class DeliveryLog:
 
 
 def _delivery_of(row: object) -> Delivery:
-    """Return the delivery of a line of any version."""
+    """Convert a line of any version to a delivery."""
     assert isinstance(row, dict)
     progress = row["place"]
     if "told" in row:  # line of an earlier version

@@ -72,7 +72,7 @@ class AlarmChange:
 
 
 def alarm_change_of(event: EventRow) -> AlarmChange | None:
-    """Return the change of an alarm; None for changes made by a person and for suppressed alarms."""
+    """Convert an event to a change of an alarm; None for suppressed alarms and changes by a person."""
     change, payload = CHANGES.get(event.kind), event.payload
     # An event of a very old folder does not carry its alarm's row.
     if change is None or event.id is None or not payload.keys() >= {"priority", "state", "raised_h"}:
@@ -114,7 +114,7 @@ class Test:
 
 
 def identify_test(row: ExperimentRow, page: str) -> Test:
-    """Return the test of a catalogue."""
+    """Read the test of a catalogue."""
     identity = f"{row.name}\n{row.configuration_hash}\n{row.created_utc_ns}"
     return Test(name=row.name, mark=hashlib.sha256(identity.encode()).hexdigest()[:12], page=page)
 
@@ -130,13 +130,13 @@ class Message:
     facts: Mapping[str, object]
 
     def encoded(self) -> bytes:
-        """Return the body of a webhook as JSON."""
+        """Encode the body of a webhook as JSON."""
         header = {"version": FORMAT_VERSION, "key": self.key, "kind": self.kind}
         return orjson.dumps({**header, "title": self.title, "text": self.text, **self.facts})
 
 
 def compute_message_key(test: Test, receiver: str, event_ids: Sequence[int]) -> str:
-    """Return the key of a message from test, receiver and events; a repeated message has the same key."""
+    """Compute the key of a message from test, receiver and events; a repeated message has the same key."""
     first, others = event_ids[0], ",".join(map(str, event_ids))
     group_suffix = f"-{hashlib.sha256(others.encode()).hexdigest()[:8]}" if len(event_ids) > 1 else ""
     return f"{test.mark}.{receiver}.{first}{group_suffix}"
@@ -145,7 +145,7 @@ def compute_message_key(test: Test, receiver: str, event_ids: Sequence[int]) -> 
 def build_alarm_message(
     test: Test, receiver: str, changes: Sequence[AlarmChange], qualities: Mapping[int, str], *, now_ns: int
 ) -> Message:
-    """Return a message about changes of alarms.
+    """Compose a message about changes of alarms.
 
     Parameters
     ----------
@@ -195,7 +195,7 @@ class HeartbeatFacts(TypedDict):
 
 
 def build_heartbeat_message(test: Test, receiver: str, facts: HeartbeatFacts, *, now_ns: int) -> Message:
-    """Return a heartbeat message; ``facts`` are those of `source.Source.read_heartbeat_facts`."""
+    """Compose a heartbeat message; ``facts`` are those of `source.Source.read_heartbeat_facts`."""
     age_h = facts["last_set_age_h"]
     last_set_text = (
         "no set is stored yet" if age_h is None else f"the last set is {_format_age(age_h * 3600.0)} old"
@@ -210,7 +210,7 @@ def build_heartbeat_message(test: Test, receiver: str, facts: HeartbeatFacts, *,
 
 
 def build_test_message(test: Test, receiver: str, author: str, *, now_ns: int) -> Message:
-    """Return a message that is marked as a test."""
+    """Compose a message that is marked as a test."""
     return Message(
         key=f"{test.mark}.{receiver}.test-{now_ns}",
         kind="test",
@@ -221,13 +221,13 @@ def build_test_message(test: Test, receiver: str, author: str, *, now_ns: int) -
 
 
 def _format_headline(item: AlarmChange) -> str:
-    """Return the first line of a message about an alarm."""
+    """Compose the first line of a message about an alarm."""
     at = f" at {item.position}" if item.position else ""
     return f"{item.priority.upper()} {item.kind}{at} {_CHANGE_TEXTS[item.change]}"
 
 
 def _format_counts(changes: Sequence[AlarmChange]) -> str:
-    """Return the counts of changes by priority and kind, the highest priority first."""
+    """Format the counts of changes by priority and kind, the highest priority first."""
     counts = Counter((item.priority, item.change) for item in changes)
     order = sorted(counts, key=lambda pair: -PRIORITIES.index(pair[0]))
     return ", ".join(f"{counts[pair]} {pair[0]} {pair[1]}" for pair in order)
@@ -236,7 +236,7 @@ def _format_counts(changes: Sequence[AlarmChange]) -> str:
 def _describe_alarm_change(
     test: Test, item: AlarmChange, quality: str | None, now_ns: int
 ) -> dict[str, object]:
-    """Return the facts of a change of an alarm for a message."""
+    """Collect the facts of a change of an alarm for a message."""
     age_s = max(0.0, (now_ns - item.wall_utc_ns) / NS_PER_S)
     at_set = "" if item.set_key is None else f", set {item.set_key}, quality {quality or 'unknown'}"
     sentences = [
@@ -260,7 +260,7 @@ def _describe_alarm_change(
 
 
 def _link_to_alarm(test: Test, item: AlarmChange) -> str | None:
-    """Return the link to an alarm on the page; None if the page has no address."""
+    """Compose the link to an alarm on the page; None if the page has no address."""
     if not test.page:
         return None
     view = {"position": item.position, "set": item.set_key}
@@ -269,7 +269,7 @@ def _link_to_alarm(test: Test, item: AlarmChange) -> str | None:
 
 
 def _format_age(seconds: float) -> str:
-    """Return an age in hours, minutes or seconds as text."""
+    """Format an age in hours, minutes or seconds."""
     for size, unit in ((NS_PER_H / NS_PER_S, "h"), (60.0, "min")):
         if seconds >= 2.0 * size:
             return f"{seconds / size:.1f} {unit}"

@@ -128,7 +128,7 @@ class ReceiverQueue:
         self._started = True
 
     def step(self) -> float:
-        """Send what is due, at most one message and one heartbeat; return the time until the next is due, s.
+        """Send what is due, at most one message and one heartbeat; return the time to the next, s.
 
         Raises
         ------
@@ -145,7 +145,7 @@ class ReceiverQueue:
         return self._pause_s()
 
     def test(self, author: str) -> Outcome:
-        """Send a test message once.
+        """Send a test message once and return the outcome.
 
         Raises
         ------

@@ -12,7 +12,7 @@ from hardware_drivers.nanoseconds import NS_PER_S
 
 
 def find_matching_rule(change: AlarmChange, receiver: str, rules: Sequence[RuleSettings]) -> int | None:
-    """Return the number of the first rule that matches an alarm and a receiver; None: it is not sent."""
+    """Return the index of the first rule that matches an alarm and a receiver; None if none does."""
     for number, rule in enumerate(rules):
         if (
             (not rule.receivers or receiver in rule.receivers)
@@ -52,7 +52,7 @@ class WaitingChanges:
         return sorted(self._items)
 
     def add(self, change: AlarmChange, rule: int, *, now_s: float, age_s: float) -> list[int]:
-        """Add a change of an alarm.
+        """Add a change of an alarm to the waiting ones.
 
         Parameters
         ----------
@@ -81,7 +81,7 @@ class WaitingChanges:
         return []
 
     def due(self, now_s: float) -> list[AlarmChange]:
-        """Return the changes to send now as one message, in order; empty: none yet."""
+        """Return the changes to send at present as one message, in order; empty if none is due."""
         for rule in range(len(self._rules)):
             if (group_end_s := self._group_end_s(rule)) is not None and group_end_s <= now_s:
                 changes = [i.change for i in self._items.values() if i.rule == rule and i.due_s <= now_s]
@@ -89,7 +89,7 @@ class WaitingChanges:
         return []
 
     def next_s(self) -> float | None:
-        """Return the time at which the next message is due; None where nothing waits."""
+        """Return the time at which the next message is due; None if nothing waits."""
         group_ends_s = [self._group_end_s(rule) for rule in range(len(self._rules))]
         return min((at_s for at_s in group_ends_s if at_s is not None), default=None)
 

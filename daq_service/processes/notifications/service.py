@@ -106,7 +106,7 @@ class Notifications:
         return thread
 
     def _create_queues(self) -> dict[str, ReceiverQueue]:
-        """Return a queue for each receiver."""
+        """Create a queue for each receiver."""
         parts, queues = (self.settings, self._source, self.deliveries), dict[str, ReceiverQueue]()
         for name, receiver in self.settings.receivers.items():
             send, send_test = (
@@ -116,7 +116,7 @@ class Notifications:
         return queues
 
     def _create_cut(self) -> Cut:
-        """Return a new object by which closing the service cuts a delivery short."""
+        """Create an object with which closing the service aborts a delivery."""
         self._cuts.append(Cut())
         return self._cuts[-1]
 
@@ -197,7 +197,7 @@ class Notifications:
             released.wait(pause_s)
 
     def _report_problem(self, problem: str) -> None:
-        """Log why nothing is notified now, once per reason."""
+        """Log the reason why nothing is notified at present, once per reason."""
         if self.queues and problem != self.silent_reason:
             log.warning("no notifications now, tried again: %s", problem)
             self.silent_reason = problem
@@ -205,7 +205,7 @@ class Notifications:
 
 @lru_cache(maxsize=8)
 def _warn_once(message: str) -> None:
-    """Log a warning; repeated ones are cached."""
+    """Log a warning once; repeated calls with the same text have no effect."""
     log.warning("%s", message)
 
 

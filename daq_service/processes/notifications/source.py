@@ -52,25 +52,25 @@ class Source:
         return len(self._catalogue().rows(AlarmRow, active=True))
 
     def written_ns(self, event_id: int) -> int | None:
-        """Return when an event was written, ns of UTC; 0 for id 0, None where there is no such event."""
+        """Return when an event was written, ns of UTC; 0 for id 0, None if there is no such event."""
         if event_id == 0:
             return 0
         return next((row.wall_utc_ns for row in self.events([event_id])), None)
 
     def alarm_events(self, after: int, limit: int) -> Sequence[EventRow]:
-        """Return events of alarms after an id; none before the first record."""
+        """Read the events of alarms after an id; none before the first record."""
         try:
             return self._catalogue().rows(EventRow, after_id=after, topic="alarms", limit=limit)
         except NoDataYetError:
             return []
 
     def events(self, event_ids: Sequence[int]) -> list[EventRow]:
-        """Return the events with these ids, without missing ones."""
+        """Read the events with these ids, without missing ones."""
         read = partial(self._catalogue().read_events_after, limit=1)
         return [row for event_id in event_ids for row in read(event_id - 1) if row.id == event_id]
 
     def qualities(self, changes: Sequence[AlarmChange]) -> dict[int, str]:
-        """Return the quality of the set with which each alarm was raised, by event, where it was measured."""
+        """Read the quality of the set with which each alarm was raised, by event, if it was measured."""
         qualities: dict[int, str] = {}
         for item in changes:
             settings = self._settings.positions.get(item.position or "")
@@ -90,7 +90,7 @@ class Source:
         return qualities
 
     def read_heartbeat_facts(self) -> HeartbeatFacts:
-        """Return the status of the recorder and the ages of the last set (h of the test) and write (s)."""
+        """Read the status of the recorder and the ages of the last set (h of the test) and write (s)."""
         try:
             catalogue = self._catalogue()
         except NoDataYetError:

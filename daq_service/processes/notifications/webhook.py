@@ -90,7 +90,7 @@ def _shut_connection(connection: socket.socket) -> None:
 
 
 def sign_body(secret: bytes, time_s: int, body: bytes) -> str:
-    """Return the value of the signature header for a body sent at a time."""
+    """Compute the value of the signature header for a body sent at a time."""
     digest = hmac.new(secret, b"%d." % time_s + body, hashlib.sha256).hexdigest()
     return f"t={time_s},v1={digest}"
 
@@ -102,7 +102,7 @@ def post_message(
     cut: Cut | None = None,
     machine: MachineClock = MACHINE,
 ) -> Outcome:
-    """Try once to deliver a message; every error is returned as an outcome, within `ANSWER_WITHIN_S`."""
+    """Try once to deliver a message; return every error as an outcome, within `ANSWER_WITHIN_S`."""
     cut = cut or Cut()
     parts = urlsplit(address.url)
     assert parts.hostname is not None, "the address was checked"
@@ -117,6 +117,7 @@ def post_message(
     timed_out = threading.Event()
 
     def abort() -> None:
+        """Abort the delivery after the time limit."""
         timed_out.set()
         cut()
 
@@ -162,7 +163,7 @@ def _connect_to_receiver(scheme: str, host: str, port: int, cut: Cut) -> socket.
 
 
 def _outcome_of_response(status: int, retry_after: str | None, now_s: float) -> Outcome:
-    """Return the outcome of a response."""
+    """Convert a response to an outcome."""
     if 200 <= status < 300:
         return Outcome(ok=True, description=f"taken ({status})", status=status)
     description = f"the receiver answers {status} {http.client.responses.get(status, '')}".rstrip()
@@ -178,7 +179,7 @@ def _outcome_of_response(status: int, retry_after: str | None, now_s: float) -> 
 
 
 def _parse_retry_after_s(text: str | None, now_s: float) -> float:
-    """Return the pause of a ``Retry-After`` header (seconds or a date), s; 0 where it is unreadable."""
+    """Parse the pause of a ``Retry-After`` header (seconds or a date), s; 0 if it is unreadable."""
     if text is None:
         return 0.0
     try:
@@ -190,7 +191,7 @@ def _parse_retry_after_s(text: str | None, now_s: float) -> float:
 
 
 def _describe_error(error: Exception) -> str:
-    """Return a description of an error; the text of a library may repeat the address."""
+    """Describe an error without a library's text, which may repeat the address."""
     match error:
         case ssl.SSLCertVerificationError():
             return f"its certificate is refused: {error.verify_message}"

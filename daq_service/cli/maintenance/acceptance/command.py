@@ -68,7 +68,7 @@ def write_acceptance_report(
 
 
 def _format_lines(report: AcceptanceReport) -> list[str]:
-    """Return the lines for a terminal."""
+    """Format the acceptance report as lines for a terminal."""
     rows = [
         (item.state, item.quantity.text, format_limit(item), format_quantity(item.quantity), item.reason)
         for item in report.comparisons

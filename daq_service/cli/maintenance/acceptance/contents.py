@@ -74,7 +74,7 @@ def build_report(evidence: Evidence, criteria: Sequence[Criterion]) -> Acceptanc
 
 
 def _describe_identity(evidence: Evidence) -> dict[str, str]:
-    """Return what identifies the test, its configuration and its machine."""
+    """Return the data that identify the test, its configuration and its computer."""
     experiment, provenance = evidence.experiment, evidence.provenance
     runs = [row.payload for row in evidence.service if row.kind == "recorder_started"]
     versions = dict.fromkeys(_join_names_and_values(run.get("versions", {})) for run in runs)
@@ -108,12 +108,12 @@ def _describe_identity(evidence: Evidence) -> dict[str, str]:
 
 
 def _join_names_and_values(values: Mapping[str, object]) -> str:
-    """Join names and values."""
+    """Join names and values to one text."""
     return ", ".join(f"{name} {value}" for name, value in values.items())
 
 
 def _list_notes(evidence: Evidence) -> list[str]:
-    """Return notes on missing or special data."""
+    """List notes on missing or special data."""
     machine_readings, notes = read_readings(evidence), []
     indices = {row.set_index for row in evidence.sets if row.n_taken}
     n_lacking = len(indices) - len({reading.set_index for reading in machine_readings} & indices)
@@ -135,7 +135,7 @@ def _list_notes(evidence: Evidence) -> list[str]:
 
 
 def report_to_json(report: AcceptanceReport) -> dict[str, object]:
-    """Return the report as a JSON object; units are values or endings of names."""
+    """Convert the report to a JSON object; units are values or endings of names."""
     return {
         "solimon_acceptance_report": SHAPE,
         "made_utc": report.made_utc,

@@ -31,7 +31,7 @@ class Comparison:
 
 
 def apply_limits(given: Sequence[str]) -> tuple[Criterion, ...]:
-    """Return the criteria with given limits, as ``NAME=VALUE`` or ``NAME=off``.
+    """Return the criteria with limits given as ``NAME=VALUE`` or ``NAME=off``.
 
     Raises
     ------
@@ -55,7 +55,7 @@ def apply_limits(given: Sequence[str]) -> tuple[Criterion, ...]:
 
 
 def compare_criteria(criteria: Iterable[Criterion], quantities: Mapping[str, Quantity]) -> list[Comparison]:
-    """Compare each criterion with its quantity.
+    """Compare each criterion with its quantity and return the results.
 
     A quantity with an interval passes if the complete interval meets the limit, and fails if none of it does.
     """
@@ -67,7 +67,7 @@ def compare_criteria(criteria: Iterable[Criterion], quantities: Mapping[str, Qua
 
 
 def _assess_criterion(criterion: Criterion, quantity: Quantity) -> tuple[State, str]:
-    """Return the state of a criterion and its reason."""
+    """Return the state of a criterion, and the reason if it does not apply or lacks data."""
     if criterion.limit is None:
         return "left out", "no limit is set"
     if not quantity.applies:
@@ -84,6 +84,6 @@ def _assess_criterion(criterion: Criterion, quantity: Quantity) -> tuple[State, 
 
 
 def overall_outcome(comparisons: Sequence[Comparison]) -> Outcome:
-    """Return fail if a criterion fails, pass if all applicable ones pass, else incomplete."""
+    """Return "fail" if a criterion fails, "pass" if all applicable ones pass, otherwise "incomplete"."""
     states = {item.state for item in comparisons}
     return "fail" if "fail" in states else "incomplete" if "undecided" in states else "pass"

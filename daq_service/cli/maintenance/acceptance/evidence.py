@@ -82,12 +82,12 @@ class Evidence:
     verified: Report | None = None
 
     def hour(self, utc_ns: int) -> float:
-        """Return the hours of the test at a time."""
+        """Convert a time to hours of the test."""
         return (utc_ns - self.experiment.epoch_utc_ns) / NS_PER_H
 
 
 def read_evidence(folder: Path, verified: Report | None = None) -> Evidence:
-    """Read the data; nothing in the folder is changed.
+    """Read the data of the report from a folder without changing it.
 
     Raises
     ------
@@ -141,7 +141,7 @@ _ENDED = tuple(word for word, _ in FAREWELLS.values())
 
 @contextmanager
 def _open_catalogue_copy(folder: Path) -> Iterator[Catalogue]:
-    """Open a copy of one state: an older version is migrated there, the folder's own stays."""
+    """Open a copy of the catalogue in one state; an older version is migrated in the copy only."""
     with tempfile.TemporaryDirectory(prefix="solimon-") as path:
         with UnchangedCatalogue(folder) as source:
             source.copy_to(Path(path) / FILE_NAME)
@@ -171,7 +171,7 @@ def _evaluation_time_ns(
     *,
     ended: bool,
 ) -> int:
-    """Return the time until which sets should exist: of an ended or simulated test its last event."""
+    """Return the time until which sets are due: for an ended or simulated test, that of its last event."""
     last = max([experiment.epoch_utc_ns, *(row.utc_ns for row in service), *(row.due_utc_ns for row in sets)])
     if ended or experiment.clock != "wall":
         return last
@@ -179,14 +179,14 @@ def _evaluation_time_ns(
 
 
 def _count_due_sets(planned: Sequence[DueSet], sets: Sequence[SetRow], now_ns: int) -> int:
-    """Count the sets that should have rows: a set may be in progress until the next one is due."""
+    """Count the sets that must have rows; one set may still be in progress."""
     n_with_rows = max((row.set_index + 1 for row in sets), default=0)
     n_ended = sum(following.due_utc_ns <= now_ns for following in planned[1:])
     return max(n_with_rows, n_ended)
 
 
 def _read_provenance(folder: Path) -> Mapping[str, object]:
-    """Return the provenance of the newest readable set."""
+    """Read the provenance of the newest readable set."""
     reader = FolderSetReader(folder)
     for reference in list(reader.sets().values())[::-1]:
         try:
@@ -197,7 +197,7 @@ def _read_provenance(folder: Path) -> Mapping[str, object]:
 
 
 def _read_file_sizes(folder: Path, sets: Sequence[SetRow]) -> dict[int, int]:
-    """Return the sizes of existing files by set index; a journaled set has none yet."""
+    """Return the sizes of existing files by set index; a set still in the journal has no file."""
     sizes = {}
     for row in sets:
         if row.file is not None and row.set_index not in sizes:

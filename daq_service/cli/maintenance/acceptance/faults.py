@@ -25,7 +25,7 @@ class Fault:
 
 
 def list_faults(evidence: Evidence) -> list[Fault]:
-    """List the faults in order; an alarm that is active again is a new fault."""
+    """List the faults in order; an alarm that is active again counts as a new fault."""
     faults_by_alarm: dict[int, list[Fault]] = {}
     for event in evidence.alarm_events:
         if event.payload["alarm_class"] != "diagnostic":
@@ -47,7 +47,7 @@ def list_faults(evidence: Evidence) -> list[Fault]:
 
 
 def fault_table(evidence: Evidence) -> Table:
-    """Return the table of faults by kind."""
+    """Build the table of faults by kind."""
     kinds: defaultdict[str, list[Fault]] = defaultdict(list)
     for fault in list_faults(evidence):
         kinds[fault.kind].append(fault)
@@ -62,7 +62,7 @@ def fault_table(evidence: Evidence) -> Table:
 
 
 def damage_table(evidence: Evidence) -> Table:
-    """Return the table of the specimen's alarms: findings, not faults."""
+    """Build the table of the specimen's alarms, which are findings and not faults."""
     rows = [
         (row.kind, row.position or "", row.priority, row.state, row.raised_h, row.message)
         for row in evidence.alarms
@@ -72,7 +72,7 @@ def damage_table(evidence: Evidence) -> Table:
 
 
 def clock_step_table(evidence: Evidence) -> Table:
-    """Return the table of steps of the computer's UTC."""
+    """Build the table of steps of the computer's UTC."""
     rows = [
         (evidence.hour(row.utc_ns), row.payload["step_s"], row.payload["ahead_s"])
         for row in evidence.service
@@ -82,7 +82,7 @@ def clock_step_table(evidence: Evidence) -> Table:
 
 
 def fault_quantities(evidence: Evidence) -> Iterator[Quantity]:
-    """Yield active faults and detected corruption."""
+    """Yield the numbers of active faults and of files found corrupt."""
     yield make_quantity("faults_standing", sum(fault.until_ns is None for fault in list_faults(evidence)))
     corrupt = {row.payload["file"] for row in evidence.service if row.kind == "data_corrupt"}
     yield make_quantity("files_found_damaged", len(corrupt))

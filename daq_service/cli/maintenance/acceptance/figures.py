@@ -19,7 +19,7 @@ DASHED = ("forecast", "planned")
 
 
 def draw_series(series: Series, gaps: Iterable[tuple[float, float]] = ()) -> bytes:
-    """Return a series with values as PNG; ``gaps`` are shaded ranges of hours."""
+    """Draw a series as a PNG image; ``gaps`` are shaded ranges of hours."""
     scale, unit = choose_display_unit(series.text.unit, max(map(abs, series.values), default=0.0))
     with mpl.rc_context(RULES):
         figure = Figure(figsize=SIZE_IN, layout="constrained")

@@ -14,7 +14,7 @@ SCALES = ((1e9, "GB"), (1e6, "MB"), (1e3, "kB"))
 
 
 def choose_display_unit(unit: str, value: float) -> tuple[float, str]:
-    """Return the factor and the name of the unit that a value is shown in: bytes in the largest that fits."""
+    """Return the factor and the name of the display unit of a value; bytes get the largest unit that fits."""
     if not unit.startswith("B"):
         return 1.0, unit
     scale, name = next(((scale, name) for scale, name in SCALES if abs(value) >= scale), (1.0, "B"))
@@ -22,7 +22,7 @@ def choose_display_unit(unit: str, value: float) -> tuple[float, str]:
 
 
 def render_report(report: AcceptanceReport, pictures: Mapping[str, bytes]) -> bytes:
-    """Return the HTML of the report.
+    """Build the HTML page of the report.
 
     Parameters
     ----------
@@ -43,7 +43,7 @@ def render_report(report: AcceptanceReport, pictures: Mapping[str, bytes]) -> by
 
 
 def _list_number_columns(table: Table) -> list[str]:
-    """Return the names of the columns of numbers."""
+    """Return the names of the columns that contain numbers."""
     first = table.rows[0] if table.rows else ()
     return [
         name for name, value in zip(table.text.columns, first, strict=False) if isinstance(value, int | float)
@@ -51,7 +51,7 @@ def _list_number_columns(table: Table) -> list[str]:
 
 
 def format_with_interval(unit: str, *values: float | int | None) -> str:
-    """Format numbers with their unit: the first one, then the interval of the others.
+    """Format a number with its unit; further numbers are its interval.
 
     Four figures; bytes in the largest unit that fits the first.
     """
@@ -69,12 +69,12 @@ def format_with_interval(unit: str, *values: float | int | None) -> str:
 
 
 def format_quantity(item: Quantity) -> str:
-    """Format a quantity with its interval, if it has one."""
+    """Format a quantity with its interval, if there is one."""
     return format_with_interval(item.unit, item.value, item.low, item.high)
 
 
 def format_limit(item: Comparison) -> str:
-    """Format a criterion's limit; empty if not required."""
+    """Format the limit of a criterion; empty if it is not required."""
     criterion = item.criterion
     return (
         ""

@@ -51,6 +51,7 @@ class Quantity:
     applies: bool = True
 
     def __post_init__(self) -> None:
+        """Remove the reason of a missing value if there is a value."""
         if self.value is not None:
             object.__setattr__(self, "missing", "")
 
@@ -64,7 +65,7 @@ def make_quantity(
     applies: bool = True,
     **facts: object,
 ) -> Quantity:
-    """Return a quantity with its texts; ``facts`` fill the braces of its method."""
+    """Create a quantity with its texts; ``facts`` fill the placeholders of its method."""
     text, (low, high) = TEXTS.quantities[name], interval
     return Quantity(
         text.section, name, text.text, text.unit, text.how.format(**facts), value, missing, low, high, applies
@@ -109,6 +110,7 @@ class Series:
     steps: bool = False
 
     def __post_init__(self) -> None:
+        """Remove the reason of missing values if there are values."""
         if self.values:
             object.__setattr__(self, "missing", "")
 

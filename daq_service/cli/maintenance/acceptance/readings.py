@@ -30,7 +30,7 @@ class Reading:
 
 
 def read_readings(evidence: Evidence) -> list[Reading]:
-    """Return the machine readings in the order of their sets."""
+    """List the machine readings in the order of their sets."""
     found = [
         Reading(set_index=row.set_index, hour=evidence.hour(row.utc_ns), payload=row.payload)
         for row in evidence.machine
@@ -40,7 +40,7 @@ def read_readings(evidence: Evidence) -> list[Reading]:
 
 
 def select_readings(evidence: Evidence, name: str) -> list[tuple[Reading, float]]:
-    """Return the readings that have a value of this name."""
+    """Select the readings that have a value of this name."""
     return [
         (reading, reading.payload[name])
         for reading in read_readings(evidence)
@@ -49,12 +49,12 @@ def select_readings(evidence: Evidence, name: str) -> list[tuple[Reading, float]
 
 
 def sum_stage_times_s(reading: Reading) -> float:
-    """Return the wall time of extraction, storage, assessment and commit."""
+    """Return the wall time of extraction, storage, assessment and commit of a set, s."""
     return float(sum(s for stage, s in reading.payload["stage_s"].items() if stage != "strike_and_read_s"))
 
 
 def list_set_times(evidence: Evidence) -> list[tuple[float, float, float]]:
-    """Return hour due, start delay in s, and duration in s of each set with a record."""
+    """Return the due hour, the start delay in s and the duration in s of each set with a record."""
     found = {}
     for row in evidence.sets:
         if row.started_utc_ns is not None and row.ended_utc_ns is not None:

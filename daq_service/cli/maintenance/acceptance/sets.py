@@ -32,7 +32,7 @@ class Gap:
 
 
 def group_by_set(rows: Sequence[SetRow]) -> Mapping[int, list[SetRow]]:
-    """Group rows by set."""
+    """Group rows by their set."""
     found: defaultdict[int, list[SetRow]] = defaultdict(list)
     for row in rows:
         found[row.set_index].append(row)
@@ -45,6 +45,7 @@ def list_gaps(evidence: Evidence) -> list[Gap]:
     missed_sets, reasons, from_h = list[DueSet](), dict[str, None](), 0.0
 
     def close_gap(until_h: float) -> None:
+        """End the current gap at an hour and store it, if it has sets."""
         if missed_sets:
             found.append(Gap(sets=tuple(missed_sets), reasons=tuple(reasons), from_h=from_h, until_h=until_h))
         missed_sets.clear()
@@ -65,7 +66,7 @@ def list_gaps(evidence: Evidence) -> list[Gap]:
 
 
 def count_sets_and_records(evidence: Evidence) -> list[Quantity]:
-    """Return the numbers of sets and records: planned, taken, valid, missed; gaps."""
+    """Compute the numbers of planned, recorded, valid and missed sets and records, and of gaps."""
     rows, found = group_by_set(evidence.sets), list_gaps(evidence)
     taken = {index: set_rows for index, set_rows in rows.items() if any(row.n_taken for row in set_rows)}
     partial = [
@@ -102,12 +103,12 @@ def count_sets_and_records(evidence: Evidence) -> list[Quantity]:
 
 
 def _compute_fraction(part: int, total: int) -> float | None:
-    """Return a part of a total; None if there is nothing."""
+    """Compute the fraction of a total; None if the total is 0."""
     return part / total if total else None
 
 
 def gap_table(evidence: Evidence) -> Table:
-    """Return the table of gaps with their reasons."""
+    """Build the table of gaps with their reasons."""
     rows = [
         (gap.sets[0].set_index, len(gap.sets), gap.from_h, gap.until_h, gap.hours, "; ".join(gap.reasons))
         for gap in list_gaps(evidence)
@@ -116,7 +117,7 @@ def gap_table(evidence: Evidence) -> Table:
 
 
 def shortfall_table(evidence: Evidence) -> Table:
-    """Return the table of missing records in sets with records, by reason."""
+    """Build the table of missing records in sets with records, by reason."""
     found: defaultdict[tuple[str, str], list[SetRow]] = defaultdict(list)
     with_records = {row.set_index for row in evidence.sets if row.n_taken}
     for row in evidence.sets:
@@ -137,12 +138,12 @@ def shortfall_table(evidence: Evidence) -> Table:
 
 
 def flag_table(evidence: Evidence) -> Table:
-    """Return the table of shots by flag."""
+    """Build the table of shots by quality flag."""
     return Table("flags", Counter(evidence.flags).most_common())
 
 
 def count_records_by_set(evidence: Evidence) -> Series:
-    """Return the records of each set, taken and valid."""
+    """Build the series of recorded and valid records per set."""
     hours = {due.set_index: due.due_h for due in evidence.planned}
     lines: dict[str, Counter[int]] = {name: Counter() for name in ("planned", "taken", "valid")}
     for row in evidence.sets:

@@ -21,7 +21,7 @@ NOT_SHOWN = (*NOT_COMPARED, "averages")
 
 
 def format_title(found: Explained) -> str:
-    """Return the title of the alarm."""
+    """Compose the title of the alarm's page."""
     where = f" at position {found.alarm.position}" if found.alarm.position else ""
     return f"Alarm {found.alarm.id}: {found.alarm.kind.replace('_', ' ')}{where}"
 
@@ -47,7 +47,7 @@ def describe_recomputation(found: Explained) -> str:
 
 
 def render_page(found: Explained, pictures: Sequence[Picture]) -> bytes:
-    """Return the HTML page."""
+    """Build the HTML page of an alarm."""
     recomputed = () if found.again is None else found.again.assessments
     of_set = next((row for row in recomputed if row.set_index == found.alarm.raised_set_index), None)
     assessment = {} if of_set is None else to_columns(of_set)
@@ -68,7 +68,7 @@ def render_page(found: Explained, pictures: Sequence[Picture]) -> bytes:
 
 
 def collect_facts(found: Explained) -> dict[str, object]:
-    """Return all contents of the page, and the rows behind it, as plain values."""
+    """Collect the contents of the page, and the rows behind it, as plain values."""
     recomputed, guidance = found.again, GUIDANCE.get(found.alarm.kind)
     return {
         "test": found.experiment.name,
@@ -87,7 +87,7 @@ def collect_facts(found: Explained) -> dict[str, object]:
 
 
 def _recomputed_facts(recomputed: Recomputed) -> dict[str, object]:
-    """Return the recomputed values."""
+    """Collect the recomputed values."""
     pulses = recomputed.pulses
     return {
         "n_sets": recomputed.n_sets,
@@ -103,13 +103,13 @@ def _recomputed_facts(recomputed: Recomputed) -> dict[str, object]:
 
 
 def _evidence_sentences(found: Explained) -> list[str]:
-    """Return the evidence in sentences."""
+    """Describe the evidence in sentences."""
     baseline = None if found.again is None else found.again.baseline
     return evidence_sentences(found.alarm, {} if baseline is None else {baseline.id or 0: baseline})
 
 
 def _facts_with_value(facts: Mapping[str, object]) -> Iterator[tuple[str, object]]:
-    """Yield name and value of the facts that have a value."""
+    """Yield the name and value of each fact that has a value."""
     for name, value in facts.items():
         if isinstance(value, Mapping):
             yield name, {key: item for key, item in value.items() if item is not None}

@@ -21,7 +21,7 @@ from daq_service.shared_file import write_output
 
 
 def run_explain(*, alarm_id: int, data_dir: Path, out: Path | None, overwrite: bool, as_json: bool) -> None:
-    """Explain an alarm in a folder, and print its path.
+    """Write the evidence page of an alarm of a folder, and print its path.
 
     Raises
     ------

@@ -41,7 +41,7 @@ class Picture:
 
 
 def draw_evidence(found: Explained) -> list[Picture]:
-    """Draw the evidence of the alarm; nothing without a recomputation."""
+    """Draw the evidence of the alarm; return nothing without a recomputation."""
     if found.again is None:
         return []
     pictures = [
@@ -113,7 +113,7 @@ def _draw_quantities(found: Explained, recomputed: Recomputed) -> Picture | None
 
 
 def _draw_panel(axis: Axes, panel: _Panel) -> None:
-    """Draw a panel."""
+    """Draw one panel of a figure."""
     axis.plot(panel.hours, panel.values, linestyle="none", marker="o", color=BLUE)
     for (label, limit), style in zip(panel.limits.items(), _STYLES, strict=False):
         axis.axhline(limit, label=label, **style)
@@ -131,7 +131,7 @@ _STYLES: Sequence[Mapping[str, Any]] = (
 
 
 def _yield_panels(found: Explained, recomputed: Recomputed) -> Iterable[_Panel]:
-    """Yield the quantities that the kind of alarm is about: statistics, thickness, or numbers of shots."""
+    """Yield the panels for the kind of alarm: statistics, thickness, or numbers of shots."""
     evidence, rule = found.alarm.evidence, found.alarm.evidence.get("rule") or {}
     if found.alarm.kind == "thickness_low":
         read = [(row.due_h, getattr(row, "thickness_m", None)) for row in recomputed.measured]
@@ -155,7 +155,7 @@ def _yield_panels(found: Explained, recomputed: Recomputed) -> Iterable[_Panel]:
 
 
 def _draw_contributions(parts: Mapping[str, float | None]) -> Picture | None:
-    """Draw the contributions of the features."""
+    """Draw the contributions of the features to the statistic."""
     known = {name: part for name, part in parts.items() if part is not None}
     if not known:
         return None

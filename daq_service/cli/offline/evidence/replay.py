@@ -30,7 +30,7 @@ def run_replay(
     workers: int | None,
     as_json: bool,
 ) -> None:
-    """Reassess a stored test and print the changes; the folder is only read."""
+    """Reassess a stored test and print the differences; the folder is only read."""
     if not extract and (executor or workers):
         raise UsageError("--executor and --workers do the work of --extract; give it, or leave them out")
     by = None
@@ -41,7 +41,7 @@ def run_replay(
 
 
 def describe_replay(found: Replayed) -> Iterable[str]:
-    """Yield the lines of the result."""
+    """Yield the result as lines of text."""
     source = "from the waveforms" if found.extracted else "as stored"
     settings_text = ", ".join(f"{key} = {json.dumps(value)}" for key, value in found.changed.items())
     yield f"{found.experiment}: {found.sets} sets judged again with {settings_text or 'the same settings'}"
@@ -68,7 +68,7 @@ def describe_replay(found: Replayed) -> Iterable[str]:
 
 
 def _count_differing_sets(found: Iterable[Difference]) -> Iterable[str]:
-    """Yield the number of differing sets per column, one line per position; `--json` has the values.
+    """Yield one line per position with the number of differing sets per column.
 
     A column of named values is represented by the name that differs in most sets.
     """
@@ -91,7 +91,7 @@ def _count_differing_sets(found: Iterable[Difference]) -> Iterable[str]:
 
 
 def _format_onset(onset: Onset) -> str:
-    """Return the set and the hour of an onset."""
+    """Format the set and the hour of an onset."""
     return f"set {onset.set_index}, hour {onset.hour:.2f}"
 
 
