@@ -44,12 +44,12 @@ def filter_chunk(values: NDArray[Any]) -> bytes:
 
 @lru_cache(maxsize=8)
 def _deflate(content: bytes) -> bytes:
-    """Return the zlib stream of data other than records: time axes and provenance, equal in every set."""
+    """Compress data other than records (axes, provenance); cached, since they are equal in every set."""
     return zlib.compress(content, GZIP_LEVEL)
 
 
 def _deflate_planes(planes: NDArray[np.uint8]) -> bytes:
-    """Return one zlib stream of all byte planes, shape (n_planes, n_bytes)."""
+    """Compress byte planes to one zlib stream; shape (n_planes, n_bytes)."""
     last = len(planes) - 1
     parts = [_ZLIB_HEADER]
     checksum = zlib.adler32(b"")
@@ -74,14 +74,14 @@ def _is_noise(probe: NDArray[np.uint8]) -> bool:
 
 @cache
 def _compute_n_log2_n() -> NDArray[np.float64]:
-    """Return n log2(n) for every count of a probe, shape (_PROBE_BYTES + 1,)."""
+    """Compute n log2(n) for every count of a probe, shape (_PROBE_BYTES + 1,)."""
     n = np.arange(_PROBE_BYTES + 1.0)
     table: NDArray[np.float64] = n * np.log2(np.maximum(n, 1.0))
     return table
 
 
 def _build_stored_blocks(content: bytes, *, final: bool) -> bytes:
-    """Return deflate blocks that hold the bytes uncompressed."""
+    """Build deflate blocks that hold the bytes uncompressed."""
     parts: list[bytes] = []
     for first in range(0, len(content), _LONGEST_STORED_BYTES):
         part = content[first : first + _LONGEST_STORED_BYTES]
@@ -110,5 +110,5 @@ def _build_countdown(size: int) -> NDArray[np.int64]:
 
 @lru_cache(maxsize=2)
 def _build_longest_countdown(bits: int) -> NDArray[np.int64]:
-    """Return a cached countdown that covers every size of so many bits."""
+    """Build a countdown that covers every size of so many bits; cached."""
     return np.arange((1 << bits) - 1, 0, -1)

@@ -135,7 +135,7 @@ def build_consolidated_image(
     shots: Mapping[Sampling, tuple[Sequence[Block], Columns]],
     sets: Mapping[str, Columns],
 ) -> bytes:
-    """Return the bytes of the consolidated file.
+    """Build the bytes of the consolidated file, with virtual datasets of all sets.
 
     Parameters
     ----------
@@ -174,7 +174,7 @@ def build_consolidated_image(
 
 
 def _to_relative(target: Path, folder: Path) -> str:
-    """Return the path from the file to the data folder; absolute if on another Windows drive."""
+    """Return the path from the file to the data folder; absolute if it is on another Windows drive."""
     target_folder, data_folder = target.parent.resolve(), folder.resolve()
     return (
         Path(os.path.relpath(data_folder, target_folder))
@@ -184,7 +184,7 @@ def _to_relative(target: Path, folder: Path) -> str:
 
 
 def name_groups(samplings: Iterable[Sampling]) -> dict[Sampling, str]:
-    """Return the name of each array's group."""
+    """Name the group of each record array; equal samplings of a position get numbers."""
     names, n_groups = dict[Sampling, str](), dict[str, int]()
     for sampling in samplings:
         base = f"{sampling.position}_{'pulse_echo' if sampling.is_echo else 'waveforms'}"

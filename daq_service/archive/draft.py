@@ -59,13 +59,13 @@ class Node:
 
     @property
     def structure(self) -> tuple[object, ...]:
-        """Return everything that the skeleton depends on."""
+        """Return what a skeleton depends on: path, type, shape, chunk, axes, link and attributes."""
         shape = self.stored and (self.stored[0].dtype.str, self.stored[0].shape)
         return self.path, shape, self.chunk, self.axes, self.is_axis, self.link, self.attributes
 
 
 def start_draft(attributes: Mapping[str, Attribute], own_attributes: Mapping[str, Attribute]) -> Node:
-    """Start a draft; return its root."""
+    """Start the draft of a file in memory; return its root."""
     root = Node(path="", draft=[], attributes=dict(attributes), own_attributes=own_attributes)
     root.draft.append(root)
     return root
@@ -102,7 +102,7 @@ def add_field(
 
 
 def build_draft_image(root: Node) -> bytes:
-    """Return the bytes of the file."""
+    """Build the bytes of the HDF5 file that a draft describes."""
     key = orjson.dumps([node.structure for node in root.draft], option=orjson.OPT_SERIALIZE_NUMPY)
     file = nexus.open_image(
         _create_skeleton(_Structure(key, root.draft)).fill_values(root.draft), is_own=True, writable=True
@@ -139,7 +139,7 @@ class _Skeleton:
     lock: threading.Lock
 
     def fill_values(self, draft: Sequence[Node]) -> bytes:
-        """Return the bytes of the file with the values of the small datasets."""
+        """Fill the values of a draft into the skeleton; return the bytes of the file."""
         with self.lock:
             for node in draft:
                 if node.path in self.small and node.stored is not None:
@@ -149,7 +149,7 @@ class _Skeleton:
 
 @lru_cache(maxsize=_SKELETONS)
 def _create_skeleton(structure: _Structure) -> _Skeleton:
-    """Create the skeleton of a structure."""
+    """Create the HDF5 skeleton of a structure, without values; cached."""
     with nexus.new_image() as file:
         made: dict[str, h5g.GroupID | h5d.DatasetID] = {"": nexus.open_root(file)}
         nexus.set_attributes(made[""], structure.draft[0].attributes)

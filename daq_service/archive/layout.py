@@ -82,7 +82,7 @@ class _RecordGroup:
 
 
 def build_image(record: SetRecord) -> bytes:
-    """Return the bytes of the set's file; equal sets give equal bytes."""
+    """Build the bytes of the HDF5 file of a set; equal sets give equal bytes."""
     groups = _group_records(record.records)
     root = start_draft(
         {
@@ -199,7 +199,7 @@ def _add_detectors(entry: Node, record: SetRecord, groups: Sequence[_RecordGroup
 
 
 def _compute_nexus_scale(waveform: Waveform) -> tuple[float, float]:
-    """Return scale and offset of NXdata for viewers: volts = (counts + offset) * scale."""
+    """Compute scale and offset of NXdata for viewers: volts = (counts + offset) * scale."""
     constant, slope = (float(c) for c in waveform.calibration.coefficients_v[:2])
     return slope, constant / slope if slope else 0.0
 
@@ -249,7 +249,7 @@ def _add_records(entry: Node, record: SetRecord, groups: Sequence[_RecordGroup])
 
 
 def _to_int64(numbers: Iterable[int]) -> NDArray[np.int64]:
-    """Return integers as an array."""
+    """Convert integers to an int64 array."""
     return np.fromiter(numbers, dtype=np.int64)
 
 
@@ -359,7 +359,7 @@ def _add_shots(entry: Node, record: SetRecord) -> None:
 
 
 def _add_positions(entry: Node, record: SetRecord) -> None:
-    """Add a table of planned and taken records per position."""
+    """Add a table with the numbers of planned and recorded records per position."""
     positions = record.positions
     positions_of_records = [shot.key.position for shot in record.records]
     table = add_group(entry, "positions", "NXcollection")
@@ -387,7 +387,7 @@ def _add_results(entry: Node, record: SetRecord) -> None:
 
 
 def _to_column(values: list[float | str]) -> Any:
-    """Return a column as texts or as an array of numbers."""
+    """Convert a column to texts or to an array of numbers."""
     return values if isinstance(values[0], str) else np.array(values)
 
 
@@ -422,7 +422,7 @@ def _add_preview(entry: Node, groups: Sequence[_RecordGroup]) -> None:
 
 
 def _compute_envelope(group: _RecordGroup, starts: NDArray[np.int64]) -> dict[str, NDArray[np.float32]]:
-    """Return mean, min and max in V of all records between adjacent starts, shape (n_starts,) each.
+    """Compute mean, min and max in V of all records between adjacent starts, shape (n_starts,) each.
 
     Counts are reduced and then calibrated: an ADC's calibration is monotonic, and the difference
     that its curvature makes to a mean is invisible in a figure.

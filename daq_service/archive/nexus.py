@@ -64,7 +64,7 @@ def new_image() -> Iterator[h5f.FileID]:
 
 
 def _create_memory_access() -> h5p.PropFAID:
-    """Return the access properties of files in memory."""
+    """Create the access properties of HDF5 files in memory."""
     access = h5p.create(h5p.FILE_ACCESS)
     access.set_fapl_core(_BLOCK_BYTES, False)
     # The oldest format with checksums everywhere, up to what tools of the last ten years read.
@@ -78,7 +78,7 @@ def open_root(file: h5f.FileID) -> h5g.GroupID:
 
 
 def read_image(file: h5f.FileID) -> bytes:
-    """Return the bytes of the file."""
+    """Read the bytes of a file in memory."""
     h5f.flush(file)
     return bytes(file.get_file_image())
 
@@ -213,7 +213,7 @@ def fill_field(dataset: h5d.DatasetID, stored: Stored, chunk: tuple[int, ...] | 
 
 
 def choose_chunk(array: NDArray[Any], chunk: tuple[int, ...] | None) -> tuple[int, ...] | None:
-    """Return the chunk of an array, by default all of a large one; None if it is stored compact."""
+    """Choose the chunk of an array, by default all of a large one; None for compact storage."""
     return array.shape if chunk is None and array.nbytes > _LARGEST_COMPACT_BYTES and array.ndim else chunk
 
 
@@ -246,12 +246,12 @@ def set_attributes(target: h5g.GroupID | h5d.DatasetID, attributes: Mapping[str,
 
 @cache
 def _create_variable_text() -> h5t.TypeID:
-    """Return the HDF5 type of strings of variable length."""
+    """Create the HDF5 type of strings of variable length."""
     return h5t.py_create(_TEXT, logical=True)
 
 
 def to_stored_form(values: object) -> Stored:
-    """Return array and HDF5 type: UTF-8 strings of fixed length, little-endian numbers."""
+    """Convert values to array and HDF5 type: UTF-8 of fixed length, or little-endian numbers."""
     if isinstance(values, str):
         return _encode_text(values)
     if isinstance(values, Sequence) and all(isinstance(v, str) for v in values):
@@ -264,12 +264,12 @@ def to_stored_form(values: object) -> Stored:
 
 @lru_cache(maxsize=1024)
 def _encode_text(text: str) -> Stored:
-    """Return array and HDF5 type of a text; cached, since units and names repeat in every set."""
+    """Encode a text as array and HDF5 type; cached, since units and names repeat in every set."""
     return _encode_texts(text.encode())
 
 
 def _encode_texts(values: bytes | list[bytes]) -> Stored:
-    """Return array and HDF5 type of encoded texts."""
+    """Encode texts as array and HDF5 type."""
     length = len(values) if isinstance(values, bytes) else max(map(len, values), default=0)
     n_bytes = (length // _TEXT_STEP_BYTES + 1) * _TEXT_STEP_BYTES
     return np.array(values, dtype=f"S{n_bytes}"), _create_text_type(n_bytes)
@@ -277,7 +277,7 @@ def _encode_texts(values: bytes | list[bytes]) -> Stored:
 
 @lru_cache(maxsize=256)
 def _create_text_type(n_bytes: int) -> h5t.TypeID:
-    """Return the HDF5 type of UTF-8 strings of fixed length."""
+    """Create the HDF5 type of UTF-8 strings of fixed length."""
     data_type = h5t.C_S1.copy()
     data_type.set_size(n_bytes)
     data_type.set_cset(h5t.CSET_UTF8)
@@ -287,13 +287,13 @@ def _create_text_type(n_bytes: int) -> h5t.TypeID:
 
 @cache
 def _create_number_type(dtype: np.dtype[Any]) -> h5t.TypeID:
-    """Return the HDF5 type of a NumPy type."""
+    """Create the HDF5 type of a NumPy type."""
     return h5t.py_create(dtype)
 
 
 @cache
 def _create_group_properties() -> h5p.PropGCID:
-    """Return the creation properties of groups."""
+    """Create the creation properties of groups."""
     properties = h5p.create(h5p.GROUP_CREATE)
     properties.set_obj_track_times(False)
     return properties
@@ -301,7 +301,7 @@ def _create_group_properties() -> h5p.PropGCID:
 
 @cache
 def _create_compact_properties() -> h5p.PropDCID:
-    """Return the creation properties of datasets in object headers."""
+    """Create the creation properties of datasets that are stored in object headers."""
     properties = h5p.create(h5p.DATASET_CREATE)
     # A file's bytes depend on its content alone, not on the moment of writing.
     properties.set_obj_track_times(False)
@@ -311,7 +311,7 @@ def _create_compact_properties() -> h5p.PropDCID:
 
 @lru_cache(maxsize=256)
 def _create_chunked_properties(chunk: tuple[int, ...]) -> h5p.PropDCID:
-    """Return the creation properties of chunked datasets."""
+    """Create the creation properties of chunked datasets."""
     properties = h5p.create(h5p.DATASET_CREATE)
     properties.set_obj_track_times(False)
     properties.set_fill_time(h5d.FILL_TIME_NEVER)
@@ -324,5 +324,5 @@ def _create_chunked_properties(chunk: tuple[int, ...]) -> h5p.PropDCID:
 
 @lru_cache(maxsize=256)
 def _to_space(shape: tuple[int, ...]) -> h5s.SpaceID:
-    """Return the HDF5 space of a shape."""
+    """Create the HDF5 dataspace of a shape."""
     return h5s.create_simple(shape) if shape else h5s.create(h5s.SCALAR)

@@ -154,11 +154,11 @@ class FolderSetReader:
             return _read_records(entry)[1] + _list_unreadable(entry)
 
     def _list_files(self) -> dict[SetKey, SetReference]:
-        """Return the references of the sets' files by key."""
+        """List the files of sets: key to reference."""
         return to_references(path.name for path in (self.folder / SETS_FOLDER).glob("set_*.h5"))
 
     def _read_journal(self) -> dict[SetKey, JournaledSet]:
-        """Read the journal."""
+        """Read the journal; raise `ArchiveError` if that fails."""
         try:
             return read_journal(self.folder)
         except OSError as error:
@@ -183,7 +183,7 @@ def read_set_file(path: Path, *, skip_damaged: bool = False) -> SetRecord:
 
 
 def read_records(path: Path, content: bytes, *, is_own: bool = False) -> list[Shot | PulseEchoRecord]:
-    """Read the records of a set's file in memory, but neither truth nor settings.
+    """Read the records of a set file in memory, without simulated truth and settings.
 
     Parameters
     ----------
@@ -203,7 +203,7 @@ def read_records(path: Path, content: bytes, *, is_own: bool = False) -> list[Sh
 
 
 def examine_file(path: Path, content: bytes) -> tuple[SetRecord | None, list[Damage]]:
-    """Read every record and all metadata of a set's file in memory.
+    """Read every record and all metadata of a set file in memory; list also its corrupt parts.
 
     Returns
     -------
@@ -226,7 +226,7 @@ def examine_file(path: Path, content: bytes) -> tuple[SetRecord | None, list[Dam
 
 
 def list_unreadable_parts(path: Path, content: bytes) -> list[Damage]:
-    """List the parts of a set's file in memory, other than records, that cannot be read.
+    """List the parts of a set file in memory, other than records, that cannot be read.
 
     Raises
     ------
@@ -261,14 +261,14 @@ def _build_record(entry: h5py.Group, records: Sequence[Shot | PulseEchoRecord]) 
 
 
 def _create_corruption_error(path: Path, damages: Sequence[Damage]) -> CorruptArchiveError:
-    """Return the error that names all corrupt records of a file."""
+    """Create the error that lists all corrupt records of a file."""
     error = CorruptArchiveError(f"{path}: {'; '.join(map(str, damages))}; {BACK}")
     error.add_note("read_set(..., skip_damaged=True) reads its other records")
     return error
 
 
 def _read_waveform(path: Path, position: str, shot_index: int) -> Waveform:
-    """Read the accepted record of a shot from a file."""
+    """Read the accepted record of a shot from a file; raise an error if it is missing or corrupt."""
     with open_set_file(path) as entry:
         table = _read_table(entry)
         rows = [
@@ -323,7 +323,7 @@ class RecordGroup:
         )
 
     def read_all_counts(self) -> NDArray[Any] | None:
-        """Return the counts of all records at once, which is faster; None if some are unreadable."""
+        """Read the counts of all records at once, which is faster; None if some are unreadable."""
         try:
             counts: NDArray[Any] = self.signal[()]
         except HDF5_ERRORS:
@@ -331,7 +331,7 @@ class RecordGroup:
         return counts
 
     def waveform(self, row: int, crc32: int, all_counts: NDArray[Any] | None = None) -> Waveform | str:
-        """Return the record of a row, or why it is unreadable; ``all_counts``: the counts of all rows."""
+        """Read the record of a row, or return the reason why it is unreadable."""
         try:
             counts = self.signal[row] if all_counts is None else all_counts[row]
         except HDF5_ERRORS as error:
@@ -346,7 +346,7 @@ class RecordGroup:
         return waveform if crc32_read == crc32 else f"CRC-32 is {crc32_read:08x}, stored as {crc32:08x}"
 
     def read_echo_settings(self, row: int) -> dict[str, Any]:
-        """Return the receiver settings of a pulse-echo record."""
+        """Read the receiver settings of a pulse-echo record by name."""
         return {
             "gain_db": float(self.data["gain"][row]),
             "offset_v": float(self.data["offset"][row]),
@@ -357,7 +357,7 @@ class RecordGroup:
 def _read_records(
     entry: h5py.Group, *, facts: bool = True, position: str | None = None
 ) -> tuple[list[Shot | PulseEchoRecord], list[Damage]]:
-    """Return all readable records in order, and the corrupt ones; of one position only if it is given."""
+    """Read all intact records in order, and list the corrupt ones; optionally of one position."""
     table = _read_table(entry)
     set_key = read_set_key(entry)
     truths = _read_facts(entry, "truth") if facts else {}
@@ -412,7 +412,7 @@ def _read_columns(table: h5py.Group, *names: str) -> _Columns:
 
 
 def _to_rows(columns: _Columns) -> list[dict[str, Any]]:
-    """Return the rows of a table by the names of its columns."""
+    """Convert columns to rows: one dictionary per row."""
     return [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
 
 
@@ -427,7 +427,7 @@ def _read_table(entry: h5py.Group) -> _Columns:
 
 
 def _read_outcomes(table: _Columns, records: Sequence[Shot | PulseEchoRecord]) -> dict[int, str]:
-    """Return the outcome of each readable record that is not "accepted"."""
+    """Read the outcome of each record that is not "accepted", by sequence."""
     outcomes = dict(zip(table["shot_id"], table["outcome"], strict=True))
     return {
         record.sequence: outcomes[record.sequence]
@@ -445,17 +445,17 @@ def read_set_key(entry: h5py.Group) -> SetKey:
 
 
 def _build_shot_key(table: _Columns, row: int, set_key: SetKey) -> ShotKey:
-    """Return the shot key of a row."""
+    """Build the shot key of a row."""
     return ShotKey.in_set(set_key, table["position"][row], table["shot_index"][row], table["attempt"][row])
 
 
 def _build_stamp(table: _Columns, row: int) -> Stamp:
-    """Return the time stamp of a row."""
+    """Build the time stamp of a row."""
     return Stamp(utc_ns=table["utc_ns"][row], mono_ns=table["mono_ns"][row], boot_id=table["boot_id"][row])
 
 
 def _build_damage(table: _Columns, row: int, reason: str) -> Damage:
-    """Return the damage of a row's record."""
+    """Describe the corrupt record of a row."""
     return Damage(
         sequence=table["shot_id"][row],
         position=table["position"][row],
@@ -511,7 +511,7 @@ def _read_environment(entry: h5py.Group) -> dict[str, float | str | None]:
 
 
 def _read_positions(entry: h5py.Group) -> list[PositionRecord]:
-    """Read what was planned for each position."""
+    """Read the planned and recorded numbers of each position."""
     columns = _read_columns(entry["positions"], "name", *_PLANNED)
     return [
         PositionRecord(position=position, **{name: columns[name][row] for name in _PLANNED})
@@ -520,7 +520,7 @@ def _read_positions(entry: h5py.Group) -> list[PositionRecord]:
 
 
 def list_record_groups(entry: h5py.Group) -> list[str]:
-    """Return the names of the NXdata groups that hold records: those with a detector."""
+    """List the NXdata groups that hold records: those with a detector."""
     return [name for name in entry["instrument"] if name != "name"]
 
 

@@ -122,7 +122,7 @@ class Damage:
 
 
 def to_reference(set_key: SetKey, due_utc_ns: int) -> SetReference:
-    """Return the reference of a set; references sort by time.
+    """Build the reference (file name) of a set from its key and due time; references sort by time.
 
     That of an unscheduled set has the index of the scheduled one before it, and ends with its own number.
     """
@@ -133,23 +133,23 @@ def to_reference(set_key: SetKey, due_utc_ns: int) -> SetReference:
 
 
 def parse_due_utc_ns(reference: SetReference) -> int:
-    """Return the due time of a set to the second."""
+    """Parse the due time of a set from its reference, to the second; nanoseconds of UTC."""
     match = _NAME.fullmatch(reference.rpartition("/")[2])
     assert match is not None, f"{reference} is no reference of a set"
     return parse_utc(match[2])
 
 
 def parse_set_keys(names: Iterable[str]) -> set[SetKey]:
-    """Return the keys of the sets with these file names."""
+    """Parse the keys of sets from file names; ignore other names."""
     return {*map(_to_key, _LINES.finditer("\n".join(names)))}
 
 
 def to_references(names: Iterable[str]) -> dict[SetKey, SetReference]:
-    """Return the reference of each complete set by key, from file names, in the order of the sets."""
+    """Parse file names: key to reference of each complete set, in the order of the sets."""
     matches = (match for match in map(_NAME.fullmatch, names) if match)
     return dict(sorted((_to_key(match), SetReference(f"{SETS_FOLDER}/{match[0]}")) for match in matches))
 
 
 def _to_key(match: re.Match[str]) -> SetKey:
-    """Return the key of a set; in file names of earlier versions the first number may be that of any set."""
+    """Parse the key of a set from a matched file name, also of earlier versions."""
     return SetKey(int(match[1]), int(match[3])) if match[3] else SetKey.from_number(int(match[1]))

@@ -24,7 +24,7 @@ def build_sweep_image(
     facts: Mapping[str, Any],
     facts_text: str,
 ) -> bytes:
-    """Return the bytes of the file of a sweep.
+    """Build the bytes of the HDF5 file of a sweep.
 
     ``entry/swept`` and ``entry/results`` hold the columns, ``entry/status`` a text per row, and
     ``entry/facts`` their provenance as JSON; scalar facts are also attributes of ``entry``.

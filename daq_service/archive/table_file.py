@@ -31,7 +31,7 @@ def build_table_image(
     axis: str,
     facts_text: str,
 ) -> bytes:
-    """Return the bytes of the file with ``entry/<name>``, an NXdata if there is a ``signal``.
+    """Build the HDF5 file of a table as ``entry/<name>``, an NXdata if there is a ``signal``.
 
     Parameters
     ----------
@@ -55,7 +55,7 @@ def build_records_image(
     axis: str,
     facts_text: str,
 ) -> bytes:
-    """Return the bytes of a file of waveforms: ``entry/<name>``, the NXdata ``voltage_v[axis, time_s]``.
+    """Build the HDF5 file of waveforms: ``entry/<name>``, the NXdata ``voltage_v[axis, time_s]``.
 
     Parameters
     ----------

@@ -97,7 +97,7 @@ def _rebuild_file(record: SetRecord) -> bytes | None:
 
 
 def find_damage(path: Path, sha256: str | None = None) -> tuple[str, str]:
-    """Return the damages of a set's file (empty: none) and its SHA-256; see `check_file`."""
+    """Describe the damage of a set file (empty: none) and compute its SHA-256; see `check_file`."""
     checked = check_file(path, sha256=sha256)
     damages = [str(damage) for damage in checked.damages]
     touched = ["its SHA-256 is not that of the file that was written"] if checked.touched else []
@@ -105,7 +105,7 @@ def find_damage(path: Path, sha256: str | None = None) -> tuple[str, str]:
 
 
 def _list_contradictions(content: bytes, rebuilt: bytes | None) -> list[str]:
-    """Compare a file, value by value, with the file rebuilt from its records.
+    """List the values in which a file differs from the file rebuilt from its records.
 
     Another version of a library may encode equal values in other bytes; then changes of unused bytes are
     not found.
@@ -129,11 +129,12 @@ def _list_contradictions(content: bytes, rebuilt: bytes | None) -> list[str]:
 
 
 def _read_values(file: h5py.File) -> dict[str, Any]:
-    """Return every array and attribute by its path, without the format version."""
+    """Read every array and attribute of a file by its path, without the format version."""
     values: dict[str, Any] = {}
 
     def add_item(name: str, item: Any) -> None:
         # The REFERENCE_LIST of an axis repeats the DIMENSION_LIST of the arrays that it belongs to.
+        """Add the attributes of an item and the values of a dataset."""
         attributes = {key: value for key, value in item.attrs.items() if key != "REFERENCE_LIST"}
         values.update({f"{name}@{key}": _to_comparable(file, value) for key, value in attributes.items()})
         values[name] = _to_comparable(file, item[()]) if isinstance(item, h5py.Dataset) else None
@@ -145,7 +146,7 @@ def _read_values(file: h5py.File) -> dict[str, Any]:
 
 
 def _to_comparable(file: h5py.File, value: object) -> object:
-    """Return a value for comparison: texts as str, references as target names, numbers as arrays."""
+    """Convert a value for comparison: texts to str, references to target names, numbers to arrays."""
     if isinstance(value, h5py.Reference):
         return file[value].name
     if isinstance(value, bytes):
@@ -156,7 +157,7 @@ def _to_comparable(file: h5py.File, value: object) -> object:
 
 
 def _agree(name: str, stored: Mapping[str, Any], expected: Mapping[str, Any], *, same_format: bool) -> bool:
-    """Return whether a stored and an expected value agree."""
+    """Return whether a stored value agrees with the expected one, as far as the format version allows."""
     if not same_format and "@" in name and (name not in expected or str(stored.get(name)) == ""):
         return True  # a label that is not written any more, or was left empty
     if not same_format and name not in expected and _FACTS_OF_POSITION.match(name):

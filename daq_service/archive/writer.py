@@ -104,7 +104,7 @@ class FolderArchive(FolderSetReader):
             sequences.add(item.sequence)
 
     def sync(self) -> list[int]:
-        """Make all additions durable; return the ids of the acknowledged shots."""
+        """Make all additions durable; return the acknowledged shot ids, or raise `ArchiveWriteError`."""
         try:
             self._check_own_folder()
             return self._journal_writer.sync()
@@ -119,7 +119,7 @@ class FolderArchive(FolderSetReader):
         return {index: item for index, item in opened.items() if item is not None}
 
     def list_sets_to_finalize(self) -> list[SetKey]:
-        """Return the complete sets that an earlier process left in the journal."""
+        """List the complete sets that an earlier process left in the journal."""
         return [index for index, item in self._journal_writer.left.items() if item.is_whole]
 
     def resume_set(self, opened: OpenSet) -> None:
@@ -196,7 +196,7 @@ class FolderArchive(FolderSetReader):
         self._stored = self.sets()
 
     def _parse_key(self, reference: SetReference) -> SetKey:
-        """Return the key of a reference."""
+        """Parse the key of a set from its reference."""
         return next(key for key, file in self.sets().items() if file == reference)
 
     def list_quarantined(self) -> list[str]:
@@ -205,14 +205,14 @@ class FolderArchive(FolderSetReader):
         return [f"{QUARANTINE_FOLDER}/{name}" for name in names]
 
     def _check_own_folder(self) -> None:
-        """Check that the folder was not replaced, as when a disk is unmounted or a folder moved."""
+        """Raise `ArchiveWriteError` if the folder was replaced, as when a disk is unmounted."""
         if not os.path.samestat(self._folder_stat, self._sets_folder.stat()):
             raise ArchiveWriteError(
                 f"{self._sets_folder} is not the folder of this test any more; bring its own one back"
             )
 
     def _create_conflict_error(self, set_key: SetKey, stored: SetReference) -> ConflictingSetError:
-        """Return the error for a set that is stored with other content."""
+        """Create the error for a set that is stored with different content."""
         return ConflictingSetError(
             f"set {set_key} is stored already in {self.folder / stored} and differs; nothing stored is "
             "overwritten: take that file over with read_set, or move it out of the folder"
@@ -239,6 +239,6 @@ def move_to_quarantine(folder: Path, reference: SetReference) -> str:
 
 
 def _create_write_error(path: Path, error: OSError) -> ArchiveWriteError:
-    """Return the error for a rejected write, with its remedy."""
+    """Create the error for a failed write, with its remedy."""
     remedy = _REMEDY.get(error.errno or 0, "check the disk and its connection")
     return ArchiveWriteError(f"{path} cannot be written: {error.strerror or error}; {remedy}")

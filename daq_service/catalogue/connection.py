@@ -29,6 +29,7 @@ def make_engine(path: Path, *, writable: bool, durable: bool = True) -> Engine:
     mode = "rwc" if writable else "ro"
 
     def connect() -> sqlite3.Connection:
+        """Open a connection to SQLite and set its pragmas."""
         nonlocal mode
         immutable = "&immutable=1" if not writable and _is_unchangeable(path) else ""
         uri = f"{path.absolute().as_uri()}?mode={mode}{immutable}"
@@ -56,6 +57,7 @@ def make_engine(path: Path, *, writable: bool, durable: bool = True) -> Engine:
         return connection
 
     def connect_patiently() -> sqlite3.Connection:
+        """Open a connection; a reader waits while the file is being created."""
         if writable:
             return connect()
         return retry_call(connect, is_refusal=_is_being_created, patience_s=CREATION_S)

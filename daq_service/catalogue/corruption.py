@@ -35,7 +35,7 @@ class CatalogueCorruption:
 
 
 def find_catalogue_corruption(folder: Path) -> Iterator[CatalogueCorruption]:
-    """Read every page and row of a catalogue of the current schema and yield the corruption.
+    """Read every page and row of a catalogue of the current schema and yield its corrupt parts.
 
     Works while a recorder writes.
     """
@@ -66,7 +66,7 @@ def refuse_corruption(folder: Path) -> None:
 
 
 def find_corruption(connection: Connection, *, rows: bool = True) -> Iterator[CatalogueCorruption]:
-    """Yield the corruption of an open catalogue; ``rows`` False: an earlier schema without checksums."""
+    """Yield the corrupt parts of an open catalogue; ``rows`` False: an earlier schema without checksums."""
     try:
         for (description,) in connection.execute(text(f"PRAGMA integrity_check({MAX_LISTED})")):
             if description != "ok":

@@ -40,12 +40,12 @@ SET_COLUMNS: Mapping[str, str] = {
 
 
 def derive_uuid(configuration_hash: str, epoch_utc_ns: int) -> str:
-    """Return the UUID of a test that was created without one: every copy of its folder derives the same."""
+    """Derive the UUID of a test that has none; every copy of its folder derives the same one."""
     return str(uuid.uuid5(uuid.NAMESPACE_OID, f"solimon/{configuration_hash}/{epoch_utc_ns}"))
 
 
 def to_current_row(table: str, row: Mapping[str, Any]) -> dict[str, Any]:
-    """Return a row, or a nested value, with current names."""
+    """Convert the column names and values of a stored row, or of nested values, to the current names."""
     keys = _KEYS.get(table, {})
     current = {keys.get(name, name): value for name, value in row.items()}
     for name, value in [*current.items()]:
@@ -65,6 +65,6 @@ def to_current_row(table: str, row: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def to_current_payload(topic: str, kind: str, payload: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the payload of an event with current names; the topic and the kind are current ones."""
+    """Convert the payload of an event to current names; topic and kind are current ones."""
     is_baseline = topic == "assessments" and kind != "set_assessed"
     return to_current_row("baselines" if is_baseline else topic, payload)

@@ -73,7 +73,7 @@ class CatalogueConflictError(CatalogueError):
 
 
 def translate_driver_error(path: Path, action: str, error: BaseException | None) -> CatalogueError:
-    """Return the error of the catalogue for an error of the driver."""
+    """Translate an error of the database driver to an error of the catalogue."""
     code = getattr(error, "sqlite_errorcode", 0) & 0xFF
     message = f"{path}: {action} failed: {error}"
     if code in (sqlite3.SQLITE_BUSY, sqlite3.SQLITE_LOCKED):

@@ -78,7 +78,7 @@ def read_experiment(folder: Path) -> ExperimentRow | None:
 
 
 def ensure_experiment_file(folder: Path, row: ExperimentRow) -> None:
-    """Check that the file agrees with the catalogue, and write it in a folder without one.
+    """Check that the file agrees with the catalogue; write it if the folder has none.
 
     Raises
     ------
@@ -115,7 +115,7 @@ def refuse_other_record(
 
 
 def describe_experiment(row: ExperimentRow) -> str:
-    """Return configuration hash and hour 0, which identify an experiment."""
+    """Describe an experiment by configuration hash and hour 0, which identify it."""
     return f"configuration {row.configuration_hash}, hour 0 at {format_utc(row.epoch_utc_ns)}"
 
 

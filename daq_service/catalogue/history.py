@@ -84,7 +84,7 @@ class History:
 
 
 def encode_line(number: int, table: str, row: Mapping[str, object]) -> bytes:
-    """Return the line of a row."""
+    """Encode a row as a line of the history, with its checksum."""
     body = orjson.dumps({"n": number, "table": table, "row": row})[1:]
     return b'%s%08x",%s\n' % (_HEAD, zlib.crc32(body), body)
 
@@ -174,14 +174,14 @@ class HistoryFollower:
         self.follow()
 
     def after_set(self, set_key: SetKey) -> None:
-        """Do nothing: its rows come with the next piece of work."""
+        """Do nothing: the rows of a set follow in `run_for`."""
 
     def close(self) -> None:
         """Append the last rows."""
         self.follow(now=True)
 
     def begin(self) -> None:
-        """Compare the history with the catalogue, and bring it up to date.
+        """Compare the history with the catalogue and append the missing rows.
 
         Raises
         ------
@@ -208,7 +208,7 @@ class HistoryFollower:
         self.follow(now=True)
 
     def follow(self, *, now: bool = False) -> None:
-        """Append new rows, at most once per second."""
+        """Append new rows at most once per second; log a failure and retry later."""
         if not now and self._machine.mono_s() < self._next_s:
             return
         self._next_s = self._machine.mono_s() + FOLLOW_EVERY_S
@@ -224,7 +224,7 @@ class HistoryFollower:
             self._refusal = ""
 
     def _append_missing_lines(self) -> None:
-        """Append missing lines until there are none."""
+        """Append lines until the history has all rows of the catalogue."""
         if self._known is None:
             self._known = read_history(self._folder, tail_bytes=TAIL_BYTES)
             self._last_answered = 0
@@ -236,7 +236,7 @@ class HistoryFollower:
             self._new_digests.clear()
 
     def _collect_missing_lines(self, known: History) -> list[bytes]:
-        """Return the next lines that the history lacks."""
+        """Collect the next lines that the history lacks."""
         last_id = max(known.events, default=0)
         events = self._catalogue.rows(EventRow, after_id=last_id, limit=EVENTS_AT_ONCE)
         commands = self._list_open_commands()
@@ -264,12 +264,12 @@ class HistoryFollower:
         return lines
 
     def _read_digests(self, first: int, last: int | None) -> dict[str, str]:
-        """Return the SHA-256 of the files of a range of sets."""
+        """Read the SHA-256 of the files of a range of sets."""
         rows = self._catalogue.rows(SetRow, first_set=first, last_set=last, purpose="any")
         return {row.file: row.file_sha256 for row in rows if row.file and row.file_sha256}
 
     def _list_open_commands(self) -> list[CommandRow]:
-        """Return the commands that may still change: those after the first answered ones."""
+        """List the commands that may still change: those after the first answered ones."""
         commands = self._catalogue.rows(CommandRow, after_id=self._last_answered)
         for command in commands:
             if command.state not in ANSWERS:
@@ -279,7 +279,7 @@ class HistoryFollower:
 
 
 def describe_missing_event(history: History, catalogue: Catalogue) -> str:
-    """Describe that the catalogue lacks the newest event of the history; empty if it has it."""
+    """Check that the catalogue has the newest event of the history; describe the loss, empty if none."""
     last_id = max(history.events, default=0)
     if not last_id:
         return ""
@@ -291,7 +291,7 @@ def describe_missing_event(history: History, catalogue: Catalogue) -> str:
 
 
 def describe_lost_event(last_id: int) -> str:
-    """Describe that the catalogue lacks an event of the history."""
+    """Describe the loss of an event that the history has and the catalogue lacks."""
     return (
         f"has lost rows: {HISTORY_FILE} knows event {last_id}; `solimon rebuild` makes the catalogue again "
         "from sets, journal and history"

@@ -23,7 +23,7 @@ MOUNTS = Path("/proc/self/mountinfo")
 
 
 def find_network_type(path: Path, mountinfo: str | None = None, *, mounts: Path = MOUNTS) -> str | None:
-    """Return the type of the network file system of ``path``; None if local or unknown.
+    """Detect the type of the network file system of a path; None if it is local or unknown.
 
     Parameters
     ----------
@@ -54,7 +54,7 @@ def find_network_type(path: Path, mountinfo: str | None = None, *, mounts: Path 
 
 
 def _find_filesystem_type(path: str, mountinfo: str) -> str:
-    """Return the type of the last mounted file system with the nearest mount point above ``path``."""
+    """Find the file system type of the nearest mount point above a path; the last mounted one counts."""
     place = PurePosixPath(path)
     nearest, kind = -1, ""
     for line in mountinfo.splitlines():
@@ -75,7 +75,7 @@ def _unescape_mount_point(text: str) -> str:
 
 
 def _detect_windows_drive(path: Path) -> str | None:
-    """Return the kind of network drive of a path on Windows; None if local."""
+    """Detect the kind of network drive of a path on Windows; None if it is local."""
     if sys.platform != "win32":
         return None
     anchor = path.resolve().anchor

@@ -39,7 +39,7 @@ def refuse_other_test(engine: Engine, path: Path, settings: Settings) -> None:
 
 
 def build_experiment_identity(row: ExperimentRow) -> str:
-    """Return the identifier of a test for derived data."""
+    """Build the identifier of a test for derived data from configuration hash and epoch."""
     return f"{row.configuration_hash}/{row.epoch_utc_ns}"
 
 
@@ -86,12 +86,12 @@ def _list_other_versions(connection: Connection, *, on_twin: bool) -> list[str]:
 
 
 def _read_newest(connection: Connection, table: Table) -> Any:
-    """Return the extractor version of the newest row."""
+    """Read the extractor version of the newest row of a table; None without one."""
     return connection.execute(select(table.c.extractor_version).order_by(table.c.id.desc()).limit(1)).scalar()
 
 
 def _read_twin_version(connection: Connection) -> object:
-    """Return the twin version of the last recorder; "1" if none was stored."""
+    """Read the twin version of the last recorder; "1" if it stored none, None without a recorder."""
     started = select(events.c.payload).where(events.c.kind == "recorder_started").order_by(events.c.id.desc())
     payload = connection.execute(started.limit(1)).scalar()
     return None if payload is None else payload.get("versions", {}).get("twin", "1")

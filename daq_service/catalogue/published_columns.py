@@ -45,7 +45,7 @@ ADDED_COLUMNS: Mapping[type[Row], tuple[PublishedColumn, ...]] = {
 
 
 def _to_column(name: str, form: Form = "number") -> PublishedColumn:
-    """Return the column of a nested value."""
+    """Create the published column of a nested value."""
     return PublishedColumn(name=name, form=form, unit="", nullable=True)
 
 
@@ -81,7 +81,7 @@ def add_parts(kind: type[Row], row: Mapping[str, object]) -> dict[str, object]:
 
 
 def describe_columns(kind: type[Row]) -> tuple[PublishedColumn, ...]:
-    """Return the published columns of a kind of row, with times of hours and added columns."""
+    """List the published columns of a kind of row, with times of hours and added columns."""
     columns: dict[str, PublishedColumn] = {}
     for column in list_columns(kind):
         name = column.published_name
@@ -96,7 +96,7 @@ def describe_columns(kind: type[Row]) -> tuple[PublishedColumn, ...]:
 
 
 def choose_form(of_type: Any) -> Form:
-    """Return the form of a column's type."""
+    """Return the published form (number, text, ...) of the type of a column."""
     plain = next((kind for kind in get_args(of_type) if kind is not NoneType), of_type)
     if get_origin(of_type) is Literal or get_origin(plain) is Literal:
         return "text"

@@ -144,12 +144,12 @@ _HOURS_OF_UNSCHEDULED: Mapping[str, Callable[[sa.Table, Any], sa.ColumnElement[b
 
 
 def is_scheduled(table: sa.FromClause) -> sa.ColumnElement[bool]:
-    """Return the condition that selects rows of scheduled sets: of the environment every row."""
+    """Build the condition that selects rows of scheduled sets; of the environment it selects every row."""
     return table.c.unscheduled_index == 0 if "unscheduled_index" in table.c else sa.true()
 
 
 def query_set_at(table: sa.Table, hour: float, which: Literal["first", "last"]) -> sa.ScalarSelect[int]:
-    """Return the query for the first set due at an hour or later, or the last one until then.
+    """Build the query for the first set due at an hour or later, or for the last one until then.
 
     Hours increase with the set index, so a range of hours is a range of sets and uses an index.
     """
@@ -201,14 +201,14 @@ class Catalogue:
 
     @contextmanager
     def open_snapshot(self) -> Iterator[sa.Connection]:
-        """Open a transaction that sees one state of the catalogue, for several queries."""
+        """Open a read transaction, so that several queries see one state of the catalogue."""
         with translate_errors(self._path, "reading"), self._engine.begin() as connection:
             yield connection
 
     # Rows of every kind
 
     def rows(self, kind: type[R], /, *, limit: int | None = None, **filters: Unpack[Filters]) -> list[R]:
-        """Return rows of a table in storage order; with filters on sets, in the order of the sets."""
+        """Read rows of a table in storage order; with filters on sets, in the order of the sets."""
         return self._read_rows(
             kind, _build_kind_query(kind, limit, filters), _collect_required_values(kind, filters)
         )
@@ -216,7 +216,7 @@ class Catalogue:
     def read_last_rows(
         self, kind: type[R], position: str, count: int | None, /, **filters: Unpack[Filters]
     ) -> list[R]:
-        """Return the rows of the last sets of a position (None: of all), in the order of the sets."""
+        """Read the rows of the last sets of a position (None: of all), in the order of the sets."""
         table = TABLES[kind]
         statement = add_filters(sa.select(table), table, {**filters, "position": position})
         newest_first = statement.order_by(None).order_by(*(column.desc() for column in _list_key(table)))
@@ -224,15 +224,15 @@ class Catalogue:
         return self._read_rows(kind, newest_first.limit(count), required)[::-1]
 
     def read_newest_gaps(self, count: int) -> list[SetRow]:
-        """Return the newest missed and the newest partial sets of each position, ``count`` of each."""
+        """Read the newest missed and the newest partial sets of each position, ``count`` of each."""
         return self._read_rows(SetRow, _build_newest_gaps_query(count))
 
     def read_newest_recorded(self) -> SetRow | None:
-        """Return a row of the newest scheduled set with records; None before it."""
+        """Read a row of the newest scheduled set with records; None without one."""
         return self._read_newest_row(SetRow, sets.c.file.is_not(None) & is_scheduled(sets))
 
     def list_newest_files(self, n_rows: int) -> dict[SetKey, str]:
-        """Return the files of the newest rows of sets, by key in order."""
+        """List the files of the newest rows of sets, by key in order."""
         with self.open_snapshot() as connection:
             return _read_files(connection, _build_newest_files_query(n_rows))
 
@@ -248,14 +248,14 @@ class Catalogue:
             ).scalar_one()
 
     def read_first_thickness(self, position: str) -> ThicknessRow | None:
-        """Return the first pulse-echo result with a travel time; None before it."""
+        """Read the first pulse-echo result with a travel time; None without one."""
         table = TABLES[ThicknessRow]
         statement = add_filters(sa.select(table), table, {"position": position})
         rows = self._read_rows(ThicknessRow, statement.where(table.c.travel_time_s.is_not(None)).limit(1))
         return rows[0] if rows else None
 
     def read_baselines_by_id(self) -> dict[int, BaselineRow]:
-        """Return every baseline by its id."""
+        """Read all baselines, by id."""
         return {row.id: row for row in self.rows(BaselineRow) if row.id is not None}
 
     def columns(
@@ -267,7 +267,7 @@ class Catalogue:
         limit: int | None = None,
         **filters: Unpack[Filters],
     ) -> dict[str, list[Any]]:
-        """Return values by column: name to the values of all rows in order.
+        """Read values of a table by column: name to the values of all rows in order.
 
         Raises
         ------
@@ -298,7 +298,7 @@ class Catalogue:
             )
 
     def _read_newest_row(self, kind: type[R], condition: sa.ColumnElement[bool] | None = None) -> R | None:
-        """Return the last stored row that meets a condition; None if there is none."""
+        """Read the last stored row that meets a condition; None if there is none."""
         table = TABLES[kind]
         statement = sa.select(table).order_by(table.c.id.desc()).limit(1)
         rows = self._read_rows(kind, statement if condition is None else statement.where(condition))
@@ -307,7 +307,7 @@ class Catalogue:
     # The experiment as a whole
 
     def read_experiment(self) -> ExperimentRow:
-        """Return name, configuration and its hash, epoch, clock.
+        """Read name, configuration and its hash, epoch and clock of the test.
 
         Raises
         ------
@@ -323,11 +323,11 @@ class Catalogue:
         return row
 
     def list_position_names(self) -> list[str]:
-        """Return the names of all configured positions."""
+        """List the names of all configured positions."""
         return list(self.read_experiment().configuration.get("positions", ()))
 
     def counts(self) -> dict[str, int]:
-        """Return the sizes of the experiment so far.
+        """Read the numbers of stored sets, shots, records and events, and of active alarms.
 
         Returns
         -------
@@ -346,7 +346,7 @@ class Catalogue:
         }
 
     def list_files_except(self, known: Collection[SetKey]) -> dict[SetKey, str]:
-        """Return the files of all sets but these by key; uses an index."""
+        """List the files of all sets except the ``known`` ones, by key."""
         positions = self.list_position_names()
         scheduled = {set_index for set_index, unscheduled_index in known if not unscheduled_index}
         with self.open_snapshot() as connection:
@@ -366,7 +366,7 @@ class Catalogue:
         return files
 
     def read_latest_rows(self) -> dict[str, LatestRows]:
-        """Return the newest rows of each position that has a row in ``sets``."""
+        """Read the newest rows of each position that has a row in ``sets``."""
         with self.open_snapshot() as connection:
             last_sets = _read_newest_rows(connection, SetRow)
             last_features = _read_newest_rows(connection, FeatureRow)
@@ -389,15 +389,15 @@ class Catalogue:
         }
 
     def read_last_environment(self) -> EnvironmentRow | None:
-        """Return the newest row of the environment, None where there is none."""
+        """Read the newest row of the environment; None if there is none."""
         return self._read_newest_row(EnvironmentRow)
 
     def baseline(self, position: str) -> BaselineRow | None:
-        """Return the newest baseline of a position."""
+        """Read the newest baseline of a position; None if there is none."""
         return self._read_newest_row(BaselineRow, TABLES[BaselineRow].c.position == position)
 
     def read_newest_baselines(self) -> dict[str, BaselineRow]:
-        """Return the newest baseline of each position that has one."""
+        """Read the newest baseline of each position that has one."""
         return {row.position: row for row in self.rows(BaselineRow)}  # the newest is last
 
     def find_newest_id(self, kind: type[AlarmRow] | type[CommandRow]) -> int:
@@ -406,7 +406,7 @@ class Catalogue:
             return int(connection.execute(sa.select(sa.func.max(TABLES[kind].c.id))).scalar_one() or 0)
 
     def alarm(self, alarm_id: int) -> AlarmRow | None:
-        """Return one alarm, None where there is no such id."""
+        """Read an alarm by its id; None if there is none."""
         return self._read_newest_row(AlarmRow, alarms.c.id == alarm_id)
 
     # Events and commands
@@ -414,11 +414,11 @@ class Catalogue:
     def read_events_after(
         self, event_id: int, topics: Collection[str] | None = None, limit: int | None = 500
     ) -> list[EventRow]:
-        """Return the events after an id, in order."""
+        """Read the events after an id, in order, optionally of some topics."""
         return self.rows(EventRow, after_id=event_id, topics=topics, limit=limit)
 
     def read_last_service_event(self, *kinds: str) -> EventRow | None:
-        """Return the newest event of the service of one of these kinds; None if there is none."""
+        """Read the newest event of the service of one of these kinds; None if there is none."""
         last_id = add_filters(sa.select(sa.func.max(events.c.id)), events, {"topic": "service"}).order_by(
             None
         )
@@ -426,7 +426,7 @@ class Catalogue:
         return self._read_newest_row(EventRow, events.c.id == newest)
 
     def read_last_event(self, topic: str) -> EventRow | None:
-        """Return the newest event of a topic that every set reports; None if there is none."""
+        """Read the newest event of a topic that every set reports; None if there is none."""
         return self._read_newest_row(EventRow, events.c.topic == topic)
 
     def paused(self) -> str | None:
@@ -440,7 +440,7 @@ class Catalogue:
             return int(connection.execute(sa.select(sa.func.max(events.c.id))).scalar_one() or 0)
 
     def command(self, command_id: int) -> CommandRow | None:
-        """Return one command, None where there is no such id."""
+        """Read a command by its id; None if there is none."""
         return self._read_newest_row(CommandRow, commands.c.id == command_id)
 
     def add_command(
@@ -477,7 +477,7 @@ class Catalogue:
             return store_command(connection, row)
 
     def _create_command_engine(self) -> sa.Engine:
-        """Return the engine that writes commands."""
+        """Create or return the engine that writes commands."""
         if self._command_engine is None:
             self._command_engine = make_engine(self._path, writable=True)
         return self._command_engine
@@ -506,7 +506,7 @@ def add_filters(statement: sa.Select[Any], table: sa.Table, filters: Filters) ->
 
 
 def _collect_required_values(kind: type[Row], filters: Filters) -> dict[str, object]:
-    """Return the values of columns that filters require of a row."""
+    """Collect the column values that filters require of a row."""
     columns = [name for name in filters if name == "topic" or name not in _CONDITIONS]
     required = {name: filters.get(name) for name in columns if name in kind.__slots__}
     required = {name: value for name, value in required.items() if value is not None}
@@ -531,7 +531,7 @@ def _refuse_other_values(
 
 
 def _collect_rows(kind: type[R], required: Mapping[str, object], found: Iterable[R]) -> list[R]:
-    """Return rows as a list; raise DamagedRow at one without the required values."""
+    """Collect rows in a list; raise DamagedRow at one without the required values."""
     rows = list(found)
     _refuse_other_values(kind, required, lambda name: (getattr(row, name) for row in rows))
     return rows
@@ -543,19 +543,19 @@ def _has_set_key(table: sa.Table) -> bool:
 
 
 def _list_key(table: sa.Table) -> list[sa.Column[int]]:
-    """Return the columns of the key of a set in a table."""
+    """List the columns of a table that form the key of a set."""
     return [table.c[name] for name in SetKey._fields if name in table.c]
 
 
 def _read_files(connection: sa.Connection, statement: sa.Select[int, int, str]) -> dict[SetKey, str]:
-    """Return the files of a query of `_FILES` by key."""
+    """Read the files of a query of `_FILES`, by key."""
     return {SetKey(*key): file for *key, file in connection.execute(statement)}
 
 
 def _select_after(
     table: sa.Table, order: Sequence[sa.ColumnElement[Any]], row_id: int
 ) -> sa.ColumnElement[bool]:
-    """Return the condition for rows after one in an order."""
+    """Build the condition for the rows that follow a row in an order."""
     if len(order) == 1:
         return order[0] > row_id
     values = [sa.select(column).where(table.c.id == row_id).scalar_subquery() for column in order]
@@ -571,12 +571,12 @@ def store_command(connection: sa.Connection, row: CommandRow) -> int:
 
 
 def _build_kind_query(kind: type[Row], limit: int | None, filters: Filters) -> sa.Select[Any]:
-    """Return the query for the filtered rows of a kind."""
+    """Build the query for the filtered rows of a kind."""
     return add_filters(sa.select(TABLES[kind]), TABLES[kind], filters).limit(limit)
 
 
 def _read_newest_rows(connection: sa.Connection, kind: type[OfSet]) -> dict[str, OfSet]:
-    """Return the row of the highest set index of each position in ``sets``."""
+    """Read the row of the highest set index of each position in ``sets``."""
     required = _collect_required_values(kind, {"scope": "set"})
     newest = read_rows(connection, kind, _build_newest_query(TABLES[kind]))
     return {row.position: row for row in _collect_rows(kind, required, newest)}
@@ -586,7 +586,7 @@ def _read_newest_rows(connection: sa.Connection, kind: type[OfSet]) -> dict[str,
 
 
 def _build_positions_query() -> sa.CTE:
-    """Return the query for the positions that have a row in ``sets``."""
+    """Build the query for the positions that have a row in ``sets``."""
     # One index step finds the next name, independent of the number of sets.
     first = sa.select(sa.func.min(sets.c.position).label("position")).cte("places", recursive=True)
     following = sa.select(sa.func.min(sets.c.position)).where(sets.c.position > first.c.position)
@@ -595,7 +595,7 @@ def _build_positions_query() -> sa.CTE:
 
 @cache
 def _build_newest_query(table: sa.Table) -> sa.Select[Any]:
-    """Return the query for the newest row of each position."""
+    """Build the query for the newest row of each position."""
     names, of_position = _build_positions_query(), table.alias("of_place")
     newest = sa.select(of_position.c.id).where(
         of_position.c.position == names.c.position, is_scheduled(of_position)
@@ -608,7 +608,7 @@ def _build_newest_query(table: sa.Table) -> sa.Select[Any]:
 
 @cache
 def _build_last_index_query() -> sa.Select[Any]:
-    """Return the query for the highest set index."""
+    """Build the query for the highest set index."""
     names = _build_positions_query()
     newest = sa.select(sa.func.max(sets.c.set_index)).where(
         sets.c.position == names.c.position, is_scheduled(sets)
@@ -621,14 +621,14 @@ _FILES = sa.select(sets.c.set_index, sets.c.unscheduled_index, sets.c.file)
 
 @cache
 def _build_unscheduled_query() -> sa.Select[int, int, str]:
-    """Return the query for the files of unscheduled sets."""
+    """Build the query for the files of unscheduled sets."""
     unscheduled = _CONDITIONS["purpose"](sets, "confirmation")
     return _FILES.where(unscheduled, sets.c.file.is_not(None)).order_by(*_list_key(sets))
 
 
 @cache
 def _build_newest_files_query(n_rows: int) -> sa.Select[int, int, str]:
-    """Return the query for the files of the newest rows of sets."""
+    """Build the query for the files of the newest rows of sets."""
     newest = _FILES.order_by(sets.c.id.desc()).limit(n_rows).subquery().c
     statement = sa.select(newest.set_index, newest.unscheduled_index, newest.file)
     order = (newest.set_index, newest.unscheduled_index)
@@ -637,7 +637,7 @@ def _build_newest_files_query(n_rows: int) -> sa.Select[int, int, str]:
 
 @cache
 def _build_newest_gaps_query(count: int) -> sa.Select[Any]:
-    """Return the query for the newest gaps of each position."""
+    """Build the query for the newest gaps of each position."""
     names, of_position = _build_positions_query(), sets.alias("of_place")
     states = sa.union_all(*(sa.select(sa.literal(state).label("state")) for state in GAP_STATES)).cte(
         "states"

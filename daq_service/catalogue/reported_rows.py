@@ -49,12 +49,12 @@ _SETS_AT_ONCE = 500
 
 
 def to_payload(row: Row) -> Payload:
-    """Return a row of a set as the payload of its event."""
+    """Convert a row of a set to the payload of its event."""
     return _to_json_values(to_columns(row))
 
 
 def _to_json_values(columns: Payload) -> Payload:
-    """Convert the columns of a row of a set to the payload of its event."""
+    """Convert the columns of a row to JSON values, as the payload of its event has them."""
     columns.pop("id")
     if "file_sha256" in columns:  # it comes when the file is made, which differs between two runs of one test
         columns["file_sha256"] = None
@@ -67,7 +67,7 @@ def is_joined(event: EventRow) -> bool:
 
 
 def strip_rows(reports: Iterable[EventRow], rows: Iterable[Row]) -> list[EventRow]:
-    """Return events as they are stored with rows: without a payload that is one of them and never changes."""
+    """Remove the payloads that repeat a stored row that never changes, as events are stored."""
     payloads = to_payloads(row for row in rows if not (isinstance(row, AssessmentRow) and row.in_baseline))
     return [
         replace(event, payload={})
@@ -78,7 +78,7 @@ def strip_rows(reports: Iterable[EventRow], rows: Iterable[Row]) -> list[EventRo
 
 
 def join_rows(reports: Iterable[R], payloads: Mapping[Key, Payload]) -> list[R]:
-    """Return events with the rows that they report, by their keys; everything else unchanged."""
+    """Add the payloads of the rows that events report, by their keys; leave other rows unchanged."""
     return [
         replace(event, payload=payloads[_build_event_key(event)])
         if isinstance(event, EventRow) and is_joined(event) and _build_event_key(event) in payloads
@@ -88,12 +88,12 @@ def join_rows(reports: Iterable[R], payloads: Mapping[Key, Payload]) -> list[R]:
 
 
 def to_payloads(rows: Iterable[Row]) -> dict[Key, Payload]:
-    """Return the payloads of the events that report rows, by their keys."""
+    """Build the payloads of events from rows, by the keys of the rows."""
     return {_row_to_key(row): to_payload(row) for row in rows if getattr(row, "shot_index", None) is None}
 
 
 def join_reported_rows(connection: sa.Connection, reports: list[R]) -> list[R]:
-    """Return events as they are read: with the rows that they report; other kinds of rows unchanged.
+    """Read the rows that events report and add them as payloads; leave other kinds of rows unchanged.
 
     Raises
     ------
@@ -123,14 +123,14 @@ def join_reported_rows(connection: sa.Connection, reports: list[R]) -> list[R]:
 
 
 def select_rows(kind: type[Row]) -> sa.Select[Any]:
-    """Return the query for the rows of a kind that events report."""
+    """Build the query for the rows of a kind that events report."""
     table = TABLES[kind]
     statement = sa.select(table)
     return statement.where(table.c.shot_index.is_(None)) if kind is FeatureRow else statement
 
 
 def _build_some_rows_query(kind: type[Row]) -> sa.Select[Any]:
-    """Return the query for the rows of some positions and sets, which finds each in an index."""
+    """Build the query for the rows of some positions and sets, which finds each in an index."""
     table = TABLES[kind]
     statement = select_rows(kind).where(table.c.set_index.in_(sa.bindparam("indices", expanding=True)))
     if "position" in table.c:
@@ -142,7 +142,7 @@ _OF_SOME_SETS = {kind: _build_some_rows_query(kind) for kind in ROW_OF_EVENT.val
 
 
 def find_lost_rows(connection: sa.Connection) -> Iterator[tuple[int, str]]:
-    """Yield id and description of the events whose row is lost."""
+    """Yield id and description of each event whose row is lost."""
     for event_kind, kind in ROW_OF_EVENT.items():
         table = TABLES[kind]
         names = [name for name in ("position", *SetKey._fields) if name in table.c]
@@ -156,26 +156,26 @@ def find_lost_rows(connection: sa.Connection) -> Iterator[tuple[int, str]]:
 
 
 def _describe_lost_row(event_id: int | None, kind: type[Row]) -> str:
-    """Return the message that an event's row is missing."""
+    """Describe that the row of an event is missing."""
     return f"row {event_id} of table {events.name} lacks its row of table {TABLES[kind].name}"
 
 
 def _is_subset(payload: Payload, columns: Payload) -> bool:
-    """Return whether a payload has no other values than a row: an earlier version had fewer columns."""
+    """Return whether a row has all values of a payload; an earlier version had fewer columns."""
     part = {name: columns[name] for name in payload if name in columns}
     return part == payload or _to_stored_form(part) == _to_stored_form(payload)
 
 
 def _to_stored_form(payload: Payload) -> object:
-    """Return a payload as it is read again: what is not finite is not available."""
+    """Convert a payload to the form in which it is read: numbers that are not finite become null."""
     return orjson.loads(to_json_text(payload))
 
 
 def _build_event_key(event: EventRow) -> Key:
-    """Return the kind, the position and the set of the row that an event reports."""
+    """Build the key of the row that an event reports: kind, position and set."""
     return ROW_OF_EVENT.get(event.kind, EventRow), event.position, event.set_key
 
 
 def _row_to_key(row: Any) -> Key:
-    """Return the key of a row, as `_key` does for its event."""
+    """Build the key of a row, as `_key` does for its event."""
     return type(row), getattr(row, "position", None), getattr(row, "set_key", SetKey(row.set_index))

@@ -98,18 +98,18 @@ class Blocks:
     end: int
 
     def key(self, first: int) -> str:
-        """Return the key of the block that starts with a set."""
+        """Format the key of the block that starts with a set."""
         # Numbers of equal length: so keys sort in the order of the sets.
         return f"{self.place.position}/{self.rollup.name}/{self.width:010d}/{first:010d}"
 
 
 def list_bin_values(kind: Kind) -> tuple[str, ...]:
-    """Return the names of the values of a bin, in order."""
+    """List the names of the values of a bin, in order."""
     return (*MEASURED[kind], *ASSESSED_VALUES)
 
 
 def select_sets(kind: type[Row], position: object, first: object, last: object) -> ColumnElement[bool]:
-    """Return the condition for the rows of a range of scheduled sets, both ends included."""
+    """Build the condition for the rows of a range of scheduled sets, both ends included."""
     table = TABLES[kind]
     of_sets = (table.c.position == position) & table.c.set_index.between(first, last)
     return of_sets & table.c.shot_index.is_(None) if kind is FeatureRow else of_sets
@@ -133,7 +133,7 @@ _DELETE = prepare(delete(trend_blocks).where(_BLOCKS))
 
 
 def _read_rows(connection: Connection, kind: type[R], **of_range: object) -> Iterator[R]:
-    """Read the rows of a range of scheduled sets."""
+    """Read the rows of a range of scheduled sets; raise DamagedRow at a row of another set."""
     for row in read_rows(connection, kind, _OF_RANGE[kind], **of_range):
         if isinstance(row, FeatureRow) and row.shot_index is not None:
             raise DamagedRow(f"an index of table features is corrupt: it has shot {row.shot_index} as a set")
@@ -208,7 +208,7 @@ ROLLUPS = (CHARTS, FITS)
 
 
 def join_pieces(rollup: Rollup, pieces: Pieces, width: int) -> Pieces:
-    """Combine the pieces of the same ``width`` sets, counted from set 0."""
+    """Combine pieces to blocks of ``width`` sets, counted from set 0."""
     index, content = pieces
     if not index.size:
         return pieces
@@ -224,7 +224,7 @@ def read_stored_blocks(connection: Connection, blocks: Blocks) -> list[tuple[str
 
 
 def read_stored_pieces(connection: Connection, blocks: Blocks) -> Pieces:
-    """Read stored blocks as pieces; narrower than the finest block: each set."""
+    """Read stored blocks as pieces; below the finest width, compute a piece per set."""
     rollup, place = blocks.rollup, blocks.place
     if blocks.width < rollup.finest:
         return rollup.of_sets(connection, place, blocks.first, blocks.end)
@@ -259,7 +259,7 @@ _NEWEST = prepare(
 
 
 def find_position_range(connection: Connection, position: str) -> PositionRange | None:
-    """Return the kind of rows and the end of a position; None without sets."""
+    """Find the kind of rows and the end of a position; None without sets."""
     found = _NEWEST.execute(connection, of_position=position).fetchone()
     if found is None:
         return None
@@ -271,13 +271,13 @@ def find_position_range(connection: Connection, position: str) -> PositionRange 
 
 
 def find_last_sets(connection: Connection, positions: Iterable[str]) -> dict[str, int]:
-    """Return the newest set of each position that has one."""
+    """Find the newest set of each position that has one."""
     places = (find_position_range(connection, position) for position in positions)
     return {place.position: place.end - 1 for place in places if place is not None}
 
 
 def collect_touched_sets(rows: Iterable[Row]) -> dict[str, set[int]]:
-    """Return the scheduled sets of each position that the rows belong to."""
+    """Collect the scheduled sets of each position to which rows belong."""
     touched: dict[str, set[int]] = {}
     for row in rows:
         if isinstance(row, AlarmRow):
@@ -321,7 +321,7 @@ def update_trends(
 
 
 def _find_runs(numbers: Iterable[int]) -> Iterator[tuple[int, int]]:
-    """Yield consecutive numbers as half-open ranges."""
+    """Group consecutive numbers and yield them as half-open ranges."""
     first = end = -1
     for number in numbers:
         if number != end and end >= 0:

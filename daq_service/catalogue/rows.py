@@ -435,7 +435,7 @@ class Column:
 
 
 def list_columns(kind: type[object]) -> tuple[Column, ...]:
-    """Return the fields of a dataclass in order; of a kind of row, the first one is the primary key."""
+    """List the fields of a dataclass in order; of a kind of row, the first one is the primary key."""
     columns = []
     for name, hint in get_type_hints(kind, include_extras=True).items():
         of_type, description = get_args(hint) if get_origin(hint) is Annotated else (hint, None)
@@ -446,5 +446,5 @@ def list_columns(kind: type[object]) -> tuple[Column, ...]:
 
 
 def to_columns(row: Row) -> dict[str, Any]:
-    """Return the value of each column by name, in order; nested values are not copied."""
+    """Convert a row to a dictionary of its columns, in order; nested values are not copied."""
     return {name: getattr(row, name) for name in row.__slots__}

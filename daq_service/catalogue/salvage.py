@@ -75,7 +75,7 @@ def read_sound_rows(folder: Path) -> Salvaged:
 
 
 def _yield_rows(connection: Connection, kind: type[R], report: Callable[[str], None]) -> Iterator[R]:
-    """Yield the rows that match their checksum; around a corrupt page those before and after it."""
+    """Yield the rows that match their checksum, also those before and after a corrupt page."""
     table = TABLES[kind]
     key = table.primary_key.columns[0]
     for backwards in (False, True):

@@ -159,7 +159,7 @@ def _open_writer(path: Path, settings: Settings | None) -> RecorderCatalogue:
 
 
 def _open_reader(path: Path) -> Catalogue:
-    """Open the catalogue of the current revision for reading."""
+    """Open a catalogue for reading; raise an error if it is missing or has another revision."""
     not_ready = NoDataYetError(f"{path}: no data yet; start `solimon record` or wait for it", path.parent)
     if not path.is_file():
         raise not_ready
@@ -180,7 +180,7 @@ def _open_reader(path: Path) -> Catalogue:
 
 
 def _create_schema_error(path: Path, revision: str) -> SchemaVersionError:
-    """Return the error for another revision."""
+    """Create the error for a catalogue of another schema revision."""
     return SchemaVersionError(
         f"{path} has schema {revision}, this version of solimon reads {SCHEMA_REVISION}; "
         "start the recorder of this version, which migrates it, or install the version that made it"

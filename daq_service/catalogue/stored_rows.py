@@ -52,7 +52,7 @@ _PYTHON_TYPES = {JSON: dict, Boolean: bool, LargeBinary: bytes, Float: float, In
 
 
 def _find_type(column: ColumnElement[Any]) -> type:
-    """Return the Python type of a column; ``dict`` is JSON."""
+    """Find the Python type of a column; ``dict`` is JSON."""
     return next(of_type for sql, of_type in _PYTHON_TYPES.items() if isinstance(column.type, sql))
 
 
@@ -105,7 +105,7 @@ def prepare(statement: CompilerElement, column_keys: Sequence[str] | None = None
 
 
 def find_driver(connection: Connection) -> sqlite3.Connection:
-    """Return the driver's connection, in the same transaction."""
+    """Return the connection of the SQLite driver, in the same transaction."""
     return connection.connection.driver_connection  # type: ignore[return-value] # the engine is SQLite's
 
 
@@ -129,7 +129,7 @@ def compute_row_crc32(row: Row) -> int:
 
 
 def _to_driver_values(row: Row, new_id: int | None = None) -> list[Any]:
-    """Return the values of a row for the driver, the checksum last: NaN and infinities are NULL."""
+    """Convert a row to driver values, the checksum last: NaN and infinities become NULL."""
     kind = type(row)
     stored: list[Any] = []
     columns: dict[str, object] = {}
@@ -157,7 +157,7 @@ def _to_driver_values(row: Row, new_id: int | None = None) -> list[Any]:
 
 
 def _to_crc32(columns: dict[str, object]) -> int:
-    """Return the checksum of the columns that are not None."""
+    """Compute the CRC-32 of the columns that are not None."""
     for name in _SCHEDULED:
         if columns.get(name) == 0:
             del columns[name]
@@ -185,13 +185,13 @@ def insert_rows(connection: Connection, rows: Sequence[Row]) -> list[int]:
 
 
 def change_row(connection: Connection, row: Row) -> bool:
-    """Replace the row with the same id; return False if there is none."""
+    """Replace the stored row with the same id; return False if there is none."""
     row_id, *stored = _to_driver_values(row)
     return find_driver(connection).execute(_UPDATE[type(row)].text, [*stored, row_id]).rowcount == 1
 
 
 def _build_row(kind: type[R], stored: Sequence[Any]) -> R:
-    """Return the dataclass of stored values."""
+    """Build the dataclass of a row from stored values."""
     return kind(**dict(zip(kind.__slots__, stored, strict=False)))  # the checksum is no part of it
 
 
@@ -210,7 +210,7 @@ def _check_checksum(kind: type[Row], stored: Sequence[Any]) -> None:
 
 
 def to_checked_row(kind: type[R], stored: Sequence[Any]) -> R:
-    """Return a row of a table after a comparison with its checksum.
+    """Compare stored values with their checksum and return the row; raise DamagedRow if they differ.
 
     Parameters
     ----------
@@ -229,7 +229,7 @@ def to_checked_row(kind: type[R], stored: Sequence[Any]) -> R:
 def read_rows(
     connection: Connection, kind: type[R], statement: Select[Any] | Prepared, **given: object
 ) -> Iterator[R]:
-    """Return the complete rows of a query, each compared with its checksum.
+    """Read the complete rows of a query; raise DamagedRow if one does not match its checksum.
 
     Raises
     ------
@@ -242,7 +242,7 @@ def read_rows(
 def read_values(
     connection: Connection, kind: type[Row], statement: Select[Any] | Prepared, **given: object
 ) -> Iterator[Sequence[Any]]:
-    """Yield the values of complete rows: every column of the table, the checksum last."""
+    """Yield the values of complete rows, the checksum last; raise DamagedRow at a corrupt row."""
     try:
         for stored in _execute_query(connection, kind, statement, given):
             _check_checksum(kind, stored)
@@ -254,7 +254,7 @@ def read_values(
 def _execute_query(
     connection: Connection, kind: type[Row], statement: Select[Any] | Prepared, given: dict[str, object]
 ) -> Iterator[Sequence[Any]]:
-    """Yield the values of a query's rows."""
+    """Execute a query and yield the values of its rows."""
     if isinstance(statement, Select):
         result = connection.execute(statement, given, execution_options={"yield_per": _ROWS_AT_ONCE})
         for rows in result.partitions():
@@ -272,7 +272,7 @@ def _execute_query(
 
 
 def to_json_text(value: object) -> str:
-    """Return the JSON text of a column: NumPy numbers are accepted, NaN and infinities become null."""
+    """Serialize the value of a column as JSON: NumPy numbers are accepted, NaN and infinities become null."""
     return orjson.dumps(value, option=orjson.OPT_SERIALIZE_NUMPY).decode()
 
 
@@ -282,6 +282,7 @@ def begin_transactions(engine: Engine) -> None:
 
     @event.listens_for(engine, "begin")
     def _begin_transaction(connection: Connection) -> None:
+        """Begin a transaction; a writer waits for the write lock."""
         nonlocal timed_out_s
         if not connection.get_execution_options().get(_WRITES, False):
             find_driver(connection).execute("BEGIN")

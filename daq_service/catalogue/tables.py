@@ -67,7 +67,7 @@ def _create_table(
 
 
 def _choose_sql_type(column: rows.Column) -> TypeEngine[Any]:
-    """Return the SQL type of a column."""
+    """Choose the SQL type of a column."""
     if column.name.endswith(_BIG_INTEGERS):
         return sa.BigInteger()
     if column.name == "configuration_hash":
@@ -78,12 +78,12 @@ def _choose_sql_type(column: rows.Column) -> TypeEngine[Any]:
 
 
 def _make_unique(table: str, *names: str) -> sa.UniqueConstraint:
-    """Return a named unique constraint."""
+    """Create a unique constraint that is named after its columns."""
     return sa.UniqueConstraint(*names, name=f"uq_{table}_{'_'.join(names[:3])}")
 
 
 def _add_index(table: sa.Table, *names: str) -> None:
-    """Add a named index."""
+    """Add an index that is named after its columns to a table."""
     sa.Index(f"ix_{table.name}_{'_'.join(names)}", *(table.c[name] for name in names))
 
 

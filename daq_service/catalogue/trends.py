@@ -36,7 +36,7 @@ _NO_POINTS: np.void = np.zeros(1, PART)[0]
 
 
 def _iterate_all_blocks(connection: Connection) -> Iterator[Blocks]:
-    """Yield the blocks of all ranges, smaller blocks first."""
+    """Yield the blocks of all positions and widths, smaller blocks first."""
     for position in connection.execute(select(sets.c.position).distinct()).scalars().all():
         place = find_position_range(connection, position)
         assert place is not None
@@ -76,7 +76,7 @@ def find_trend_differences(connection: Connection) -> Iterator[str]:
 def _cover_range(
     connection: Connection, rollup: Rollup, place: PositionRange, first: int, end: int, widest: int
 ) -> Pieces:
-    """Return pieces that cover a range exactly: blocks up to a width, smaller ones and sets at the ends."""
+    """Find pieces that cover a range exactly: stored blocks, smaller ones and single sets at the ends."""
     parts = [
         read_stored_pieces(connection, Blocks(rollup=rollup, place=place, width=width, first=start, end=stop))
         for width, start, stop in parts_of_range(first, end, level_widths(rollup.finest, widest))
@@ -86,7 +86,7 @@ def _cover_range(
 
 
 def _find_range(connection: Connection, position: str, hours: tuple[float | None, float | None]) -> Any:
-    """Return position and range of sets due between two hours, inclusive."""
+    """Find position and range of the sets due between two hours, both included."""
     place = find_position_range(connection, position)
     if place is None:
         return None
@@ -110,7 +110,7 @@ def read_trend_bins(
     points: int,
     most_bins: int,
 ) -> tuple[int, NDArray[np.void]] | None:
-    """Return the bins over the sets of a position due between two hours, inclusive (None: any).
+    """Read the bins over the sets of a position due between two hours, inclusive (None: any).
 
     Parameters
     ----------
@@ -138,7 +138,7 @@ def read_trend_bins(
 def compute_trend_part(
     catalogue: Catalogue, position: str, value: str, *, first_h: float | None, last_h: float | None
 ) -> np.void:
-    """Return the `PART` of a measured value over the sets due between two hours, inclusive, for a fit."""
+    """Compute the `PART` of a measured value over the sets due between two hours, inclusive, for a fit."""
     with catalogue.open_snapshot() as connection:
         position_range = _find_range(connection, position, (first_h, last_h))
         if position_range is None:

@@ -61,7 +61,7 @@ class UnchangedCatalogue:
         self._stack.close()
 
     def _connect(self) -> None:
-        """Open the file, or a copy of file and log."""
+        """Open the file read-only, or a copy of the file and its log."""
         self._stack.close()
         path, log = self._path, self._build_companion_path("-wal")
         self._shared = self._build_companion_path("-shm").exists()
@@ -77,11 +77,11 @@ class UnchangedCatalogue:
         self._connection.row_factory = sqlite3.Row
 
     def _build_companion_path(self, suffix: str) -> Path:
-        """Return the path of SQLite's log or index file."""
+        """Return the path of the log or index file of SQLite."""
         return self._path.with_name(f"{FILE_NAME}{suffix}")
 
     def _run_query(self, sql: str, *values: Any) -> list[dict[str, Any]]:
-        """Run a query and return its rows; connect again if a recorder has started."""
+        """Run a query; connect again if a recorder has started; raise an error if the file is corrupt."""
         if not self._shared and self._build_companion_path("-shm").exists():
             self._connect()  # a recorder has started: from now on the file changes
         try:
@@ -92,7 +92,7 @@ class UnchangedCatalogue:
             raise CatalogueDamagedError(f"{self._path} cannot be read: {error}") from error
 
     def _read_values(self, sql: str) -> list[Any]:
-        """Return all values of a query."""
+        """Run a query with one column and return its values."""
         return [value for row in self._run_query(sql) for value in row.values()]
 
     def troubles(self) -> list[CatalogueCorruption]:
@@ -163,13 +163,13 @@ class UnchangedCatalogue:
         return sum(self._read_values(f'SELECT count(*) FROM "{table}"')[0] for table in self._list_tables())
 
     def _list_tables(self) -> list[str]:
-        """Return the names of the tables."""
+        """List the names of the tables."""
         return self._read_values(
             "SELECT name FROM sqlite_master WHERE type = 'table' AND name NOT LIKE 'sqlite_%'"
         )
 
     def experiment(self) -> dict[str, Any] | None:
-        """Return the row of the experiment; None if it has not started."""
+        """Read the row of the experiment; None if it has not started."""
         return next(iter(self._read_rows("experiment", "")), None)
 
     def read_events_after(self, last_id: int) -> list[dict[str, Any]]:
@@ -186,12 +186,12 @@ class UnchangedCatalogue:
             return True
 
     def list_set_keys(self) -> set[SetKey]:
-        """Return the sets that have rows; a corrupt page may return other types, which are left out."""
+        """List the sets that have rows; leave out values of other types, as corrupt pages may return them."""
         rows = self._run_query(f"SELECT DISTINCT {self._key_columns} FROM sets")
         return {_build_set_key(row) for row in rows if all(isinstance(value, int) for value in row.values())}
 
     def files(self) -> dict[SetKey, str]:
-        """Return the files of all rows by key, in order."""
+        """List the files of all rows by key, in order."""
         rows = self._run_query(f"SELECT DISTINCT {self._key_columns}, file FROM sets WHERE file IS NOT NULL")
         return dict(sorted((_build_set_key(row), row["file"]) for row in rows))
 
@@ -211,7 +211,7 @@ class UnchangedCatalogue:
         return self._read_values("SELECT DISTINCT position FROM sets")
 
     def of_set(self, table: str, set_key: SetKey) -> list[dict[str, Any]]:
-        """Return the rows of a set in a table that has a position and a set index."""
+        """Read the rows of a set in a table that has a position and a set index."""
         # Its indexes begin with the position.
         marks = ", ".join("?" * len(self._positions))
         where = f"WHERE position IN ({marks}) AND set_index = ?"
@@ -220,7 +220,7 @@ class UnchangedCatalogue:
         return self._read_rows(table, f"{where} AND unscheduled_index = ?", *self._positions, *set_key)
 
     def _read_rows(self, table: str, where: str, *values: Any) -> list[dict[str, Any]]:
-        """Return rows by current column names; an earlier revision lacks some."""
+        """Read rows of a table with current column names; an earlier revision lacks some."""
         name = table if table in self._list_tables() else _EARLIER_TABLES.get(table, table)
         rows = [
             to_current_row(table, row) for row in self._run_query(f"SELECT * FROM {name} {where}", *values)
@@ -231,7 +231,7 @@ class UnchangedCatalogue:
         return rows
 
     def list_stray_shots(self) -> list[int]:
-        """Return the shots (`sequence`) whose set has no row of their position."""
+        """List the shots (`sequence`) whose set has no row of their position."""
         same = "sets.position = shots.position AND sets.set_index = shots.set_index"
         if self._has_unscheduled_index:
             same += " AND sets.unscheduled_index = shots.unscheduled_index"
@@ -241,6 +241,6 @@ class UnchangedCatalogue:
 
 
 def _build_set_key(row: Mapping[str, Any]) -> SetKey:
-    """Return the key of a row; up to revision 0015 it is one number."""
+    """Build the key of a set from a row; up to revision 0015 it is one number."""
     set_index, unscheduled_index = row["set_index"], row["unscheduled_index"]
     return SetKey(set_index, unscheduled_index) if unscheduled_index else SetKey.from_number(set_index)

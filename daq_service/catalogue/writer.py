@@ -145,7 +145,7 @@ class RecorderCatalogue(Catalogue):
 
     @contextmanager
     def _open_transaction(self, action: str) -> Iterator[Connection]:
-        """Open a transaction for writing and translate errors."""
+        """Open a write transaction and translate its errors to those of the catalogue."""
         with translate_errors(self._path, action), open_write_transaction(self._engine) as connection:
             yield connection
 
@@ -192,7 +192,7 @@ class RecorderCatalogue(Catalogue):
         return stored
 
     def list_committed_sets(self, among: Collection[SetKey] | None = None) -> set[SetKey]:
-        """Return the keys of the sets, of all or ``among`` some, with stored rows."""
+        """List the keys of the sets with stored rows, of all sets or of those in ``among``."""
         statement = select(sets.c.set_index, sets.c.unscheduled_index).distinct()
         if among is not None:
             statement = statement.where(sets.c.set_index.in_(sorted({key.set_index for key in among})))
@@ -201,7 +201,7 @@ class RecorderCatalogue(Catalogue):
         return found if among is None else found & set(among)
 
     def find_last_end_utc_ns(self) -> int | None:
-        """Return the latest end of a set; None before the first one with a record."""
+        """Find the latest end of a set in ns of UTC; None before the first one with a record."""
         with self.open_snapshot() as connection:
             last: int | None = connection.execute(select(func.max(sets.c.ended_utc_ns))).scalar_one()
         return last
@@ -259,7 +259,7 @@ class RecorderCatalogue(Catalogue):
         return self.commit_set(SetCommit(events=[event])).event_ids[0]
 
     def list_sets_without_digest(self) -> dict[SetKey, str]:
-        """Return the files of sets without a stored SHA-256, by key."""
+        """List the files of sets without a stored SHA-256, by key."""
         statement = select(sets.c.set_index, sets.c.unscheduled_index, sets.c.file)
         with self.open_snapshot() as connection:
             rows = connection.execute(statement.where(sets.c.file.is_not(None), sets.c.file_sha256.is_(None)))
@@ -274,7 +274,7 @@ class RecorderCatalogue(Catalogue):
                 change_row(connection, replace(row, file_sha256=sha256))
 
     def read_digest(self, set_key: SetKey) -> str | None:
-        """Return the stored SHA-256 of a set's file; None if there is none."""
+        """Read the stored SHA-256 of the file of a set; None if there is none."""
         has_digest = sets.c.file_sha256.is_not(None)
         statement = select(sets.c.file_sha256).where(*_build_set_condition(set_key), has_digest)
         with self.open_snapshot() as connection:
@@ -282,7 +282,7 @@ class RecorderCatalogue(Catalogue):
         return digest
 
     def recompute_counts(self) -> None:
-        """Recompute the counts from all rows."""
+        """Recompute and store the numbers of sets, shots, records and events from all rows."""
         echoes = select(sets.c.position).where(sets.c.method == PULSE_ECHO)
         with self._open_transaction("counting") as connection:
             numbers = {
@@ -306,7 +306,7 @@ class RecorderCatalogue(Catalogue):
     # Commands
 
     def list_open_commands(self) -> list[CommandRow]:
-        """Return the commands without an answer, oldest first: pending or started."""
+        """List the commands without an answer (pending or started), oldest first."""
         return self.rows(CommandRow, states={"pending", "started"})
 
     def start_command(self, command_id: int) -> None:
@@ -346,18 +346,18 @@ class RecorderCatalogue(Catalogue):
 
 
 def _build_set_condition(key: SetKey) -> tuple[ColumnElement[bool], ...]:
-    """Return the conditions for the rows of a set."""
+    """Build the conditions that select the rows of a set."""
     return sets.c.set_index == key.set_index, sets.c.unscheduled_index == key.unscheduled_index
 
 
 def build_event_payload(row: Row, *, last: str = "") -> dict[str, object]:
-    """Return the row as payload of its event: without a missing id, column ``last`` at the end."""
+    """Convert a row to the payload of its event: omit a missing id, put the column ``last`` at the end."""
     names = [name for name in row.__slots__ if name != "id" or getattr(row, name) is not None]
     return {name: getattr(row, name) for name in sorted(names, key=last.__eq__)}
 
 
 def _build_due_time_query(*of: ColumnElement[bool]) -> Select[int, int, int]:
-    """Return the query that counts due times from their rows."""
+    """Build the query that counts due times from their rows."""
     lacking = case(((sets.c.state == "partial") | (sets.c.state == "missed"), 1), else_=0)
     missed = case((sets.c.state == "missed", 1), else_=0)
     due_times = select(
@@ -400,7 +400,7 @@ def count_due_times(connection: Connection, indices: Collection[int] | None = No
 def _update_counts(
     connection: Connection, commit: SetCommit, before: Mapping[str, int], after: Mapping[str, int]
 ) -> None:
-    """Add a commit to the counts; a shot comes with the row of its set."""
+    """Add the rows of a commit to the stored counts; a shot comes with the row of its set."""
     echoes = {row.position for row in commit.sets if row.method == PULSE_ECHO}
     of_plan = [row for row in commit.shots if not row.unscheduled_index]
     n_echoes = sum(row.position in echoes for row in of_plan)
@@ -441,7 +441,7 @@ def _store_row(connection: Connection, row: AlarmRow | AnnotationRow) -> int:
 
 
 def _change_or_insert(connection: Connection, row: Row) -> int:
-    """Store a new row, or one in place of the stored one, and return its id."""
+    """Replace the stored row with the same id, or insert a new row; return its id."""
     row_id: int | None = getattr(row, "id", 0)
     if row_id is not None and change_row(connection, row):
         return row_id
@@ -464,7 +464,7 @@ def _change_existing(connection: Connection, row: Row, row_id: int) -> int:
 def _build_dated_events(
     commit: SetCommit, alarm_ids: Sequence[int], annotation_ids: Sequence[int]
 ) -> list[EventRow]:
-    """Return the events with time, and with ids of alarms and annotations in their payload."""
+    """Build the events with time, and with ids of alarms and annotations in their payload."""
     now_ns = time.time_ns()
     complete = []
     for number, event in enumerate(commit.events):

@@ -87,7 +87,7 @@ def create_app(settings: Settings, data_folder: Path, *, no_person: bool = False
 
 
 def create_app_of_test(lifespan: Lifespan[FastAPI] | None = None) -> Service:
-    """Return an application with the routes of a test; `context.context_at` selects the test of a request."""
+    """Create an application with the routes of a test; `context.context_at` selects the test of a request."""
     app = Service(
         "solimon",
         (
@@ -106,7 +106,7 @@ def create_app_of_test(lifespan: Lifespan[FastAPI] | None = None) -> Service:
 
 
 def build_versioned_router(resources: Iterable[ModuleType]) -> APIRouter:
-    """Return a router of resources below `/api/v1`, with checks of the role and of unknown parameters."""
+    """Create the router of `/api/v1`, with checks of the role and of unknown parameters."""
     api = APIRouter(
         prefix="/api/v1",
         dependencies=[Depends(check_role), Depends(refuse_unknown_parameters)],
@@ -118,7 +118,7 @@ def build_versioned_router(resources: Iterable[ModuleType]) -> APIRouter:
 
 
 def add_guard_middleware(app: FastAPI, context: Context, *, has_tests: bool = False) -> None:
-    """Add middleware to an application: guards, authentication, compression and timing.
+    """Add the middleware of an application: request checks, authentication, compression and timing.
 
     Parameters
     ----------

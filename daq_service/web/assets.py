@@ -47,7 +47,7 @@ class Asset:
 
 @cache
 def load_assets() -> dict[str, Asset]:
-    """Return all files of the dashboard by their path in the URL."""
+    """Read all files of the dashboard; return them by their path in the URL."""
     contents = {}
     for path in sorted(FOLDER.rglob("*")):
         if path.is_file() and path.suffix in MEDIA_TYPES:
@@ -70,12 +70,12 @@ def load_assets() -> dict[str, Asset]:
 
 
 def _build_preload_links(names: Iterable[str]) -> bytes:
-    """Return the links that load scripts early."""
+    """Build the HTML links with which a browser loads scripts early."""
     return "".join(f'<link rel="modulepreload" href="{PLACE}{name}">' for name in names).encode()
 
 
 def find_imported_modules(files: Mapping[str, bytes], script: str) -> list[str]:
-    """Return the names of all modules that a script imports, directly or not."""
+    """List all modules that a script imports, directly or through other modules."""
     names, waiting = {script: None}, [script]
     while waiting:
         name = waiting.pop()
@@ -94,7 +94,7 @@ async def get_asset(name: str, request: Request) -> Response:
 
 
 def answer_asset(name: str, request: Request) -> Response:
-    """Return the response for a file, or 304 where the browser already has it."""
+    """Return the response for a file, or 304 if the browser has it; raise 404 if there is no such file."""
     asset = load_assets().get(name)
     if asset is None:
         raise not_found(

@@ -91,11 +91,11 @@ class BoundedHttp(HttpToolsProtocol):
             self._waiting = None
 
     def _is_answering(self) -> bool:
-        """Return whether an answer is under way."""
+        """Return whether the application is answering a request of this connection."""
         return self.cycle is not None and not self.cycle.response_complete
 
     def _list_waiting(self) -> list[BoundedHttp]:
-        """Return the connections that wait for a complete request."""
+        """List the connections of the server that wait for a complete request."""
         return [
             connection
             for connection in self.connections
@@ -103,7 +103,7 @@ class BoundedHttp(HttpToolsProtocol):
         ]
 
     def _has_too_many_waiting(self) -> bool:
-        """Return whether too many connections wait; a proxy sends complete requests, so it hardly counts."""
+        """Return whether too many connections wait for requests, in total or from one address."""
         waiting = self._list_waiting()
         same_address = sum(
             (connection.client or ("",))[0] == (self.client or ("",))[0] for connection in waiting
@@ -124,7 +124,7 @@ class BoundedHttp(HttpToolsProtocol):
             self._schedule_check()
 
     def _refuse_request(self, status: HTTPStatus) -> None:
-        """Answer with a status and close the connection."""
+        """Answer with an HTTP status and close the connection."""
         self._stop_waiting()
         message = (
             f"{status.phrase}: a request's headers must come within {HEADERS_WITHIN_S:g} s and take at most "

@@ -49,7 +49,7 @@ class CatalogueEvents:
             return None
 
     def after(self, event_id: int, limit: int) -> Sequence[Mapping[str, Any]]:
-        """Return events after an id, with RFC 3339 times."""
+        """Read events after an id, with RFC 3339 times."""
         try:
             catalogue = self._access.get()
         except NoDataYetError:
@@ -148,7 +148,7 @@ class Context:
         return catalogue
 
     def has_data(self) -> bool:
-        """Return whether anything is stored, without an error otherwise."""
+        """Return whether the catalogue can be opened; never raise an error."""
         try:
             self.catalogue()
         except (Problem, StorageError):
@@ -163,7 +163,7 @@ class Context:
         self.notifications.close()
 
     def validate_position(self, position: str) -> str:
-        """Check and return the name of a position (it becomes part of file names).
+        """Check that the test has a position and return its name, since it becomes part of file names.
 
         Raises
         ------
@@ -178,7 +178,7 @@ class Context:
         return position
 
     def read_freshness(self) -> Freshness:
-        """Return the present freshness of the catalogue."""
+        """Compute clock, age of the data and status of the recorder at this moment."""
         return Freshness(self)
 
 
@@ -195,7 +195,7 @@ class Freshness(freshness.Freshness):
         return self._catalogue.read_baselines_by_id()
 
     def as_of(self) -> dict[str, object]:
-        """Return the part `as_of` of an answer."""
+        """Return the object `as_of` of an answer: clock, present time, age of the data, recorder."""
         return {
             "clock": self.clock,
             "now_utc": format_rfc3339(self.now_utc_ns),
@@ -206,11 +206,11 @@ class Freshness(freshness.Freshness):
         }
 
     def format_utc_of_hour(self, hour: float) -> str | None:
-        """Return the RFC 3339 time of an hour of the test."""
+        """Format an hour of the test as RFC 3339 text, to the second."""
         return format_hour_as_rfc3339(self.epoch_utc_ns, hour)
 
     def row(self, row: Row, **extra_columns: object) -> dict[str, object]:
-        """Return a row of the catalogue for an answer: times as text, and its age if it has an hour."""
+        """Convert a row of the catalogue for an answer: times as text, and its age if it has an hour."""
         if isinstance(row, AlarmRow):
             row = self.with_present_state(row)
             extra_columns |= {"evidence_sentences": evidence_sentences(row, self._baselines)}
@@ -220,20 +220,20 @@ class Freshness(freshness.Freshness):
 
 
 def find_app_context(app: FastAPI) -> Context:
-    """Return the shared parts of an application."""
+    """Return the context (settings, catalogue, streams) of an application."""
     context = app.state.context
     assert isinstance(context, Context)
     return context
 
 
 def find_request_context(connection: HTTPConnection) -> Context:
-    """Return the shared parts of the test of a request, or else of its application."""
+    """Return the context of the test that a request addresses, or else of its application."""
     context = getattr(connection.state, "test", None)
     return context if isinstance(context, Context) else find_app_context(connection.app)
 
 
 async def _provide_context(connection: HTTPConnection) -> Context:
-    """Return `context_at`; as a coroutine it needs no thread of the pool."""
+    """Return `context_at` as dependency of routes; as a coroutine it needs no thread of the pool."""
     return find_request_context(connection)
 
 

@@ -74,6 +74,7 @@ class RequestGuard:
         problem = _find_request_problem(scope, headers, self._names)
 
         async def send_with_headers(message: Message) -> None:
+            """Send a message; add the security headers and the request id to the start of a response."""
             if message["type"] in {"http.response.start", "websocket.http.response.start"}:
                 answer = MutableHeaders(scope=message)
                 for key, value in ANSWER_HEADERS.items():
@@ -113,10 +114,11 @@ async def _read_body(receive: Receive) -> bytes | None:
 
 
 def _replay_body(body: bytes, receive: Receive) -> Receive:
-    """Return a `receive` that returns the body once, and then the messages of the server."""
+    """Return a `receive` function that returns a body once, and then the messages of the server."""
     unread = [body]
 
     async def receive_replayed() -> Message:
+        """Return the body at the first call, and later messages of the server."""
         if unread:
             return {"type": "http.request", "body": unread.pop(), "more_body": False}
         return await receive()
@@ -125,17 +127,17 @@ def _replay_body(body: bytes, receive: Receive) -> Receive:
 
 
 def _create_too_large(size: str) -> Problem:
-    """Return the error of a body that is too large."""
+    """Create the error of a request body that exceeds the limit (413)."""
     return Problem("body-too-large", f"The body has {size} bytes; the limit is {LARGEST_BODY_BYTES}.")
 
 
 def _create_too_slow() -> Problem:
-    """Return the error of a body that arrives too slowly."""
+    """Create the error of a request body that arrives too slowly (408)."""
     return Problem("body-too-slow", f"The body was not whole within {BODY_WITHIN_S:g} s.")
 
 
 def _find_request_problem(scope: Scope, headers: Headers, names: frozenset[str]) -> Problem | None:
-    """Return the problem of a request's headers, host or origin; None if there is none."""
+    """Check headers, host and origin of a request; return the problem, or None if there is none."""
     if (header_bytes := sum(len(name) + len(value) for name, value in headers.raw)) > LARGEST_HEADERS_BYTES:
         return Problem(
             "headers-too-large",
@@ -161,7 +163,7 @@ def _find_request_problem(scope: Scope, headers: Headers, names: frozenset[str])
 
 
 def _parse_hostname(address: str) -> str | None:
-    """Return the host of an address; None if it is malformed."""
+    """Parse the host name of an address; None if it is malformed."""
     try:
         return urlsplit(address).hostname
     except ValueError:
@@ -169,7 +171,7 @@ def _parse_hostname(address: str) -> str | None:
 
 
 def _join_header(headers: Headers, name: str) -> str:
-    """Return all headers of a name in one text: a proxy and this service might use different ones."""
+    """Join all headers of a name, since a proxy and this service might use different ones."""
     return ", ".join(headers.getlist(name))
 
 

@@ -39,6 +39,7 @@ class RequestTimes:
         started_s = time.perf_counter()
 
         async def send_timed(message: Message) -> None:
+            """Send a message; observe the elapsed time when the response starts."""
             if message["type"] == "http.response.start":
                 # The route's pattern: what a client writes into a path must not become a label.
                 route = getattr(scope.get("route"), "path", "none")

@@ -70,7 +70,7 @@ class _Server(uvicorn.Server):
 
 
 def bind_socket(host: str, port: int, *, locked: bool = False) -> socket.socket:
-    """Return a socket that listens on an address of this computer; port 0 takes a free one.
+    """Open a socket that listens on an address of this computer; port 0 selects a free one.
 
     Parameters
     ----------
@@ -117,7 +117,7 @@ def bind_socket(host: str, port: int, *, locked: bool = False) -> socket.socket:
 
 
 def raise_connection_limit() -> int:
-    """Raise the limit of open handles of the process, and return the number of connections that fit."""
+    """Raise the limit of open file handles; return the number of connections that fit."""
     if sys.platform == "win32":  # no such limit
         return MOST_CONNECTIONS
     import resource
@@ -143,7 +143,7 @@ def reduce_garbage_collection() -> None:
 
 
 def _create_event_loop(config: uvicorn.Config) -> asyncio.AbstractEventLoop:
-    """Return an event loop with a limited time for TLS handshakes."""
+    """Create an event loop with a limited time for TLS handshakes."""
     factory = config.get_loop_factory()
     loop = asyncio.new_event_loop() if factory is None else factory()
     if config.is_ssl:  # uvicorn has no such option

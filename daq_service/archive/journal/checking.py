@@ -70,7 +70,7 @@ class CheckedJournal:
 
 
 def _is_torn(frame: Frame, length: int, size: int) -> bool:
-    """Return whether a frame was truncated by a crash: pages are written in order, the rest is zeros."""
+    """Return whether a crash truncated a frame: pages are written in order, so the rest is zeros."""
     return frame.end > size or -(-length // _PAGE_BYTES) * _PAGE_BYTES < frame.end
 
 

@@ -88,7 +88,7 @@ class JournaledSet:
         return bool(self.shots)
 
     def find_sequence(self, position: str, shot_index: int) -> int | None:
-        """Return the sequence of the accepted attempt at a shot; None if there was none."""
+        """Find the sequence of the accepted attempt at a shot; None if there is none."""
         assert self.end is not None, "only an ended set names its records"
         replaced = {sequence for sequence, _ in self.end["outcomes"]}
         attempts = [
@@ -99,7 +99,7 @@ class JournaledSet:
         return max(attempts)[-1] if attempts else None
 
     def damages(self) -> list[Damage]:
-        """List the records that the end frame names and that cannot be read."""
+        """List the records that the end frame names and that are missing or unreadable."""
         assert self.end is not None, "only an ended set names its records"
         return [
             Damage(
@@ -113,7 +113,7 @@ class JournaledSet:
         ]
 
     def record(self) -> SetRecord:
-        """Return the complete set with its sound records."""
+        """Build the complete set from its intact records."""
         end = self.end
         assert end is not None, "a set that was not ended has no record"
         sequences = [sequence for sequence, *_ in end["records"] if sequence in self.shots]
@@ -130,7 +130,7 @@ class JournaledSet:
         )
 
     def opened(self) -> OpenSet | None:
-        """Return the durable part of an incomplete set; None if nothing is left."""
+        """Build the durable part of an incomplete set, to resume it; None if no frame of it is left."""
         facts: Mapping[str, Any]
         if self.begin is not None:
             facts = {**self.begin.read_facts(), "started_utc_ns": self.begin.utc_ns}
@@ -160,19 +160,19 @@ _PLAIN = (
 
 
 def _parse_missed(set_key: SetKey, facts: Mapping[str, Any]) -> MissedShot:
-    """Return the missed record of an end frame's entry."""
+    """Parse a missed record from an entry of the end frame."""
     key = ShotKey.in_set(set_key, facts["position"], facts["shot_index"], facts["attempt"])
     return MissedShot(key=key, cause=facts["cause"], reason=facts["reason"])
 
 
 def list_segments(folder: Path) -> dict[int, Path]:
-    """Return the segments of a data folder by number, in order."""
+    """List the segments of a data folder: number to path, in order."""
     files = ((_NAME.fullmatch(path.name), path) for path in (folder / JOURNAL_FOLDER).glob("*.journal"))
     return dict(sorted((int(match[1]), path) for match, path in files if match))
 
 
 def parse_segment_number(file: str) -> int:
-    """Return the number in a segment's file name."""
+    """Parse the number in the file name of a segment."""
     return int(Path(file).stem)
 
 
@@ -214,7 +214,7 @@ def read_journal(
 
 
 def read_segments(folder: Path, places: Places | None = None) -> Iterator[tuple[int, bytes]]:
-    """Yield number and bytes of each segment, or of a byte range of it, in order; skip vanished segments."""
+    """Yield number and bytes of each segment, or of byte ranges of it; skip segments that vanished."""
     for number, path in list_segments(folder).items():
         if places is not None and number not in places:
             continue

@@ -203,7 +203,7 @@ class Journal:
         sync_folder(path.parent)
 
     def _close_segment(self) -> None:
-        """Close the present segment; remove it if it holds no needed frame."""
+        """Close the present segment; remove its file if no frame of it is needed."""
         descriptor, self._descriptor = self._descriptor, None
         if descriptor is None:
             return
@@ -213,7 +213,7 @@ class Journal:
             self._remove_segment(self._number)
 
     def places(self, set_key: SetKey) -> Places:
-        """Return the byte ranges of a set's durable frames by segment."""
+        """Return the byte ranges of the durable frames of a set: segment number to ranges."""
         return {number: sets[set_key] for number, sets in self._sets_in.items() if set_key in sets}
 
     def settle(self, set_key: SetKey) -> None:

@@ -56,7 +56,7 @@ class Frame:
 
     @property
     def first_s(self) -> float:
-        """Start of the first cell in s after the anchor."""
+        """Return the start of the first cell in s after the anchor."""
         return self.first * self.cell_s
 
     def part(self, from_s: float | None, to_s: float | None, width: int) -> Frame:
@@ -71,7 +71,7 @@ class Frame:
 
 
 def build_frame(waveform: Waveform, alignment: Alignment) -> Frame:
-    """Return the frame of all records with this sampling.
+    """Compute the time frame of all records with the sampling of a waveform.
 
     Aligned at the trigger it covers the complete record; at the first pulse it extends from half a record
     before to one record after the pulse.
@@ -93,7 +93,7 @@ def build_frame(waveform: Waveform, alignment: Alignment) -> Frame:
 
 
 def extract_anchors(results: Results) -> dict[int, float]:
-    """Return the time of the first pulse or echo after the trigger by shot id, if one was detected."""
+    """Find the time in s of the first detected pulse or echo, by shot id."""
     anchors: dict[int, float] = {}
     for table, column in (("features", "isw_time_s"), ("thickness", "travel_time_s")):
         rows = results.get(table, {})
@@ -103,18 +103,18 @@ def extract_anchors(results: Results) -> dict[int, float]:
 
 
 def new_planes(frame: Frame) -> Planes:
-    """Return cells without a sample."""
+    """Create cells without a sample (NaN)."""
     return np.full((2, frame.n_cells), np.nan, dtype=np.float32)
 
 
 def merge_planes(rows: Iterable[Planes]) -> Planes:
-    """Return the extremes of several rows of one frame."""
+    """Compute the extremes over several rows of one frame."""
     lows, highs = zip(*rows, strict=True)
     return np.stack([np.fmin.reduce(lows), np.fmax.reduce(highs)])
 
 
 def compute_record_planes(placed: Iterable[tuple[Waveform, float]], frame: Frame) -> Planes:
-    """Compute the cells of records, each with the time of its anchor in s, without those of another rate."""
+    """Compute the cells of records, each with the time of its anchor in s; skip other sampling rates."""
     start, size = frame.first * frame.width, frame.n_cells * frame.width
     # Extremes of each sample of the frame first: far fewer cells remain to reduce.
     low, high = np.full(size, np.inf), np.full(size, -np.inf)
@@ -146,7 +146,7 @@ def compute_planes(
 
 
 def select_accepted_records(record: SetRecord, position: str) -> list[Shot | PulseEchoRecord]:
-    """Return the accepted records of a position."""
+    """Select the accepted records of a set at a position."""
     return [
         item
         for item in record.records

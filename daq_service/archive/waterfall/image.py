@@ -169,7 +169,7 @@ class WaterfallReader:
         )
 
     def mean(self, tiles: Tiles, index: Index, sets: Collection[int]) -> tuple[Planes, int, int]:
-        """Return the mean extremes of each cell over sets, the number of sets, and the number pending."""
+        """Compute the mean extremes of each cell over sets; return the numbers of read and pending sets."""
         reading = _Reading(self, tiles, index)
         rows = [row.planes for set_index in sets for row in reading.rows(1, range(set_index, set_index + 1))]
         stacked = np.stack(rows or [new_planes(tiles.frame)])
@@ -194,7 +194,7 @@ class WaterfallReader:
         return build_tile_row(record, planes)
 
     def find_cached_row(self, tiles: Tiles, set_index: int) -> TileRow | None:
-        """Return a row from the cache; None if it is not there."""
+        """Find a row in the cache; None if it is not there."""
         with self._lock:
             return self._memory.get((tiles.position, repr((tiles.alignment, tiles.frame)), set_index))
 
@@ -218,13 +218,13 @@ class _Reading:
         self.pending, self.unreadable = 0, list[int]()
 
     def rows(self, width: int, numbers: range) -> list[TileRow]:
-        """Return the complete rows of a level: with all stored sets, as far as these could be read."""
+        """Read the rows of a level that contain all their stored sets; skip incomplete ones."""
         tile_rows = dict(self.tiles.rows(width, numbers))
         rows = (self._read_row(width, number, tile_rows.get(number)) for number in numbers)
         return [row for row in rows if row is not None]
 
     def _read_row(self, width: int, number: int, tile_row: TileRow | None) -> TileRow | None:
-        """Return a row from its tile, or from the rows of the next finer level."""
+        """Read a row from its tile, or join it from rows of the next finer level; None without one."""
         if tile_row is not None and tile_row.n_sets == width:
             return tile_row
         n_stored = self._index.count_stored_sets(number * width, (number + 1) * width - 1)
@@ -241,7 +241,7 @@ class _Reading:
         return join_rows(finer_rows) if finer_rows else None
 
     def _read_set_row(self, set_index: int) -> TileRow | None:
-        """Return the row of a set from the cache or from its records."""
+        """Read the row of a set from the cache or its records; None if it has none or is pending."""
         cached_row = self._reader.find_cached_row(self.tiles, set_index)
         if cached_row is not None:
             return cached_row
@@ -263,7 +263,7 @@ class _Reading:
 
 
 def _choose_columns(frame: Frame, wanted: Wanted, *, may_be_finer: bool) -> Frame:
-    """Return the columns of a figure: the narrowest cells that do not exceed the requested number.
+    """Choose the columns of a figure: the narrowest cells that do not exceed the requested number.
 
     At least two columns: before and after the anchor, independent of their width.
     """

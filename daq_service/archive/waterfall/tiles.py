@@ -94,7 +94,7 @@ class Tiles:
             yield from self._decode_rows(width, start, self._read_slots(width, tile, start, end))
 
     def _decode_rows(self, width: int, start: int, content: memoryview) -> Iterator[tuple[int, TileRow]]:
-        """Return the sound rows in the bytes of slots from ``start`` on."""
+        """Decode the intact rows in the bytes of slots from ``start`` on."""
         for offset in range(0, len(content), self._slot_bytes):
             number = start + offset // self._slot_bytes
             row = self._decode_row(content[offset : offset + self._slot_bytes])
@@ -147,11 +147,11 @@ class Tiles:
         return compute_slot_bytes(self.frame.n_cells)
 
     def _build_tile_path(self, width: int, tile: int) -> Path:
-        """Return the path of a tile."""
+        """Return the path of the file of a tile."""
         return self.folder / TILES_FOLDER / self.position / self.alignment / _format_tile_name(width, tile)
 
     def _read_slots(self, width: int, tile: int, start: int, end: int) -> memoryview:
-        """Return the bytes of slots, as many as exist; none of an invalid tile."""
+        """Read the bytes of slots, as many as exist; empty if the tile is invalid."""
         path = self._build_tile_path(width, tile)
         try:
             with path.open("rb") as file:
@@ -166,7 +166,7 @@ class Tiles:
             return memoryview(b"")
 
     def _compute_offset(self, number: int) -> int:
-        """Return the position of a row's slot in its tile."""
+        """Compute the byte offset of the slot of a row in its tile."""
         return _HEADER_BYTES + number % ROWS_OF_A_TILE * self._slot_bytes
 
     def _decode_row(self, slot: memoryview) -> TileRow | None:
@@ -213,7 +213,7 @@ def _format_tile_name(width: int, tile: int) -> str:
 
 @lru_cache(maxsize=64)
 def _build_header(tiles: Tiles) -> bytes:
-    """Return the header of a position's tiles."""
+    """Build the header of the tiles of a position."""
     metadata = {
         "solimon_tiles": FORMAT,
         "experiment": tiles.experiment,
@@ -225,18 +225,18 @@ def _build_header(tiles: Tiles) -> bytes:
 
 
 def compute_slot_bytes(n_cells: int) -> int:
-    """Return the size of a row in bytes."""
+    """Compute the size in bytes of a row in its tile."""
     return _FACTS.size + 2 * 4 * n_cells
 
 
 def estimate_tile_bytes(n_cells: int, n_sets: int) -> int:
-    """Return the size in bytes of the tiles of a position at one alignment after so many sets."""
+    """Estimate the size in bytes of the tiles of one position and alignment after ``n_sets`` sets."""
     rows = [math.ceil(n_sets / width) for width in WIDTHS]
     return sum(math.ceil(n / ROWS_OF_A_TILE) * _HEADER_BYTES + n * compute_slot_bytes(n_cells) for n in rows)
 
 
 def list_tile_cells(folder: Path) -> list[int]:
-    """Return the number of cells per row of each position and alignment with tiles; skip unreadable ones."""
+    """List the number of cells per row of each position and alignment with tiles; skip unreadable ones."""
     n_cells = []
     for path in (folder / TILES_FOLDER).glob(f"*/*/{_format_tile_name(1, 0)}"):
         try:
@@ -248,5 +248,5 @@ def list_tile_cells(folder: Path) -> list[int]:
 
 
 def count_tile_bytes(folder: Path) -> int:
-    """Return the size of all tiles of a data folder in bytes."""
+    """Sum the sizes of all tile files of a data folder in bytes."""
     return sum(path.stat().st_size for path in (folder / TILES_FOLDER).rglob("*.tile"))

@@ -26,12 +26,12 @@ _VERSION_TABLE = (
 
 
 def list_known_revisions() -> list[str]:
-    """Return every revision from the first one on, oldest first."""
+    """List every revision from the first one on, oldest first."""
     return sorted(path.stem[9:13] for path in Path(__file__).parent.glob("versions/revision_*.py"))
 
 
 def migrate_schema(engine: Engine, path: Path, found: str | None) -> None:
-    """Bring a catalogue from revision ``found`` (None: empty) to the newest one, in one transaction.
+    """Migrate a catalogue from revision ``found`` (None: empty) to the newest one, in one transaction.
 
     Raises
     ------
@@ -71,7 +71,7 @@ def migrate_schema(engine: Engine, path: Path, found: str | None) -> None:
 
 
 def _add_missing_checksums(connection: Connection) -> None:
-    """Compute the checksums of rows without one."""
+    """Compute and store the checksums of rows that have none."""
     for kind in KINDS:
         table = TABLES[kind]
         key = table.primary_key.columns[0]

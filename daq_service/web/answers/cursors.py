@@ -9,7 +9,7 @@ from daq_service.web.answers.problem import Problem
 
 
 def encode_cursor(listing: str, after: int) -> str:
-    """Return the cursor after row ``after`` of a listing; ``listing`` names the resource and its filters."""
+    """Encode the row ``after`` of a listing as a cursor; ``listing`` names the resource and its filters."""
     mark = hashlib.sha256(listing.encode()).hexdigest()[:8]
     return base64.urlsafe_b64encode(f"{mark}.{after}".encode()).decode().rstrip("=")
 

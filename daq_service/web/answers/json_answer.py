@@ -21,19 +21,19 @@ class JsonAnswer(JSONResponse):
     """
 
     def render(self, content: object) -> bytes:
-        """Return the content as JSON bytes."""
+        """Encode the content as JSON bytes."""
         return orjson.dumps(content, option=orjson.OPT_SERIALIZE_NUMPY)
 
 
 def build_framed_body(header: object, *parts: bytes) -> bytes:
-    """Return the u32 length of a header, its JSON, padded to a multiple of 8 bytes, and the parts."""
+    """Join a header and binary parts: u32 length, JSON padded to a multiple of 8 bytes, then the parts."""
     text = json.dumps(header, separators=(",", ":"), allow_nan=False).encode()
     text += b" " * (-(4 + len(text)) % 8)
     return b"".join([struct.pack("<I", len(text)), text, *parts])
 
 
 def format_rfc3339(utc_ns: int | None) -> str | None:
-    """Return nanoseconds of UTC as RFC 3339 text without loss, e.g. ``2024-01-01T00:30:00.000000250Z``."""
+    """Format nanoseconds of UTC as RFC 3339 text without loss, e.g. ``2024-01-01T00:30:00.000000250Z``."""
     if utc_ns is None:
         return None
     decimals = 9 if utc_ns % 1000 else 6 if utc_ns % 1_000_000 else 3 if utc_ns % NS_PER_S else 0
@@ -41,12 +41,12 @@ def format_rfc3339(utc_ns: int | None) -> str | None:
 
 
 def format_hour_as_rfc3339(epoch_utc_ns: int, hour: float) -> str | None:
-    """Return the RFC 3339 time of an hour of the test, to the second."""
+    """Format an hour of the test as RFC 3339 text, to the second."""
     return format_rfc3339(epoch_utc_ns + round(hour * 3600.0) * NS_PER_S)
 
 
 def format_hours_as_rfc3339(epoch_utc_ns: int, hours: Sequence[float]) -> list[str]:
-    """Return the RFC 3339 times of a column of hours (`rfc3339_of_hour`) in one step."""
+    """Format a column of hours as RFC 3339 texts (`rfc3339_of_hour`) in one step."""
     if not hours:
         return []
     whole, rest = divmod(epoch_utc_ns, NS_PER_S)
@@ -57,7 +57,7 @@ def format_hours_as_rfc3339(epoch_utc_ns: int, hours: Sequence[float]) -> list[s
 
 
 def add_utc(row: Mapping[str, object], epoch_utc_ns: int) -> dict[str, object]:
-    """Return a row with RFC 3339 times, as it leaves the service.
+    """Convert a row for an answer: add RFC 3339 times to its hours and nanoseconds.
 
     ``*_utc_ns`` becomes ``*_utc`` (JavaScript cannot hold the integers), and each hour of the
     experiment ``*_h`` gets its ``*_utc`` unless the row has one already.

@@ -47,12 +47,12 @@ def build_problem_schemas() -> dict[str, object]:
 
 
 def list_errors(*statuses: int) -> dict[int | str, dict[str, object]]:
-    """Return the documentation of the error answers of a route."""
+    """Return the OpenAPI descriptions of error answers by HTTP status."""
     return {status: PROBLEMS[status] for status in statuses}
 
 
 def describe_files(*media_types: str) -> dict[int | str, dict[str, object]]:
-    """Return the documentation of an answer that is a file of one of some media types."""
+    """Return the OpenAPI description of an answer that is a binary file of one of some media types."""
     binary = {"schema": {"type": "string", "format": "binary"}}
     return {200: {"content": dict.fromkeys(media_types, binary)}}
 
@@ -76,6 +76,7 @@ def _fields_of(kind: type[object], *without: str) -> Callable[[type[A]], type[A]
     """
 
     def add_fields(answer: type[A]) -> type[A]:
+        """Return a subclass of an answer model with the fields of the dataclass."""
         fields: Fields = {}
         for column in rows.list_columns(kind):
             if column.name in ("due_utc_ns", *without):
@@ -561,7 +562,7 @@ TREND_FIELDS = (*MEASURED_FIELDS, *TREND_ASSESSMENTS)
 
 
 def _build_trend_columns() -> type[Answer]:
-    """Return the model of a trend's columns."""
+    """Create the answer model with one list field for each column of a trend."""
     of_assessment = {column.name: column for column in rows.list_columns(rows.AssessmentRow)}
     kinds: Fields = dict.fromkeys(TREND_FIELDS, float | None)
     kinds |= {name: of_assessment[name].type for name in TREND_ASSESSMENTS}

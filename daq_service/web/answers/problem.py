@@ -82,39 +82,39 @@ class Problem(Exception):  # noqa: N818 - the RFC's word
 
 
 def create_no_data() -> Problem:
-    """Return the problem that nothing is recorded yet (503)."""
+    """Create the error that nothing is recorded yet (503)."""
     return Problem("no-data-yet", "No record has been stored in this data folder so far.")
 
 
 def create_lost(detail: str) -> Problem:
-    """Return the problem that the catalogue is lost and must be rebuilt (503)."""
+    """Create the error that the catalogue is lost and must be rebuilt (503)."""
     return Problem("catalogue-lost", f"{detail[0].upper()}{detail[1:]}.")
 
 
 def not_found(what: str, hint: str) -> Problem:
-    """Return the problem that a resource does not exist (404)."""
+    """Create the error that a resource does not exist (404)."""
     return Problem("not-found", what, hint)
 
 
 def conflict(detail: str, hint: str) -> Problem:
-    """Return the problem that a request conflicts with the present state (409)."""
+    """Create the error that a request conflicts with the present state (409)."""
     return Problem("conflict", detail, hint)
 
 
 def invalid(title: str, detail: str, hint: str) -> Problem:
-    """Return the problem of an invalid request (422)."""
+    """Create the error of an invalid request (422)."""
     return Problem("invalid-request", detail, hint, title=title)
 
 
 def read_request_id(scope: Scope) -> str:
-    """Return the id of a request, set by `guards.RequestGuard`."""
+    """Return the id that `guards.RequestGuard` gave to a request."""
     return str(scope.get("state", {}).get("request_id", ""))
 
 
 def build_problem_response(
     scope: Scope, problem: Problem, errors: Sequence[Mapping[str, str]] | None = None
 ) -> Response:
-    """Return the response of a problem."""
+    """Build the response of an error as problem details (RFC 9457), with its status and headers."""
     body: dict[str, object] = {
         "type": TYPE_PREFIX + problem.name,
         "title": problem.title,
@@ -142,12 +142,12 @@ def build_problem_response(
 
 
 def to_pointer(parts: Sequence[str | int]) -> str:
-    """Return the JSON pointer (RFC 6901) of a path of keys and indices."""
+    """Format a path of keys and indices as JSON pointer (RFC 6901)."""
     return "".join("/" + str(part).replace("~", "~0").replace("/", "~1") for part in parts)
 
 
 def _list_allowed_methods(app: FastAPI, of_request: Scope) -> list[str]:
-    """Return the methods of all routes of a path; Starlette returns those of one route."""
+    """List the HTTP methods of all routes of a path; Starlette lists those of one route."""
     scopes = [
         {name: of_request[name] for name in ("type", "path", "root_path", "headers")} | {"method": method}
         for method in METHODS
@@ -160,13 +160,15 @@ def _list_allowed_methods(app: FastAPI, of_request: Scope) -> list[str]:
 
 
 def install_error_handlers(app: FastAPI) -> None:
-    """Install handlers that answer every error of the application as problem details."""
+    """Install the handlers that answer every error of the application with problem details."""
 
     async def answer_problem(request: Request, error: Exception) -> Response:
+        """Answer an error that already is a problem."""
         assert isinstance(error, Problem)
         return build_problem_response(request.scope, error)
 
     async def answer_invalid_request(request: Request, error: Exception) -> Response:
+        """Answer a request that fails validation, with the invalid parameters (422)."""
         assert isinstance(error, RequestValidationError)
         errors = [
             {"in": str(part["loc"][0]), "pointer": to_pointer(part["loc"][1:]), "detail": part["msg"]}
@@ -180,6 +182,7 @@ def install_error_handlers(app: FastAPI) -> None:
         return build_problem_response(request.scope, problem, errors)
 
     async def answer_http_error(request: Request, error: Exception) -> Response:
+        """Answer an error of the router: unknown path, wrong method or malformed request."""
         assert isinstance(error, HTTPException)
         names = {404: "not-found", 405: "method-not-allowed", 400: "bad-request"}
         problem = Problem(
@@ -196,6 +199,7 @@ def install_error_handlers(app: FastAPI) -> None:
         return response
 
     async def answer_storage_error(request: Request, error: Exception) -> Response:
+        """Log and answer an error of the storage (503)."""
         assert isinstance(error, SolimonError)
         log.error("request %s %s: %s", read_request_id(request.scope), request.url.path, error)
         problem = Problem("storage-unavailable", str(error))
@@ -203,6 +207,7 @@ def install_error_handlers(app: FastAPI) -> None:
 
     async def answer_internal_error(request: Request, error: Exception) -> Response:
         # The server logs the traceback directly after this line.
+        """Log and answer an unexpected exception (500)."""
         log.error("request %s %s failed: %r", read_request_id(request.scope), request.url.path, error)
         problem = Problem(
             "internal-error",

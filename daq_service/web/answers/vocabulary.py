@@ -48,5 +48,5 @@ MEANINGS: Mapping[str, str] = {
 
 
 def look_up_scoped_value(values: Mapping[str, T], scope: str, name: str) -> T | None:
-    """Return the value of a name in a scope, or else in general; None where there is none."""
+    """Return the value of ``scope.name``, or else of ``name``; None if neither is a key."""
     return values.get(f"{scope}.{name}", values.get(name))

@@ -82,7 +82,7 @@ class AccessPolicy:
         return None if text is None else self.authenticate_token(text, find_address(scope))
 
     def authenticate_token(self, text: str, address: str) -> Person:
-        """Return the person of a token.
+        """Return the person of a token; raise a problem if it is wrong, expired or revoked.
 
         Raises
         ------
@@ -101,7 +101,7 @@ class AccessPolicy:
         raise Problem("wrong-token", f"{reason[0].upper()}{reason[1:]}.")
 
     def has_access(self, person: Person) -> bool:
-        """Return whether a person still has access; checked again while a stream is open."""
+        """Return whether a person still has access; streams check it again while they are open."""
         if person.role == CLAIMED:
             return self.is_open
         return self.tokens.has_valid_token(person.name, person.role)
@@ -132,7 +132,7 @@ class AccessPolicy:
         return None if morsel is None else morsel.value
 
     def _refuse_unencrypted(self, scope: Scope, headers: Headers) -> None:
-        """Raise a problem for an unencrypted request from another computer."""
+        """Raise a problem if a request from another computer is not encrypted."""
         if not self._web.is_reachable or is_encrypted(scope):
             return
         host = urlsplit(f"//{headers.get('host', '')}").hostname
@@ -144,7 +144,7 @@ class AccessPolicy:
             )
 
     def _find_allowance(self, address: str) -> Allowance:
-        """Return the rate limit of wrong tokens of an address."""
+        """Return the rate limit for wrong tokens from an address; create it at the first request."""
         allowance = self._wrong.pop(address, None) or Allowance(MOST_WRONG, WRONG_EVERY_S)
         self._wrong[address] = allowance
         if len(self._wrong) > MOST_ADDRESSES:
@@ -189,6 +189,7 @@ class AuthenticationMiddleware:
         statuses: list[int] = []
 
         async def send_and_note_status(message: Message) -> None:
+            """Send a message of the response and note its status."""
             if message["type"] == "http.response.start":
                 statuses.append(message["status"])
             await send(message)
@@ -200,17 +201,17 @@ class AuthenticationMiddleware:
 
 
 def _is_write_request(scope: Scope) -> bool:
-    """Return whether a request may change something."""
+    """Return whether a request may change data or settings."""
     return scope["type"] == "http" and scope["method"] not in {"GET", "HEAD", "OPTIONS"}
 
 
 def create_token_required() -> Problem:
-    """Return the problem that a token is required (401)."""
+    """Create the error that a request needs a token (401)."""
     return Problem("no-token", "This service asks for an access token.")
 
 
 def read_request_person(connection: HTTPConnection) -> Person:
-    """Return the person of a request that has passed the middleware.
+    """Return the person that the middleware stored with a request; raise 401 if there is none.
 
     Raises
     ------
@@ -230,7 +231,7 @@ def is_encrypted(scope: Scope) -> bool:
 
 
 def find_address(scope: Scope) -> str:
-    """Return the network address of a request; behind a trusted proxy, the address that it states."""
+    """Return the network address of a client; behind a trusted proxy, the address that the proxy states."""
     client = scope.get("client")
     return str(client[0]) if client else "unknown"
 
@@ -271,5 +272,5 @@ def refuse_unprotected_service(web: WebSettings, data_folder: Path) -> None:
 
 
 def _refuse_password_prompt() -> str:
-    """Refuse to ask for the password of a key."""
+    """Raise an error instead of asking for the password of a private key."""
     raise ValueError("the key has a password")

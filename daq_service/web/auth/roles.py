@@ -50,9 +50,9 @@ class Person:
     role: str
 
     def may(self, needed: Role | None) -> bool:
-        """Return whether this person's role is sufficient."""
+        """Return whether the role of this person includes the rights of the ``needed`` role."""
         return needed is None or self.role == CLAIMED or self.role in ROLES[ROLES.index(needed) :]
 
     def list_permissions(self) -> list[str]:
-        """Return the operations and kinds of commands that this person may use."""
+        """List the operations and kinds of commands that this person may use."""
         return sorted({name for name, needed in {**OPERATIONS, **ORDERS}.items() if self.may(needed)})

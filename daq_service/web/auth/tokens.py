@@ -63,7 +63,7 @@ _FILE = TypeAdapter(tuple[Token, ...])
 
 
 def find_tokens_file(web: WebSettings, data_folder: Path) -> Path:
-    """Return the path of the tokens file of a service."""
+    """Return the path of the tokens file: the configured one, or else that of the data folder."""
     return Path(web.tokens_file).absolute() if web.tokens_file else data_folder / FILE_NAME
 
 
@@ -140,7 +140,7 @@ def revoke_token(path: Path, name: str) -> Token:
 
 @contextmanager
 def _edit_tokens(path: Path) -> Iterator[list[Token]]:
-    """Yield the tokens for changes in place, and then write them."""
+    """Lock the tokens file, yield its tokens for changes in place, and write them durably."""
     try:
         with one_at_a_time(path):
             tokens = list(read_tokens(path))
@@ -154,7 +154,7 @@ def _edit_tokens(path: Path) -> Iterator[list[Token]]:
 
 
 def _hash_text(text: str) -> str:
-    """Return the SHA-256 of a text."""
+    """Compute the SHA-256 of a text in hexadecimal digits."""
     return hashlib.sha256(text.encode()).hexdigest()
 
 
@@ -178,7 +178,7 @@ class KnownTokens:
         return self._asked_for
 
     def find(self, text: str) -> Token | None:
-        """Return the token with this text, valid or not, in constant time."""
+        """Find the token with this secret text, valid or not, in constant time; None if there is none."""
         self._reload_if_changed()
         sha256, match = _hash_text(text), None
         for token in self._tokens:
@@ -187,7 +187,7 @@ class KnownTokens:
         return match
 
     def has_valid_token(self, name: str, role: str) -> bool:
-        """Return whether a person's token is valid now."""
+        """Return whether a person has a token with this role that is valid now."""
         self._reload_if_changed()
         return any(
             token.name == name and token.role == role and token.state == "valid" for token in self._tokens
@@ -215,7 +215,7 @@ class KnownTokens:
 
 
 def _compute_file_mark(path: Path) -> tuple[int, ...]:
-    """Return a mark that changes with the file."""
+    """Return time, size and inode of a file, to detect changes; the error number if it is unreadable."""
     try:
         status = os.stat(path)  # noqa: PTH116 - the seam is os
     except OSError as error:

@@ -56,7 +56,7 @@ class Listing:
         self._cached: dict[str, _CachedEntry] = {}
 
     def read_entries(self) -> list[dict[str, object]]:
-        """Return the entries, and read those again that may have changed; blocks on files."""
+        """Return the entries of all tests; read those again that may have changed (blocking)."""
         with self._lock:
             for test in self._tests.all.values():
                 cached, now_s = self._cached.get(test.name), time.monotonic()
@@ -72,11 +72,11 @@ class Listing:
             ]
 
     def shown(self) -> int:
-        """Return the number of tests that could be shown at their last read."""
+        """Count the tests that could be shown at their last read."""
         return sum(cached.entry.state == "shown" for cached in list(self._cached.values()))
 
     def _read_entry(self, test: ServedTest) -> ListedTest:
-        """Return the entry of a test, with its present state or the reason of its absence."""
+        """Read the entry of a test: its present state, or the reason why it cannot be shown."""
         page = f"/tests/{test.name}/"
         standing, absence = None, None
         try:
@@ -101,7 +101,7 @@ class Listing:
 
 
 def _compute_folder_mark(folder: Path) -> tuple[int, ...]:
-    """Return a mark that changes with the files of a test."""
+    """Return times and sizes of the files of a test, to detect that they have changed."""
     marks: list[int] = []
     for name in MARKS:
         try:
@@ -114,7 +114,7 @@ def _compute_folder_mark(folder: Path) -> tuple[int, ...]:
 
 
 def _read_present_state(settings: Settings, folder: Path, catalogue: Catalogue) -> Standing:
-    """Return the present state of a test."""
+    """Compute the present state of a test from its catalogue and its recorder."""
     fresh = Freshness(folder, catalogue, settings.clock.kind)
     latest = read_latest_rows(catalogue, fresh, settings.positions)
     hours = list_due_hours(settings.schedule.phases, end_h=settings.schedule.end_h)

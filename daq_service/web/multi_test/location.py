@@ -47,7 +47,7 @@ def is_configuration(path: Path) -> bool:
 
 
 def find_folder(path: Path) -> Path:
-    """Return the data folder of a path; for an invalid configuration, the path itself."""
+    """Find the data folder of a configuration or folder; for an invalid configuration, the path itself."""
     if not is_configuration(path):
         return path.absolute()
     try:
@@ -57,7 +57,7 @@ def find_folder(path: Path) -> Path:
 
 
 def read_title(path: Path) -> str:
-    """Return the name of the test, or that of its folder or file while it cannot be read."""
+    """Read the name of a test; return that of its folder or file if it cannot be read."""
     try:
         with translate_to_absent():
             return _read_settings_and_folder(path)[0].name
@@ -89,7 +89,7 @@ def locate_test(path: Path, access_policy: AccessPolicy) -> tuple[Settings, Path
 
 
 def _read_settings_and_folder(path: Path) -> tuple[Settings, Path]:
-    """Return settings and data folder of a configuration or a data folder."""
+    """Read settings and data folder of a test; raise `AbsentError` if that is impossible."""
     if is_configuration(path):
         try:
             return settings_and_folder(path, None)
@@ -110,7 +110,7 @@ def _read_settings_and_folder(path: Path) -> tuple[Settings, Path]:
 
 
 def _read_experiment(folder: Path) -> ExperimentRow:
-    """Return the row of the test, from its file if the catalogue is lost."""
+    """Read the row of the test, from its file if the catalogue is lost."""
     try:
         with open_catalogue(folder) as catalogue:
             return catalogue.read_experiment()

@@ -10,7 +10,7 @@ LONGEST_NAME = 60
 
 
 def build_url_name(text: str) -> str:
-    """Return a name of lower-case letters, digits and hyphens; "test" where nothing of the text remains.
+    """Build a URL name of lower-case letters, digits and hyphens; "test" if no such character remains.
 
     >>> url_name("Größe: Loch Nr. 2")
     'grosse-loch-nr-2'
@@ -20,7 +20,7 @@ def build_url_name(text: str) -> str:
 
 
 def build_unique_url_names(texts: Iterable[str]) -> list[str]:
-    """Return unique names in order; a repeated name gets a number as suffix, starting with 2."""
+    """Build unique URL names in order; a repeated name gets a number as suffix, starting with 2."""
     names: list[str] = []
     for text in texts:
         plain = name = build_url_name(text)

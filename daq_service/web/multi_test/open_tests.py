@@ -70,7 +70,7 @@ class ServedTests:
                 test.context.close_streams()
 
     def find(self, name: str) -> ServedTest:
-        """Return the test of a name.
+        """Find a test by its name; raise a problem if there is none.
 
         Raises
         ------
@@ -83,7 +83,7 @@ class ServedTests:
 
     @asynccontextmanager
     async def use(self, test: ServedTest) -> AsyncIterator[Context]:
-        """Open a test, and yield its context; it stays open meanwhile.
+        """Open a test and yield its context; keep it open until the block ends.
 
         Raises
         ------
@@ -100,7 +100,7 @@ class ServedTests:
             test.used_s = time.monotonic()
 
     async def _open_test(self, test: ServedTest) -> Context:
-        """Open a test with its background tasks."""
+        """Open a test and start its background tasks; raise a problem if it is unavailable."""
         await self.close_idle_tests(keep=MOST_IDLE - 1)
         try:
             settings, folder = await asyncio.to_thread(locate_test, test.path, self.access_policy)
@@ -125,13 +125,13 @@ class ServedTests:
                         await self._close_test(test)
 
     async def _close_test(self, test: ServedTest) -> None:
-        """Close the data of a test that is not asked for any more."""
+        """Stop the background tasks of a test and close its data."""
         test.context = None
         await test.resources.aclose()
         log.info("closed %s", test.name)
 
     async def maintain_tests(self) -> None:
-        """Open tests with receivers and close idle ones, periodically without end."""
+        """Open tests with receivers and close idle ones, periodically until canceled."""
         while True:
             await self.open_notifying_tests()
             await asyncio.sleep(LOOK_EVERY_S)
@@ -156,7 +156,7 @@ class ServedTests:
 
 
 def create_unavailable(error: AbsentError) -> Problem:
-    """Return the problem that a test cannot be shown, with the remedy (503)."""
+    """Create the error that a test cannot be shown, with the remedy (503)."""
     return Problem(
         "no-data-yet" if error.state == "no_data" else "test-unavailable",
         f"{error}",

@@ -64,7 +64,7 @@ def get_readiness(request: Request) -> JsonAnswer:
 
 
 def _build_liveness(request: Request) -> dict[str, object]:
-    """Return the answer of the liveness check."""
+    """Build the answer of the liveness check, with the numbers of all and of shown tests."""
     shown = _find_listing(request).shown()
     return {"status": "ok", "data": shown > 0, "tests": len(request.app.state.tests.all), "shown": shown}
 

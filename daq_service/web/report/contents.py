@@ -220,7 +220,7 @@ def read_report_contents(
 
 
 def _read_sets_in_range(catalogue: Catalogue, position: str, filters: Filters) -> list[SetRow]:
-    """Return the sets of a position in the range; raise an error if they are too many."""
+    """Read the sets of a position in the range; raise an error if they are too many."""
     position_filters: Filters = {**filters, "position": position}
     rows = catalogue.rows(SetRow, limit=MOST_SETS + 1, **position_filters)
     if len(rows) > MOST_SETS:
@@ -239,7 +239,7 @@ def _build_position_report(
     sets: Sequence[SetRow],
     filters: Filters,
 ) -> PositionReport:
-    """Return the present state and the columns of a position."""
+    """Read the present state and the columns of a position for the report."""
     name, age_h = last.position, find_data_age_h(last, fresh)
     position_settings = settings.positions[name]
     is_probe = position_settings.method == PULSE_ECHO
@@ -267,7 +267,7 @@ def _build_position_report(
 
 
 def _group_gaps(sets: Sequence[SetRow]) -> list[Gap]:
-    """Return the sets that are not done, consecutive ones with the same reason as one gap."""
+    """Group sets that are not done: consecutive ones with the same state and reason become one gap."""
     incomplete = [row for row in sets if row.state != "done"]
     runs: list[list[SetRow]] = []
     for before, row in pairwise([None, *incomplete]):
@@ -300,7 +300,7 @@ def _was_active(row: AlarmRow, experiment: ExperimentRow, from_h: float, to_h: f
 
 
 def _read_alarm_history(catalogue: Catalogue, ids: set[int | None]) -> dict[int, list[EventRow]]:
-    """Return the events of alarms by the id of the alarm."""
+    """Read the events of alarms, grouped by the id of the alarm."""
     events_by_alarm: dict[int, list[EventRow]] = {}
     for event in catalogue.rows(EventRow, topic="alarms"):
         alarm_id = event.payload.get("alarm_id")

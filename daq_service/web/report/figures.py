@@ -32,7 +32,7 @@ _NO_METADATA = {"Date": None, "Creator": None, "Format": None, "Type": None}
 
 
 def draw_position_figure(contents: Contents, position: PositionReport) -> str:
-    """Return the figure of a position over the hours of the test as SVG element; empty without values."""
+    """Draw the trend of a position over the hours of the test as SVG element; empty without values."""
     if not position.values["due_h"]:
         return ""
     with mpl.rc_context(RULES):
@@ -51,7 +51,7 @@ def draw_position_figure(contents: Contents, position: PositionReport) -> str:
 
 
 def render_svg(figure: Figure, prefix: str) -> str:
-    """Return a figure as SVG element of a page; ``prefix`` makes its ids unique."""
+    """Render a figure as SVG element of a page; ``prefix`` makes its ids unique."""
     content = io.StringIO()
     figure.savefig(content, format="svg", metadata=_NO_METADATA)
     return _extract_svg_element(content.getvalue(), prefix)
@@ -122,7 +122,7 @@ def _draw_line(
     factor: float = 1.0,
     gid: str = "",
 ) -> None:
-    """Draw a column, or some rows of it, over the hours, without missing values."""
+    """Draw a column, or some rows of it, over the hours; leave out missing values."""
     wanted = [True] * len(columns[name]) if rows is None else rows
     cells = zip(columns["due_h"], columns[name], wanted, strict=True)
     points = [(hour, factor * value) for hour, value, drawn in cells if drawn and value is not None]
@@ -130,7 +130,7 @@ def _draw_line(
 
 
 def _mark_gaps_and_alarms(contents: Contents, position: PositionReport, axis: Axes) -> None:
-    """Shade gaps, and draw lines at alarms and at the ends of annotations."""
+    """Draw the gaps, alarms and annotations of a position into a panel."""
     for gap in contents.gaps:
         if gap.position == position.name:
             axis.axvspan(gap.from_h, gap.to_h, color=GREY, alpha=0.2, linewidth=1.0)
@@ -145,7 +145,7 @@ def _mark_gaps_and_alarms(contents: Contents, position: PositionReport, axis: Ax
 
 
 def _extract_svg_element(svg: str, prefix: str) -> str:
-    """Return only the SVG element, with ids that are unique in the page."""
+    """Extract the SVG element from a document and make its ids unique in the page."""
     element = svg[svg.index("<svg") :]
     element = re.sub(r'\bid="', f'id="{prefix}-', element)
     element = re.sub(r'(xlink:href="#|url\(#)', rf"\g<1>{prefix}-", element)

@@ -20,12 +20,14 @@ Row = Sequence[str]
 
 
 def render_report_page(contents: Contents, figures: Mapping[str, str]) -> bytes:
-    """Return the HTML page; ``figures`` are SVG elements by position, empty without values."""
+    """Render the HTML page; ``figures`` are SVG elements by position, empty without values."""
 
     def explain_alarm(alarm: AlarmRow) -> list[str]:
+        """Return the evidence of an alarm in sentences."""
         return evidence_sentences(alarm, contents.baselines)
 
     def format_hour(utc_ns: int) -> str:
+        """Format a UTC time as hour of the test."""
         return format_quantity((utc_ns - contents.experiment.epoch_utc_ns) / NS_PER_H)
 
     return render_template(
@@ -49,7 +51,7 @@ def render_report_page(contents: Contents, figures: Mapping[str, str]) -> bytes:
 
 
 def build_history_cells(event: EventRow) -> Row:
-    """Return kind, state, person and reason of an alarm's event."""
+    """Return kind, state, person and reason of an event of an alarm as table cells."""
     change = build_transition(event)
     states = ", ".join(filter(None, (change["state"], change["suppressed"])))
     # Without a person the reason is the message of the alarm, which the page has anyway.
@@ -60,7 +62,7 @@ def build_history_cells(event: EventRow) -> Row:
 def _list_alarm_rules(
     alarms: AlarmSettings, novelty: NoveltySettings, budget: float
 ) -> list[tuple[str, str]]:
-    """Return the rule of the wall alarm and the limit of an outlier as rows of a table."""
+    """Describe the alarm rule and the outlier limit as rows of a table."""
     outlier = f"{novelty.limit}, {novelty.false_alarm_rate:g} false alarms a set"
     of_sets = f"at {alarms.k} of {alarms.n} sets"
     if alarms.decides_by != "chart":
@@ -76,7 +78,7 @@ def _list_alarm_rules(
 
 
 def _build_newest_row(position: PositionReport, alarms: AlarmSettings) -> Row:
-    """Return the newest value of a position and its limit."""
+    """Format the newest value of a position and its limit as table cells."""
     assessment, thickness = position.last.last_assessment, position.last.last_thickness
     if thickness is not None:
         return format_quantity(thickness.thickness_m, 1e3, 3, "mm"), format_quantity(
@@ -92,7 +94,7 @@ def _build_newest_row(position: PositionReport, alarms: AlarmSettings) -> Row:
 
 
 def _build_series_rows(position: PositionReport) -> Iterator[Row]:
-    """Yield the statistics of each quantity over the range."""
+    """Yield a table row with statistics over the range for each measured quantity."""
     if position.assessments is None:
         yield _build_series_row("Wall thickness", position.values, "thickness_m", 1e3, 4, "mm")
         yield _build_series_row("Lost thickness", position.values, "thickness_loss_m", 1e6, 2, "µm")
@@ -105,7 +107,7 @@ def _build_series_rows(position: PositionReport) -> Iterator[Row]:
 def _build_series_row(
     quantity_name: str, columns: Columns, name: str, factor: float, digits: int, unit: str
 ) -> Row:
-    """Return the statistics of a quantity as a row of a table."""
+    """Compute the statistics of a quantity over the range as a table row."""
     values = [value for value in columns[name] if value is not None]
     if not values:
         return (quantity_name, "0", *[NOT_KNOWN] * 5, "")

@@ -20,7 +20,7 @@ TOKEN_OPERATIONS = frozenset({"log_in", "log_out", "create_token", "revoke_token
 
 
 async def _provide_person(connection: HTTPConnection) -> Person:
-    """Return `person_at`; as a coroutine it needs no thread of the pool."""
+    """Return `person_at` as dependency of routes; as a coroutine it needs no thread of the pool."""
     return read_request_person(connection)
 
 
@@ -28,7 +28,7 @@ PersonOf = Annotated[Person, Depends(_provide_person)]
 
 
 async def check_role(connection: HTTPConnection) -> None:
-    """Check that the role allows an operation; a dependency of every route of the API.
+    """Raise a problem if the role does not allow the operation; a dependency of every route of the API.
 
     Raises
     ------
@@ -48,7 +48,7 @@ async def check_role(connection: HTTPConnection) -> None:
 
 
 def create_role_too_low(person: Person, operation: str, needed: Role) -> Problem:
-    """Return the problem that a higher role is needed (403)."""
+    """Create the error that an operation needs a higher role (403)."""
     return Problem("role-too-low", f"{operation} needs the role {needed}; {person.name} is {person.role}.")
 
 
@@ -63,7 +63,7 @@ def write_audit_entry(
     claimed: str = "",
     command_id: int | None = None,
 ) -> None:
-    """Write a request of a person and its result to the audit log."""
+    """Append a request of a person and its result to the audit log."""
     context = find_request_context(connection)
     audit = context.access_policy.audit if operation in TOKEN_OPERATIONS else context.audit
     audit.add(

@@ -45,6 +45,7 @@ def list_guidance() -> JsonAnswer:
 
 
 def _read_alarm(context: Context, alarm_id: int) -> AlarmRow:
+    """Read an alarm by its id; raise 404 if there is none."""
     row = context.catalogue().alarm(alarm_id)
     if row is None:
         raise not_found(f"There is no alarm {alarm_id}.", "/api/v1/alarms lists them.")

@@ -31,7 +31,7 @@ RFC_3339 = re.compile(r"\d{4}-\d\d-\d\d[Tt]\d\d:\d\d:\d\d(\.\d+)?([Zz]|[+-]\d\d:
 
 
 def _validate_rfc3339_text(text: str) -> str:
-    """Return a text in RFC 3339 form; pydantic also accepts a number as seconds since 1970."""
+    """Check that a time is RFC 3339 text, since pydantic also accepts seconds since 1970."""
     if not RFC_3339.fullmatch(text):
         raise ValueError("give a time with its offset, such as 2024-01-01T00:00:00Z")
     return text
@@ -63,6 +63,7 @@ def list_audit(
     _check_range(first_ns, end_ns)
 
     def is_selected(entry: AuditEntry) -> bool:
+        """Return whether an audit entry passes all filters of the request."""
         return (
             author in (None, entry.author)
             and (kinds is None or entry.what in kinds)
@@ -84,7 +85,7 @@ def list_audit(
 
 
 def _parse_operations(what: str | None) -> frozenset[str] | None:
-    """Return the requested operations; raise a problem for an unknown one."""
+    """Parse the requested operations; raise a problem for an unknown one."""
     kinds = None if what is None else frozenset(what.split(","))
     if kinds is not None and not kinds <= set(AUDITED_OPERATIONS):
         unknown = ", ".join(sorted(kinds - set(AUDITED_OPERATIONS)))
@@ -107,18 +108,18 @@ def _check_range(first_ns: int | None, end_ns: int | None) -> None:
 
 
 def _to_utc_ns(moment: datetime | None) -> int | None:
-    """Return nanoseconds of UTC by subtraction: a conversion to UTC fails in year 1 east of Greenwich."""
+    """Convert a time to nanoseconds of UTC by subtraction, as conversion to UTC fails in year 1."""
     return None if moment is None else (moment - EPOCH) // timedelta(microseconds=1) * 1000
 
 
 def _build_item(context: Context, number: int, entry: AuditEntry) -> dict[str, object]:
-    """Return an audit entry as JSON, with the outcome of its command."""
+    """Convert an audit entry to JSON, with the outcome of its command."""
     outcome = None if entry.command_id is None else _read_outcome(context, entry.command_id)
     return add_utc({"id": number, **asdict(entry), "outcome": outcome}, 0)
 
 
 def _read_outcome(context: Context, command_id: int) -> str | None:
-    """Return the result of a command; None where the catalogue is unavailable."""
+    """Read the result of a command; None if the catalogue is unavailable."""
     try:
         state_and_time = read_command_state(context.catalogue_access.get(), command_id)
     except SolimonError:

@@ -45,7 +45,7 @@ ExecuteCommand = Callable[[kinds.Command], Response]
 
 
 async def _provide_execute(context: ContextOf, request: Request, person: PersonOf) -> ExecuteCommand:
-    """Return the function that executes a command for the person of the request."""
+    """Return a function that executes a command for the person of the request, as dependency of routes."""
     return partial(_execute_audited, context, request, person)
 
 
@@ -82,7 +82,7 @@ def get_command(command_id: RowId, context: ContextOf) -> JsonAnswer:
 
 
 def _execute_audited(context: Context, request: Request, person: Person, command: kinds.Command) -> Response:
-    """Store or execute a command in the name of its author, and audit the result."""
+    """Check the role, store or execute a command in the name of its author, and audit the result."""
     audit = partial(
         write_audit_entry,
         request,
@@ -108,7 +108,7 @@ def _execute_audited(context: Context, request: Request, person: Person, command
 
 
 def _write_or_execute(context: Context, command: kinds.Command) -> tuple[int, Result]:
-    """Store an allowed command, or execute it without a recorder; return its id and the result."""
+    """Store a command, or execute it if no recorder runs; raise a problem if it is not possible now."""
     catalogue = context.catalogue()
     try:
         if isinstance(command, kinds.StoredCommand) and is_owned(context.data_folder) is False:
@@ -125,6 +125,7 @@ def _execute_here(context: Context, command: kinds.StoredCommand) -> int:
     """Execute a command in the web service, without a recorder; return its id."""
 
     def read_moment() -> Moment:
+        """Return the present UTC time and hour of the test."""
         now = context.read_freshness()
         return Moment(utc_ns=now.now_utc_ns, due_h=now.now_h, set_index=None)
 
@@ -133,7 +134,7 @@ def _execute_here(context: Context, command: kinds.StoredCommand) -> int:
 
 
 def _collect_facts(context: Context, catalogue: Catalogue) -> kinds.Facts:
-    """Return the facts that decide whether a command can be executed."""
+    """Collect the facts that decide whether a command can be executed."""
     return kinds.Facts(
         recorder=context.read_freshness().recorder.status,
         recorded=is_owned(context.data_folder) is not False,
@@ -149,7 +150,7 @@ def _collect_facts(context: Context, catalogue: Catalogue) -> kinds.Facts:
 
 
 def _read_row(context: Context, command_id: int) -> dict[str, object]:
-    """Return a command with the time that it has left; raise a problem if it does not exist."""
+    """Read a command with the time in s until it expires; raise a problem if it does not exist."""
     state_and_time = read_command_state(context.catalogue(), command_id)
     if state_and_time is None:
         raise not_found(

@@ -41,7 +41,7 @@ def describe_roles(document: OpenApi) -> None:
 
 @cache
 def load_examples() -> OpenApi:
-    """Return example answers of a real service by operation (`python tests/contract/test_openapi.py`)."""
+    """Load example answers of a real service by operation (`python tests/contract/test_openapi.py`)."""
     example_answers: OpenApi = json.loads(
         read_shared(Path(__file__).parents[1] / "answers" / "examples.json")
     )
@@ -68,7 +68,7 @@ def describe_names(document: OpenApi) -> None:
 
 
 def _describe_name(documented: OpenApi, scope: str, name: str, schema: OpenApi) -> None:
-    """Add the description of a name, and the unit of a number (UDUNITS; `own`: stated with the number)."""
+    """Add the description of a name, and the unit of a number (UDUNITS), to its schema."""
     if (text := look_up_scoped_value(MEANINGS, scope, name)) is not None:
         documented.setdefault("description", text)
     if not is_numeric_schema(schema):

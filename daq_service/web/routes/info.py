@@ -85,7 +85,7 @@ def get_info(context: ContextOf) -> JsonAnswer:
 
 
 def _list_limits() -> list[dict[str, str]]:
-    """Return all limits with their descriptions."""
+    """List all limits with their names and descriptions."""
     from analysis.statistics.named_limits import LIMITS  # with SciPy, which is slow to import
 
     return [
@@ -95,7 +95,7 @@ def _list_limits() -> list[dict[str, str]]:
 
 
 def _read_current_request(catalogue: Catalogue, fresh: Freshness) -> dict[str, object] | None:
-    """Return the present request to a person, while a recorder waits for it."""
+    """Return the action that the recorder asks a person for; None if it waits for none."""
     event = catalogue.read_last_service_event("asked", "asked_over")
     if event is None or event.kind != "asked" or fresh.recorder.status != "running":
         return None

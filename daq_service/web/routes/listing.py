@@ -40,7 +40,7 @@ PurposeFilter = Annotated[
 
 
 def find_last_hour(from_h: float | None, to_h: float | None) -> float | None:
-    """Return the last hour inside a half-open range, for the catalogue.
+    """Return the last hour before the excluded end of a range; None if open, a problem if reversed.
 
     Raises
     ------
@@ -59,7 +59,7 @@ def find_last_hour(from_h: float | None, to_h: float | None) -> float | None:
 
 
 def build_listing_name(resource: str, **filters: object) -> str:
-    """Return the name of a listing with its filters, for its cursors."""
+    """Build the name of a listing from its resource and filters, to which its cursors belong."""
     return resource + "".join(
         f"&{key}={value}" for key, value in sorted(filters.items()) if value is not None
     )

@@ -52,7 +52,7 @@ def get_metrics(request: Request, context: ContextOf) -> Response:
 
 
 def render_metrics(metrics: Iterable[Metric], request: Request) -> Response:
-    """Return metrics in the format of Prometheus, followed by the response times of this service."""
+    """Render metrics in the text format of Prometheus, with the response times of this service."""
     registry = CollectorRegistry()
     registry.register(_FixedMetrics(metrics))
     present, times = (
@@ -69,7 +69,7 @@ class _FixedMetrics(Collector):
         self._metrics = list(metrics)
 
     def collect(self) -> Iterable[Metric]:
-        """Return the metrics, as `prometheus_client` calls for them."""
+        """Yield the metrics, as `prometheus_client` requires of a collector."""
         return self._metrics
 
 
@@ -159,21 +159,26 @@ def _collect_positions(
     """Yield the metrics of each position, from its latest rows."""
 
     def build_gauge(name: str, value: Callable[[LatestRows], float | None]) -> Metric:
+        """Build a gauge with one sample per position."""
         samples: dict[Labels, float | None] = {(place,): value(last) for place, last in summaries.items()}
         return _build_gauges(name, samples, "position")
 
     def build_states(name: str, state: Callable[[LatestRows], str | None], known: object) -> Metric:
+        """Build a state metric with one sample per position and state."""
         present: dict[Labels, str | None] = {(place,): state(last) for place, last in summaries.items()}
         return _build_states(name, present, get_args(known), "position")
 
     def compute_age_s(last: LatestRows) -> float | None:
+        """Compute the age of the newest data of a position in s; None without data."""
         hours = find_data_age_h(last, fresh)
         return None if hours is None else S_PER_H * hours
 
     def select_value(row: str, column: str) -> Callable[[LatestRows], float | None]:
+        """Return a function that reads a column of the latest rows; None if the row is missing."""
         return lambda last: getattr(getattr(last, row), column, None)
 
     def select_limit(row: str) -> Callable[[LatestRows], float | None]:
+        """Return a function that computes the alarm limit of a position; None if the row is missing."""
         return lambda last: None if getattr(last, row) is None else find_limit(last, thinnest_m)
 
     yield build_states("position_state", find_status, PositionStatus)
@@ -191,13 +196,13 @@ def _collect_positions(
 
 
 def _read_quality(summary: LatestRows) -> str | None:
-    """Return the quality of the newest result of a position."""
+    """Return the quality of the newest result of a position; None without a result."""
     measured = summary.last_feature or summary.last_thickness
     return None if measured is None else measured.quality
 
 
 def _compute_delay_s(summary: LatestRows) -> float | None:
-    """Return the time in s from the due time of the newest set to its first strike."""
+    """Compute the time in s from the due time of the newest set to its first strike; None without one."""
     row = summary.last_set
     if row is None or row.started_utc_ns is None:
         return None
@@ -205,22 +210,22 @@ def _compute_delay_s(summary: LatestRows) -> float | None:
 
 
 def _build_recorder_metric(status: str) -> Metric:
-    """Return the metric of the recorder's state."""
+    """Build the metric of the state of the recorder."""
     return _build_states("recorder_state", {(): status}, get_args(RecorderStatus))
 
 
 def _build_counter(name: str, number: int) -> Metric:
-    """Return a counter."""
+    """Build a counter metric without labels."""
     return CounterMetricFamily(f"solimon_{name}", DESCRIPTIONS[name], value=number)
 
 
 def _build_gauge(name: str, number: float | None) -> Metric:
-    """Return a gauge; without a value it is absent."""
+    """Build a gauge metric without labels; without a value it has no sample."""
     return _build_gauges(name, {(): number})
 
 
 def _build_gauges(name: str, samples: Mapping[Labels, float | None], *labels: str) -> Metric:
-    """Return a number by the values of its labels; None is omitted."""
+    """Build a gauge metric with a sample for each combination of labels; omit None."""
     family = GaugeMetricFamily(f"solimon_{name}", DESCRIPTIONS[name], labels=labels)
     for of_labels, number in samples.items():
         if number is not None:
@@ -231,7 +236,7 @@ def _build_gauges(name: str, samples: Mapping[Labels, float | None], *labels: st
 def _build_states(
     name: str, present: Mapping[Labels, str | None], known: Iterable[str], *labels: str
 ) -> Metric:
-    """Return one sample per state, 1 for the present one."""
+    """Build a state metric: one sample per known state, 1 for the present one and 0 for the others."""
     samples = {
         (*of_labels, state): float(state == status)
         for of_labels, status in present.items()

@@ -88,7 +88,7 @@ def test_receiver(
 
 
 def _build_receiver_state(context: Context, queue: ReceiverQueue) -> dict[str, object]:
-    """Return the state of a receiver."""
+    """Build the state of a receiver of notifications, without secrets."""
     settings, state, now_ns = (
         context.notifications.settings.receivers[queue.name],
         queue.state,
@@ -112,14 +112,14 @@ def _build_receiver_state(context: Context, queue: ReceiverQueue) -> dict[str, o
 
 
 def _name_state(state: State, now_ns: int) -> str:
-    """Return the state of a receiver in a word."""
+    """Name the delivery state of a receiver in one word."""
     if state.failing_since_utc_ns is not None:
         return "dead" if is_dead(state, now_ns) else "failing"
     return "waiting" if state.waiting else "idle"
 
 
 def _build_heartbeat_state(settings: ReceiverSettings, state: State) -> dict[str, object] | None:
-    """Return the state of a receiver's heartbeat; None if it has none."""
+    """Build the state of the heartbeat of a receiver; None if it has none."""
     if settings.heartbeat_s is None:
         return None
     return add_utc(

@@ -37,12 +37,12 @@ async def get_dashboard(request: Request) -> Response:
 
 
 def _has_test(request: Request) -> bool:
-    """Return whether the test of a request is available."""
+    """Return whether the test that a request addresses is available."""
     return hasattr(request.state, "test") or hasattr(request.app.state, "context")
 
 
 async def _load_first_answers(context: Context) -> Mapping[bytes, bytes]:
-    """Return the first answers, at most `KEPT_S` old."""
+    """Return the answers that the page embeds, at most `KEPT_S` old; read them again if necessary."""
     read_s, answers = context.first_answers
     if time.monotonic() - read_s > KEPT_S:
         answers = await to_thread(_read_answers, context)
@@ -51,7 +51,7 @@ async def _load_first_answers(context: Context) -> Mapping[bytes, bytes]:
 
 
 def _read_answers(context: Context) -> dict[bytes, bytes]:
-    """Read the first answers; info comes before the others, as pages follow events after its last id."""
+    """Read the answers that the page embeds; info first, as pages follow events after its last id."""
     handlers = {
         b"/healthz": get_liveness,
         b"/api/v1/info": get_info,

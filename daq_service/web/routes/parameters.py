@@ -10,7 +10,7 @@ from starlette.requests import HTTPConnection
 
 
 async def refuse_unknown_parameters(connection: HTTPConnection) -> None:
-    """Check the names of a request's query parameters; a dependency of every route of the API.
+    """Raise a problem for unknown query parameters; a dependency of every route of the API.
 
     As a coroutine it needs no thread.
 
@@ -31,7 +31,7 @@ async def refuse_unknown_parameters(connection: HTTPConnection) -> None:
 
 
 def _suggest_remedy(name: str, known: list[str]) -> str:
-    """Return the remedy for an unknown parameter."""
+    """Suggest the similar or possible parameters for an unknown one."""
     near = difflib.get_close_matches(name, known, n=1, cutoff=0.6)
     if near:
         return f"unknown parameter; did you mean {near[0]}?"

@@ -95,7 +95,7 @@ def add_listing(
 def add_quality(
     context: Context, fresh: Freshness, assessments: Sequence[rows.AssessmentRow]
 ) -> list[dict[str, object]]:
-    """Return assessments for an answer, each with the quality of its feature or thickness."""
+    """Add the quality of the feature or thickness to assessments of an answer."""
     methods = {name: place.method for name, place in context.settings.positions.items()}
     qualities = find_assessed_qualities(context.catalogue(), methods, assessments)
     return [fresh.row(row, quality=quality) for row, quality in zip(assessments, qualities, strict=True)]

@@ -77,7 +77,7 @@ async def log_out(request: Request, context: ContextOf) -> Response:
 
 
 def _build_session(person: Person | None) -> dict[str, object]:
-    """Return what a person may do; None is a person without a valid token."""
+    """Build the session of a person: name, role and permissions; for None that a token is needed."""
     if person is None:
         return {"token_needed": True, "name": None, "role": None, "may": []}
     return {

@@ -67,7 +67,7 @@ async def stream_events(
 
 
 def _parse_topics(text: str | None) -> frozenset[str] | None:
-    """Return the requested topics; raise a problem for an unknown one."""
+    """Parse the requested topics; raise a problem for an unknown one; None selects all."""
     if text is None:
         return None
     selected = frozenset(part.strip() for part in text.split(",") if part.strip())
@@ -82,7 +82,7 @@ def _parse_topics(text: str | None) -> frozenset[str] | None:
 
 
 def _parse_event_id(text: str) -> int:
-    """Return an event id from a header; raise a problem for other text."""
+    """Parse an event id from a header; raise a problem if it is no number."""
     if not text.isascii() or not text.isdigit() or len(text) > 18:
         raise invalid(
             "Not an event id",
@@ -93,7 +93,7 @@ def _parse_event_id(text: str) -> int:
 
 
 def encode_gap(after: int, until: int, reason: str) -> bytes:
-    """Return the frame of a gap with the skipped ids; it moves the cursor of a client to its end."""
+    """Encode a gap in the events as a frame with the skipped ids, which moves the cursor of a client."""
     data = orjson.dumps({"after": after, "until": until, "reason": reason})
     return b"id: %d\nevent: gap\ndata: %s\n\n" % (until, data)
 
@@ -105,7 +105,7 @@ async def send_frames(
     start_after: int | None,
     may_stay: Callable[[], bool] = lambda: True,
 ) -> AsyncIterator[bytes]:
-    """Yield the frames for one client until the hub closes, the client leaves or its token is invalid."""
+    """Yield frames to one client until the hub closes, the client leaves or its token is invalid."""
     hub.clients += 1
     try:
         yield b"retry: %d\n\n" % RETRY_MS

@@ -123,6 +123,7 @@ def get_waveforms(
     catalogue, fresh = context.catalogue(), context.read_freshness()
 
     def export_selected() -> bytes:
+        """Read the selected waveforms and encode them as a file."""
         choice = RecordChoice(
             position=position, from_h=from_h, to_h=to_h, first_set=first_set, last_set=last_set
         )
@@ -146,7 +147,7 @@ def get_waveforms(
 
 
 def choose_format(accept: str) -> str:
-    """Return the format for an ``Accept`` header: the first known type of the highest quality, else csv."""
+    """Choose the file format for an ``Accept`` header: the first known of the highest quality, else csv."""
     types = {kind.media_type: name for name, kind in FORMATS.items()}
     offers: list[tuple[float, str]] = []
     for part in accept.split(","):
@@ -159,7 +160,7 @@ def choose_format(accept: str) -> str:
 
 
 def run_in_turn(make: Callable[[], bytes]) -> bytes:
-    """Create a complete file, at most `AT_ONCE` at a time, since each holds all its rows in memory.
+    """Create a complete file; at most `AT_ONCE` run concurrently, as each holds all rows in memory.
 
     Raises
     ------

@@ -83,7 +83,7 @@ def revoke_access_token(
 
 
 def build_token_row(token: Token) -> dict[str, object]:
-    """Return the public data of a token."""
+    """Convert a token to its public data, without the hash of its text."""
     return {
         name: getattr(token, name)
         for name in ("name", "role", "state", "created_utc", "expires_utc", "revoked_utc")

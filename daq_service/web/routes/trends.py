@@ -43,7 +43,7 @@ FieldName = Annotated[
 
 
 def find_unit(field: str) -> str:
-    """Return the unit of a column from its name; 1 is a pure number."""
+    """Derive the unit of a column from the suffix of its name; 1 is a pure number."""
     for suffix, unit in (("_v_s", "V s"), ("_s", "s"), ("_v", "V"), ("_m", "m"), ("_h", "h")):
         if field.endswith(suffix):
             return unit
@@ -51,7 +51,7 @@ def find_unit(field: str) -> str:
 
 
 def parse_fields(method: str, fields: str | None, *, known: Sequence[str]) -> list[str]:
-    """Return the names of a comma-separated list.
+    """Parse a comma-separated list of columns; raise a problem for an unknown name.
 
     Raises
     ------
@@ -123,7 +123,7 @@ def get_trend(
 
 
 def estimate_entry_bytes(fields: Sequence[str]) -> tuple[int, int]:
-    """Return the maximum bytes of a set and of a bin in an answer with these columns."""
+    """Estimate the maximum bytes of a set and of a bin in an answer with these columns."""
     numbers = [name for name in fields if name not in _UNITLESS]
     words = _WORD_BYTES * (len(fields) - len(numbers))
     of_set = _SET_BYTES + words + _NUMBER_BYTES * len(numbers) + _REASON_BYTES * ("reason" in fields)
@@ -179,7 +179,7 @@ _SETS_IN_A_BIN = {
 
 
 def build_bin_columns(kind: Kind, bins: NDArray[np.void], fields: Sequence[str]) -> Columns:
-    """Return columns as `read_columns`, with one entry per bin."""
+    """Build the columns of `read_columns` from bins, with one entry per bin."""
     columns: Columns = {
         "set_index": bins["first_set"].astype(int).tolist(),
         "due_h": bins["first_h"].tolist(),
@@ -202,7 +202,7 @@ def build_bin_columns(kind: Kind, bins: NDArray[np.void], fields: Sequence[str])
 
 
 def _compute_means(bins: NDArray[np.void], column: int) -> list[float]:
-    """Return the mean of a column in each bin; NaN without values."""
+    """Compute the mean of a column in each bin; NaN without values."""
     count, total = bins["count"][:, column], bins["sum"][:, column]
     mean = np.divide(total, count, out=np.full(bins.size, np.nan), where=count > 0.0)
     # The mean of equal numbers is that number, not its neighbour.
@@ -210,7 +210,7 @@ def _compute_means(bins: NDArray[np.void], column: int) -> list[float]:
 
 
 def build_published_bins(kind: Kind, bins: NDArray[np.void], fields: Sequence[str]) -> dict[str, object]:
-    """Return the further values of bins: extremes, counts, first outliers and alarms."""
+    """Build the extremes, counts, first outliers and alarms of bins for an answer."""
     names = [name for name in list_bin_values(kind) if name in fields]
     column_of = {name: list_bin_values(kind).index(name) for name in names}
     return {
@@ -227,7 +227,7 @@ def build_published_bins(kind: Kind, bins: NDArray[np.void], fields: Sequence[st
 
 
 def _nan_to_none(column: NDArray[np.float64]) -> list[float | None]:
-    """Return a column with None for values that are not finite."""
+    """Convert a column to a list for JSON; None replaces values that are not finite."""
     return [value if math.isfinite(value) else None for value in column.tolist()]
 
 

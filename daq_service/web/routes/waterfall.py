@@ -148,20 +148,20 @@ class _CatalogueIndex:
         self._catalogue, self._position = catalogue, position
 
     def count_stored_sets(self, first: int, last: int) -> int:
-        """Return how many sets with records lie between two indices."""
+        """Count the sets with records between two indices, both included."""
         return self._catalogue.count_stored_sets(self._position, first, last)
 
     def file(self, set_index: int) -> SetReference | None:
-        """Return the file of a set; None if it has none."""
+        """Find the file of a set; None if it has none."""
         rows = self._catalogue.rows(SetRow, position=self._position, set_index=set_index)
         return next((SetReference(row.file) for row in rows if row.file is not None), None)
 
     def read_anchors(self, set_index: int) -> Mapping[int, float]:
-        """Return the time that aligns each shot of a set."""
+        """Read the time in s of the first pulse or echo of each shot of a set."""
         return extract_anchors(read_set_results(self._catalogue, SetKey(set_index)))
 
     def list_first_files(self) -> list[SetReference]:
-        """Return the files of the first sets."""
+        """List the files of the first sets of the position."""
         rows = self._catalogue.rows(SetRow, position=self._position, tried=True, limit=_MOST_FIRST_SETS)
         return [SetReference(row.file) for row in rows if row.file is not None]
 
@@ -197,7 +197,7 @@ def _check_parameters(
 
 
 def _list_baseline_sets(context: Context, catalogue: Catalogue, position: str) -> list[int]:
-    """Return the sets of the present baseline; for pulse echo, its first reading.
+    """List the sets of the present baseline, for pulse echo the first reading; raise 404 without one.
 
     Raises
     ------
@@ -222,7 +222,7 @@ def _list_baseline_sets(context: Context, catalogue: Catalogue, position: str) -
 
 
 def _stack_planes(picture: Picture, *, normalised: bool) -> NDArray[np.float32]:
-    """Return the minima and maxima of the cells, shape (2, rows, columns)."""
+    """Stack the minima and maxima of all rows in V, or relative to the peaks; shape (2, rows, columns)."""
     if not picture.rows:
         return np.zeros((2, 0, picture.frame.n_cells), dtype=np.float32)
     planes = np.stack([row.planes for row in picture.rows], axis=1)
@@ -233,7 +233,7 @@ def _stack_planes(picture: Picture, *, normalised: bool) -> NDArray[np.float32]:
 
 
 def _compute_row_ends_h(picture: Picture) -> list[float]:
-    """Return the end of each row, h, with the set interval around it."""
+    """Compute the end of each row in h, with the set interval around it."""
     rows, ends, step_h = picture.rows, [], math.nan
     for row, following in zip(rows, [*rows[1:], None][: len(rows)], strict=True):
         if following is not None:
@@ -245,5 +245,5 @@ def _compute_row_ends_h(picture: Picture) -> list[float]:
 
 
 def _to_nested_lists(plane: NDArray[np.float32]) -> list[list[float | None]]:
-    """Return an image as nested lists with None for gaps."""
+    """Convert an image plane to nested lists with None for gaps."""
     return [[None if math.isnan(value) else value for value in row] for row in plane.tolist()]

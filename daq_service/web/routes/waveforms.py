@@ -150,12 +150,12 @@ def get_waveform(
 
 
 def to_little_endian_bytes(waveform: Waveform) -> bytes:
-    """Return the counts as stored, low byte first."""
+    """Convert the counts to little-endian bytes."""
     return waveform.counts.astype(waveform.counts.dtype.newbyteorder("<"), copy=False).tobytes()
 
 
 def find_extremes_per_bin(values: NDArray[np.float64], points: int) -> NDArray[np.intp]:
-    """Return the indices of the minimum and maximum of each of ``points // 2`` equal bins, in order.
+    """Find the indices of minimum and maximum of each of ``points // 2`` equal bins, in order.
 
     No peak is lost: a chart with one pixel per bin looks the same as with all samples.
 
@@ -175,7 +175,7 @@ def find_extremes_per_bin(values: NDArray[np.float64], points: int) -> NDArray[n
 
 
 def _find_quality(context: Context, position: str, set_key: SetKey, sequence: int) -> str | None:
-    """Return the quality of the features or the thickness of a record."""
+    """Find the quality of the features or the thickness of a record; None without a result."""
     kind: type[FeatureRow] | type[ThicknessRow] = METHODS[context.settings.positions[position].method].row
     rows = context.catalogue().rows(kind, position=position, **set_key._asdict())
     return next((row.quality for row in rows if row.sequence == sequence), None)
@@ -232,6 +232,6 @@ async def live_waveforms(
 
 
 async def _wait_until_left(websocket: WebSocket) -> None:
-    """Read and ignore messages until the client leaves."""
+    """Ignore the messages of a client; return when it disconnects."""
     while (await websocket.receive())["type"] != "websocket.disconnect":
         pass

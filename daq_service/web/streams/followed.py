@@ -44,7 +44,7 @@ class Followed:
         return self._closed
 
     async def changed(self) -> None:
-        """Wait for the next change or the end."""
+        """Wait until the data change or the source closes."""
         if not self._closed:
             # One future per waiter: cancelling a shared one would cancel it for all.
             waiter = self._loop.create_future()
@@ -59,11 +59,11 @@ class Followed:
                 waiter.set_result(None)
 
     def _follow(self) -> None:
-        """Follow in this thread until `_stop` is set."""
+        """Follow the source in this thread until `_stop` is set; subclasses implement it."""
         raise NotImplementedError
 
     def _pass_on(self, function: Callable[..., None], *arguments: object) -> None:
-        """Call a function on the event loop, from the thread."""
+        """Call a function on the event loop, from the thread; stop the thread if the loop is closed."""
         try:
             self._loop.call_soon_threadsafe(function, *arguments)
         except RuntimeError:

@@ -49,12 +49,12 @@ class EventSource(Protocol):
         ...
 
     def after(self, event_id: int, limit: int) -> Sequence[Mapping[str, Any]]:
-        """Return the events after an id in order, as rows of the API."""
+        """Read the events after an id in order, as rows of the API."""
         ...
 
 
 def encode_event(row: Mapping[str, Any]) -> EncodedEvent:
-    """Return a row as a frame of the stream (WHATWG HTML, server-sent events)."""
+    """Encode a row as a frame of the stream (WHATWG HTML, server-sent events)."""
     data = orjson.dumps(row)
     frame = b"id: %d\nevent: %s\ndata: %s\n\n" % (row["id"], row["topic"].encode(), data)
     return EncodedEvent(row["id"], row["topic"], frame)
@@ -118,7 +118,7 @@ class EventHub(Followed):
         self._heartbeat = self._loop.call_later(self.heartbeat_interval_s, self._send_heartbeat)
 
     def _start_ring(self, event_id: int, events: list[EncodedEvent]) -> None:
-        """Start with the newest events."""
+        """Fill the ring buffer with the newest events and mark it as complete."""
         self._complete_after, self._events = event_id, events
         self._wake_clients()
 
@@ -132,7 +132,7 @@ class EventHub(Followed):
         self._wake_clients()
 
     def _read_stored_events(self, event_id: int, last: int) -> list[EncodedEvent]:
-        """Return the events of the catalogue after an id, at least until the last one."""
+        """Read the events after an id from the catalogue, at least until the last one."""
         events: list[EncodedEvent] = []
         while event_id < last and (rows := self._source.after(event_id, PAGE_EVENTS)):
             events += map(encode_event, rows)

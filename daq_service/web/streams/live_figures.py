@@ -40,7 +40,7 @@ class LiveFigures(Followed):
         self._pictures: dict[str, Picture] = {}
 
     def find_newer_figures(self, seen: Mapping[str, int]) -> dict[str, Picture]:
-        """Return the figures of the positions in ``seen`` that are newer than the version there."""
+        """Return the figures that are newer than the versions in ``seen``, by position."""
         return {
             position: picture
             for position, version in seen.items()
@@ -48,7 +48,7 @@ class LiveFigures(Followed):
         }
 
     def _update_figure(self, position: str, picture: Picture) -> None:
-        """Keep the newest picture of a position and wake its clients."""
+        """Store the newest figure of a position and wake its clients."""
         self._pictures[position] = picture
         self._wake_clients()
 
@@ -77,7 +77,7 @@ class LiveFigures(Followed):
 
 
 def decode_figure_header(content: bytes) -> dict[str, Any]:
-    """Return the JSON header of a live figure.
+    """Decode the JSON header of a live figure; raise a problem if it is malformed.
 
     Raises
     ------
@@ -95,7 +95,7 @@ def decode_figure_header(content: bytes) -> dict[str, Any]:
 
 
 def create_unreadable_figure(why: str) -> Problem:
-    """Return the problem that a live figure is unreadable (503)."""
+    """Create the error that a live figure is unreadable (503)."""
     return Problem(
         "storage-unavailable",
         f"The newest live picture cannot be read: {why}.",

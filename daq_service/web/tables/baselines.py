@@ -26,7 +26,7 @@ class BaselineHours(TypedDict):
 def list_published_baselines(
     catalogue: Catalogue, settings: Settings, epoch_utc_ns: int, position: str | None
 ) -> list[tuple[BaselineRow, BaselineHours]]:
-    """Return the baselines of a position (None: of all), the newest last, each with extra columns."""
+    """List the baselines of a position (None: of all), the newest last, each with extra columns."""
     rows = catalogue.rows(BaselineRow, position=position)
     positions_with_baseline = {row.position for row in rows}
     rows += [
@@ -68,7 +68,7 @@ def _count_usable_sets(catalogue: Catalogue, row: BaselineRow) -> int:
 
 
 def _read_temperatures_c(catalogue: Catalogue, first: int, last: int) -> list[float] | None:
-    """Return the minimum and maximum temperature around sets; None: none was measured."""
+    """Read the minimum and maximum temperature in degC around sets; None if none was measured."""
     around = catalogue.columns(EnvironmentRow, ["temperature_c"], first_set=first, last_set=last)
     measured_c = [temperature_c for temperature_c in around["temperature_c"] if temperature_c is not None]
     return [min(measured_c), max(measured_c)] if measured_c else None

@@ -115,7 +115,7 @@ class Choice:
 
 
 def read_pages(catalogue: Catalogue, fresh: Freshness, choice: Choice) -> Iterator[Columns]:
-    """Yield the selected rows in pages of `PAGE_ROWS`, in the order of the table; at least one page.
+    """Read the selected rows page by page, `PAGE_ROWS` each, in the order of the table; at least one page.
 
     Alarms are in their state at the moment of ``fresh``.
     """
@@ -170,22 +170,22 @@ def read_pages(catalogue: Catalogue, fresh: Freshness, choice: Choice) -> Iterat
 
 
 def find_last_hour_inside(to_h: float | None) -> float | None:
-    """Return the last hour before the end of a range, for the catalogue."""
+    """Return the last hour before the excluded end of a range; None if the range is open."""
     return None if to_h is None else math.nextafter(to_h, -math.inf)
 
 
 def _is_inside(choice: Choice, first_h: float, last_h: float) -> bool:
-    """Return whether a range of hours overlaps the selection."""
+    """Return whether a range of hours overlaps the selected hours."""
     return (choice.from_h is None or last_h >= choice.from_h) and (
         choice.to_h is None or first_h < choice.to_h
     )
 
 
 def _to_columns(rows_json: Sequence[Mapping[str, object]], names: Sequence[str]) -> Columns:
-    """Return rows as columns of plain values."""
+    """Convert rows to columns of plain values."""
     return {name: [_to_plain_value(row[name]) for row in rows_json] for name in names}
 
 
 def _to_plain_value(value: object) -> object:
-    """Return a value as a file can hold it: nested ones as JSON."""
+    """Convert a value so that a file can hold it: nested values become JSON text."""
     return json.dumps(value) if isinstance(value, dict | list) else value

@@ -17,7 +17,7 @@ from daq_service.web.tables.formats import FORMATS, Facts
 def encode_table(
     catalogue: Catalogue, fresh: Freshness, choice: Choice, form: str, *, most_rows: int | None = None
 ) -> Iterator[bytes]:
-    """Return the bytes of a file in parts; streamed formats read a page for each part.
+    """Encode a table as a file and yield its parts; streamed formats read a page for each part.
 
     Parameters
     ----------
@@ -47,7 +47,7 @@ def encode_table(
 
 
 def _limit_rows(read: Iterator[Columns], form: str, most_rows: int) -> Iterator[Columns]:
-    """Yield pages of a table; raise an error above a number of rows."""
+    """Yield pages of a table; raise an error if they exceed a number of rows."""
     n_rows = 0
     for page in read:
         n_rows += len(next(iter(page.values())))
@@ -60,7 +60,7 @@ def _limit_rows(read: Iterator[Columns], form: str, most_rows: int) -> Iterator[
 
 
 def build_facts(experiment: ExperimentRow, fresh: Freshness, about: Facts) -> Facts:
-    """Return the facts of a file: test, time and recorder, plus ``about``."""
+    """Collect the facts of an exported file: test, time and recorder, plus ``about``."""
     return {
         **about,
         "test": experiment.name,

@@ -55,12 +55,12 @@ class Format:
 
 
 def format_facts(facts: Facts) -> str:
-    """Return facts as JSON text."""
+    """Serialize the facts of a file as JSON text."""
     return json.dumps(facts, sort_keys=True)
 
 
 def _write_csv(choice: Choice, facts: Facts, pages: Iterable[Columns]) -> Iterator[bytes]:
-    """Yield a table as CSV."""
+    """Encode a table as CSV and yield its parts."""
     names = [column.name for column in choice.columns]
     text = io.StringIO(newline="")
     writer = csv.writer(text)
@@ -74,7 +74,7 @@ def _write_csv(choice: Choice, facts: Facts, pages: Iterable[Columns]) -> Iterat
 
 
 def format_cell(value: object) -> str:
-    """Return a value as a cell of a CSV file."""
+    """Format a value as CSV cell; None is empty."""
     if value is None:
         return ""
     if isinstance(value, bool):
@@ -92,7 +92,7 @@ class _Drain(io.RawIOBase):
         self._place = 0
 
     def writable(self) -> bool:
-        """Return True."""
+        """Return True: libraries may write to this file object."""
         return True
 
     def write(self, content: ReadableBuffer) -> int:
@@ -107,16 +107,17 @@ class _Drain(io.RawIOBase):
         return self._place
 
     def drain_bytes(self) -> bytes:
-        """Return and clear the bytes since the last call."""
+        """Return the bytes since the last call and clear the buffer."""
         content = bytes(self._waiting)
         self._waiting.clear()
         return content
 
 
 def _make_writer(kind: str) -> Write:
-    """Return a writer of tables in a format of Arrow."""
+    """Create the function that writes tables in a format of Arrow."""
 
     def write_arrow(choice: Choice, facts: Facts, pages: Iterable[Columns]) -> Iterator[bytes]:
+        """Encode a table and yield the bytes of each page."""
         arrow = import_pyarrow()
         schema = arrow.schema(
             [build_arrow_field(arrow, column) for column in choice.columns],
@@ -131,7 +132,7 @@ def _make_writer(kind: str) -> Write:
 def encode_arrow(
     arrow: Arrow, form: str, schema: Arrow, batches: Iterable[Sequence[Arrow]]
 ) -> Iterator[bytes]:
-    """Yield the bytes of a file, ``parquet`` or ``arrow``, after each batch of arrays."""
+    """Encode batches of arrays as ``parquet`` or ``arrow`` and yield the bytes after each batch."""
     drain = _Drain()
     if form == "parquet":
         from pyarrow import parquet
@@ -147,21 +148,21 @@ def encode_arrow(
 
 
 def build_arrow_field(arrow: Arrow, column: PublishedColumn) -> Arrow:
-    """Return the Arrow field of a column, with its unit."""
+    """Build the Arrow field of a column, with its unit as metadata."""
     kind = arrow.timestamp("ns", tz="UTC") if column.form == "time" else None
     kind = kind or getattr(arrow, _ARROW.get(column.form, "string"))()
     return arrow.field(column.name, kind, metadata={"unit": column.unit} if column.unit else None)
 
 
 def to_arrow(arrow: Arrow, of_type: Arrow, values: Sequence[object]) -> Arrow:
-    """Return the values of a column as Arrow array; None is null."""
+    """Convert the values of a column to an Arrow array; None is null."""
     if arrow.types.is_timestamp(of_type):
         return arrow.array(values, type=arrow.string()).cast(of_type)
     return arrow.array(values, type=of_type)
 
 
 def import_pyarrow(otherwise: str = "take csv, npz, mat or h5") -> Arrow:
-    """Import and return the package pyarrow.
+    """Import and return the package pyarrow; raise an error that names ``otherwise`` if it is missing.
 
     Raises
     ------
@@ -179,14 +180,14 @@ def import_pyarrow(otherwise: str = "take csv, npz, mat or h5") -> Arrow:
 
 
 def _collect_arrays(columns: Sequence[PublishedColumn], pages: Iterable[Columns]) -> dict[str, Array]:
-    """Return all rows as one array per column."""
+    """Join all pages of a table to one array per column."""
     parts = [[to_array(column.form, page[column.name]) for column in columns] for page in pages]
     joined = [np.concatenate(of_column) for of_column in zip(*parts, strict=True)]
     return dict(zip([column.name for column in columns], joined, strict=True))
 
 
 def to_array(form: Form, values: list[object]) -> Array:
-    """Return the values of a column as an array; missing ones are NaN, -1 or empty."""
+    """Convert the values of a column to an array; missing ones are NaN, -1 or empty."""
     if form == "number":
         return np.array([np.nan if value is None else value for value in values], dtype=np.float64)
     if form in ("integer", "truth"):
@@ -196,17 +197,17 @@ def to_array(form: Form, values: list[object]) -> Array:
 
 
 def to_h5py_texts(array: Array) -> Array | list[str]:
-    """Return texts as a list, as h5py takes them, and other arrays unchanged."""
+    """Convert an array of texts to a list, as h5py needs it; return other arrays unchanged."""
     return [str(text) for text in array] if array.dtype.kind == "U" else array
 
 
 def _write_npz(choice: Choice, facts: Facts, pages: Iterable[Columns]) -> Iterator[bytes]:
-    """Yield the table as a NumPy file."""
+    """Encode a table as NumPy file and yield its bytes."""
     yield build_npz(_collect_arrays(choice.columns, pages), facts)
 
 
 def build_npz(arrays: Mapping[str, Array], facts: Facts) -> bytes:
-    """Return the bytes of a NumPy file: an array a name, and ``solimon``."""
+    """Build the bytes of a NumPy file with an array per name and the facts as ``solimon``."""
     content = io.BytesIO()
     # `numpy.savez` has parameters of its own, such as ``file``, which is a column of sets.
     with zipfile.ZipFile(content, "w", zipfile.ZIP_DEFLATED) as members:
@@ -217,13 +218,13 @@ def build_npz(arrays: Mapping[str, Array], facts: Facts) -> bytes:
 
 
 def _write_mat(choice: Choice, facts: Facts, pages: Iterable[Columns]) -> Iterator[bytes]:
-    """Yield the table as a MATLAB file."""
+    """Encode a table as MATLAB file and yield its bytes."""
     units = {column.name: column.unit for column in choice.columns if column.unit}
     yield build_mat(choice.table, _collect_arrays(choice.columns, pages), units, facts)
 
 
 def build_mat(name: str, arrays: Mapping[str, Array], units: Mapping[str, str], facts: Facts) -> bytes:
-    """Return the bytes of a MATLAB 5 file: a struct of the arrays, one of their units, and ``facts``."""
+    """Build the bytes of a MATLAB 5 file: a struct of arrays, a struct of their units, and ``facts``."""
     # Imports SciPy only here: it would delay the start of a service by half a second.
     from scipy.io import savemat
 
@@ -239,7 +240,7 @@ def build_mat(name: str, arrays: Mapping[str, Array], units: Mapping[str, str], 
 
 
 def _write_hdf5(choice: Choice, facts: Facts, pages: Iterable[Columns]) -> Iterator[bytes]:
-    """Yield a table as HDF5."""
+    """Encode a table as HDF5 file and yield its bytes."""
     arrays = _collect_arrays(choice.columns, pages)
     names = choice.chosen or tuple(arrays)
     numbers = [c.name for c in choice.columns if c.form == "number" and c.unit != "h" and c.name in names]
@@ -268,7 +269,7 @@ FORMATS: Mapping[str, Format] = {
 
 
 def list_available_formats() -> list[str]:
-    """Return the formats that this installation can write."""
+    """List the formats that this installation can write."""
     from importlib.util import find_spec
 
     return [name for name in FORMATS if name not in ("parquet", "arrow") or find_spec("pyarrow")]

@@ -15,7 +15,7 @@ from hardware_drivers.methods import Method
 def find_assessed_qualities(
     catalogue: Catalogue, methods: Mapping[str, Method], rows: Sequence[AssessmentRow]
 ) -> list[str | None]:
-    """Return the quality of each assessed set; ``methods`` are those of the positions."""
+    """Find the quality of each assessed set; ``methods`` are those of the positions."""
     if not rows:
         return []
     hours, positions = [row.due_h for row in rows], {row.position for row in rows}

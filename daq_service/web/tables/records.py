@@ -27,7 +27,7 @@ BYTES_A_SAMPLE = 8
 
 
 def _build_column(name: str, form: Form, unit: str = "") -> PublishedColumn:
-    """Return a column of the table of records."""
+    """Create a column of the table of records."""
     return PublishedColumn(name=name, form=form, unit=unit, nullable=name in ("quality",))
 
 
@@ -177,7 +177,7 @@ def _read_waveforms(
 
 
 def _check_same_sampling(position: str, first: Waveform, other: Waveform) -> None:
-    """Raise an error for two records of different sampling."""
+    """Raise an error if two records have different sampling, since one file has one time axis."""
     if (first.counts.size, first.sample_rate_hz, first.pretrigger_samples) != (
         *(other.counts.size, other.sample_rate_hz, other.pretrigger_samples),
     ):

@@ -19,7 +19,7 @@ NOT_KNOWN = "not known"
 
 
 def render_template(template: str, **context: object) -> bytes:
-    """Return the HTML of a page.
+    """Render a template to the HTML of a page.
 
     Raises
     ------
@@ -31,7 +31,7 @@ def render_template(template: str, **context: object) -> bytes:
 
 @cache
 def _create_environment() -> Environment:
-    """Return the environment of the templates with its filters."""
+    """Create the Jinja environment of the templates with its filters."""
     environment = Environment(
         loader=FileSystemLoader(Path(__file__).parent),
         autoescape=True,
@@ -52,19 +52,19 @@ def _create_environment() -> Environment:
 
 
 def format_quantity(value: float | None, factor: float = 1.0, digits: int = 2, unit: str = "") -> str:
-    """Return a value as text with its unit."""
+    """Format a value with its unit and ``digits`` decimals; `NOT_KNOWN` for None."""
     if value is None:
         return NOT_KNOWN
     return f"{value * factor:.{digits}f} {unit}".rstrip()
 
 
 def format_significant(value: float | None, digits: int = 4) -> str:
-    """Return a number as text with so many significant digits."""
+    """Format a number with ``digits`` significant digits; `NOT_KNOWN` for None."""
     return NOT_KNOWN if value is None else f"{value:.{digits}g}"
 
 
 def format_plain_text(value: object) -> str:
-    """Return any value of a row as text."""
+    """Format any value of a row as text."""
     if isinstance(value, Mapping):
         return ", ".join(f"{name} {format_plain_text(item)}" for name, item in value.items())
     if isinstance(value, list | tuple):

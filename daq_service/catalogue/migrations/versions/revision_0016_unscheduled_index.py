@@ -78,7 +78,7 @@ def _add_column(table: str, name: str) -> None:
 
 
 def _split_index(table: str, index: str, number: str) -> None:
-    """Split the indices of unscheduled sets."""
+    """Split the indices of unscheduled sets into a set index and an unscheduled number."""
     _execute(
         f"UPDATE {table} SET {number} = {index} / {_SETS_OF_A_PLAN}, {index} = {index} % {_SETS_OF_A_PLAN}, "
         f"row_crc32 = NULL WHERE {index} >= {_SETS_OF_A_PLAN}"
@@ -86,7 +86,7 @@ def _split_index(table: str, index: str, number: str) -> None:
 
 
 def _list_definitions(kind: str, table: str) -> list[str]:
-    """Return the statements that made a table or its indices."""
+    """List the SQL statements that create a table or its indices."""
     statement = "SELECT sql FROM sqlite_master WHERE type = ? AND tbl_name = ? AND sql IS NOT NULL"
     return [sql for (sql,) in op.get_bind().exec_driver_sql(statement, (kind, table))]
 
