@@ -26,7 +26,7 @@ from analysis.ultrasound.thickness import (
 from hardware_drivers.measurement import ShotKey, Waveform
 from simulator.echo.far_wall import draw_gaussian_field, draw_rough_spot
 from simulator.echo.pulse import bubble_volts, echo_calibration, echo_volts
-from simulator.echo.records import ProbedWall, draw_disturbance, make_probed_wall, simulate_averaged_record
+from simulator.echo.records import ProbedWall, average_record, draw_disturbance, probe_wall
 from simulator.electronics.transduction import quantise_volts
 from simulator.parameters.echo import EchoParameters
 from simulator.parameters.experiment import TwinParameters
@@ -85,9 +85,7 @@ def record_wall(wall: ProbedWall, echo: EchoParameters, seed: int) -> Waveform:
     """Return the averaged record of a wall with noise and bubbles."""
     key = ShotKey(position="A", set_index=seed, shot_index=0)
     found, _ = draw_disturbance(echo, seed=seed, key=key)
-    volts, _ = simulate_averaged_record(
-        wall, echo, echo_calibration(echo), found, seed=seed, key=key, noisy=True
-    )
+    volts, _ = average_record(wall, echo, echo_calibration(echo), found, seed=seed, key=key, noisy=True)
     return waveform_of(volts, echo)
 
 
@@ -112,7 +110,7 @@ def readings(
     reference = sound_wall(echo)
     for seed in range(first_seed, first_seed + walls):
         spot = draw_rough_spot(echo, seed=seed, position="A")
-        wall = make_probed_wall(PRISTINE_M, 1.0 - thickness_m / PRISTINE_M, spot, 0.0)
+        wall = probe_wall(PRISTINE_M, 1.0 - thickness_m / PRISTINE_M, spot, 0.0)
         found = travel_time(record_wall(wall, echo, seed), reference)
         read = compute_thickness(
             found.travel_time_s, reference.travel_time_s, echo.delay_s, PRISTINE_M, known_separation_m

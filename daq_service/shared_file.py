@@ -50,7 +50,7 @@ def load_table(module: str) -> dict[str, object]:
     return tomllib.loads(Path(module).with_suffix(".toml").read_text(encoding="utf-8"))
 
 
-def retry_call(
+def retry(
     call: Callable[[], T],
     *,
     is_refusal: Callable[[Exception], bool] = lambda error: isinstance(error, PermissionError),
@@ -91,7 +91,7 @@ def read_shared(path: Path, first: int = 0, last: int | None = None) -> bytes:
             file.seek(first)
             return file.read(-1 if last is None else last - first)
 
-    return retry_call(read)
+    return retry(read)
 
 
 def read_hint(path: Path) -> bytes | None:
@@ -145,7 +145,7 @@ def write_durably(
     renamed = False
     try:
         flags = os.O_WRONLY | os.O_CREAT | os.O_TRUNC | O_BINARY
-        descriptor = retry_call(lambda: os.open(temporary, flags, mode))
+        descriptor = retry(lambda: os.open(temporary, flags, mode))
         try:
             for part in [content] if isinstance(content, bytes) else content:
                 write_all(descriptor, [part])
@@ -154,7 +154,7 @@ def write_durably(
         finally:
             os.close(descriptor)
         synced = time.perf_counter()
-        retry_call(lambda: os.replace(temporary, path))  # noqa: PTH105 - the seam is os
+        retry(lambda: os.replace(temporary, path))  # noqa: PTH105 - the seam is os
         renamed = True
         sync_folder(path.parent)
     except Exception:
@@ -187,7 +187,7 @@ def sync_folder(folder: Path, *, patience_s: float = PATIENCE_S) -> None:
     """Sync a folder, so that its names are durable; Windows has no such call and journals names itself."""
     if sys.platform == "win32":
         return
-    descriptor = retry_call(lambda: os.open(folder, os.O_RDONLY), patience_s=patience_s)
+    descriptor = retry(lambda: os.open(folder, os.O_RDONLY), patience_s=patience_s)
     try:
         os.fsync(descriptor)
     finally:
@@ -197,7 +197,7 @@ def sync_folder(folder: Path, *, patience_s: float = PATIENCE_S) -> None:
 def remove_quietly(path: Path) -> None:
     """Remove a file; log a disk that refuses even this."""
     try:
-        retry_call(lambda: os.unlink(path))  # noqa: PTH108 - the seam is os
+        retry(lambda: os.unlink(path))  # noqa: PTH108 - the seam is os
     except FileNotFoundError:
         return
     except OSError as error:

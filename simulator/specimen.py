@@ -17,13 +17,7 @@ from hardware_drivers.instruments import Acquired, Echo
 from hardware_drivers.measurement import Calibration, ShotKey, Waveform
 from simulator.echo.far_wall import RoughSpot, draw_rough_spot
 from simulator.echo.pulse import echo_calibration
-from simulator.echo.records import (
-    Disturbance,
-    ProbedWall,
-    draw_disturbance,
-    make_probed_wall,
-    simulate_averaged_record,
-)
+from simulator.echo.records import Disturbance, ProbedWall, average_record, draw_disturbance, probe_wall
 from simulator.electronics.transduction import make_adc_calibration, quantise_volts, simulate_triggered_record
 from simulator.errors import SpecimenError
 from simulator.experiment.corrosion import Wall, WallHistory, draw_wall_history, held_hour_h
@@ -330,7 +324,7 @@ class Specimen:
 
     def probed_wall(self, position: str, hour_h: float) -> ProbedWall:
         """Return the wall under an ultrasonic probe at an hour of the test."""
-        return make_probed_wall(
+        return probe_wall(
             self.probed_thickness_m[position],
             self.walls[position].at(hour_h).depth_fraction,
             self.spots[position],
@@ -342,7 +336,7 @@ class Specimen:
         echo, seed, noisy = self.twin.echo, self.twin.seed, self.twin.noise.enabled
         wall = self.probed_wall(key.position, hour_h)
         found, disturbed = draw_disturbance(echo, seed=seed, key=key) if noisy else (Disturbance(), {})
-        volts, clipped = simulate_averaged_record(
+        volts, clipped = average_record(
             wall, echo, self.echo_calibration, found, seed=seed, key=key, noisy=noisy
         )
         waveform = Waveform(

@@ -19,13 +19,7 @@ from analysis.diagnosis.hypotheses import COUPLING, OK, WALL
 from analysis.diagnosis.noise import compute_covariances
 from analysis.diagnosis.parameters import FEWEST_GROWN, GROWTHS, POWERS, STEPS, DiagnosisParameters
 from analysis.diagnosis.slopes import COMPONENTS
-from analysis.diagnosis.state import (
-    MOST_AVERAGED,
-    SETTLING,
-    DiagnosisState,
-    after_reseat,
-    average_weights,
-)
+from analysis.diagnosis.state import MOST_AVERAGED, SETTLING, DiagnosisState, after_reseat, average_weights
 from analysis.waves.record_reduction import FloatArray
 
 UNDETERMINED = "undetermined"

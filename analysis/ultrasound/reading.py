@@ -6,12 +6,7 @@ import math
 from dataclasses import dataclass
 from typing import Literal
 
-from analysis.ultrasound.thickness import (
-    EchoReference,
-    compute_thickness,
-    thickness_interval,
-    travel_time,
-)
+from analysis.ultrasound.thickness import EchoReference, compute_thickness, thickness_interval, travel_time
 from hardware_drivers.measurement import Waveform
 
 

@@ -11,16 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.waves.outline import (
-    FEWEST,
-    FROM_ISW,
-    FROM_PSW,
-    LENGTHS,
-    N_ISW,
-    ONE_WALL_S,
-    STEP_S,
-    Outline,
-)
+from analysis.waves.outline import FEWEST, FROM_ISW, FROM_PSW, LENGTHS, N_ISW, ONE_WALL_S, STEP_S, Outline
 from analysis.waves.record_reduction import MAD_TO_SD, FloatArray, column_medians, median
 
 N_PSW = N_ISW + int(LENGTHS[1])

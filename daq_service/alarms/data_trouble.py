@@ -11,7 +11,7 @@ SHOWN = 5
 """Maximum number of files in a message."""
 
 
-def build_damage_condition(
+def damage_condition(
     set_aside: Sequence[str], damaged: Mapping[str, str] = MappingProxyType({})
 ) -> Condition:
     """Return the condition of corrupt data: sets in quarantine, or stored files that are corrupt or missing.
@@ -42,7 +42,7 @@ def _describe_file_problem(fault: str) -> str:
     return fault if fault.startswith("is ") else f"is damaged: {fault}"
 
 
-def build_space_condition(free_space: str, *, present: bool, stops: bool) -> Condition:
+def space_condition(free_space: str, *, present: bool, stops: bool) -> Condition:
     """Return the condition of low disk space; its priority rises when storing stops.
 
     Parameters
@@ -59,7 +59,7 @@ def build_space_condition(free_space: str, *, present: bool, stops: bool) -> Con
     )
 
 
-def build_storage_condition(message: str, *, present: bool, waits_in: str = "memory") -> Condition:
+def storage_condition(message: str, *, present: bool, waits_in: str = "memory") -> Condition:
     """Return the condition of failed writes: sets wait in memory, or complete ones in the journal.
 
     Parameters

@@ -26,14 +26,7 @@ import numpy as np
 from h5py.h5g import GroupID
 from numpy.typing import NDArray
 
-from daq_service.archive.nexus import (
-    add_field,
-    add_group,
-    new_image,
-    open_root,
-    read_image,
-    set_attributes,
-)
+from daq_service.archive.nexus import add_field, add_group, new_image, open_root, read_image, set_attributes
 from daq_service.archive.reader import RecordGroup, list_record_groups, open_set_file, read_set_key
 from daq_service.archive.records import SetReference
 from hardware_drivers.measurement import Calibration, SetKey

@@ -27,7 +27,7 @@ from daq_service.archive.records import (
     StoreTimings,
     to_reference,
 )
-from daq_service.shared_file import remove_quietly, retry_call, sync_folder
+from daq_service.shared_file import remove_quietly, retry, sync_folder
 from hardware_drivers.measurement import MissedShot, PulseEchoRecord, SetKey, SetRecord, Shot, compute_crc32
 
 _REMEDY = {
@@ -66,7 +66,7 @@ class FolderArchive(FolderSetReader):
             with contextlib.suppress(PermissionError):
                 # The name of a new data folder; the parent folder may belong to another user.
                 sync_folder(folder.absolute().parent, patience_s=0.0)
-            unfinished = retry_call(lambda: list(self._sets_folder.glob(f"*{TEMPORARY_SUFFIX}")))
+            unfinished = retry(lambda: list(self._sets_folder.glob(f"*{TEMPORARY_SUFFIX}")))
             self._folder_stat = self._sets_folder.stat()
         except OSError as error:
             raise _create_write_error(self._sets_folder, error) from error
@@ -232,7 +232,7 @@ def move_to_quarantine(folder: Path, reference: SetReference) -> str:
     target = quarantine / source.name
     while target.exists():
         target = target.with_name(f"again_{target.name}")
-    retry_call(lambda: source.replace(target))
+    retry(lambda: source.replace(target))
     for parent in (quarantine, source.parent, folder):
         sync_folder(parent)
     return f"{QUARANTINE_FOLDER}/{target.name}"

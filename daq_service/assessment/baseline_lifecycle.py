@@ -37,7 +37,7 @@ class BaselineRange:
     row_id: int
 
 
-def find_baseline_range(position: str, settings: Settings, present: BaselineRow | None) -> BaselineRange:
+def baseline_range(position: str, settings: Settings, present: BaselineRow | None) -> BaselineRange:
     """Return the range of sets of the current baseline.
 
     Parameters
@@ -62,7 +62,7 @@ def find_baseline_range(position: str, settings: Settings, present: BaselineRow 
 def build_first_baseline(position: str, settings: Settings, epoch_utc_ns: int) -> BaselineRow:
     """Return the first baseline of a position while it collects: it has no row until it is frozen."""
     row = _build_collecting_row(
-        position, settings.baseline.approval, find_baseline_range(position, settings, None)
+        position, settings.baseline.approval, baseline_range(position, settings, None)
     )
     return replace(row, created_utc_ns=epoch_utc_ns)
 
@@ -101,7 +101,7 @@ def renew(
     ValueError
         The schedule ends before the successor is complete, or it would have too few sets.
     """
-    current = find_baseline_range(position, settings, present)
+    current = baseline_range(position, settings, present)
     n_sets, minimum = 1 + current.last_set - current.first_set, settings.baseline.minimum_sets
     if n_sets < minimum:
         raise ValueError(

@@ -13,16 +13,9 @@ from analysis.waves.quality_gate import ACCEPTED
 from daq_service.alarms.states import RETIRING
 from daq_service.archive import SetNotFoundError, SetReader, SetReference
 from daq_service.assessment.assessor import Assessor, StoredResult
-from daq_service.assessment.baseline_lifecycle import find_baseline_range
+from daq_service.assessment.baseline_lifecycle import baseline_range
 from daq_service.catalogue import Catalogue
-from daq_service.catalogue.rows import (
-    AssessorStateRow,
-    EventRow,
-    FeatureRow,
-    SetRow,
-    ShotRow,
-    ThicknessRow,
-)
+from daq_service.catalogue.rows import AssessorStateRow, EventRow, FeatureRow, SetRow, ShotRow, ThicknessRow
 from daq_service.settings.tree import Settings
 from hardware_drivers.measurement import SetKey
 
@@ -48,7 +41,7 @@ def restore_solitary_wave(
     assessor = SolitaryWaveAssessor(
         position,
         settings,
-        baseline=find_baseline_range(position, settings, stored),
+        baseline=baseline_range(position, settings, stored),
         rehearsal=rehearsal,
         has_chart=stored is None or stored.state == "collecting" or stored.limits is not None,
     )

@@ -34,12 +34,7 @@ from analysis.statistics.design import Design, contributions_of
 from analysis.statistics.limits import F_PREDICTIVE, PAPER_MEAN_3SD
 from analysis.statistics.named_limits import DISTANCE, LIMITS, MEWMA
 from analysis.statistics.rules import HoleRule
-from analysis.waves.features import (
-    EXTRACTOR_VERSION,
-    FEATURE_NAMES,
-    SetFeatures,
-    ShotFeatures,
-)
+from analysis.waves.features import EXTRACTOR_VERSION, FEATURE_NAMES, SetFeatures, ShotFeatures
 from daq_service.alarms.states import Condition
 from daq_service.archive import SetRecord
 from daq_service.assessment.assessor import PositionResult

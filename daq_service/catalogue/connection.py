@@ -13,7 +13,7 @@ from sqlalchemy.pool import QueuePool
 
 from daq_service.catalogue import errors
 from daq_service.catalogue.stored_rows import begin_transactions, to_json_text
-from daq_service.shared_file import retry_call
+from daq_service.shared_file import retry
 
 FILE_NAME = "catalogue.sqlite"
 CREATION_S = 0.25
@@ -60,13 +60,13 @@ def make_engine(path: Path, *, writable: bool, durable: bool = True) -> Engine:
         """Open a connection; a reader waits while the file is being created."""
         if writable:
             return connect()
-        return retry_call(connect, is_refusal=_is_being_created, patience_s=CREATION_S)
+        return retry(connect, is_refusal=_is_being_created, patience_s=CREATION_S)
 
     # The pool is given because a URL without a file means a database in memory, whose pool
     # closes the connections of other threads while they use them.
     engine = create_engine(
         "sqlite+pysqlite://",
-        creator=lambda: retry_call(
+        creator=lambda: retry(
             connect_patiently,
             is_refusal=lambda error: _is_locked(error) and path.parent.is_dir(),
             report_after_s=0.0,

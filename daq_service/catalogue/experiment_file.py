@@ -15,7 +15,7 @@ from daq_service.catalogue.errors import (
     CatalogueWriteError,
     OtherExperimentError,
 )
-from daq_service.catalogue.rows import ExperimentRow, to_columns
+from daq_service.catalogue.rows import ExperimentRow, as_dict
 from daq_service.clock import format_utc
 from daq_service.shared_file import HINT_SUFFIX, read_shared, write_durably
 
@@ -35,7 +35,7 @@ def write_experiment(folder: Path, row: ExperimentRow) -> None:
         The disk refuses.
     """
     path = folder / EXPERIMENT_FILE
-    columns = to_columns(row)
+    columns = as_dict(row)
     content = orjson.dumps(
         {"crc32": _compute_crc32(columns), "experiment": columns}, option=orjson.OPT_INDENT_2
     )

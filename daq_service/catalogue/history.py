@@ -25,11 +25,11 @@ from daq_service.catalogue.earlier_names import to_current_row
 from daq_service.catalogue.errors import CatalogueDamagedError
 from daq_service.catalogue.experiment_file import HISTORY_FILE, refuse_other_record
 from daq_service.catalogue.reader import Catalogue
-from daq_service.catalogue.rows import CommandRow, EventRow, ExperimentRow, SetRow, to_columns
+from daq_service.catalogue.rows import CommandRow, EventRow, ExperimentRow, SetRow, as_dict
 from daq_service.catalogue.writer import ANSWERS
 from daq_service.clock import MACHINE, MachineClock
 from daq_service.errors import StorageError
-from daq_service.shared_file import O_BINARY, retry_call, sync_folder, write_all
+from daq_service.shared_file import O_BINARY, retry, sync_folder, write_all
 from hardware_drivers.measurement import SetKey
 
 log = logging.getLogger(__name__)
@@ -103,7 +103,7 @@ def read_history(folder: Path, *, tail_bytes: int | None = None) -> History:
         It cannot be read.
     """
     try:
-        with retry_call(lambda: (folder / HISTORY_FILE).open("rb")) as file:
+        with retry(lambda: (folder / HISTORY_FILE).open("rb")) as file:
             size = file.seek(0, os.SEEK_END)
             start = 0 if tail_bytes is None else max(0, size - tail_bytes)
             file.seek(start)
@@ -247,9 +247,9 @@ class HistoryFollower:
         )
         new_rows: list[tuple[str, Mapping[str, object]]] = []
         if not known.last_number:
-            new_rows.append(("experiment", to_columns(self._catalogue.read_experiment())))
-        new_rows += [("events", to_columns(row)) for row in events]
-        new_rows += [("commands", to_columns(row)) for row in commands if known.commands.get(row.id) != row]
+            new_rows.append(("experiment", as_dict(self._catalogue.read_experiment())))
+        new_rows += [("events", as_dict(row)) for row in events]
+        new_rows += [("commands", as_dict(row)) for row in commands if known.commands.get(row.id) != row]
         new_rows += [
             ("files", {"file": file, "file_sha256": sha256})
             for file, sha256 in files.items()
@@ -312,7 +312,7 @@ def append_durably(path: Path, lines: Iterable[bytes]) -> None:
         They may not be durable.
     """
     existed = path.exists()
-    descriptor = retry_call(lambda: os.open(path, os.O_RDWR | os.O_CREAT | os.O_APPEND | O_BINARY, 0o644))
+    descriptor = retry(lambda: os.open(path, os.O_RDWR | os.O_CREAT | os.O_APPEND | O_BINARY, 0o644))
     try:
         size = os.lseek(descriptor, 0, os.SEEK_END)
         torn = b""

@@ -30,7 +30,7 @@ from daq_service.catalogue.rows import (
     Row,
     SetRow,
     ThicknessRow,
-    to_columns,
+    as_dict,
 )
 from daq_service.catalogue.stored_rows import (
     DamagedRow,
@@ -341,7 +341,7 @@ class Catalogue:
             n_alarms = connection.execute(
                 add_filters(sa.select(sa.func.count()), alarms, {"active": True}).order_by(None)
             ).scalar_one()
-        return {name: number for name, number in to_columns(row).items() if name != "id"} | {
+        return {name: number for name, number in as_dict(row).items() if name != "id"} | {
             "active_alarms": n_alarms
         }
 

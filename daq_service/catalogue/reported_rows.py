@@ -22,7 +22,7 @@ from daq_service.catalogue.rows import (
     Row,
     SetRow,
     ThicknessRow,
-    to_columns,
+    as_dict,
 )
 from daq_service.catalogue.stored_rows import DamagedRow, read_values, to_json_text
 from daq_service.catalogue.tables import TABLES, events
@@ -50,7 +50,7 @@ _SETS_AT_ONCE = 500
 
 def to_payload(row: Row) -> Payload:
     """Convert a row of a set to the payload of its event."""
-    return _to_json_values(to_columns(row))
+    return _to_json_values(as_dict(row))
 
 
 def _to_json_values(columns: Payload) -> Payload:

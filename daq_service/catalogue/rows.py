@@ -445,6 +445,6 @@ def list_columns(kind: type[object]) -> tuple[Column, ...]:
     return tuple(columns)
 
 
-def to_columns(row: Row) -> dict[str, Any]:
+def as_dict(row: Row) -> dict[str, Any]:
     """Convert a row to a dictionary of its columns, in order; nested values are not copied."""
     return {name: getattr(row, name) for name in row.__slots__}

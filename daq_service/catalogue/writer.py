@@ -9,15 +9,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from typing import Any, TypeVar
 
-from sqlalchemy import (
-    ColumnElement,
-    Connection,
-    Select,
-    bindparam,
-    case,
-    func,
-    select,
-)
+from sqlalchemy import ColumnElement, Connection, Select, bindparam, case, func, select
 
 from daq_service.catalogue.errors import CatalogueConflictError, OtherExperimentError
 from daq_service.catalogue.reader import Catalogue, is_scheduled, store_command

@@ -11,12 +11,7 @@ from typing import Any, Literal
 import click
 from pydantic import TypeAdapter
 
-from daq_service.cli.sweep.shot import (
-    Specimen,
-    compute_zener_impact,
-    integrate_coupled_shot,
-    summarise_coupled_shot,
-)
+from daq_service.cli.sweep.shot import Specimen, compute_zener_impact, coupled_shot, summarise_coupled_shot
 from daq_service.cli.sweep.specification import space_evenly
 from daq_service.errors import UsageError
 from daq_service.settings.file import load_settings
@@ -157,7 +152,7 @@ def _compute_shot(
     if model == "zener":
         return {**compute_zener_impact(chain, plate, patch), **given}
     return {
-        **summarise_coupled_shot(integrate_coupled_shot(chain, plate, patch)),
+        **summarise_coupled_shot(coupled_shot(chain, plate, patch)),
         **given,
         "tilt_rad": chain.tilt_rad,
     }

@@ -17,7 +17,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Protocol, runtime_checkable
 
-from daq_service.catalogue.rows import EnvironmentRow, SupplyState, to_columns
+from daq_service.catalogue.rows import EnvironmentRow, SupplyState, as_dict
 from daq_service.corrosion_drive.charge import Command, DriveState, add_interval, compute_elapsed_s
 from daq_service.corrosion_drive.reading_log import LONGEST_GAP_INTERVALS, ReadingLog
 from hardware_drivers.drive_parameters import DriveParameters
@@ -444,9 +444,7 @@ def row_without_supply(set_index: int, due_h: float) -> EnvironmentRow:
 
 def summarise_row(row: EnvironmentRow) -> dict[str, float | str | None]:
     """Return the columns of ``environment`` without those that identify the set."""
-    return {
-        name: value for name, value in to_columns(row).items() if name not in ("id", "set_index", "due_h")
-    }
+    return {name: value for name, value in as_dict(row).items() if name not in ("id", "set_index", "due_h")}
 
 
 def _mean_or_none(numbers: Sequence[float]) -> float | None:

@@ -25,23 +25,11 @@ from daq_service.catalogue.earlier_names import to_current_row
 from daq_service.catalogue.errors import CatalogueError
 from daq_service.catalogue.experiment_file import EXPERIMENT_FILE, HISTORY_FILE, read_experiment
 from daq_service.catalogue.network_folder import find_network_type
-from daq_service.errors import (
-    BusyError,
-    StorageError,
-    StorageUnavailableError,
-    UsageError,
-)
+from daq_service.errors import BusyError, StorageError, StorageUnavailableError, UsageError
 from daq_service.settings.file import load_settings
 from daq_service.settings.stored import rename_old_keys
 from daq_service.settings.tree import Settings, StorageSettings
-from daq_service.shared_file import (
-    HINT_SUFFIX,
-    PATIENCE_S,
-    read_shared,
-    remove_quietly,
-    retry_call,
-    write_durably,
-)
+from daq_service.shared_file import HINT_SUFFIX, PATIENCE_S, read_shared, remove_quietly, retry, write_durably
 
 log = logging.getLogger(__name__)
 
@@ -55,7 +43,7 @@ if sys.platform == "win32":
     def is_locked(file: IO[bytes]) -> bool:
         """Return whether another process holds the lock; a concurrent check holds it for an instant."""
         try:
-            retry_call(lambda: try_lock(file), patience_s=0.1)
+            retry(lambda: try_lock(file), patience_s=0.1)
         except OSError:
             return True
         msvcrt.locking(file.fileno(), msvcrt.LK_UNLCK, 1)
@@ -119,7 +107,7 @@ DRIVE_LOCK, DRIVE_FILE = "drive.lock", "drive.json"
 WRITE_TEST = ".write-test-"
 
 
-def read_backup_identity(folder: Path) -> Mapping[str, object] | None:
+def backup_identity(folder: Path) -> Mapping[str, object] | None:
     """Read which test a folder is a backup of; empty where the file is invalid, None if it is no backup."""
     try:
         found = orjson.loads(read_shared(folder / BACKUP_FILE))
@@ -181,7 +169,7 @@ def prepare_data_folder(folder: Path, *, may_create: bool = True) -> None:
         )
     probe = folder / f"{WRITE_TEST}{uuid.uuid4().hex}"
     try:
-        retry_call(lambda: probe.write_bytes(b"solimon"))
+        retry(lambda: probe.write_bytes(b"solimon"))
         remove_quietly(probe)
         (folder / "sets").mkdir(exist_ok=True)
         for name in ("live", "logs"):
@@ -275,9 +263,9 @@ def hold_lock(
     with ExitStack() as stack:
         try:
             if mode is not None:
-                retry_call(lambda: path.touch(mode))
+                retry(lambda: path.touch(mode))
                 path.chmod(mode)
-            file = stack.enter_context(retry_call(lambda: path.open("a+b")))
+            file = stack.enter_context(retry(lambda: path.open("a+b")))
         except OSError as error:
             raise StorageUnavailableError(
                 f"{path} cannot be opened: {error.strerror}; remove it if it is no file of solimon, or give "
@@ -285,7 +273,7 @@ def hold_lock(
             ) from error
         file.seek(0)
         try:
-            retry_call(
+            retry(
                 lambda: try_lock(file),
                 is_refusal=lambda error: isinstance(error, BlockingIOError | PermissionError),
                 patience_s=patience_s,
@@ -313,9 +301,9 @@ def one_at_a_time(path: Path) -> Iterator[None]:
         The lock cannot be created, or another process held it all the time.
     """
     lock = path.with_suffix(".lock")
-    with retry_call(lambda: lock.open("a+b")) as file:
+    with retry(lambda: lock.open("a+b")) as file:
         refusals = (BlockingIOError, PermissionError)
-        retry_call(lambda: try_lock(file), is_refusal=lambda error: isinstance(error, refusals))
+        retry(lambda: try_lock(file), is_refusal=lambda error: isinstance(error, refusals))
         yield
 
 

@@ -12,7 +12,7 @@ from typing import Any, BinaryIO
 
 from daq_service.catalogue.history import append_durably, encode_line, parse_line
 from daq_service.processes.data_folder import one_at_a_time
-from daq_service.shared_file import retry_call
+from daq_service.shared_file import retry
 
 BLOCK_BYTES = 64 * 1024
 """More than the longest line."""
@@ -72,7 +72,7 @@ def read_newest_lines(
     """
     selected: list[Line] = []
     try:
-        with retry_call(lambda: path.open("rb")) as file:
+        with retry(lambda: path.open("rb")) as file:
             for n_lines, (offset, line) in enumerate(_yield_lines_reversed(file, end), start=1):
                 record = parse_line(line)
                 if record is not None and wanted(record[2]):

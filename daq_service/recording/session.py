@@ -31,7 +31,7 @@ from daq_service.catalogue.owner import build_experiment_identity
 from daq_service.catalogue.rows import SetRow
 from daq_service.clock import WallClock, boot_name, elapsed_ns, parse_utc
 from daq_service.errors import PASSING
-from daq_service.processes.data_folder import read_backup_identity
+from daq_service.processes.data_folder import backup_identity
 from daq_service.processes.heartbeat import Beat, Heartbeat, WebWatch, read_heartbeat
 from daq_service.processes.lost_catalogue import is_catalogue_lost
 from daq_service.processes.lost_sets import find_lost_sets
@@ -280,7 +280,7 @@ def _create_or_read_epoch(catalogue: RecorderCatalogue, settings: Settings) -> i
 
 def _assign_copy_uuid(folder: Path, catalogue: RecorderCatalogue, epoch_ns: int) -> None:
     """Assign a new UUID to a backup that continues the test; the original keeps its UUID."""
-    row, original = catalogue.read_experiment(), read_backup_identity(folder)
+    row, original = catalogue.read_experiment(), backup_identity(folder)
     if original is None or original.get("uuid") != row.uuid:
         return
     separated = replace(row, uuid=str(uuid.uuid4()))

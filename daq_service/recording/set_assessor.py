@@ -17,12 +17,7 @@ from daq_service.alarms.delays import DELAY_EVENT, apply_delays
 from daq_service.alarms.operator_actions import end_expired_shelf
 from daq_service.alarms.process_trouble import RECORDER_NOT_RUNNING, build_recorder_condition
 from daq_service.alarms.rig_trouble import RIG_UNAVAILABLE, build_rig_condition, find_connection_loss
-from daq_service.alarms.states import (
-    Condition,
-    Moment,
-    find_disabled,
-    update_alarm,
-)
+from daq_service.alarms.states import Condition, Moment, find_disabled, update_alarm
 from daq_service.archive import SetReader, SetRecord, compute_crc32
 from daq_service.assessment.assessor import Assessor, PositionResult
 from daq_service.assessment.methods import METHODS

@@ -7,11 +7,7 @@ from contextlib import suppress
 from dataclasses import asdict
 from functools import partial
 
-from daq_service.alarms.data_trouble import (
-    build_damage_condition,
-    build_space_condition,
-    build_storage_condition,
-)
+from daq_service.alarms.data_trouble import damage_condition, space_condition, storage_condition
 from daq_service.alarms.process_trouble import build_web_condition
 from daq_service.alarms.states import Condition
 from daq_service.errors import PASSING
@@ -84,7 +80,7 @@ class StorageAlarms:
         """Report the level of the volume: an event at each change, an alarm at the last two."""
         log.warning("%s: level %s", space.description, space.level)
         self._persistence.say(DISK_SPACE, asdict(space))
-        condition = build_space_condition(
+        condition = space_condition(
             space.description, present=space.level in ("alarm", "stop"), stops=space.level == "stop"
         )
         self._store_alarm(condition)
@@ -105,13 +101,13 @@ class StorageAlarms:
             self._reported_trouble = trouble.message
             try:
                 self._set_assessor.update_alarm(
-                    build_storage_condition(trouble.message, present=True), self._moment()
+                    storage_condition(trouble.message, present=True), self._moment()
                 )
             except PASSING as error:
                 log.warning("the alarm is not stored: %s", error)
         else:  # on record even if the catalogue itself was what took nothing
-            self._store_alarm(build_storage_condition(self._reported_trouble, present=True))
-            self._store_alarm(build_storage_condition(self._reported_trouble, present=False))
+            self._store_alarm(storage_condition(self._reported_trouble, present=True))
+            self._store_alarm(storage_condition(self._reported_trouble, present=False))
             self._reported_finalizing = ""  # what still has no file is reported again
 
     def _report_finalizing(self, trouble: str) -> None:
@@ -120,7 +116,7 @@ class StorageAlarms:
             return
         message = trouble or self._reported_finalizing
         self._reported_finalizing = trouble
-        self._store_alarm(build_storage_condition(message, present=bool(trouble), waits_in="journal"))
+        self._store_alarm(storage_condition(message, present=bool(trouble), waits_in="journal"))
 
     def _report_corruption(self, *, at_the_start: bool = False) -> None:
         """Raise or clear the alarm of corrupt or missing sets, and report each new one."""
@@ -139,5 +135,5 @@ class StorageAlarms:
             log.error("%s: %s", file, description)
             self._persistence.say("data_corrupt", {"file": file, "description": description})
         aside = [file for file in self._archive.list_quarantined() if file not in damaged]
-        condition = build_damage_condition(aside, damaged)
+        condition = damage_condition(aside, damaged)
         self._persistence.do(partial(self._set_assessor.update_alarm, condition, self._moment()))

@@ -17,7 +17,7 @@ from daq_service.alarms.evidence import evidence_sentences
 from daq_service.archive import FolderSetReader
 from daq_service.archive.waterfall.image import WaterfallReader
 from daq_service.catalogue.access import CatalogueAccess
-from daq_service.catalogue.rows import AlarmRow, BaselineRow, Row, SetRow, to_columns
+from daq_service.catalogue.rows import AlarmRow, BaselineRow, Row, SetRow, as_dict
 from daq_service.catalogue.store import Catalogue, NoDataYetError
 from daq_service.commands.audit import Audit
 from daq_service.errors import StorageError
@@ -59,7 +59,7 @@ class CatalogueEvents:
         rows = catalogue.read_events_after(event_id, limit=limit)
         epoch_utc_ns = self._epoch_utc_ns
         return [
-            {**add_utc(to_columns(row), epoch_utc_ns), "payload": add_utc(row.payload, epoch_utc_ns)}
+            {**add_utc(as_dict(row), epoch_utc_ns), "payload": add_utc(row.payload, epoch_utc_ns)}
             for row in rows
         ]
 
@@ -214,7 +214,7 @@ class Freshness(freshness.Freshness):
         if isinstance(row, AlarmRow):
             row = self.with_present_state(row)
             extra_columns |= {"evidence_sentences": evidence_sentences(row, self._baselines)}
-        answer = add_utc({**to_columns(row), **extra_columns}, self.epoch_utc_ns)
+        answer = add_utc({**as_dict(row), **extra_columns}, self.epoch_utc_ns)
         dated_h = answer.get("raised_h", answer.get("due_h"))
         return answer | {"age_h": self.age_h(dated_h)} if isinstance(dated_h, int | float) else answer
 

@@ -63,7 +63,7 @@ class ProbedWall:
         return known
 
 
-def make_probed_wall(
+def probe_wall(
     pristine_m: float, depth_fraction: float, spot: RoughSpot | None, warmer_k: float
 ) -> ProbedWall:
     """Build the wall under a probe at one depth; a wall without loss is smooth."""
@@ -116,7 +116,7 @@ def simulate_disturbed_records(
     return found.gain * volts
 
 
-def simulate_averaged_record(
+def average_record(
     wall: ProbedWall,
     echo: EchoParameters,
     calibration: Calibration,

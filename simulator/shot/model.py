@@ -37,11 +37,7 @@ from simulator.plate.reduced import PlateModes
 from simulator.shot.modal_weights import modal_weights
 from simulator.shot.registers import Propagator
 from simulator.shot.side_by_side import UNMOVED, integrate_chains
-from simulator.shot.time_step import (
-    choose_record_duration_s,
-    choose_step_s,
-    stiffest_contact_n_per_m,
-)
+from simulator.shot.time_step import choose_record_duration_s, choose_step_s, stiffest_contact_n_per_m
 
 ENERGY_TOLERANCE = 1e-4
 """Largest defect of the energy balance, relative to the impact energy."""

@@ -36,7 +36,7 @@ from daq_service.catalogue.rows import (
     SetRow,
     ShotRow,
     ThicknessRow,
-    to_columns,
+    as_dict,
 )
 from daq_service.clock import Before, parse_utc
 from daq_service.processes.data_folder import own_data_folder, prepare_data_folder, remove_temporary_files
@@ -317,7 +317,7 @@ def _without_numbers(rows: dict[str, list[Any]]) -> dict[str, list[Any]]:
             if name not in depends and not name.endswith("_ns")
         }
 
-    return {table: sorted((bare(to_columns(row)) for row in its), key=repr) for table, its in rows.items()}
+    return {table: sorted((bare(as_dict(row)) for row in its), key=repr) for table, its in rows.items()}
 
 
 def _differing(whole: dict[str, list[Any]], found: dict[str, list[Any]]) -> Iterator[str]:

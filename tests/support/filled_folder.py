@@ -31,7 +31,7 @@ from daq_service.catalogue.rows import (
     FeatureRow,
     SetRow,
     ThicknessRow,
-    to_columns,
+    as_dict,
 )
 from daq_service.catalogue.writer import build_event_payload
 from daq_service.clock import TimeLine, parse_utc
@@ -360,7 +360,7 @@ class FilledFolder:
             temperature_c=21.5,
             relative_humidity=None,
         )
-        payload = {name: value for name, value in to_columns(row).items() if name != "id"}
+        payload = {name: value for name, value in as_dict(row).items() if name != "id"}
         event = EventRow(
             utc_ns=due.due_utc_ns,
             topic="environment",

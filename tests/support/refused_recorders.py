@@ -106,7 +106,7 @@ def injected(clock: Time) -> Iterator[None]:
         SetFinalizer.__init__: {"machine": clock.machine},
         Heartbeat.__init__: {"machine": clock.machine},
         LiveFigure.__init__: {"machine": clock.machine},
-        shared_file.retry_call: {"pause": clock.sleep},
+        shared_file.retry: {"pause": clock.sleep},
     }
     with ExitStack() as stack:
         for function, values in named.items():

@@ -7,12 +7,7 @@ import pytest
 from scipy.sparse.linalg import LinearOperator, gmres, splu
 
 from simulator.parameters.chain import ChainParameters
-from simulator.parameters.plate import (
-    CorrosionParameters,
-    LiquidParameters,
-    PatchParameters,
-    PlateParameters,
-)
+from simulator.parameters.plate import CorrosionParameters, LiquidParameters, PatchParameters, PlateParameters
 from simulator.plate.mindlin.plate import build_plate
 from simulator.plate.mindlin.reduction import reduce_plate
 from simulator.shot.model import ShotModel

@@ -10,11 +10,7 @@ from scipy import integrate, linalg
 from simulator.errors import SpecimenError
 from simulator.parameters.chain import ChainParameters
 from simulator.parameters.plate import CorrosionParameters, LiquidParameters, PlateParameters
-from simulator.plate.mindlin.liquid_layer import (
-    choose_sine_terms,
-    integrate_hats_times_sines,
-    layer_mass,
-)
+from simulator.plate.mindlin.liquid_layer import choose_sine_terms, integrate_hats_times_sines, layer_mass
 from simulator.plate.mindlin.plate import assemble_plate, build_plate, evaluate_thinning
 from simulator.plate.mindlin.reduction import reduce_plate
 from simulator.shot.model import ShotModel

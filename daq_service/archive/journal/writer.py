@@ -25,7 +25,7 @@ from daq_service.shared_file import (
     O_BINARY,
     read_shared,
     remove_quietly,
-    retry_call,
+    retry,
     sync_folder,
     write_all,
     write_durably,
@@ -82,7 +82,7 @@ class Journal:
         former_names = {}
         for path in list_strays(self._folder):
             new = build_segment_path(self._folder, max(list_segments(self._folder), default=0) + 1)
-            retry_call(partial(os.rename, path, new))
+            retry(partial(os.rename, path, new))
             former_names[f"{JOURNAL_FOLDER}/{new.name}"] = path.name
         return former_names
 
@@ -190,7 +190,7 @@ class Journal:
         self._number += 1
         path = build_segment_path(self._folder, self._number)
         flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | O_BINARY
-        self._descriptor = retry_call(lambda: os.open(path, flags, 0o644))
+        self._descriptor = retry(lambda: os.open(path, flags, 0o644))
         self._sets_in[self._number] = {}
         self._room, self._end = max(self._segment_bytes, n_bytes), 0
         if hasattr(os, "posix_fallocate"):

@@ -25,7 +25,7 @@ from daq_service.processes.lost_catalogue import is_catalogue_lost, loss_reason,
 from daq_service.processes.lost_sets import find_lost_sets
 from daq_service.recording.experiment import find_stored_experiment
 from daq_service.settings.tree import Settings
-from daq_service.shared_file import retry_call
+from daq_service.shared_file import retry
 
 SLOW_WRITE_S = 1.0
 """If a small file takes longer to become durable, the disk will delay sets."""
@@ -124,7 +124,7 @@ def _check_writable(folder: Path) -> Check:
             file.write(b"solimon")
             file.flush()
             os.fsync(file.fileno())
-        retry_call(probe.unlink)
+        retry(probe.unlink)
     except OSError as error:
         found = f"{existing} cannot be written: {error.strerror}"
         return _failed_check(name, found, "correct its permissions or choose another folder with --data-dir")

@@ -32,24 +32,11 @@ from daq_service.catalogue.experiment_file import HISTORY_FILE
 from daq_service.catalogue.verification import UnchangedCatalogue
 from daq_service.cli.maintenance.verify import NOWHERE, Finding, stored_sha256
 from daq_service.errors import StorageError, StorageUnavailableError
-from daq_service.processes.data_folder import (
-    BACKUP_FILE,
-    DRIVE_LOCK,
-    LOCK_FILE,
-    OWN_NAMES,
-    read_backup_identity,
-)
+from daq_service.processes.data_folder import BACKUP_FILE, DRIVE_LOCK, LOCK_FILE, OWN_NAMES, backup_identity
 from daq_service.processes.disk_policy import RESERVE_FILE
 from daq_service.processes.heartbeat import FILE_NAME as HEARTBEAT_FILE
 from daq_service.processes.heartbeat import WEB_FILE
-from daq_service.shared_file import (
-    O_BINARY,
-    read_shared,
-    remove_quietly,
-    retry_call,
-    sync_folder,
-    write_durably,
-)
+from daq_service.shared_file import O_BINARY, read_shared, remove_quietly, retry, sync_folder, write_durably
 
 LEFT_OUT = {
     FILE_NAME,
@@ -125,7 +112,7 @@ def back_up(
             _copy_others(folder, destination, copied)
             for suffix in ("-wal", "-shm"):  # of a program that wrote to the copy
                 remove_quietly(destination / f"{FILE_NAME}{suffix}")
-            retry_call(lambda: os.replace(snapshot, destination / FILE_NAME))  # noqa: PTH105 - the seam is os
+            retry(lambda: os.replace(snapshot, destination / FILE_NAME))  # noqa: PTH105 - the seam is os
             sync_folder(destination)
             _write_copy(destination / HISTORY_FILE, history, copied)
             if not copied.damage:  # else an older segment may have what the file has lost
@@ -157,7 +144,7 @@ def _mark_destination(destination: Path, experiment: dict[str, object] | None) -
             )
         content = json.dumps(identity, indent=1).encode()
         write_durably(marker, content, temporary=destination / f"{BACKUP_FILE}{TEMPORARY_SUFFIX}")
-    found = read_backup_identity(destination) or {}
+    found = backup_identity(destination) or {}
     if found != identity:
         raise StorageError(
             f"{destination} holds a backup of another test ({found.get('name')!r}, configuration "

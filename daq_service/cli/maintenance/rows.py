@@ -10,7 +10,7 @@ from typing import Any, TypeVar
 from daq_service.archive import SetRecord, SetReference
 from daq_service.assessment.results_in_file import build_result_tables
 from daq_service.assessment.results_in_file import find_differences as results_differ
-from daq_service.catalogue.rows import FeatureRow, Outcome, Row, ShotRow, ThicknessRow, to_columns
+from daq_service.catalogue.rows import FeatureRow, Outcome, Row, ShotRow, ThicknessRow, as_dict
 from daq_service.recording.set_assessor import build_shot_row
 from hardware_drivers.methods import PULSE_ECHO
 
@@ -106,7 +106,7 @@ def _find_shot_differences(
     by_sequence = {row["sequence"]: row for row in found}
     for item in record.records:
         outcome: Outcome = "superseded" if record.outcomes.get(item.sequence) == "superseded" else "accepted"
-        wanted = to_columns(build_shot_row(item, valid=True, flags=(), outcome=outcome))
+        wanted = as_dict(build_shot_row(item, valid=True, flags=(), outcome=outcome))
         row, where = by_sequence.pop(item.sequence, None), f"shots, sequence {item.sequence}"
         if row is None:
             yield item.sequence, f"{where}: there is no row"

@@ -59,7 +59,7 @@ def is_comment(line: str) -> bool:
     return line.lstrip().startswith("#")
 
 
-def map_npy_array(path: Path, form: str, *, one_row: bool = False) -> NDArray[Any]:
+def map_npy(path: Path, form: str, *, one_row: bool = False) -> NDArray[Any]:
     """Map the array of a `.npy` file into memory.
 
     Parameters

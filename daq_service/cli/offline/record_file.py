@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from daq_service.archive import ArchiveError
 from daq_service.archive.reader import read_records
-from daq_service.cli.offline.csv_lines import COMMENTS, is_comment, map_npy_array, read_csv_lines
+from daq_service.cli.offline.csv_lines import COMMENTS, is_comment, map_npy, read_csv_lines
 from daq_service.errors import UsageError
 from daq_service.shared_file import read_shared
 from hardware_drivers.errors import ConfigurationError
@@ -101,7 +101,7 @@ def open_records(path: Path, parameters: FileParameters) -> RecordFile:
 
 def _open_npy(path: Path, parameters: FileParameters) -> RecordFile:
     """Open the records of a `.npy` file."""
-    array = map_npy_array(path, "records x samples", one_row=True)
+    array = map_npy(path, "records x samples", one_row=True)
     table = np.atleast_2d(array)
     if not table.shape[1]:
         raise UsageError(f"{path} is empty: shape {array.shape}")

@@ -14,13 +14,7 @@ from typing import SupportsFloat, TypedDict
 import numpy as np
 from numpy.typing import NDArray
 
-from daq_service.cli.offline.csv_lines import (
-    COMMENTS,
-    NoTableError,
-    is_comment,
-    map_npy_array,
-    read_csv_lines,
-)
+from daq_service.cli.offline.csv_lines import COMMENTS, NoTableError, is_comment, map_npy, read_csv_lines
 from daq_service.errors import UsageError
 
 MOST_ROWS = 5_000_000
@@ -321,7 +315,7 @@ def _read_parquet(path: Path) -> Columns:
 
 def _read_npy(path: Path) -> Columns:
     """Read the columns of a `.npy` file."""
-    array = map_npy_array(path, "rows x features")
+    array = map_npy(path, "rows x features")
     return {str(k): array[:, k] for k in range(array.shape[1])}, "."
 
 

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from daq_service.cli.reproduce.diagnosis import GIVEN, cause_of
-from daq_service.cli.reproduce.item import Found, missing_value
+from daq_service.cli.reproduce.item import Found, no_value
 from daq_service.cli.reproduce.paper_values import PaperValue, paper_values
 
 NOT_AVAILABLE = "not available"
@@ -69,7 +69,7 @@ def compare_item(
         Why quantities are not in `found`.
     """
     return [
-        _compare_value(value, found.get(value.quantity, missing_value(missing_reason)), origin=origin)
+        _compare_value(value, found.get(value.quantity, no_value(missing_reason)), origin=origin)
         for value in paper_values(item)
     ]
 

@@ -30,10 +30,10 @@ def draw_fig14(material: item.Material) -> item.Product:
         raise item.NotAvailableError(
             f"no baseline was frozen up to hour {test.last_h:g}; it takes the first {baseline_h:g} h"
         )
-    figure, axes = style.create_position_panels(names, "Mahalanobis squared distance (1)", height_in=3.6)
+    figure, axes = style.position_panels(names, "Mahalanobis squared distance (1)", height_in=3.6)
     for axis, name in zip(axes, names, strict=True):
         _draw_distances(axis, test.pulses[name], baseline_h, style.choose_colour(name, names))
-    style.add_legend_below(figure, ncols=4)
+    style.add_legend(figure, ncols=4)
     columns = (
         *("distance_squared", "limit_f_predictive", "limit_mean_3sd"),
         *("in_baseline", "outlier", "outlier_mean_3sd"),
@@ -101,10 +101,10 @@ def _fig14_values(test: Evidence) -> dict[str, item.Found]:
                 else f"no baseline was frozen at {name} up to hour {test.last_h:g}"
             )
             keys = ("limit_text", "limit_caption", "outliers_paper", "outliers_f", "outliers_late")
-            values |= {f"{key}_{name}": item.missing_value(why) for key in keys}
+            values |= {f"{key}_{name}": item.no_value(why) for key in keys}
             continue
         for source in ("text", "caption"):
-            values[f"limit_{source}_{name}"] = item.found_value(
+            values[f"limit_{source}_{name}"] = item.our_value(
                 baseline.limit_mean_3sd, f"{baseline.n_sets} sets", reason=str(baseline.limit_reason)
             )
         for key, outlier, from_h in (
@@ -114,7 +114,7 @@ def _fig14_values(test: Evidence) -> dict[str, item.Found]:
         ):
             share, n = _outlier_percentage(pulses, outlier, from_h)
             reason = f"no set was judged after hour {from_h:g} (last: {test.last_h:g})"
-            values[f"{key}_{name}"] = item.found_value(share, f"of {n} sets", reason=reason)
+            values[f"{key}_{name}"] = item.our_value(share, f"of {n} sets", reason=reason)
     return values
 
 
@@ -122,17 +122,15 @@ def _loss_at_first_alarm(test: Evidence) -> item.Found:
     """Return the loss that the ultrasonic probe measured when the first transducer raised its alarm."""
     alarms = [(p.first_alarm_h, name) for name, p in test.pulses.items() if p.first_alarm_h is not None]
     if not alarms:
-        return item.missing_value(f"no alarm about the wall up to hour {test.last_h:g}")
+        return item.no_value(f"no alarm about the wall up to hour {test.last_h:g}")
     if not test.echoes:
-        return item.missing_value("the test has no ultrasonic probe")
+        return item.no_value("the test has no ultrasonic probe")
     hour, name = min(alarms)
     probe = next(iter(test.echoes.values()))
     loss_m = _median_near(probe, "thickness_loss_m", hour)
     if loss_m is None:
-        return item.missing_value(f"no ultrasonic reading near hour {hour:g}")
-    return item.found_value(
-        1e3 * loss_m, f"read at {probe.position} when {name} alarmed first, hour {hour:g}"
-    )
+        return item.no_value(f"no ultrasonic reading near hour {hour:g}")
+    return item.our_value(1e3 * loss_m, f"read at {probe.position} when {name} alarmed first, hour {hour:g}")
 
 
 def _median_near(probe: Series, column: str, hour: float) -> float | None:
@@ -228,28 +226,28 @@ def _fig15_values(test: Evidence, probe: Series, line: tuple[float, float] | Non
     """Return the computed values of figure 15."""
     names = ("thickness_300", "loss_300", "core", "linearity", "initial")
     if probe.position != "A":
-        return dict.fromkeys(names, item.missing_value("the test has no pulse-echo position A"))
+        return dict.fromkeys(names, item.no_value("the test has no pulse-echo position A"))
     initial_m = test.settings.ultrasound.initial_thickness_m
-    values = {"initial": item.found_value(1e3 * initial_m, "configured")}
+    values = {"initial": item.our_value(1e3 * initial_m, "configured")}
     read_m = _median_near(probe, "thickness_m", READ_H)
     if read_m is not None:
-        values["thickness_300"] = item.found_value(1e3 * read_m)
-        values["loss_300"] = item.found_value(100.0 * (1.0 - read_m / initial_m))
+        values["thickness_300"] = item.our_value(1e3 * read_m)
+        values["loss_300"] = item.our_value(100.0 * (1.0 - read_m / initial_m))
     else:
-        absent = item.missing_value(f"no reading near hour {READ_H:g} (last: {test.last_h:g})")
+        absent = item.no_value(f"no reading near hour {READ_H:g} (last: {test.last_h:g})")
         values |= dict.fromkeys(names[:2], absent)
     truth, thickness_m = _read_true_thickness(test, probe.position), probe.values["thickness_m"]
     last = thickness_m[np.isfinite(thickness_m)][-1:]
     read = f"; the probe then reads {1e3 * float(last[0]):.2f} mm" if last.size else ""
     values["core"] = (
-        item.missing_value(f"nobody cored this test's plate{read}")
+        item.no_value(f"nobody cored this test's plate{read}")
         if truth is None
-        else item.found_value(1e3 * float(truth[1][-1]), f"the twin's truth at hour {truth[0][-1]:g}{read}")
+        else item.our_value(1e3 * float(truth[1][-1]), f"the twin's truth at hour {truth[0][-1]:g}{read}")
     )
     values["linearity"] = (
-        item.missing_value("fewer than two readings")
+        item.no_value("fewer than two readings")
         if line is None
-        else item.found_value(_compute_r_squared(probe, line))
+        else item.our_value(_compute_r_squared(probe, line))
     )
     return values
 

@@ -56,14 +56,14 @@ class Found:
     reason: str = ""
 
 
-def found_value(value: float | None, words: str = "", *, reason: str = "") -> Found:
+def our_value(value: float | None, words: str = "", *, reason: str = "") -> Found:
     """Create a computed value; None or NaN becomes "not available" with the reason."""
     if value is None or not math.isfinite(value):
         return Found(words=words, reason=reason or "not a finite number")
     return Found(value=float(value), words=words)
 
 
-def missing_value(reason: str) -> Found:
+def no_value(reason: str) -> Found:
     """Create a missing value with its reason."""
     return Found(reason=reason)
 

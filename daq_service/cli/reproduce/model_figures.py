@@ -90,8 +90,8 @@ def draw_fig10(material: item.Material) -> item.Product:
         drawing=figure,
         tables={"": item.Table(columns=columns)},
         found={
-            "e_case_3": item.found_value(case_3["e_eq8"][0], "eq. 8"),
-            "tau_c_case_3": item.found_value(case_3["tau_c_eq8"][0], "eq. 8"),
+            "e_case_3": item.our_value(case_3["e_eq8"][0], "eq. 8"),
+            "tau_c_case_3": item.our_value(case_3["tau_c_eq8"][0], "eq. 8"),
         },
         notes=(
             (
@@ -158,7 +158,7 @@ def draw_fig12(material: item.Material) -> item.Product:
             axis.plot([0.8, 1.2], [value * (1.0 + sign * 0.01 * percent)] * 2, **style.PAPER_LINE)
         axis.set(xlabel="ISW amplitude over the nominal one (1)")
     axes[0].plot([], [], **style.PAPER_MARK, label="paper's values; dashed: its model's ± band")
-    style.add_legend_below(figure, ncols=2)
+    style.add_legend(figure, ncols=2)
     return item.Product(
         drawing=figure, tables={"": _make_curve_table(curves, "isw_ratio")}, found=_fig12_values(curves)
     )
@@ -172,12 +172,12 @@ def _fig12_values(curves: _Curves) -> dict[str, item.Found]:
     for kind, name in enumerate(("tof", "ar")):
         for ratio, sign in ((1.2, "plus"), (0.8, "minus")):
             change = 100.0 * (at["disk"][ratio][kind] / nominal[kind] - 1.0)
-            found[f"{name}_{sign}"] = item.found_value(abs(change), f"{change:+.2f} %")
-        found[name] = item.found_value(nominal[kind], "sensor two disks")
-        found[f"{name}_zener"] = item.found_value(zener[kind], "eq. 8")
+            found[f"{name}_{sign}"] = item.our_value(abs(change), f"{change:+.2f} %")
+        found[name] = item.our_value(nominal[kind], "sensor two disks")
+        found[f"{name}_zener"] = item.our_value(zener[kind], "eq. 8")
         shift = f"{100 * (strong[kind] / nominal[kind] - 1):+.{1 - kind}f} %"
-        found[f"gamma_{name}"] = item.found_value(strong[kind] - nominal[kind], shift)
-    found["ar_measured"] = item.found_value(nominal[1], "our model beside the paper's measurement")
+        found[f"gamma_{name}"] = item.our_value(strong[kind] - nominal[kind], shift)
+    found["ar_measured"] = item.our_value(nominal[1], "our model beside the paper's measurement")
     return found
 
 
@@ -236,7 +236,7 @@ def draw_fig13(material: item.Material) -> item.Product:
             mark_style = {**style.PAPER_MARK, "marker": mark, "linestyle": ":", "linewidth": 0.8}
             axis.plot([0, 80], ends, **mark_style, label=f"paper, {program} (ends only)")
             axis.set(xlabel="depth of the patch (% of the thickness)")
-    style.add_legend_below(figure, ncols=2)
+    style.add_legend(figure, ncols=2)
     return item.Product(
         drawing=figure,
         tables={"": _make_curve_table(curves, "depth_fraction")},
@@ -258,10 +258,10 @@ def _fig13_values(curves: _Curves, absent: Mapping[str, str]) -> dict[str, item.
         for k, kind in ((1, "tof"), (2, "ar"))
         for depth, ending in ((0.0, "0"), (0.8, "80"))
     ]
-    found = {f"{name}_{key}": item.missing_value(why) for name, why in absent.items() for key, *_ in ends}
+    found = {f"{name}_{key}": item.no_value(why) for name, why in absent.items() for key, *_ in ends}
     for name, points in curves.items():
         at = {round(point[0], 6): point for point in points}
-        found |= {f"{name}_{key}": item.found_value(at[depth][k]) for key, k, depth in ends}
+        found |= {f"{name}_{key}": item.our_value(at[depth][k]) for key, k, depth in ends}
     return found
 
 

@@ -11,7 +11,7 @@ from matplotlib.patches import Rectangle
 
 from daq_service.cli.reproduce import models
 from daq_service.cli.reproduce.evidence import FloatArray
-from daq_service.cli.reproduce.item import Item, Job, Material, Product, Table, found_value
+from daq_service.cli.reproduce.item import Item, Job, Material, Product, Table, our_value
 from daq_service.cli.reproduce.style import BLUE, GREY, VERMILLION, create_sheet, name_panels
 from simulator.parameters.chain import ChainParameters
 from simulator.parameters.plate import PlateParameters
@@ -103,9 +103,9 @@ def draw_fig5(material: Material) -> Product:
             "mesh": Table(columns={"x_m": mesh.x_m, "y_m": mesh.y_m}),
         },
         found={
-            "elements": found_value(float(elements)),
-            "contact_element": found_value(1e3 * mesh.contact_element_m),
-            "spheres_below": found_value(float(ChainParameters().spheres_below)),
+            "elements": our_value(float(elements)),
+            "contact_element": our_value(1e3 * mesh.contact_element_m),
+            "spheres_below": our_value(float(ChainParameters().spheres_below)),
         },
         notes=(
             (
@@ -156,8 +156,8 @@ def draw_fig6(material: Material) -> Product:
             "z": Table(columns={"z_m": mesh.z_m}),
         },
         found={
-            "contact_element": found_value(1e3 * mesh.contact_element_m),
-            "impact_speed": found_value(speed_m_per_s),
+            "contact_element": our_value(1e3 * mesh.contact_element_m),
+            "impact_speed": our_value(speed_m_per_s),
         },
         notes=(
             (

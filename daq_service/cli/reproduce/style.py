@@ -60,9 +60,7 @@ def name_panels(axes: Sequence[Axes], titles: Sequence[str]) -> None:
         axis.set_title(f"({letter}) {title}")
 
 
-def create_position_panels(
-    positions: Sequence[str], label: str, *, height_in: float
-) -> tuple[Figure, list[Axes]]:
+def position_panels(positions: Sequence[str], label: str, *, height_in: float) -> tuple[Figure, list[Axes]]:
     """Create a panel over the hours of the test for each position."""
     figure, axes = create_sheet(1, len(positions), height_in=height_in, sharex=True, sharey=True)
     for axis in axes:
@@ -72,7 +70,7 @@ def create_position_panels(
     return figure, axes
 
 
-def add_legend_below(figure: Figure, *, ncols: int) -> None:
+def add_legend(figure: Figure, *, ncols: int) -> None:
     """Add a legend of all panels, each label once."""
     handles = {
         label: handle

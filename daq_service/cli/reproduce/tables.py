@@ -4,16 +4,7 @@ from __future__ import annotations
 
 from dataclasses import fields
 
-from daq_service.cli.reproduce.item import (
-    Found,
-    Item,
-    Job,
-    Material,
-    Product,
-    Table,
-    found_value,
-    missing_value,
-)
+from daq_service.cli.reproduce.item import Found, Item, Job, Material, Product, Table, no_value, our_value
 from daq_service.cli.reproduce.paper_values import paper_values
 from simulator.zener.table_2 import Table2Row, table_2
 
@@ -31,12 +22,12 @@ def make_table1(material: Material) -> Product:
             "sets": [int(place.hour_h.size) for place in places.values()],
         }
     )
-    values = {f"patch_{name}": missing_value(f"the test has no position {name}") for name in "ABC"}
+    values = {f"patch_{name}": no_value(f"the test has no position {name}") for name in "ABC"}
     for name, place in places.items():
-        values[f"patch_{name}"] = found_value(1e3 * place.settings.corrosion.size_m, place.settings.method)
+        values[f"patch_{name}"] = our_value(1e3 * place.settings.corrosion.size_m, place.settings.method)
     values["loss_D"] = _compute_loss_at_d(material)
-    values["end"] = found_value(test.last_h)
-    values["sets"] = found_value(float(test.counts["sets"]), f"to hour {test.last_h:g}")
+    values["end"] = our_value(test.last_h)
+    values["sets"] = our_value(float(test.counts["sets"]), f"to hour {test.last_h:g}")
     return Product(tables={"": table}, found=values)
 
 
@@ -44,8 +35,8 @@ def _compute_loss_at_d(material: Material) -> Found:
     """Return the wall loss at D from the truth of the twin, %."""
     known = [trace for trace in material.test.traces.get("D", ()) if "depth_fraction" in trace.truth]
     if not known:
-        return missing_value("nobody measured the wall at D")
-    return found_value(100.0 * known[-1].truth["depth_fraction"], "the twin's truth")
+        return no_value("nobody measured the wall at D")
+    return our_value(100.0 * known[-1].truth["depth_fraction"], "the twin's truth")
 
 
 def make_table2(material: Material) -> Product:
@@ -53,7 +44,7 @@ def make_table2(material: Material) -> Product:
     rows: tuple[Table2Row, ...] = material.result("rows")
     columns = {field.name: [float(getattr(row, field.name)) for row in rows] for field in fields(Table2Row)}
     values = {
-        f"{name.partition('_m_per_s')[0].removesuffix('_us')}_{case}": found_value(value)
+        f"{name.partition('_m_per_s')[0].removesuffix('_us')}_{case}": our_value(value)
         for name, numbers in columns.items()
         for case, value in enumerate(numbers, 1)
     }

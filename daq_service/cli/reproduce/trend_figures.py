@@ -14,13 +14,7 @@ from analysis.statistics.trend import Trend, fit_trend
 from daq_service.cli.reproduce import item
 from daq_service.cli.reproduce.evidence import FloatArray, Series
 from daq_service.cli.reproduce.paper_values import paper_values
-from daq_service.cli.reproduce.style import (
-    BLACK,
-    PAPER_MARK,
-    add_legend_below,
-    choose_colour,
-    create_position_panels,
-)
+from daq_service.cli.reproduce.style import BLACK, PAPER_MARK, add_legend, choose_colour, position_panels
 from daq_service.cli.reproduce.texts import TEXTS, Trended
 
 POSITIONS = "BCD"
@@ -49,10 +43,10 @@ def draw_feature(material: item.Material, feature: Trended) -> item.Product:
     """Draw a feature of all transducers with fits and the paper's values."""
     test, names = material.test, material.transducers
     fits = {name: _fit_position(test.pulses[name], feature) for name in names}
-    figure, axes = create_position_panels(names, feature.label, height_in=3.3)
+    figure, axes = position_panels(names, feature.label, height_in=3.3)
     for axis, name in zip(axes, names, strict=True):
         _draw_feature_panel(axis, test.pulses[name], feature, fits[name], choose_colour(name, names))
-    add_legend_below(figure, ncols=3)
+    add_legend(figure, ncols=3)
 
     def columns(pulses: Series) -> dict[str, FloatArray]:
         """Build the columns of a transducer: the feature and its fit."""
@@ -123,10 +117,10 @@ def _value_of_fit(fits: _Fits, position: str, what: str) -> item.Found:
     """Return a value of a position's fit, or the reason why it is missing."""
     fit = fits.get(position)
     if fit is None:
-        return item.missing_value(f"the test has no solitary-wave position {position}")
+        return item.no_value(f"the test has no solitary-wave position {position}")
     if isinstance(fit, str):
-        return item.missing_value(fit)
-    return item.found_value(fit.values[what], f"to hour {fit.last_h:g}")
+        return item.no_value(fit)
+    return item.our_value(fit.values[what], f"to hour {fit.last_h:g}")
 
 
 FIG8, FIG9, FIG11 = (

@@ -13,7 +13,7 @@ from daq_service.cli.reproduce.style import (
     BLACK,
     ORANGE,
     PURPLE,
-    add_legend_below,
+    add_legend,
     choose_colour,
     create_sheet,
     name_panels,
@@ -38,7 +38,7 @@ def draw_fig7(material: item.Material) -> item.Product:
         _draw_waterfall(axis, test.traces[name], test.pulses[name], last_h, choose_colour(name, names))
         axis.set(xlabel="time after the trigger (µs)", xlim=WINDOW_US)
     axes[0].set_ylabel("hour of the test (h)")
-    add_legend_below(figure, ncols=3)
+    add_legend(figure, ncols=3)
     name_panels(axes, [f"position {name}" for name in names])
     return item.Product(
         drawing=figure,
@@ -115,24 +115,24 @@ def _time_from_contact(test: Evidence, names: Sequence[str]) -> dict[str, item.F
     ]
     if not times:
         return {
-            "isw_time": item.missing_value(
+            "isw_time": item.no_value(
                 "a record begins at its trigger; only the twin knows when the striker touched"
             )
         }
-    return {"isw_time": item.found_value(1e6 * float(np.median(times)), "after the striker's touch")}
+    return {"isw_time": item.our_value(1e6 * float(np.median(times)), "after the striker's touch")}
 
 
 def _hour_of_first_alarm(test: Evidence, position: str) -> item.Found:
     """Return the hour of the first alarm at a position."""
     if position not in test.pulses:
-        return item.missing_value(f"the test has no solitary-wave position {position}")
+        return item.no_value(f"the test has no solitary-wave position {position}")
     hour = test.pulses[position].first_alarm_h
     if hour is None:
-        return item.missing_value(f"no alarm about the wall at {position} up to hour {test.last_h:g}")
+        return item.no_value(f"no alarm about the wall at {position} up to hour {test.last_h:g}")
     rule = test.settings.alarms
     by_chart = rule.decides_by == "chart"
     rule_text = "the chart" if by_chart else f"{rule.k} of {rule.n} sets beyond the limit"
-    return item.found_value(hour, f"first alarm ({rule_text})")
+    return item.our_value(hour, f"first alarm ({rule_text})")
 
 
 FIG7 = item.Item(name="fig7", make=draw_fig7, needs_test=True)

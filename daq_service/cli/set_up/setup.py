@@ -15,12 +15,7 @@ from daq_service.cli.doctor.storage import read_lock_owner, refuse_while_owned
 from daq_service.cli.set_up.bench import Bench
 from daq_service.cli.set_up.boards import Boards
 from daq_service.cli.set_up.dialogue import Dialogue
-from daq_service.cli.set_up.init import (
-    read_laboratory,
-    refuse_to_overwrite,
-    validate_new_file,
-    write_file,
-)
+from daq_service.cli.set_up.init import read_laboratory, refuse_to_overwrite, validate_new_file, write_file
 from daq_service.cli.set_up.kinds import list_other_kinds, parse_named_kinds
 from daq_service.cli.set_up.other_instruments import ask_for_others
 from daq_service.cli.set_up.page import Scope, serve_page

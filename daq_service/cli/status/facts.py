@@ -26,7 +26,7 @@ from daq_service.catalogue.rows import (
     CommandRow,
     EnvironmentRow,
     SetRow,
-    to_columns,
+    as_dict,
 )
 from daq_service.commands.deadline import apply_expiry, remaining_now_s
 from daq_service.corrosion_drive.supply_state import describe_supply, read_supply_status
@@ -101,7 +101,7 @@ def describe_status(folder: Path, settings: Settings) -> dict[str, object]:
                     )
                 },
                 "alarms": [
-                    {**to_columns(fresh.with_present_state(row)), "age_h": fresh.age_h(row.raised_h)}
+                    {**as_dict(fresh.with_present_state(row)), "age_h": fresh.age_h(row.raised_h)}
                     for row in catalogue.rows(AlarmRow, active=True)
                 ],
             }
@@ -147,14 +147,12 @@ def _lost_rows_error(folder: Path, catalogue: Catalogue) -> dict[str, str]:
 def _newest_rows(latest: LatestRows) -> dict[str, object]:
     """Read the newest rows of a position."""
     names = ("last_set", "last_feature", "last_assessment", "last_thickness")
-    rows_by_name = {
-        name: None if (row := getattr(latest, name)) is None else to_columns(row) for name in names
-    }
+    rows_by_name = {name: None if (row := getattr(latest, name)) is None else as_dict(row) for name in names}
     return {
         "position": latest.position,
         "method": latest.method,
         **rows_by_name,
-        "active_alarms": [to_columns(row) for row in latest.active_alarms],
+        "active_alarms": [as_dict(row) for row in latest.active_alarms],
     }
 
 

@@ -20,7 +20,7 @@ from daq_service.cli.sweep.table import SweepTable, make_table
 from daq_service.cli.sweep.work_file import WorkFile, is_work_file_of, open_work_file, work_file_path
 from daq_service.errors import StorageError, UsageError
 from daq_service.processes.executors import count_workers, open_executor
-from daq_service.shared_file import retry_call
+from daq_service.shared_file import retry
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -131,7 +131,7 @@ def _refuse_invalid(plan: Plan, options: SweepOptions, outcomes: Sequence[Outcom
 def _remove_work_file(path: Path) -> None:
     """Remove the work file."""
     try:
-        retry_call(path.unlink)
+        retry(path.unlink)
     except OSError as error:
         raise StorageError(
             f"the results are written, but {path} cannot be removed: {error.strerror}; remove it by hand"

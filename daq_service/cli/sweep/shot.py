@@ -100,7 +100,7 @@ def _compute_outcome(model: str, index: int, specimen: Specimen, waveforms: bool
         if model == "zener":
             found, force = compute_zener_impact(*specimen), None
         else:
-            force = integrate_coupled_shot(*specimen)
+            force = coupled_shot(*specimen)
             found = summarise_coupled_shot(force)
     except SpecimenError as error:
         return Outcome(index=index, numbers=no_numbers, status=f"{INVALID}{error}")
@@ -116,9 +116,7 @@ def _compute_outcome(model: str, index: int, specimen: Specimen, waveforms: bool
     )
 
 
-def integrate_coupled_shot(
-    chain: ChainParameters, plate: PlateParameters, corrosion: CorrosionParameters
-) -> ShotForce:
+def coupled_shot(chain: ChainParameters, plate: PlateParameters, corrosion: CorrosionParameters) -> ShotForce:
     """Integrate chain and plate together; prepared models are cached."""
     return _build_model(chain, plate, replace(corrosion, depth_fraction=0.0)).shot(
         depth_fraction=corrosion.depth_fraction

@@ -23,7 +23,7 @@ from daq_service.cli.sweep.plan import Plan
 from daq_service.cli.sweep.shot import RESULTS, Outcome
 from daq_service.errors import BusyError, StorageError
 from daq_service.processes.data_folder import try_lock
-from daq_service.shared_file import retry_call
+from daq_service.shared_file import retry
 
 log = logging.getLogger(__name__)
 
@@ -86,7 +86,7 @@ def open_work_file(path: Path, plan: Plan) -> Iterator[WorkFile]:
         The same sweep is running.
     """
     try:
-        file = retry_call(lambda: path.open("a+b", buffering=0))
+        file = retry(lambda: path.open("a+b", buffering=0))
     except OSError as error:
         raise StorageError(
             f"cannot write {path}: {error.strerror}; choose another place with --out"

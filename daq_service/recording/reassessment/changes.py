@@ -21,7 +21,7 @@ from daq_service.catalogue.rows import (
     FeatureRow,
     Row,
     ThicknessRow,
-    to_columns,
+    as_dict,
 )
 from hardware_drivers.nanoseconds import NS_PER_H
 
@@ -190,7 +190,7 @@ def _collect_rows(
         key = baselines[row.position] if kind is BaselineRow else set_index
         baselines[row.position] += 1
         columns = {
-            name: value for name, value in select_columns(to_columns(row)).items() if name not in left_out
+            name: value for name, value in select_columns(as_dict(row)).items() if name not in left_out
         }
         found[row.position, key] = set_index, columns
     return found

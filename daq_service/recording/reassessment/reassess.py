@@ -20,7 +20,7 @@ from daq_service.acquisition.shot_features import compute_rehearsal_features, ex
 from daq_service.alarms.operator_actions import AFTER_ACKNOWLEDGEMENT, acknowledge_alarm, reset_alarm
 from daq_service.alarms.states import Change, Moment
 from daq_service.archive import FolderSetReader, SetRecord, SetReference
-from daq_service.assessment.baseline_lifecycle import STEPS, find_baseline_range
+from daq_service.assessment.baseline_lifecycle import STEPS, baseline_range
 from daq_service.catalogue import Catalogue, RecorderCatalogue, SetCommit
 from daq_service.catalogue.rows import (
     AlarmRow,
@@ -33,7 +33,7 @@ from daq_service.catalogue.rows import (
 )
 from daq_service.catalogue.store import open_temporary
 from daq_service.recording.reassessment.changes import LIFE
-from daq_service.recording.reassessment.stored_runs import Progress, complete_row, group_sets, repeat_action
+from daq_service.recording.reassessment.stored_runs import Progress, full_row, group_sets, repeat_action
 from daq_service.recording.set_assessor import SetAssessor
 from daq_service.settings.tree import Settings
 from hardware_drivers.measurement import SetKey, Shot
@@ -45,7 +45,7 @@ ReadSet = Callable[[SetReference], SetRecord]
 
 
 @contextmanager
-def create_temporary_catalogue(experiment: ExperimentRow) -> Iterator[RecorderCatalogue]:
+def temporary_catalogue(experiment: ExperimentRow) -> Iterator[RecorderCatalogue]:
     """Create an empty catalogue of this experiment in a temporary folder."""
     with (
         tempfile.TemporaryDirectory(prefix="solimon-again-") as folder,
@@ -84,7 +84,7 @@ def _to_extracted_form(row: FeatureRow, flags: tuple[str, ...]) -> ShotFeatures:
     return ShotFeatures(**values, flags=flags, valid=bool(row.n_valid), quality=row.quality, compared=True)
 
 
-def reassess_sets(
+def reassess(
     stored: Catalogue,
     again: RecorderCatalogue,
     folder: Path,
@@ -187,7 +187,7 @@ class _Reassessment:
     def _repeat_action(self, event: EventRow) -> None:
         """Repeat a person's action."""
         if event.kind in STEPS:
-            self._repeat_baseline_action(complete_row(BaselineRow, event))
+            self._repeat_baseline_action(full_row(BaselineRow, event))
         else:
             self._repeat_alarm_action(event)
         repeat_action(event, self._assessor.assessors, self._settings.positions)
@@ -199,7 +199,7 @@ class _Reassessment:
             step = {name: getattr(stored, name) for name in LIFE}
             self._again.restore_rows([replace(present, **step)])
         else:  # a successor that begins: as many sets as a baseline has by these settings
-            baseline_plan = find_baseline_range(
+            baseline_plan = baseline_range(
                 stored.position, self._settings, self._again.baseline(stored.position)
             )
             last_set = stored.first_set_index + baseline_plan.last_set - baseline_plan.first_set
@@ -217,7 +217,7 @@ class _Reassessment:
         note = event.payload.get("note") or ""
         change = None
         if event.kind == "alarm_raised":  # by a person's command, or not from records
-            change = Change(row=replace(complete_row(AlarmRow, event), id=None), event_kind=event.kind)
+            change = Change(row=replace(full_row(AlarmRow, event), id=None), event_kind=event.kind)
         elif row is not None and event.kind == "alarm_acknowledged" and row.state in AFTER_ACKNOWLEDGEMENT:
             change = acknowledge_alarm(row, author, note, moment)
         elif row is not None and event.kind == "alarm_reset" and row.state != "normal":

@@ -32,16 +32,11 @@ from daq_service.catalogue.salvage import Salvaged, read_sound_rows
 from daq_service.catalogue.store import open_temporary
 from daq_service.processes.lost_catalogue import read_folder_history
 from daq_service.recording.experiment import find_stored_experiment, refuse_foreign_sets
-from daq_service.recording.reassessment.restore_rows import (
-    FeaturesOf,
-    Restored,
-    StoredHistory,
-    restore_rows,
-)
+from daq_service.recording.reassessment.restore_rows import FeaturesOf, Restored, StoredHistory, restore_rows
 from daq_service.recording.reassessment.stored_runs import Progress
 from daq_service.settings.stored import restore_settings
 from daq_service.settings.tree import Settings
-from daq_service.shared_file import retry_call, sync_folder
+from daq_service.shared_file import retry, sync_folder
 
 log = logging.getLogger(__name__)
 
@@ -163,8 +158,8 @@ def _replace_catalogue(folder: Path, place: Path) -> str:
     endings = [ending for ending in ("", "-wal", "-shm") if path.with_name(FILE_NAME + ending).exists()]
     for ending in endings:
         old = path.with_name(FILE_NAME + ending)
-        retry_call(lambda old=old, ending=ending: old.replace(folder / (kept + ending)))  # type: ignore[misc]
-    retry_call(lambda: new.replace(path))
+        retry(lambda old=old, ending=ending: old.replace(folder / (kept + ending)))  # type: ignore[misc]
+    retry(lambda: new.replace(path))
     sync_folder(folder)
     return kept if "" in endings else ""
 

@@ -52,13 +52,7 @@ from daq_service.catalogue.rows import (
 )
 from daq_service.recording.experiment import find_foreign_reason
 from daq_service.recording.reassessment.changes import select_columns
-from daq_service.recording.reassessment.stored_runs import (
-    Progress,
-    Run,
-    complete_row,
-    group_sets,
-    repeat_action,
-)
+from daq_service.recording.reassessment.stored_runs import Progress, Run, full_row, group_sets, repeat_action
 from daq_service.recording.set_assessor import SetAssessor
 from daq_service.settings.tree import Settings
 from hardware_drivers.measurement import DueSet, Shot
@@ -182,17 +176,17 @@ class _Restoration:
         for event in events:
             self._apply_alarm_event(event)
             if event.topic == "annotations":
-                self._catalogue.restore_rows([complete_row(AnnotationRow, event, "annotation_id")])
+                self._catalogue.restore_rows([full_row(AnnotationRow, event, "annotation_id")])
             if event.kind in STEPS:
                 self._store_pending()
-                self._catalogue.restore_rows([complete_row(BaselineRow, event)])
+                self._catalogue.restore_rows([full_row(BaselineRow, event)])
             repeat_action(event, self._set_assessor.assessors, self._settings.positions)
 
     def _apply_alarm_event(self, event: EventRow) -> None:
         """Update the alarms and delays with an event of the history."""
         self._set_assessor.apply_stored_event(event)
         if event.topic == "alarms" and event.kind != DELAY_EVENT:
-            row = complete_row(AlarmRow, event, "alarm_id")
+            row = full_row(AlarmRow, event, "alarm_id")
             self._alarms[row.id or 0] = row
             self._set_assessor.alarms[(row.position, row.kind)] = row
 
@@ -464,7 +458,7 @@ def _merge_rows(computed: Sequence[SetRow], stored: Sequence[SetRow]) -> list[Se
 
 def _collect_rows(kind: type[R], events: Sequence[EventRow]) -> list[R]:
     """Return the rows of one kind that events contain."""
-    return [complete_row(kind, event) for event in events if _STORED_ROWS.get(event.kind) is kind]
+    return [full_row(kind, event) for event in events if _STORED_ROWS.get(event.kind) is kind]
 
 
 def _find_differences(computed: Sequence[EventRow], stored: Sequence[EventRow]) -> list[str]:

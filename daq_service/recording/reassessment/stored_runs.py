@@ -36,7 +36,7 @@ def repeat_action(event: EventRow, assessors: PositionAssessors, positions: Cont
         assessors.enable(str(event.position))
 
 
-def complete_row(kind: type[R], event: EventRow, id_name: str = "id") -> R:
+def full_row(kind: type[R], event: EventRow, id_name: str = "id") -> R:
     """Return the complete row of an event; its id may have a name of its own."""
     columns = {name: event.payload[name] for name in kind.__slots__ if name in event.payload}
     if id_name in event.payload:

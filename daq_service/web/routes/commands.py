@@ -13,7 +13,7 @@ from starlette.responses import Response
 
 from daq_service.alarms.states import Moment
 from daq_service.catalogue import Catalogue
-from daq_service.catalogue.rows import AlarmRow, AnnotationRow, to_columns
+from daq_service.catalogue.rows import AlarmRow, AnnotationRow, as_dict
 from daq_service.commands import kinds
 from daq_service.commands.audit import Result
 from daq_service.commands.deadline import read_command_state
@@ -158,4 +158,4 @@ def _read_row(context: Context, command_id: int) -> dict[str, object]:
         )
     row, seconds_left = state_and_time
     expires_in_s = seconds_left if row.state == "pending" else None
-    return add_utc({**to_columns(row), "expires_in_s": expires_in_s}, 0)
+    return add_utc({**as_dict(row), "expires_in_s": expires_in_s}, 0)

@@ -125,7 +125,7 @@ def read_pages(catalogue: Catalogue, fresh: Freshness, choice: Choice) -> Iterat
         settings = restore_settings(experiment.configuration)
         rows_json = [
             add_parts(
-                rows.BaselineRow, add_utc({**rows.to_columns(row), **extra_columns}, experiment.epoch_utc_ns)
+                rows.BaselineRow, add_utc({**rows.as_dict(row), **extra_columns}, experiment.epoch_utc_ns)
             )
             for row, extra_columns in list_published_baselines(
                 catalogue, settings, experiment.epoch_utc_ns, choice.position
@@ -149,7 +149,7 @@ def read_pages(catalogue: Catalogue, fresh: Freshness, choice: Choice) -> Iterat
             ]
             if not by_set:
                 selected = list(map(fresh.with_present_state, selected))
-            rows_json = [add_utc(rows.to_columns(row), experiment.epoch_utc_ns) for row in selected]
+            rows_json = [add_utc(rows.as_dict(row), experiment.epoch_utc_ns) for row in selected]
             if kind.row is rows.AssessmentRow:
                 methods = {
                     name: place["method"] for name, place in experiment.configuration["positions"].items()

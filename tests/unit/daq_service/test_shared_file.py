@@ -12,7 +12,7 @@ from daq_service.shared_file import (
     read_hint,
     read_shared,
     remove_quietly,
-    retry_call,
+    retry,
     write_durably,
     write_hint,
 )
@@ -34,7 +34,7 @@ class FailingCall:
 
 def test_a_refusal_is_waited_out_in_growing_pauses():
     pauses = []
-    assert retry_call(FailingCall(lambda: "done", 10), pause=pauses.append) == "done"
+    assert retry(FailingCall(lambda: "done", 10), pause=pauses.append) == "done"
     assert len(pauses) == 10
     assert pauses == sorted(pauses)
     assert pauses[-1] == LONGEST_PAUSE_S
@@ -43,14 +43,14 @@ def test_a_refusal_is_waited_out_in_growing_pauses():
 def test_a_permanent_refusal_is_raised():
     calls = FailingCall(lambda: "done", 10**9)
     with pytest.raises(PermissionError, match="in use"):
-        retry_call(calls, patience_s=0.0, pause=lambda seconds: None)
+        retry(calls, patience_s=0.0, pause=lambda seconds: None)
 
 
 @pytest.mark.parametrize("error", [FileNotFoundError(), IsADirectoryError(), OSError(28, "disk full")])
 def test_other_errors_are_not_waited_for(error):
     pauses = []
     with pytest.raises(type(error)):
-        retry_call(FailingCall(lambda: "done", 1, error), pause=pauses.append)
+        retry(FailingCall(lambda: "done", 1, error), pause=pauses.append)
     assert pauses == []
 
 
@@ -121,5 +121,5 @@ def test_a_refusal_that_lasts_is_logged_once_though_a_later_try_succeeds(
     seconds = itertools.count(0.0, 0.25)
     monkeypatch.setattr(shared_file.time, "monotonic", lambda: next(seconds))
     call = FailingCall(lambda: "done", n_refusals)
-    assert retry_call(call, pause=lambda pause_s: None, **options) == "done"
+    assert retry(call, pause=lambda pause_s: None, **options) == "done"
     assert caplog.text.count("refused, tried again") == n_reports

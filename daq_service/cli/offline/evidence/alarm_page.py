@@ -9,7 +9,7 @@ from importlib.metadata import version
 from daq_service.alarms.evidence import evidence_sentences
 from daq_service.alarms.guidance import GUIDANCE
 from daq_service.alarms.transitions import build_transition
-from daq_service.catalogue.rows import to_columns
+from daq_service.catalogue.rows import as_dict
 from daq_service.cli.offline.evidence.figures import Picture
 from daq_service.recording.reassessment.changes import NOT_COMPARED
 from daq_service.recording.reassessment.explanation import Explained, Recomputed
@@ -50,7 +50,7 @@ def render_page(found: Explained, pictures: Sequence[Picture]) -> bytes:
     """Build the HTML page of an alarm."""
     recomputed = () if found.again is None else found.again.assessments
     of_set = next((row for row in recomputed if row.set_index == found.alarm.raised_set_index), None)
-    assessment = {} if of_set is None else to_columns(of_set)
+    assessment = {} if of_set is None else as_dict(of_set)
     return render_template(
         "alarm.html.j2",
         title=format_title(found),
@@ -75,7 +75,7 @@ def collect_facts(found: Explained) -> dict[str, object]:
         "configuration_hash": found.experiment.configuration_hash,
         "begun_by": found.experiment.solimon_version,
         "explained_by": version("solimon"),
-        "alarm": to_columns(found.alarm),
+        "alarm": as_dict(found.alarm),
         "sentences": _evidence_sentences(found),
         "guidance": None if guidance is None else asdict(guidance),
         "history": [build_transition(event) for event in found.history],
@@ -94,9 +94,9 @@ def _recomputed_facts(recomputed: Recomputed) -> dict[str, object]:
         "n_records": recomputed.n_records,
         "raised": [asdict(one) for one in recomputed.raised],
         "differences": [asdict(one) for one in recomputed.differences],
-        "baseline": None if recomputed.baseline is None else to_columns(recomputed.baseline),
-        "assessments": [to_columns(row) for row in recomputed.assessments],
-        "measured": [to_columns(row) for row in recomputed.measured],
+        "baseline": None if recomputed.baseline is None else as_dict(recomputed.baseline),
+        "assessments": [as_dict(row) for row in recomputed.assessments],
+        "measured": [as_dict(row) for row in recomputed.measured],
         "shots_without_psw": [{"set_index": index, "n": n} for index, n in recomputed.silent.items()],
         "pulses": None if pulses is None else asdict(pulses),
     }

@@ -11,10 +11,7 @@ from daq_service.cli.terminal import print_progress_of_sets
 from daq_service.errors import UsageError
 from daq_service.processes.executors import check_executor_name, count_usable_cores
 from daq_service.processes.printing import print_result
-from daq_service.recording.reassessment.changes import (
-    Difference,
-    Onset,
-)
+from daq_service.recording.reassessment.changes import Difference, Onset
 from daq_service.recording.reassessment.replay import Replayed, replay_test
 
 PROCESS_EVENTS = ("row", "cause", "outlier", "mewma_alarm")

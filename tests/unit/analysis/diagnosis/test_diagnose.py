@@ -6,25 +6,10 @@ from dataclasses import asdict, replace
 import numpy as np
 import pytest
 
-from analysis.diagnosis.diagnose import (
-    STATED,
-    UNDETERMINED,
-    WALL_STATED,
-    diagnose_latest_set,
-    update_state,
-)
+from analysis.diagnosis.diagnose import STATED, UNDETERMINED, WALL_STATED, diagnose_latest_set, update_state
 from analysis.diagnosis.hypotheses import COUPLING, OK, SENSOR, WALL
 from analysis.diagnosis.parameters import DiagnosisParameters, diagnosis_parameters, log_features
-from analysis.diagnosis.slopes import (
-    COMPONENTS,
-    DAMPING,
-    DEPTHS,
-    DROP_HEIGHT,
-    GAIN,
-    STIFFNESS,
-    TILT,
-    WALL_B,
-)
+from analysis.diagnosis.slopes import COMPONENTS, DAMPING, DEPTHS, DROP_HEIGHT, GAIN, STIFFNESS, TILT, WALL_B
 from analysis.diagnosis.state import (
     MOST_AVERAGED,
     SETTLING,

@@ -29,7 +29,7 @@ from daq_service.catalogue.stored_rows import insert_rows
 from daq_service.catalogue.tables import features
 from daq_service.clock import boot_name, elapsed_ns
 from daq_service.settings.tree import Settings
-from daq_service.shared_file import retry_call
+from daq_service.shared_file import retry
 from hardware_drivers.measurement import SetKey
 
 NAN = float("nan")
@@ -137,8 +137,8 @@ def test_an_incomplete_catalogue_is_read_again_and_a_corrupt_one_is_reported(tmp
 
 
 def test_a_missing_folder_is_a_clear_error_at_once(tmp_path, monkeypatch):
-    at_once = partial(retry_call, pause=lambda seconds: pytest.fail("nobody holds what is not there"))
-    monkeypatch.setattr("daq_service.catalogue.connection.retry_call", at_once)
+    at_once = partial(retry, pause=lambda seconds: pytest.fail("nobody holds what is not there"))
+    monkeypatch.setattr("daq_service.catalogue.connection.retry", at_once)
     with pytest.raises(CatalogueWriteError, match="give this user the right to write"):
         open_catalogue(tmp_path / "absent", writer=True)
 

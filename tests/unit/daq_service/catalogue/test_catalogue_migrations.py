@@ -30,7 +30,7 @@ from daq_service.catalogue.rows import (
     SetRow,
     ShotRow,
     ThicknessRow,
-    to_columns,
+    as_dict,
 )
 from daq_service.catalogue.stored_rows import compute_row_crc32
 from daq_service.commands.deadline import read_command_state
@@ -231,11 +231,9 @@ def test_a_catalogue_of_revision_0013_is_read_with_the_names_of_the_field(tmp_pa
         assert catalogue.read_experiment().uuid == derive_uuid("ab", 7)
         # A line of the history is the same row, and a current row stays as it is.
         for event, (topic, kind, payload) in zip(events, earlier["events"], strict=True):
-            line = {**to_columns(event), "topic": topic, "kind": kind, "payload": payload}
+            line = {**as_dict(event), "topic": topic, "kind": kind, "payload": payload}
             assert (
-                to_current_row("events", line)
-                == to_columns(event)
-                == to_current_row("events", to_columns(event))
+                to_current_row("events", line) == as_dict(event) == to_current_row("events", as_dict(event))
             )
 
 
@@ -291,7 +289,7 @@ def test_an_unscheduled_set_of_revision_0015_gets_its_own_column(tmp_path):
         assert [event.payload for event in events] == earlier["current_payloads"]
         for event, (topic, kind, payload) in zip(events, earlier["events"], strict=True):
             line = {
-                **to_columns(event),
+                **as_dict(event),
                 "topic": topic,
                 "kind": kind,
                 "payload": payload,
@@ -350,7 +348,7 @@ def test_reasons_limits_and_pauses_of_revision_0016_have_current_names(tmp_path)
         assert catalogue.paused() == "held by ann: door open"
         events = catalogue.rows(EventRow)
         for event, (topic, kind, payload) in zip(events[:3], earlier["events"], strict=False):
-            line = {**to_columns(event), "topic": topic, "kind": kind, "payload": payload}
+            line = {**as_dict(event), "topic": topic, "kind": kind, "payload": payload}
             assert EventRow(**to_current_row("events", line)) == event, (
                 "a line of the history is the same row"
             )

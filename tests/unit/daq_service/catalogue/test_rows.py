@@ -62,7 +62,7 @@ def test_every_response_row_is_one_of_the_catalogue():
 @pytest.mark.parametrize("kind", ANSWERED)
 def test_a_response_is_its_row_with_times_as_text_and_an_age(kind):
     row = example(kind)
-    answer = add_utc(rows.to_columns(row), 0)
+    answer = add_utc(rows.as_dict(row), 0)
     if {"due_h", "raised_h"} & answer.keys():
         answer["age_h"] = 0.0
     if kind is rows.BaselineRow:
@@ -100,9 +100,9 @@ def test_a_column_is_described_on_its_row_and_nowhere_else():
 
 def test_an_event_payload_omits_an_id_that_is_not_assigned():
     row = example(rows.AlarmRow)
-    assert build_event_payload(row) == rows.to_columns(row)
+    assert build_event_payload(row) == rows.as_dict(row)
     assert list(build_event_payload(row, last="id"))[-1] == "id"
     new = dataclasses.replace(row, id=None)
     assert build_event_payload(new) == {
-        name: value for name, value in rows.to_columns(row).items() if name != "id"
+        name: value for name, value in rows.as_dict(row).items() if name != "id"
     }

@@ -132,9 +132,9 @@ def test_the_tables_have_the_numbers_of_the_client(filled, page):
         now = {row[0]: row for row in page.tables["How it stands"]}
         newest = test.assessments("B").iloc[-1]
         info = test.info()
+    text = format_significant
     assert now["B"][2:5] == [
-        f"D² {format_significant(newest['distance_squared'])}; "
-        f"chart {format_significant(newest['mewma_statistic'])}",
+        f"D² {text(newest['distance_squared'])}; chart {text(newest['mewma_statistic'])}",
         f"{format_significant(newest['limit_f_predictive'])}; chart {format_significant(LIMIT_CHART)}",
         newest["quality"],
     ]

@@ -18,7 +18,7 @@ from daq_service.catalogue.rows import (
     EnvironmentRow,
     EventRow,
     FeatureRow,
-    to_columns,
+    as_dict,
 )
 from daq_service.cli.status.command import run_status
 from daq_service.clock import TimeLine, boot_name, elapsed_ns
@@ -151,7 +151,7 @@ def test_pages_together_are_the_whole_listing(api, path, total):
 def test_environment_is_a_row_a_set_with_its_quality_and_age(api, filled):
     (row,) = get(api, "/api/v1/environment?from_h=10&to_h=10.25")["items"]
     (stored,) = filled.catalogue.rows(EnvironmentRow, first_h=10.0, last_h=10.0)
-    assert {name: row[name] for name in to_columns(stored)} == to_columns(stored)
+    assert {name: row[name] for name in as_dict(stored)} == as_dict(stored)
     assert (row["voltage_v"], row["charge_coulomb"]) == (10.0, 180.0)
     assert (row["climate_quality"], row["temperature_c"], row["relative_humidity"]) == ("stale", 21.5, None)
     assert (row["due_utc"], row["age_h"]) == ("2024-01-01T10:00:00Z", 20.0)

@@ -8,11 +8,7 @@ from types import ModuleType
 
 import pytest
 from pydantic import BaseModel, ConfigDict
-from support.broken_instruments import (
-    KEYS,
-    SoundDigitizer,
-    SoundStriker,
-)
+from support.broken_instruments import KEYS, SoundDigitizer, SoundStriker
 from support.offered_kinds import offer
 
 from hardware_drivers.conformance.bench import Bench, Double

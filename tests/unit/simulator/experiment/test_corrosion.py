@@ -6,12 +6,7 @@ import numpy as np
 import pytest
 
 from simulator.errors import SpecimenError
-from simulator.experiment.corrosion import (
-    divide_into_pits,
-    draw_wall_history,
-    held_hour_h,
-    make_patch,
-)
+from simulator.experiment.corrosion import divide_into_pits, draw_wall_history, held_hour_h, make_patch
 from simulator.parameters.chain import ChainParameters
 from simulator.parameters.experiment import PAPER_THINNING, ThinningParameters, TwinParameters
 from simulator.parameters.plate import DEEPEST_PATCH_FRACTION, CorrosionParameters, PlateParameters

@@ -2,12 +2,7 @@
 
 import pytest
 
-from simulator.parameters.plate import (
-    CorrosionParameters,
-    LiquidParameters,
-    PatchParameters,
-    PlateParameters,
-)
+from simulator.parameters.plate import CorrosionParameters, LiquidParameters, PatchParameters, PlateParameters
 from simulator.plate.mindlin.cache import hash_reduction
 
 

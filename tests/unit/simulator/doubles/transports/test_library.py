@@ -8,11 +8,7 @@ from concurrent.futures import ThreadPoolExecutor
 import pytest
 from support.doubles_bench import one_board_description
 
-from simulator.doubles.chassis.description import (
-    default_description,
-    from_json,
-    to_json,
-)
+from simulator.doubles.chassis.description import default_description, from_json, to_json
 from simulator.doubles.errors import LibraryBuildError
 from simulator.doubles.transports import library
 from simulator.doubles.transports.c_source import library_source

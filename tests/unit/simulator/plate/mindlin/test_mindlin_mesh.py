@@ -7,11 +7,7 @@ import pytest
 
 from simulator.errors import SpecimenError
 from simulator.parameters.plate import CorrosionParameters, PlateParameters
-from simulator.plate.mindlin.element import (
-    GAUSS_POINTS,
-    element_matrices,
-    thinned_element_matrices,
-)
+from simulator.plate.mindlin.element import GAUSS_POINTS, element_matrices, thinned_element_matrices
 from simulator.plate.mindlin.grid import make_graded_half_edge
 from simulator.plate.mindlin.patches import patch_fraction
 from simulator.plate.mindlin.plate import build_plate

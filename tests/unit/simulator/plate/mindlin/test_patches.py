@@ -7,12 +7,7 @@ import pytest
 from scipy.sparse.linalg import splu
 
 from simulator.errors import SpecimenError
-from simulator.parameters.plate import (
-    CorrosionParameters,
-    LiquidParameters,
-    PatchParameters,
-    PlateParameters,
-)
+from simulator.parameters.plate import CorrosionParameters, LiquidParameters, PatchParameters, PlateParameters
 from simulator.plate.mindlin.patches import find_symmetric_axes, patch_fraction
 from simulator.plate.mindlin.plate import build_plate, evaluate_thinning
 
