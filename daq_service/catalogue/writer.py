@@ -358,7 +358,7 @@ def _build_due_time_query(*of: ColumnElement[bool]) -> Select[int, int, int]:
         func.sum(missed).label("missed"),
     )
     found = due_times.where(is_scheduled(sets), *of).group_by(sets.c.set_index).subquery()
-    has_data = found.c.drain_bytes > 0
+    has_data = found.c.taken > 0
     return select(
         func.count().filter(has_data).label("sets"),
         func.count().filter(~has_data, found.c.missed > 0).label("missed_sets"),
