@@ -156,7 +156,7 @@ class ProgressReport:
 
     def __call__(self, event: str, **values: Any) -> None:
         """Print an event of the recorder; unknown events are ignored."""
-        hear = getattr(self, f"_hear_{event}", None)
+        hear = getattr(self, f"_report_{event}", None)
         if hear is not None:
             with self._lock:
                 hear(**values)

@@ -10,7 +10,7 @@ MOST_LINES_OF_A_CLASS, MOST_LINES_OF_A_FUNCTION, MOST_PARAMETERS = 300, 80, 8
 OPTIONS = "one parameter for each option of the command line, as click passes them"
 QUERY = "one parameter for each query parameter of the route, as FastAPI reads them"
 EXCEPTIONS = {
-    ("daq_service/archive/journal/frames.py", "_frame", "parameters"): "one for each field of the format",
+    ("daq_service/archive/journal/frames.py", "_build_frame", "parameters"): "one for each field of the format",
     ("daq_service/cli/demo.py", "run_demo", "parameters"): OPTIONS,
     ("daq_service/cli/offline/assess.py", "run_assess", "parameters"): OPTIONS,
     ("daq_service/cli/offline/features.py", "run_features", "parameters"): OPTIONS,
@@ -37,11 +37,11 @@ EXCEPTIONS = {
     ("daq_service/web/routes/waterfall.py", "get_waterfall", "parameters"): QUERY,
     ("daq_service/web/routes/waveforms.py", "get_waveform", "function"): "half of it describes parameters",
     ("hardware_drivers/serial_port/line.py", "SerialLine", "class"): "one port and one recovery",
-    ("analysis/statistics/bins.py", "bins_of_sets", "parameters"): "one array for each column",
-    ("simulator/electronics/transduction.py", "triggered_record", "parameters"): "numerical kernel",
+    ("analysis/statistics/bins.py", "make_bins", "parameters"): "one array for each column",
+    ("simulator/electronics/transduction.py", "simulate_triggered_record", "parameters"): "numerical kernel",
     ("simulator/shot/kernel.py", "_advance_mode", "parameters"): "numerical kernel",
-    ("simulator/shot/kernel.py", "_time_loop", "function"): "numerical kernel",
-    ("simulator/shot/kernel.py", "_time_loop.integrate", "function"): "numerical kernel",
+    ("simulator/shot/kernel.py", "_make_time_loop", "function"): "numerical kernel",
+    ("simulator/shot/kernel.py", "_make_time_loop.integrate", "function"): "numerical kernel",
     ("simulator/zener/model.py", "inelasticity_parameter", "parameters"): "numerical kernel",
 }
 

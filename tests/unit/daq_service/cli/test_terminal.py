@@ -111,7 +111,7 @@ def test_a_long_preparation_is_printed_with_its_duration(capsys):
 
 def test_the_progress_line_names_the_long_step(capsys):
     log = Log()
-    text = log.report._text
+    text = log.report._compose_progress_line
     log.after(1.0, "beat", doing="opening the rig", process=1)
     assert text().plain == "opening the rig"
     log.after(0.0, "preparing", what="compiling the loops")

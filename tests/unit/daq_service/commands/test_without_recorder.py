@@ -107,7 +107,7 @@ def dies(owner, name, *, after):
     setattr(owner, name, dying)
 
 match sys.argv[2]:
-    case "in the transaction": dies(writer, "stored_command", after=True)
+    case "in the transaction": dies(writer, "store_command", after=True)
     case "before the history": dies(writer.RecorderCatalogue, "commit_set", after=True)
 acknowledge(Path(sys.argv[1]))
 """

@@ -171,7 +171,7 @@ def test_work_goes_on_where_no_machine_code_can_be_kept(tmp_path):
         "import numba.core.caching as c\n"
         "c.CacheImpl._locator_classes = []\n"
         "import simulator.shot.kernel as k\n"
-        "assert k.kernel(2, True).__class__.__name__ == 'CPUDispatcher'\n"
+        "assert k.compile_time_loop(2, True).__class__.__name__ == 'CPUDispatcher'\n"
     )
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
     subprocess.run([sys.executable, "-c", code], check=True, env=environment, cwd=tmp_path, timeout=120)

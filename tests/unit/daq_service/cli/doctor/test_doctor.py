@@ -362,7 +362,7 @@ def recorder_error(folder):
 
 @pytest.mark.parametrize(
     ("does", "strike", "refusal"),
-    [("strike_transducer", "B", "another recorder owns"), ("rig_checks", None, "")],
+    [("strike_transducer", "B", "another recorder owns"), ("run_rig_checks", None, "")],
     ids=["strikes", "looks"],
 )
 def test_no_recorder_starts_while_the_doctor_strikes(tmp_path, capsys, monkeypatch, does, strike, refusal):
