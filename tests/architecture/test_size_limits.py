@@ -10,7 +10,11 @@ MOST_LINES_OF_A_CLASS, MOST_LINES_OF_A_FUNCTION, MOST_PARAMETERS = 300, 80, 8
 OPTIONS = "one parameter for each option of the command line, as click passes them"
 QUERY = "one parameter for each query parameter of the route, as FastAPI reads them"
 EXCEPTIONS = {
-    ("daq_service/archive/journal/frames.py", "_build_frame", "parameters"): "one for each field of the format",
+    (
+        "daq_service/archive/journal/frames.py",
+        "_build_frame",
+        "parameters",
+    ): "one for each field of the format",
     ("daq_service/cli/demo.py", "run_demo", "parameters"): OPTIONS,
     ("daq_service/cli/offline/assess.py", "run_assess", "parameters"): OPTIONS,
     ("daq_service/cli/offline/features.py", "run_features", "parameters"): OPTIONS,

@@ -252,14 +252,6 @@ def test_garbage_is_refused_with_its_bytes_and_the_next_reading_is_right(energis
     assert rig.supply.read(TIMEOUT_S).voltage_v == 10.0
 
 
-def test_an_unknown_flag_is_refused(energised):
-    rig = energised
-    answer = rig.instruments.supply.answer
-    rig.instruments.supply_link.answer = lambda command: "2" if command == "OUTP?" else answer(command)
-    with pytest.raises(ConnectionLostError, match="expected 0 or 1"):
-        rig.supply.read(TIMEOUT_S)
-
-
 def test_an_instrument_that_sends_endlessly_is_given_up(energised):
     rig = energised
     rig.supply.close()
@@ -331,12 +323,6 @@ def test_values_above_the_caps_are_not_sent(rig):
     assert rig.heard() == []
 
 
-def test_the_output_is_off_while_a_command_is_set(rig):
-    rig.supply.energise(10.0, 1.0)
-    rig.supply.energise(5.0, 0.5)
-    assert rig.switched() == [(True, "command"), (False, "command"), (True, "command")]
-
-
 def test_a_supply_that_refuses_what_is_set_stays_off(tmp_path):
     with SerialRig(tmp_path, voltage_cap_v=40.0) as rig:
         with pytest.raises(ConfigurationError, match="Data out of range"):
@@ -389,18 +375,6 @@ def test_a_command_with_a_lost_reply_leaves_the_output_off_or_reports_unknown(ri
 def test_a_command_with_one_wrong_reply_leaves_the_output_off(rig, garbled):
     rig.garble_reply(garbled)
     with pytest.raises((ConnectionLostError, ConfigurationError)):
-        rig.supply.energise(10.0, 1.0)
-    assert not rig.instruments.supply.on
-
-
-def test_a_supply_that_gives_more_than_asked_is_switched_off(rig):
-    answer = rig.instruments.supply.answer
-    link = rig.instruments.supply_link
-    link.answer = lambda command: "+1.200000E+01" if command == "MEAS:VOLT?" else answer(command)
-    with pytest.raises(ConfigurationError, match=r"gives 12 V; at most 10\.05 V.*the output is off"):
-        rig.supply.energise(10.0, 1.0)
-    link.answer = lambda command: "+2.000000E+00" if command == "MEAS:CURR?" else answer(command)
-    with pytest.raises(ConfigurationError, match=r"gives 2 A; at most 1\.02 A.*the output is off"):
         rig.supply.energise(10.0, 1.0)
     assert not rig.instruments.supply.on
 

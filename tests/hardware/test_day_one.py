@@ -4,6 +4,7 @@ Run with ``pytest -m hardware``; ``docs/how-to/day-one.md`` says what to wire an
 tests move nothing; those that lift strikers and those that need a wire say so in their reason for a skip.
 """
 
+from contextlib import closing
 from dataclasses import replace
 from datetime import datetime, timedelta
 
@@ -142,6 +143,26 @@ def high_s(waveform):
     return float(high.size / waveform.sample_rate_hz)
 
 
+def commit_shot(loopback, record):
+    """Return a committed acquisition of the looped input by its own board."""
+    return commit_acquisition(
+        loopback.connection,
+        loopback.parameters,
+        loopback.position,
+        loopback.board,
+        loopback.board,
+        record=record,
+    )
+
+
+def noise_while(loopback, act=lambda: None):
+    """Return the volts of a record without a trigger that has started before something is done."""
+    with closing(commit_shot(loopback, "noise")) as acquisition:
+        acquisition.start()
+        act()
+        return acquisition.read(READ_TIMEOUT_S).volts()
+
+
 def test_the_coil_is_on_for_exactly_its_pulse(loopback):
     waveform = one_shot(loopback.parameters, loopback.position)
     volts = waveform.volts()
@@ -169,11 +190,10 @@ def test_the_board_starts_with_the_coil_s_counter_and_delays_by_what_is_asked(lo
 
     parameters, board = loopback.parameters, loopback.board
     for delay_s in (0.0, 0.5 * parameters.pulse_s):
-        acquisition = commit_acquisition(
-            loopback.connection, parameters, loopback.position, board, board, record="pulse"
-        )
-        coil = commit_coil(loopback.connection, parameters, loopback.position, board)
-        try:
+        with (
+            closing(commit_shot(loopback, "pulse")) as acquisition,
+            closing(commit_coil(loopback.connection, parameters, loopback.position, board)) as coil,
+        ):
             if delay_s:
                 trigger = acquisition.task.triggers.start_trigger
                 trigger.delay_units = DigitalWidthUnits.SECONDS
@@ -181,9 +201,6 @@ def test_the_board_starts_with_the_coil_s_counter_and_delays_by_what_is_asked(lo
             acquisition.start()
             coil.pulse()
             waveform = acquisition.read(READ_TIMEOUT_S)
-        finally:
-            coil.close()
-            acquisition.close()
         # The first sample comes some ticks after the edge, the last edge falls between two samples.
         left_s = parameters.pulse_s - delay_s
         assert high_s(waveform) == pytest.approx(left_s, abs=2.0 / LOOPBACK_RATE_HZ)
@@ -227,50 +244,15 @@ def test_no_other_coil_reaches_this_one(loopback, parameters):
     one_shot(loopback.parameters, loopback.position)  # the route under suspicion was used, then given up
     for other in others:
         alone = replace(parameters, watchdog=None, watchdogs=None)
-        coil = commit_coil(loopback.connection, alone, other, loopback.board)
-        try:
-            acquisition = commit_acquisition(
-                loopback.connection,
-                loopback.parameters,
-                loopback.position,
-                loopback.board,
-                loopback.board,
-                record="noise",
-            )
-            try:
-                acquisition.start()
-                coil.pulse()
-                volts = acquisition.read(READ_TIMEOUT_S).volts()
-            finally:
-                acquisition.close()
-        finally:
-            coil.close()
+        with closing(commit_coil(loopback.connection, alone, other, loopback.board)) as coil:
+            volts = noise_while(loopback, coil.pulse)
         assert np.abs(volts).max() < TTL_LOW_V, f"{loopback.position}'s line moved while {other} was struck"
 
 
 def test_the_line_is_low_when_the_task_is_committed_and_when_it_is_gone(loopback):
-    for committed in (True, False):
-        coil = commit_coil(loopback.connection, loopback.parameters, loopback.position, loopback.board)
-        if not committed:
-            coil.close()
-        try:
-            acquisition = commit_acquisition(
-                loopback.connection,
-                loopback.parameters,
-                loopback.position,
-                loopback.board,
-                loopback.board,
-                record="noise",
-            )
-            try:
-                acquisition.start()
-                volts = acquisition.read(READ_TIMEOUT_S).volts()
-            finally:
-                acquisition.close()
-        finally:
-            if committed:
-                coil.close()
-        assert np.abs(volts).max() < TTL_LOW_V, "committed" if committed else "cleared"
+    with closing(commit_coil(loopback.connection, loopback.parameters, loopback.position, loopback.board)):
+        assert np.abs(noise_while(loopback)).max() < TTL_LOW_V, "committed"
+    assert np.abs(noise_while(loopback)).max() < TTL_LOW_V, "cleared"
 
 
 def test_the_watchdog_cuts_a_pulse_short(loopback):
@@ -285,26 +267,19 @@ def test_the_watchdog_cuts_a_pulse_short(loopback):
             "this board's coils leave it at terminals without a digital line: it has no such watchdog"
         )
     timeout_s = parameters.initial_delay_s + 0.5 * parameters.pulse_s
-    watchdog = loopback.connection.watchdog(board.name, "watchdog", timeout_s)
-    try:
+    with closing(loopback.connection.watchdog(board.name, "watchdog", timeout_s)) as watchdog:
         watchdog.cfg_watchdog_do_expir_states(
             [DOExpirationState(physical_channel=f"{board.name}/{line}", expiration_state=Level.LOW)]
         )
-        acquisition = commit_acquisition(
-            loopback.connection, parameters, loopback.position, board, board, record="shot"
-        )
-        coil = commit_coil(loopback.connection, parameters, loopback.position, board)
-        try:
+        with (
+            closing(commit_shot(loopback, "shot")) as acquisition,
+            closing(commit_coil(loopback.connection, parameters, loopback.position, board)) as coil,
+        ):
             acquisition.start()
             watchdog.start()
             coil.task.start()
             width_s = high_s(acquisition.read(READ_TIMEOUT_S))
             assert watchdog.expired
             watchdog.clear_expiration()
-        finally:
-            coil.close()
-            acquisition.close()
-    finally:
-        watchdog.close()
     # From the watchdog's start to the counter's is a call of the driver: milliseconds.
     assert width_s == pytest.approx(0.5 * parameters.pulse_s, abs=0.25 * parameters.pulse_s)

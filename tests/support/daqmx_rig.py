@@ -151,7 +151,9 @@ def take(
     return rig.digitizer.read(read_timeout_s)
 
 
-def counts_of_the_twin(description: Description, parameters: DaqmxParameters, key: ShotKey) -> Counts:
+def counts_of_the_twin(
+    description: Description, parameters: DaqmxParameters, key: ShotKey, hour_h: float = HOUR_H
+) -> Counts:
     """Return counts of this shot: the twin's volts through the polynomial of its board."""
     wiring = description.transducers[key.position]
     sampler = next(one for one in description.boards if one.serial_number == wiring.ai_serial)
@@ -169,7 +171,7 @@ def counts_of_the_twin(description: Description, parameters: DaqmxParameters, ke
         transducers={key.position: Transducer(chain=wiring.chain, model=model)},
         probed_thickness_m={},
     )
-    acquired = specimen.solitary_wave(key, HOUR_H)
+    acquired = specimen.solitary_wave(key, hour_h)
     assert acquired is not None, "the twin's strike reaches the level"
     return acquired.waveform.counts
 

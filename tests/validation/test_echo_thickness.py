@@ -101,15 +101,6 @@ def test_where_the_echo_keeps_its_amplitude_the_roughness_is_read_from_it(bias):
         assert interval.roughness_rms_m == pytest.approx(reading.roughness_rms_m, rel=0.15)
 
 
-def test_roughness_grows_with_the_depth_and_so_does_the_interval(bias):
-    widths = []
-    for thickness_m in (6.0e-3, 5.5e-3, 5.0e-3, 4.5e-3):
-        found = list(bias.readings(bias.STRAIGHT, thickness_m, 15))
-        widths.append(np.median([reading.high_m - reading.low_m for reading in found]))
-    assert widths == sorted(widths)
-    assert widths[-1] > 5.0 * widths[0]
-
-
 @pytest.mark.parametrize("front_wall_v", [0.0, 0.02])
 def test_without_a_back_wall_there_is_no_number(bias, front_wall_v):
     """With and without cross-talk: noise alone, and noise and bubbles."""

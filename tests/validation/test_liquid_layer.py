@@ -14,7 +14,6 @@ from simulator.plate.mindlin.liquid_layer import choose_sine_terms, integrate_ha
 from simulator.plate.mindlin.plate import assemble_plate, build_plate, evaluate_thinning
 from simulator.plate.mindlin.reduction import reduce_plate
 from simulator.shot.model import ShotModel
-from simulator.shot.pulse_summary import summarise_pulses
 
 PATCH = CorrosionParameters(size_m=0.3)
 PATCH_ANYWHERE = CorrosionParameters(size_m=0.5)
@@ -134,22 +133,6 @@ def test_added_mass_is_symmetric_and_positive(support, symmetric):
     np.testing.assert_array_equal(parts.added_mass @ column, added[:, np.flatnonzero(deflections)[7]])
 
 
-def test_shallow_layer_moves_with_the_plate_and_deep_ones_are_alike():
-    values = {}
-    for depth_m in (1e-4, 0.3, 3.0):
-        plate = replace(THIN, liquid=LiquidParameters(density_kg_per_m3=1000.0, depth_m=depth_m))
-        parts = build_plate(replace(plate, elements_per_edge=24, contact_element_m=0.02), PATCH)
-        x, y = np.meshgrid(parts.x_m, parts.y_m, indexing="ij")
-        w = np.zeros((*x.shape, 3))
-        w[:, :, 0] = np.cos(3 * np.pi * x / 0.6) * np.cos(np.pi * y / 0.5)
-        shape = w.ravel()[parts.free]
-        values[depth_m] = shape @ (parts.added_mass @ shape)
-    # In proportion to the plate's own mass; (k H)^2 / 3 is below 1e-6, the rest are the sines left out.
-    own = shape @ (parts.at_depth(0.0)[1] @ shape) / (plate.density_kg_per_m3 * plate.thickness_m)
-    assert values[1e-4] == pytest.approx(own * 1000.0 * 1e-4, rel=1e-3)
-    assert values[0.3] == pytest.approx(values[3.0], rel=1e-3)
-
-
 def test_waveform_converges_in_the_number_of_sines():
     assert choose_sine_terms(PAPER_WET) == (256, 256)
     coarse = replace(PAPER_WET, elements_per_edge=48)
@@ -167,55 +150,6 @@ def test_waveform_converges_in_the_number_of_sines():
     # of it is that each liquid has a basis of its own.
     assert errors[256, 0.0] < 5e-6
     assert errors[256, 0.8] < 5e-6
-
-
-def test_a_wet_shot_balances_its_energy_and_differs_from_a_dry_one(reduction_folder):
-    dry, wet = (
-        ShotModel(ChainParameters(), plate, CorrosionParameters(), cache_folder=reduction_folder)
-        for plate in (PlateParameters(), PAPER_WET)
-    )
-    for depth in (0.0, 0.95):
-        assert wet.shot(depth_fraction=depth).energy_residual <= 1e-5  # a tenth of what is demanded
-    without, with_liquid = summarise_pulses(dry.shot()), summarise_pulses(wet.shot())
-    # A heavier plate takes less energy and gives the wave back earlier.
-    assert with_liquid.tof_us < without.tof_us - 1.0
-    assert with_liquid.amplitude_ratio > 1.05 * without.amplitude_ratio
-    deep = replace(PAPER_WET, liquid=LiquidParameters(depth_m=1.0))
-    deeper = ShotModel(ChainParameters(), deep, CorrosionParameters(), cache_folder=reduction_folder)
-    assert summarise_pulses(deeper.shot()).tof_us == pytest.approx(with_liquid.tof_us, abs=0.1)
-
-
-def test_infinite_wet_thin_plate_is_approached():
-    """Driving-point mobility of an infinite plate whose mass grows with the wave length.
-
-    ``1 / (2 pi) int k dk i w / (D k^4 - w^2 (m + rho_f / k))`` with the growth rate of the Laplace domain.
-    The finite plate answers alike as long as nothing comes back from its edges.
-    """
-    plate = replace(
-        PAPER_WET,
-        contact="patch",
-        contact_radius_m=0.02,
-        contact_element_m=2.5e-3,
-        elements_per_edge=96,
-        liquid=LiquidParameters(density_kg_per_m3=1000.0, depth_m=5.0),
-    )
-    parts = build_plate(plate, PATCH)
-    modes = reduce_plate(parts).modes(0.0)
-    bending, mass = 200e9 * 6.35e-3**3 / 12 / 0.91, 7800 * 6.35e-3
-    shear = 5 / 6 * 6.35e-3 * 200e9 / 2.6
-    for rate in (5e3, 2e4):
-
-        def response(k, rate=rate):
-            q = 0.02 * k
-            weight = (3 * (np.sin(q) - q * np.cos(q)) / q**3) ** 2
-            # Quasi-static shear; rotary inertia adds less than (k h)^2 / 12 of the mass.
-            stiffness = 1.0 / (1.0 / (bending * k**4) + 1.0 / (shear * k**2))
-            return weight * k / (stiffness + rate**2 * (mass + 1000.0 / k)) / (2 * np.pi)
-
-        exact = integrate.quad(response, 1e-6, 3e3, limit=2000)[0]
-        found = np.sum(modes.participation**2 / (modes.omega_rad_per_s**2 + rate**2))
-        # What is left: rotary inertia and, at the lower rate, the edges.
-        assert found == pytest.approx(exact, rel=5e-3)
 
 
 def test_a_plate_too_long_for_its_thickness_is_refused():

@@ -136,37 +136,6 @@ def test_frequencies_converge_to_mindlins_with_order_two():
         assert np.all((orders > 1.9) & (orders < 2.1))  # bilinear elements: h^2
 
 
-def test_first_symmetric_mode_of_the_papers_plate():
-    thin = np.pi * np.sqrt(bending_stiffness_n_m(200e9, 0.3, 6.35e-3) / (7800 * 6.35e-3)) / 0.6096**2
-    assert thin == pytest.approx(82.26, abs=5e-3)
-    mindlin = mindlin_frequency_hz(PAPER, 1, 1)
-    assert 0.999 * thin < mindlin < thin  # shear and rotary inertia soften it a little
-    errors = []
-    for elements in (24, 48, 96):
-        plate = build_plate(replace(PAPER, elements_per_edge=elements), PATCH)
-        errors.append(lowest_frequencies_hz(plate, 1)[0] / mindlin - 1.0)
-    # The graded mesh is coarse at the edges; 96 elements leave less than a part in a thousand.
-    assert 0.0 < errors[2] < errors[1] < errors[0]
-    assert errors[2] < 1e-3
-    # Order two; the element at the contact stays, so that a doubled number is not quite half the size.
-    assert np.log2(errors[0] / errors[1]) == pytest.approx(2.0, abs=0.5)
-
-
-def test_centre_compliance_lies_above_the_thin_plates_and_grows_with_refinement():
-    """A point force on a Mindlin plate is log-singular: each decade adds ``ln 10 / (2 pi kappa G h)``."""
-    thin = 0.0116008 * 0.6096**2 / bending_stiffness_n_m(200e9, 0.3, 6.35e-3)
-    assert thin == pytest.approx(9.192e-7, rel=1e-4)
-    shear = SHEAR_CORRECTION * 6.35e-3 * shear_modulus_pa(200e9, 0.3)
-    values = [
-        compliance(build_plate(replace(PAPER, elements_per_edge=160, contact_element_m=element), PATCH))
-        for element in (1e-3, 1e-4)
-    ]
-    assert thin < values[0] < values[1] < 1.02 * thin
-    # Elements of a finer contact grow faster on the same number: some per cent of the logarithm.
-    decade = np.log(10.0) / (2 * np.pi * shear)
-    np.testing.assert_allclose(np.diff(values), decade, rtol=0.08)
-
-
 def test_distributed_load_compliance_converges_with_order_two():
     """Navier's series for a uniform pressure, Mindlin: each term ``1/(D k^4) + 1/(kappa G h k^2)``."""
     parameters, _ = uniform_plate(8)

@@ -42,7 +42,6 @@ def difference(found, expected):
 @pytest.mark.parametrize(
     ("sensor", "shape", "size_m", "depth"),
     [
-        ("disk", "square", 50.8e-3, 0.45),
         ("sphere", "round", 50.8e-3, 0.8),
         ("sphere", "square", 25.4e-3, 0.1),
         pytest.param("disk", "square", 50.8e-3, 0.0, marks=pytest.mark.slow),

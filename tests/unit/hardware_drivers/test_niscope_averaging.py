@@ -48,12 +48,6 @@ def test_three_records_are_averaged_to_the_last_digits_of_a_double(records):
     np.testing.assert_allclose(record.calibration.volts(record.counts), exact, rtol=0.0, atol=3 * 2**-53)
 
 
-def test_the_sum_of_equal_records_is_each_of_them_in_finer_counts():
-    one = np.arange(-40, 40, 4, dtype=np.int16)
-    record = averaged(np.tile(one, (16, 1)))
-    np.testing.assert_array_equal(record.counts, 16 * one.astype(np.int32))
-
-
 @pytest.mark.parametrize(
     ("code", "clips"), [(-32_768, True), (32_764, True), (-32_764, False), (32_760, False)]
 )

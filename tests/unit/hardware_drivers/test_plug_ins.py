@@ -10,7 +10,7 @@ from support.offered_kinds import offer
 from support.scripted_kinds import OFFERED, SCOPE
 
 from hardware_drivers.errors import ConfigurationError
-from hardware_drivers.kinds import GROUPS, Kind
+from hardware_drivers.kinds import Kind
 from hardware_drivers.plug_ins import find_kind, offers
 
 OURS = {
@@ -89,9 +89,3 @@ def test_naming_every_kind_imports_nothing_of_a_vendor_and_no_compiler():
     done = subprocess.run([sys.executable, "-c", PROGRAM], capture_output=True, text=True, check=True)
     heavy = {"nidaqmx", "niscope", "serial", "pyvisa", "nptdms", "grpc", "numba", "matplotlib", "scipy"}
     assert heavy.isdisjoint(json.loads(done.stdout))
-
-
-def test_each_role_has_its_group():
-    assert set(GROUPS.values()) == {
-        "solimon.digitizer", "solimon.striker", "solimon.pulse_echo", "solimon.supply", "solimon.climate"
-    }  # fmt: skip

@@ -32,17 +32,21 @@ def burst(time_s, centre_s, phase_rad=0.0):
     return np.exp(-0.5 * (t / SPREAD_S) ** 2) * np.cos(2 * np.pi * CARRIER_HZ * t + phase_rad)
 
 
-def record(thickness_m, *, noise_v=0.0, seed=0, scale=1.0, phase_rad=0.0, front_v=0.02, n=2048, pretrigger=0):
+def waveform_of(volts, rate_hz=RATE_HZ, pretrigger=0):
+    counts = np.clip(np.rint(volts * 8192), -8192, 8191).astype(np.int16)
+    return Waveform(
+        counts=counts, sample_rate_hz=rate_hz, pretrigger_samples=pretrigger, calibration=CALIBRATION
+    )
+
+
+def record(thickness_m, *, noise_v=0.0, seed=0, phase_rad=0.0, front_v=0.02, n=2048, pretrigger=0):
     t = (np.arange(n) - pretrigger) / RATE_HZ
     volts = -front_v * burst(t, DELAY_S)
     for echo in range(8):
         centre_s = DELAY_S + (echo + 1) * 2.0 * thickness_m / SPEED
         volts += 0.5 * 0.45**echo * burst(t, centre_s, phase_rad)
-    volts = scale * volts + noise_v * np.random.default_rng(seed).standard_normal(n)
-    counts = np.clip(np.rint(volts * 8192), -8192, 8191).astype(np.int16)
-    return Waveform(
-        counts=counts, sample_rate_hz=RATE_HZ, pretrigger_samples=pretrigger, calibration=CALIBRATION
-    )
+    volts += noise_v * np.random.default_rng(seed).standard_normal(n)
+    return waveform_of(volts, pretrigger=pretrigger)
 
 
 def reference(waveform=None, **changes):
@@ -94,50 +98,21 @@ def test_a_later_echo_stands_in_for_a_lost_reference():
         assert measured_m(record(wall_m), later) == pytest.approx(measured_m(record(wall_m), first), abs=1e-7)
 
 
-def test_noise_moves_the_pick_by_what_theory_allows():
-    echo = reference()
-    noise_v = 0.0025  # 46 dB, sixteen averages of the receiver
-    picks = [travel_time(record(5e-3, noise_v=noise_v, seed=s), echo).travel_time_s for s in range(200)]
-    t = np.arange(-100, 101) / RATE_HZ
-    slope = np.gradient(0.5 * burst(t, 0.0), 1.0 / RATE_HZ)
-    bound_s = noise_v / math.sqrt(float(slope @ slope))  # Cramer-Rao, known shape
-    # 200 picks know an SD to 5 %; the rest of the room is the template's end at 5 % and the parabola.
-    assert 0.8 * bound_s < np.std(picks) < 1.3 * bound_s
-
-
 @pytest.mark.parametrize("height", [0.1, 0.2])
 def test_weaker_echo_before_the_back_wall_is_not_taken_for_it(height):
     # A lamination or the front wall's tail, at a third of the way.
     extra = record(5e-3).volts() + height * burst(np.arange(2048) / RATE_HZ, DELAY_S + 0.7e-6)
-    disturbed = Waveform(
-        counts=np.rint(extra * 8192).astype(np.int16),
-        sample_rate_hz=RATE_HZ,
-        pretrigger_samples=0,
-        calibration=CALIBRATION,
-    )
+    disturbed = waveform_of(extra)
     found = travel_time(disturbed, reference())
     assert found.travel_time_s == pytest.approx(arrival_s(5e-3), abs=1e-9)
 
 
 def test_stronger_echo_beyond_the_gate_does_not_matter():
     extra = record(INITIAL_M).volts() + 0.5 * burst(np.arange(2048) / RATE_HZ, DELAY_S + 4.35e-6)
-    focused = Waveform(
-        counts=np.rint(extra * 8192).astype(np.int16),
-        sample_rate_hz=RATE_HZ,
-        pretrigger_samples=0,
-        calibration=CALIBRATION,
-    )
+    focused = waveform_of(extra)
     assert extra.max() > 1.1 * 0.5  # the first echo is .5 V
     found = travel_time(focused, reference())
     assert found.travel_time_s == pytest.approx(arrival_s(INITIAL_M), abs=0.2e-9)
-
-
-def test_gain_does_not_matter():
-    echo = reference()
-    strong, weak = travel_time(record(5e-3), echo), travel_time(record(5e-3, scale=0.2), echo)
-    # A fifth of the amplitude makes the ADC's steps five times coarser: .1 ns.
-    assert weak.travel_time_s == pytest.approx(strong.travel_time_s, abs=0.1e-9)
-    assert weak.correlation_coefficient == pytest.approx(strong.correlation_coefficient, abs=1e-3)
 
 
 def test_pretrigger_is_not_travel_time():
@@ -177,18 +152,8 @@ def test_quality_follows_the_likeness_of_the_echo():
     assert seen == {"good", "suspect", "bad"}
 
 
-def test_buried_echo_is_bad_or_suspect():
-    qualities = {travel_time(record(5e-3, noise_v=0.5, seed=s), reference()).quality for s in range(20)}
-    assert "good" not in qualities
-
-
 def test_silence_has_no_travel_time():
-    silent = Waveform(
-        counts=np.zeros(2048, dtype=np.int16),
-        sample_rate_hz=RATE_HZ,
-        pretrigger_samples=0,
-        calibration=CALIBRATION,
-    )
+    silent = waveform_of(np.zeros(2048))
     found = travel_time(silent, reference())
     assert math.isnan(found.travel_time_s)
     assert math.isnan(found.correlation_coefficient)
@@ -200,12 +165,7 @@ def test_silence_has_no_travel_time():
 
 def test_noise_alone_is_no_reference():
     volts = np.random.default_rng(0).standard_normal(2048) * 0.05
-    noise = Waveform(
-        counts=np.rint(volts * 8192).astype(np.int16),
-        sample_rate_hz=RATE_HZ,
-        pretrigger_samples=0,
-        calibration=CALIBRATION,
-    )
+    noise = waveform_of(volts)
     with pytest.raises(EchoNotFoundError):
         reference(noise)
 
@@ -233,11 +193,6 @@ def test_bad_input_is_refused():
         reference(record(INITIAL_M, n=900))
     with pytest.raises(RecordError, match="record longer"):
         travel_time(record(INITIAL_M, n=1000), reference())
-    other = Waveform(
-        counts=np.zeros(2048, dtype=np.int16),
-        sample_rate_hz=50e6,
-        pretrigger_samples=0,
-        calibration=CALIBRATION,
-    )
+    other = waveform_of(np.zeros(2048), 50e6)
     with pytest.raises(RecordError, match="new reference"):
         travel_time(other, reference())

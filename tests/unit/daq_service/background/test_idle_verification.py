@@ -193,7 +193,9 @@ def test_in_real_time_the_check_gets_the_free_time_until_the_next_set(tmp_path, 
 
 def test_a_start_reads_few_files_of_an_older_folder_and_the_others_in_idle_time():
     """The files of a year take hours, and a start sends no heartbeat while it reads."""
-    catalogue = SimpleNamespace(list_sets_without_digest=lambda: {index: f"sets/{index}.h5" for index in range(17_500)})
+    catalogue = SimpleNamespace(
+        list_sets_without_digest=lambda: {index: f"sets/{index}.h5" for index in range(17_500)}
+    )
     archive, noted = SimpleNamespace(digest=lambda file: f"of {file}"), []
     session._store_missing_digests(catalogue, archive, lambda *values: noted.append(values))
     assert noted == [(index, f"sets/{index}.h5", f"of sets/{index}.h5") for index in range(17_400, 17_500)]

@@ -21,7 +21,6 @@ from daq_service.corrosion_drive.charge import (
 )
 from hardware_drivers.measurement import Stamp
 
-FARADAY_C_PER_MOL = 96_485.332
 PARAMETERS = supply_parameters()  # longest gap 30 s
 
 
@@ -45,32 +44,6 @@ def test_a_straight_line_is_integrated_exactly():
     # 0.2 t - 0.005 t^2 at 10 s; the trapezoid rule is exact for a line, up to rounding.
     assert charge.coulomb == pytest.approx(1.5, rel=1e-14)
     assert charge.unknown_s == 0.0
-
-
-def test_a_decaying_current_approaches_its_closed_form_as_the_rule_must():
-    """I = I_0 exp(-t/T): Q = I_0 T (1 - exp(-t/T)), error t h^2 I''/12 of the trapezoid rule."""
-    first_a, decay_s, end_s = 0.25, 3600.0, 7200.0
-    exact = first_a * decay_s * (1.0 - math.exp(-end_s / decay_s))
-    errors = []
-    for step_s in (20.0, 10.0):
-        times_s = [step_s * i for i in range(round(end_s / step_s) + 1)]
-        charge = integrated(times_s, lambda t: first_a * math.exp(-t / decay_s))
-        errors.append(charge.coulomb / exact - 1.0)
-    assert errors[0] == pytest.approx((20.0 / decay_s) ** 2 / 12.0, rel=1e-3)  # next term: (h/T)^2 / 60
-    assert errors[0] / errors[1] == pytest.approx(4.0, rel=1e-3)  # second order
-
-
-def test_the_charge_of_the_papers_wall_agrees_with_faradays_law():
-    """2.3 mm of 6.45 cm2 in 300 h is some 11 A h, the order of charge of such tests."""
-    iron_kg = 2.3e-3 * 6.4516e-4 * 7800.0
-    coulomb = iron_kg / 55.845e-3 * 2.0 * FARADAY_C_PER_MOL
-    charge = integrated([10.0 * i for i in range(300 * 360 + 1)], lambda t: coulomb / (300.0 * 3600.0))
-    # A sum of 108,000 terms rounds off at most 1e5 * 1e-16.
-    assert charge.coulomb == pytest.approx(coulomb, rel=1e-11)
-    ampere_hours = charge.coulomb / 3600.0
-    assert 10.0 < ampere_hours < 12.0
-    # docs/how-to/supply-and-climate.md: 1.04 g an ampere hour.
-    assert iron_kg / ampere_hours == pytest.approx(1.04e-3, abs=0.005e-3)  # as rounded there
 
 
 def test_a_long_interval_is_unknown_and_not_integrated():

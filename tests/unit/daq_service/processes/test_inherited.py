@@ -157,12 +157,11 @@ sys.exit(3)
 """
 
 
-@pytest.mark.parametrize("script", ["print_line('a line ' * 100_000)\nend_process(3)\nsys.exit(3)", NEWS])
-def test_a_blocked_terminal_delays_no_exit(script):
+def test_a_blocked_terminal_delays_no_exit():
     """Ctrl-S, or a reader that has stopped: the pipe takes a part of the output."""
     reader, writer = os.pipe()
     try:
-        assert run_python(script, stderr=writer).returncode == 3
+        assert run_python(NEWS, stderr=writer).returncode == 3
     finally:
         os.close(reader)
         os.close(writer)

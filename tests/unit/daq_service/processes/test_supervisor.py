@@ -54,6 +54,7 @@ class World:
         self.beat: Callable[[], Beat | None] = lambda: None
         self.guarded_s: list[float] = []
         self.plans = plans
+        self.waits_for_a_message = False
 
     def run(self, *, stay=False, give_up=False):
         supervisor = Supervisor(
@@ -74,6 +75,9 @@ class World:
         return self.now_s >= self.until_s
 
     def wait(self, seconds):
+        if self.waits_for_a_message and not self.messages:
+            threading.Event().wait(0.001)  # the time does not advance until a line is received
+            return False
         self.now_s += seconds
         return self.is_set()
 
@@ -183,15 +187,7 @@ def test_a_started_test_is_served_after_its_recorder_has_ended():
     line = json.dumps({"event": "progress", "done": 1})
     recorder = ScriptedChild(4, after_s=1.0, says=[line])
     world = World(recorder, ScriptedChild(), plans=(RECORDER, WEB), until_s=100.0)
-    waiting, patience = world.wait, threading.Event()
-
-    def wait(seconds):
-        if world.messages:
-            return waiting(seconds)
-        patience.wait(0.001)  # the time does not advance until the line is received
-        return False
-
-    world.wait = wait  # type: ignore[method-assign]
+    world.waits_for_a_message = True
     assert world.run(stay=True) == 4
     assert world.now_s >= 100.0
     assert len(world.started) == 2
@@ -339,23 +335,8 @@ def test_a_childs_messages_are_passed_on_and_other_lines_are_not(caplog):
 def test_a_web_service_that_has_listened_is_started_again_at_its_port(code):
     says = [json.dumps({"event": "listening", "url": "http://127.0.0.1:4711/", "port": 4711})]
     # It ends after its line is read, however late its reader comes to it.
-    first = ScriptedChild(None, says=says)
+    first = ScriptedChild(code, after_s=0.01, says=says, announces=False)
     world = World(first, ScriptedChild(), plans=(WEB,), until_s=10.0)
-
-    def ends_once_heard():
-        if world.messages and first.code is None:
-            first.code = code
-
-    waiting = world.wait
-    patience = threading.Event()
-
-    def wait(seconds):
-        ends_once_heard()
-        if not world.messages:
-            patience.wait(0.001)
-            return False
-        return waiting(seconds)
-
-    world.wait = wait  # type: ignore[method-assign] # the time does not advance until the line is received
+    world.waits_for_a_message = True
     world.run(stay=True)
     assert world.started[1][1] == ["solimon", "serve", "--port", "4711"]

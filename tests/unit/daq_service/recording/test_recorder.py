@@ -234,7 +234,7 @@ class SlowWorker(BackgroundTask):
         self.looks += 1
         self.n_under_way -= self.looks % 4 == 0 and self.n_under_way > 0
 
-    try_again = run_for
+    retry_failed_sets = run_for
 
 
 def test_simulated_time_does_not_outrun_the_files(line, monkeypatch):

@@ -104,13 +104,6 @@ def test_times_of_a_strike():
     assert wired.longest_strike_s == pytest.approx(1e-3 + 0.05 + 0.031928 + 0.1 + 2e-3, rel=1e-4)
 
 
-def test_a_holdoff_is_between_ringing_and_wave():
-    """From 5 mm the fall takes 31.93 ms, 0.1 ms of which the pre-trigger needs."""
-    held = parameters(holdoff_s=10e-3, ringing_s=5e-3)
-    assert (held.holdoff_s, held.ringing_s) == (10e-3, 5e-3)
-    assert (parameters().holdoff_s, parameters().ringing_s) == (None, 0.0)
-
-
 @pytest.mark.parametrize(
     ("change", "complaint"),
     [

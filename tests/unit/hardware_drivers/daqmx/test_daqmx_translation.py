@@ -47,25 +47,6 @@ def test_every_status_of_the_package_has_its_class(kind):
         assert code.name in str(error)
 
 
-@pytest.mark.parametrize(
-    ("code", "expected"),
-    [
-        (-200284, AcquisitionTimeoutError),
-        (-200560, AcquisitionTimeoutError),
-        (-50103, BusyError),
-        (-200022, BusyError),
-        (-89137, BusyError),
-        *((code, ConnectionLostError) for code in (-88710, -88709, -88708, -200324, -201003, -50401, -50405)),
-        *((code, ConnectionLostError) for code in (-200088, -200279, -200361, -200010, -200019)),
-        (-200077, UnknownStatusError),
-        (-200170, UnknownStatusError),
-        (-999999, UnknownStatusError),
-    ],
-)
-def test_statuses_of_the_laboratory_have_their_class(code, expected):
-    assert CLASS_OF_STATUS.get(code, UnknownStatusError) is expected
-
-
 def every_error_class_of_the_package():
     found = set()
     pending = [vendor.Error, vendor.FeatureNotSupportedError]

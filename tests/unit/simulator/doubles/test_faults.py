@@ -9,7 +9,7 @@ from support.waiting import ended, happened
 
 from simulator.doubles.chassis.description import default_description
 from simulator.doubles.device_model import Brain
-from simulator.doubles.faults import KINDS, Faults, wrong_answer
+from simulator.doubles.faults import Faults, wrong_answer
 from simulator.doubles.vendor_api.entry_points import ENTRY_POINTS, Role
 from simulator.doubles.vendor_api.statuses import TEXTS, Status
 
@@ -201,7 +201,3 @@ def test_death_ends_the_process_before_anything_is_done(brain, me):
     with pytest.raises(DeathError):
         me("CreateTask")
     assert brain.record()["tasks"] == []
-
-
-def test_there_are_four_kinds():
-    assert KINDS == ("error", "hang", "lie", "death")

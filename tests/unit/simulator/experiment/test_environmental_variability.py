@@ -23,12 +23,7 @@ from simulator.parameters.environmental_variability import (
     NuisanceParameters,
     SourceParameters,
 )
-from simulator.parameters.experiment import (
-    DriftParameters,
-    ScatterParameters,
-    ThinningParameters,
-    TwinParameters,
-)
+from simulator.parameters.experiment import DriftParameters, ScatterParameters, TwinParameters
 from simulator.parameters.plate import CorrosionParameters, LiquidParameters, PlateParameters
 from simulator.shot.model import Impact, ShotModel
 from simulator.shot.pulse_summary import summarise_pulses
@@ -221,21 +216,6 @@ def test_striker_and_wear_move_time_of_flight_with_the_width_of_the_incident_wav
     assert slope == pytest.approx(0.81, abs=0.15)
 
 
-def test_corrosion_leaves_the_incident_wave_as_it_was():
-    plate = PlateParameters(elements_per_edge=32, contact_element_m=1e-3)
-    model = ShotModel(CHAIN, plate, CorrosionParameters())
-    thin = ThinningParameters(history=((0.0, 0.0), (1.0, 0.0), (2.0, 0.4)))
-    made = specimen(
-        replace(QUIET, thinning={"B": thin}, nuisance="laboratory", update_interval_s=3600.0), model
-    )
-    gone = made.solitary_wave(key(5), 2.0)
-    same = specimen(replace(QUIET, thinning={}, nuisance="laboratory"), model).solitary_wave(key(5), 2.0)
-    # What the wave sends ahead through the preloaded chain, and comes back, is 1e-14 of it.
-    assert gone.truth["isw_peak_n"] == pytest.approx(same.truth["isw_peak_n"], rel=1e-12)
-    assert gone.truth["isw_time_s"] == pytest.approx(same.truth["isw_time_s"], rel=1e-12)
-    assert gone.truth["tof_s"] > 1.02 * same.truth["tof_s"]
-
-
 def test_contacts_are_seated_one_by_one_and_spheres_turn_to_both_sides(only):
     made = only(contact_stiffness=SourceParameters(shot_sd=0.05))
     factors = np.array([found(made, key(k)).contacts.stiffness_factor for k in range(400)])
@@ -272,8 +252,6 @@ def test_a_re_seat_is_abrupt_goes_either_way_and_stays(only):
     shots = [found(made, key(k), float(hour)) for k, hour in enumerate(hours)]
     marks = np.array([shot.reseats for shot in shots])
     place = np.log([shot.contacts.stiffness_factor[-1] for shot in shots])
-    low, high = stats.poisson.interval(1.0 - 1e-4, 5.0 * hours[-1] / 1_000.0)
-    assert low <= marks[-1] <= high
     moved = np.diff(place) != 0.0
     np.testing.assert_array_equal(moved, np.diff(marks) > 0)
     assert np.diff(place).max() > 0.0 > np.diff(place).min()

@@ -34,12 +34,6 @@ def test_solution_is_that_of_the_whole_matrix(n_x, n_y):
     np.testing.assert_allclose(whole @ x, right, atol=1e-10)
 
 
-def test_every_unknown_is_eliminated_once():
-    places, unknowns, size = cells_of(5, 4)
-    eliminated = np.concatenate([front.eliminated for front in order_elimination(places, unknowns)])
-    assert sorted(eliminated) == list(range(size))
-
-
 def test_a_matrix_that_is_not_positive_definite_is_refused():
     places, unknowns, _ = cells_of(2, 2)
     with pytest.raises(SpecimenError, match="not positive definite"):

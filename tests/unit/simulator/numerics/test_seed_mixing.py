@@ -13,12 +13,3 @@ def test_words_are_those_of_numpy(n, n_words, dtype):
     for words in random.integers(0, 2**32, (50, n), dtype=np.uint32):
         expected = np.random.SeedSequence(words).generate_state(n_words, dtype)
         np.testing.assert_array_equal(SeedWords(words).generate_state(n_words, dtype), expected)
-
-
-def test_a_generator_accepts_the_seed_words():
-    words = np.array([1, 5, 0, 2**32 - 1, 7], dtype=np.uint32)
-    ours, numpys = (
-        np.random.Generator(np.random.SFC64(seed))
-        for seed in (SeedWords(words), np.random.SeedSequence(words))
-    )
-    assert ours.random(5).tolist() == numpys.random(5).tolist()

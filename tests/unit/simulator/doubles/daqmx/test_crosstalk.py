@@ -95,17 +95,6 @@ def test_a_free_record_from_the_pulse_s_begin_shows_both_edges_and_the_wave(brai
     assert np.abs(volts[edge + 20_000 : round(contact)]).max() < 2 * CODE_V, "nothing in between"
 
 
-def test_parts_of_a_free_record_are_read_one_after_the_other(brain, me):
-    brain.disturb("C", {"on_v": 1.0, "decay_s": 1e-3})
-    whole, parts = free(me, 4_000), []
-    start_by(me, whole, edge=RISING)
-    coil = shot(me, whole)
-    for _ in range(4):
-        parts.append(volts_of(me, whole, num_samps_per_chan=1_000))
-    np.testing.assert_allclose(np.concatenate(parts), np.exp(-np.arange(4_000) / 1e4), atol=CODE_V)
-    me("ClearTask", coil)
-
-
 @pytest.mark.parametrize(("height_v", "taken"), [(0.3, True), (0.2, False), (-0.3, False)])
 def test_a_spike_above_the_level_takes_the_record_of_a_trigger_armed_over_it(brain, me, height_v, taken):
     brain.disturb("C", {"off_v": height_v, "decay_s": 2e-6})

@@ -1,8 +1,6 @@
 """The control channel and the process around the brain."""
 
 import json
-import subprocess
-import sys
 import threading
 
 import pytest
@@ -11,7 +9,6 @@ from support.waiting import WAIT_S, happened
 from support.wire_client import decode_answer, encode_call
 
 from hardware_drivers.measurement import ShotKey
-from simulator.doubles.chassis.description import to_json
 from simulator.doubles.device_model import Brain
 from simulator.doubles.errors import DoublesProcessError
 from simulator.doubles.transports.control import DoublesControl, running_doubles
@@ -148,26 +145,10 @@ def test_a_peer_that_sends_invalid_data_is_disconnected(served):
 # The process
 
 
-def test_the_double_prints_its_address_and_ends_with_its_standard_input(tmp_path):
-    (tmp_path / "description.json").write_text(to_json(DESCRIPTION), encoding="utf-8")
-    process = subprocess.Popen(
-        [
-            *(sys.executable, "-m", "simulator.doubles", "--no-warm-up"),
-            *("--description", str(tmp_path / "description.json")),
-        ],
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        text=True,
-    )
-    try:
-        ready = json.loads(process.stdout.readline())
-        assert ready["event"] == "ready"
-        with DoublesControl(ready["control"]) as control:
-            assert [board["name"] for board in control.record()["boards"]] == ["PXI1Slot3"]
-    finally:
-        process.stdin.close()
-        assert process.wait(WAIT_S) == 0
-        process.stdout.close()
+def test_the_double_prints_its_address_and_ends_with_its_standard_input():
+    with running_doubles(DESCRIPTION, warm_up=False) as running:
+        assert [board["name"] for board in running.control.record()["boards"]] == ["PXI1Slot3"]
+    assert running.process.returncode == 0
 
 
 def test_a_killed_double_is_reported(served):

@@ -3,7 +3,6 @@
 import os
 import subprocess
 import sys
-from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 from support.doubles_bench import one_board_description
@@ -30,34 +29,6 @@ def test_another_source_is_another_library(tmp_path, monkeypatch):
     first = build_library("nidaqmx", tmp_path)
     monkeypatch.setattr(library, "library_source", lambda name: library_source(name) + "\n")
     assert build_library("nidaqmx", tmp_path) != first
-
-
-@needs_compiler
-def test_several_processes_at_once_leave_one_whole_library(tmp_path):
-    code = (
-        "import sys\nfrom pathlib import Path\n"
-        "from simulator.doubles.transports.library import build_library\n"
-        "print(build_library('nidaqmx', Path(sys.argv[1])))"
-    )
-
-    def build(_):
-        return subprocess.run(
-            [sys.executable, "-c", code, str(tmp_path)],
-            capture_output=True,
-            text=True,
-            check=True,
-            timeout=120,
-        ).stdout.strip()
-
-    with ThreadPoolExecutor(3) as pool:
-        folders = set(pool.map(build, range(3)))
-    assert len(folders) == 1
-    assert [str(child) for child in tmp_path.iterdir()] == list(folders)
-    assert {child.name for child in next(tmp_path.iterdir()).iterdir()} == {
-        "libnidaqmx.so",
-        "libnidaqmx.so.1",
-        "libnidaqmx.so.c",
-    }
 
 
 @needs_compiler

@@ -4,9 +4,6 @@ import ctypes
 import multiprocessing
 import os
 import re
-import subprocess
-import sys
-import textwrap
 import threading
 from pathlib import Path
 
@@ -49,15 +46,6 @@ def coil(board="PXI1Slot3", name="", **times):
     chosen = {"initial_delay": 2e-4, "high_time": 0.006, "low_time": 0.001} | times
     task.co_channels.add_co_pulse_chan_time(f"{board}/ctr0", **chosen)
     return task
-
-
-def test_routes_are_made_and_undone(meeting):
-    system = System.local()
-    system.connect_terms("/PXI1Slot3/PFI0", "/PXI1Slot3/PXI_Trig1")
-    system.disconnect_terms("/PXI1Slot3/PFI0", "/PXI1Slot3/PXI_Trig1")
-    with pytest.raises(DaqError, match="PFI77") as caught:
-        system.connect_terms("/PXI1Slot3/PFI77", "/PXI1Slot3/PXI_Trig1")
-    assert caught.value.error_code == -200040
 
 
 def test_attributes_of_every_type_are_set_and_read_back(meeting):
@@ -167,48 +155,6 @@ def test_an_unknown_attribute_writes_nothing(meeting, double_library):
 
 
 # Other processes
-
-CLIENT = """
-import sys
-import nidaqmx
-from nidaqmx.constants import TaskMode
-task = nidaqmx.Task("the other's coil")
-task.co_channels.add_co_pulse_chan_time("PXI1Slot3/ctr0", initial_delay=0.0, high_time=30.0, low_time=1.0)
-task.control(TaskMode.TASK_COMMIT)
-if "start" in sys.argv:
-    task.start()
-print("ready", flush=True)
-sys.stdin.read()
-"""
-
-
-def other_process(running, library, *arguments):
-    process = subprocess.Popen(
-        [sys.executable, "-c", textwrap.dedent(CLIENT), *arguments],
-        env={**os.environ, "SOLIMON_DOUBLES": running.wire, "LD_LIBRARY_PATH": str(library)},
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        text=True,
-    )
-    assert process.stdout.readline() == "ready\n"
-    return process
-
-
-def end(process):
-    process.stdout.close()
-    process.stdin.close()
-    ended(process, "the other process left")
-
-
-def test_two_processes_share_the_boards_and_see_each_other(meeting, double_library):
-    other = other_process(meeting, double_library)
-    try:
-        with coil() as co:
-            with pytest.raises(DaqError, match="the other's coil") as caught:
-                co.start()
-            assert caught.value.error_code == -50103
-    finally:
-        end(other)
 
 
 def test_a_forked_child_is_a_separate_client(meeting):

@@ -1,13 +1,11 @@
 """The cache changes how long a reduction takes, nothing else."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
 from simulator.parameters.plate import CorrosionParameters, PlateParameters
 from simulator.plate.mindlin import cache
-from simulator.plate.mindlin.cache import hash_reduction, load_reduced_plate
+from simulator.plate.mindlin.cache import load_reduced_plate
 
 PLATE = PlateParameters(elements_per_edge=16, contact_element_m=2e-3)
 PATCH = CorrosionParameters()
@@ -38,15 +36,3 @@ def test_cached_equals_uncached_bit_for_bit(tmp_path, counted):
     assert len(counted) == 2
     assert_same_bits(uncached, first)
     assert_same_bits(first, again)
-
-
-def test_depth_shares_a_reduction_and_everything_else_does_not():
-    key = hash_reduction(PLATE, PATCH)
-    assert key == hash_reduction(PLATE, replace(PATCH, depth_fraction=0.5))
-    others = [
-        hash_reduction(PLATE, replace(PATCH, size_m=0.03)),
-        hash_reduction(PLATE, replace(PATCH, shape="round")),
-        hash_reduction(replace(PLATE, support="clamped"), PATCH),
-        hash_reduction(replace(PLATE, thickness_m=6e-3), PATCH),
-    ]
-    assert len({key, *others}) == 5
