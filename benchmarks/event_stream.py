@@ -51,7 +51,7 @@ if way == "nagle":
         listener.listen(2048)
         listener.setblocking(False)
         return listener
-    server.bind = bind
+    server.bind_socket = bind
     server.uvicorn.Config.get_loop_factory = lambda config: asyncio.new_event_loop
 if way == "fastapi":
     import orjson
@@ -76,7 +76,7 @@ def answer():
     stop.set()
 
 threading.Thread(target=answer, daemon=True).start()
-server.collect_garbage_seldom()
+server.reduce_garbage_collection()
 server.serve(app, "127.0.0.1", 0, on_bound=lambda url: print(url, flush=True), stop=stop)
 """
 STAMP = re.compile(rb'"wall_utc": ?"([^"]+)"')

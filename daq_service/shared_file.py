@@ -6,7 +6,7 @@ There are two kinds. A *durable* file is complete or absent after a power cut: `
 
 Windows neither opens, renames nor removes a file that another process holds in certain ways (sharing
 violation, a PermissionError); a moment later it does. Calls that must not fail for that are retried by
-`retry_call`. Where rights are missing for good, the same error is raised after `PATIENCE_S`.
+`retry`. Where rights are missing for good, the same error is raised after `PATIENCE_S`.
 
 Calls that may fail go through `os` by name, where the fault tests interpose. HDF5 itself
 never writes a file: a full disk would end the process.

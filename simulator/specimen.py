@@ -370,7 +370,7 @@ def _model_of_transducer(transducer: Transducer, faults: ShotFaults) -> Solitary
 
 
 def _integrate_blows(model: ShotModel, blows: Sequence[_DrawnStrike]) -> list[tuple[ShotForce, ShotForce]]:
-    """Simulate several strikes on one chain side by side; return the results of `Specimen._forces`."""
+    """Simulate several strikes on one chain side by side; return results as `Specimen._compute_forces`."""
     bounced = [blow for blow in blows if blow.faults.double_delay_s is not None]
     found = iter(model.shots([*(blow.impact() for blow in blows), *(blow.impacts() for blow in bounced)]))
     first = [next(found) for _ in blows]

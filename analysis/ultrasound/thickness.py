@@ -231,7 +231,7 @@ def substitute_reference(
     Parameters
     ----------
     later
-        Taken from the later record (`reference_echo`).
+        Taken from the later record (`find_reference_echo`).
     travel_time_s, reference_travel_time_s
         UT of the later record and UT_0, as they were read with the lost reference: the same times are read
         with the new one. Amplitudes are compared with the later echo's.

@@ -109,7 +109,8 @@ class ShotFeatures:
     quality
         ``good`` (no flag), ``suspect`` (valid, with a flag) or ``bad`` (not valid).
     pull_fraction
-        How far the record falls below its quiet level, of the ISW's amplitude (`disturbance.deepest_pull`).
+        How far the record falls below its quiet level, of the ISW's amplitude
+        (`disturbance.measure_deepest_pull`).
     compared
         The flags count what the set's other shots show already, as in `template.compare_with_template`.
     outline

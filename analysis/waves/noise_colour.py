@@ -3,7 +3,7 @@
 Noise that an amplifier or a filter limits in band is like from sample to sample: differences between
 neighbours see little of it, means over a pulse all of it. So its power is read
 
-- for block means from their third differences over the whole record (`record_reduction.fine_noise`);
+- for block means from their third differences over the whole record (`record_reduction.estimate_fine_noise`);
 - below, from the quiet blocks before the wave: coefficients of cosines, a constant and the wave's exponential
   foot taken out. A band counts for itself only where its power lies above that of the wider one by more than
   chance (1 %): a band of few coefficients is uncertain by itself.

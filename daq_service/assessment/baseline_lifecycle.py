@@ -87,7 +87,7 @@ def renew(
     Parameters
     ----------
     present
-        As of `find_baseline_range`; a baseline that still collects is retired too: its history has no gap.
+        As of `baseline_range`; a baseline that still collects is retired too: its history has no gap.
     first_set
         Index of the first set that belongs to the successor.
 

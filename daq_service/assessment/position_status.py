@@ -36,7 +36,8 @@ def find_status(last: LatestRows) -> PositionStatus:
     Parameters
     ----------
     last
-        Its latest rows, with the current alarms (`Freshness.standing_word`): an expired shelf hides none.
+        Its latest rows, with the current alarms (`Freshness.with_present_alarms`): an expired shelf hides
+        none.
     """
     assessment = last.last_assessment
     if find_disabled(last.active_alarms):

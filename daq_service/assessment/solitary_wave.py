@@ -365,7 +365,7 @@ def wall_conditions(position: str, state: State, rules: Rules, assessment: Asses
     """Return the conditions of both alarms after a set; ``assessment`` is the row of that set.
 
     A change with a diagnosis other than the wall raises the transducer alarm; an undetermined one raises the
-    wall alarm (`diagnosis.next_origin`).
+    wall alarm (`diagnosis.update_origin`).
     """
     design = None if state.baseline is None else state.baseline.design
     if rules.decides_by == "chart" and design is not None and state.memory is not None:

@@ -34,8 +34,8 @@ from daq_service.catalogue.rows import (
 )
 from daq_service.catalogue.stored_rows import (
     DamagedRow,
+    begin_write,
     insert_rows,
-    open_write_transaction,
     read_rows,
     read_values,
     translate_errors,
@@ -135,7 +135,7 @@ _CONDITIONS: Mapping[str, Callable[[sa.Table, Any], sa.ColumnElement[bool]]] = {
         else table.c.unscheduled_index > sa.literal_column("0")  # literal, as in the index
     ),
 }
-"""A filter that is not listed compares a column; ``after_id`` uses `_behind`."""
+"""A filter that is not listed compares a column; ``after_id`` uses `_select_after`."""
 _HOURS_OF_UNSCHEDULED: Mapping[str, Callable[[sa.Table, Any], sa.ColumnElement[bool]]] = {
     "first_h": lambda table, hour: table.c.due_h >= hour,
     "last_h": lambda table, hour: table.c.due_h <= hour,
@@ -209,18 +209,16 @@ class Catalogue:
 
     def rows(self, kind: type[R], /, *, limit: int | None = None, **filters: Unpack[Filters]) -> list[R]:
         """Read rows of a table in storage order; with filters on sets, in the order of the sets."""
-        return self._read_rows(
-            kind, _build_kind_query(kind, limit, filters), _collect_required_values(kind, filters)
-        )
+        return self._read_rows(kind, _select_kind(kind, limit, filters), _find_required(kind, filters))
 
     def read_last_rows(
         self, kind: type[R], position: str, count: int | None, /, **filters: Unpack[Filters]
     ) -> list[R]:
         """Read the rows of the last sets of a position (None: of all), in the order of the sets."""
         table = TABLES[kind]
-        statement = add_filters(sa.select(table), table, {**filters, "position": position})
+        statement = filter_by(sa.select(table), table, {**filters, "position": position})
         newest_first = statement.order_by(None).order_by(*(column.desc() for column in _list_key(table)))
-        required = _collect_required_values(kind, {**filters, "position": position})
+        required = _find_required(kind, {**filters, "position": position})
         return self._read_rows(kind, newest_first.limit(count), required)[::-1]
 
     def read_newest_gaps(self, count: int) -> list[SetRow]:
@@ -250,7 +248,7 @@ class Catalogue:
     def read_first_thickness(self, position: str) -> ThicknessRow | None:
         """Read the first pulse-echo result with a travel time; None without one."""
         table = TABLES[ThicknessRow]
-        statement = add_filters(sa.select(table), table, {"position": position})
+        statement = filter_by(sa.select(table), table, {"position": position})
         rows = self._read_rows(ThicknessRow, statement.where(table.c.travel_time_s.is_not(None)).limit(1))
         return rows[0] if rows else None
 
@@ -281,11 +279,9 @@ class Catalogue:
             return {}
         # Complete rows: only these can be compared with their checksums.
         with self.open_snapshot() as connection:
-            rows = list(read_values(connection, kind, _build_kind_query(kind, limit, filters)))
+            rows = list(read_values(connection, kind, _select_kind(kind, limit, filters)))
             columns = dict(zip(kind.__slots__, zip(*rows, strict=True), strict=False))
-            _refuse_other_values(
-                kind, _collect_required_values(kind, filters), lambda name: columns.get(name, ())
-            )
+            _refuse_other_values(kind, _find_required(kind, filters), lambda name: columns.get(name, ()))
         return {name: list(columns.get(name, ())) for name in names}
 
     def _read_rows(
@@ -339,7 +335,7 @@ class Catalogue:
         with self.open_snapshot() as connection:
             (row,) = read_rows(connection, CountsRow, sa.select(counts))
             n_alarms = connection.execute(
-                add_filters(sa.select(sa.func.count()), alarms, {"active": True}).order_by(None)
+                filter_by(sa.select(sa.func.count()), alarms, {"active": True}).order_by(None)
             ).scalar_one()
         return {name: number for name, number in as_dict(row).items() if name != "id"} | {
             "active_alarms": n_alarms
@@ -373,7 +369,7 @@ class Catalogue:
             last_assessments = _read_newest_rows(connection, AssessmentRow)
             last_thicknesses = _read_newest_rows(connection, ThicknessRow)
             active = list(
-                read_rows(connection, AlarmRow, add_filters(sa.select(alarms), alarms, {"active": True}))
+                read_rows(connection, AlarmRow, filter_by(sa.select(alarms), alarms, {"active": True}))
             )
         return {
             position: LatestRows(
@@ -419,9 +415,7 @@ class Catalogue:
 
     def read_last_service_event(self, *kinds: str) -> EventRow | None:
         """Read the newest event of the service of one of these kinds; None if there is none."""
-        last_id = add_filters(sa.select(sa.func.max(events.c.id)), events, {"topic": "service"}).order_by(
-            None
-        )
+        last_id = filter_by(sa.select(sa.func.max(events.c.id)), events, {"topic": "service"}).order_by(None)
         newest = last_id.where(events.c.kind.in_(kinds)).scalar_subquery()
         return self._read_newest_row(EventRow, events.c.id == newest)
 
@@ -460,7 +454,7 @@ class Catalogue:
         """
         with (
             translate_errors(self._path, "writing a command"),
-            open_write_transaction(self._create_command_engine()) as connection,
+            begin_write(self._open_writer()) as connection,
         ):
             now_ns, within_ns = time.time_ns(), round(within_s * NS_PER_S)
             row = CommandRow(
@@ -476,14 +470,14 @@ class Catalogue:
             )
             return store_command(connection, row)
 
-    def _create_command_engine(self) -> sa.Engine:
+    def _open_writer(self) -> sa.Engine:
         """Create or return the engine that writes commands."""
         if self._command_engine is None:
             self._command_engine = make_engine(self._path, writable=True)
         return self._command_engine
 
 
-def add_filters(statement: sa.Select[Any], table: sa.Table, filters: Filters) -> sa.Select[Any]:
+def filter_by(statement: sa.Select[Any], table: sa.Table, filters: Filters) -> sa.Select[Any]:
     """Add filters and order to a query of a table."""
     values = {name: value for name, value in filters.items() if value is not None and name != "after_id"}
     after_id = filters.get("after_id")
@@ -505,7 +499,7 @@ def add_filters(statement: sa.Select[Any], table: sa.Table, filters: Filters) ->
     return statement.order_by(*order)
 
 
-def _collect_required_values(kind: type[Row], filters: Filters) -> dict[str, object]:
+def _find_required(kind: type[Row], filters: Filters) -> dict[str, object]:
     """Collect the column values that filters require of a row."""
     columns = [name for name in filters if name == "topic" or name not in _CONDITIONS]
     required = {name: filters.get(name) for name in columns if name in kind.__slots__}
@@ -570,14 +564,14 @@ def store_command(connection: sa.Connection, row: CommandRow) -> int:
     return insert_rows(connection, [row])[0]
 
 
-def _build_kind_query(kind: type[Row], limit: int | None, filters: Filters) -> sa.Select[Any]:
+def _select_kind(kind: type[Row], limit: int | None, filters: Filters) -> sa.Select[Any]:
     """Build the query for the filtered rows of a kind."""
-    return add_filters(sa.select(TABLES[kind]), TABLES[kind], filters).limit(limit)
+    return filter_by(sa.select(TABLES[kind]), TABLES[kind], filters).limit(limit)
 
 
 def _read_newest_rows(connection: sa.Connection, kind: type[OfSet]) -> dict[str, OfSet]:
     """Read the row of the highest set index of each position in ``sets``."""
-    required = _collect_required_values(kind, {"scope": "set"})
+    required = _find_required(kind, {"scope": "set"})
     newest = read_rows(connection, kind, _build_newest_query(TABLES[kind]))
     return {row.position: row for row in _collect_rows(kind, required, newest)}
 

@@ -78,7 +78,7 @@ _ROWS_AT_ONCE = 256
 """Rows per fetch: one by one takes an eighth longer."""
 
 
-class DamagedRow(Exception):  # noqa: N818 - an error once the file is known (`translated`)
+class DamagedRow(Exception):  # noqa: N818 - an error once the file is known (`translate_errors`)
     """A row does not match its checksum."""
 
 
@@ -299,7 +299,7 @@ def begin_transactions(engine: Engine) -> None:
 
 
 @contextmanager
-def open_write_transaction(engine: Engine) -> Iterator[Connection]:
+def begin_write(engine: Engine) -> Iterator[Connection]:
     """Open a transaction that holds the write lock from its start: it stores all or nothing."""
     with engine.execution_options(**{_WRITES: True}).begin() as connection:
         yield connection

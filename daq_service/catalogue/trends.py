@@ -122,7 +122,8 @@ def read_trend_bins(
     Returns
     -------
     tuple or None
-        Sets of a bin, and the bins (`bin_type` of `values_of`); None: at most ``points`` sets were measured.
+        Sets of a bin, and the bins (`choose_bin_type` of `list_bin_values`); None: at most ``points``
+        sets were measured.
     """
     with catalogue.open_snapshot() as connection:
         position_range = _find_range(connection, position, (first_h, last_h))

@@ -33,9 +33,9 @@ from daq_service.catalogue.rows import (
     ThicknessRow,
 )
 from daq_service.catalogue.stored_rows import (
+    begin_write,
     change_row,
     insert_rows,
-    open_write_transaction,
     prepare,
     read_rows,
     translate_errors,
@@ -138,7 +138,7 @@ class RecorderCatalogue(Catalogue):
     @contextmanager
     def _open_transaction(self, action: str) -> Iterator[Connection]:
         """Open a write transaction and translate its errors to those of the catalogue."""
-        with translate_errors(self._path, action), open_write_transaction(self._engine) as connection:
+        with translate_errors(self._path, action), begin_write(self._engine) as connection:
             yield connection
 
     # The experiment
@@ -286,7 +286,7 @@ class RecorderCatalogue(Catalogue):
             change_row(connection, CountsRow(**count_due_times(connection), **counted))
 
     def restore_rows(self, rows: Iterable[Row]) -> None:
-        """Store rows with their ids, replacing existing ones; `recount` follows."""
+        """Store rows with their ids, replacing existing ones; `recompute_counts` follows."""
         restored = list(rows)
         touched = collect_touched_sets(row for row in restored if not isinstance(row, EventRow))
         with self._open_transaction("restoring rows") as connection:

@@ -126,7 +126,7 @@ def read_audit(
     end: int | None = None,
     wanted: Callable[[AuditEntry], bool] = lambda entry: True,
 ) -> tuple[list[tuple[int, AuditEntry]], int | None]:
-    """Read the newest entries with their numbers, as `line_file.newest_lines`.
+    """Read the newest entries with their numbers, as `line_file.read_newest_lines`.
 
     Raises
     ------

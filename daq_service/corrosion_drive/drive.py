@@ -75,7 +75,7 @@ class SupplyLogger:
     clock
         Its monotonic time schedules the readings.
     state
-        State at the end of the last run; see `charge.restored_state`.
+        State at the end of the last run; see `charge.restore_charge_state`.
 
     Attributes
     ----------

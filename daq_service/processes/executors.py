@@ -71,9 +71,9 @@ def open_executor(name: str, workers: int) -> Iterator[Executor]:
     Parameters
     ----------
     name
-        ``processes``, ``threads`` or ``dask://HOST`` (`checked_name`).
+        ``processes``, ``threads`` or ``dask://HOST`` (`check_executor_name`).
     workers
-        Processes or threads; a cluster has its own (`workers_of`).
+        Processes or threads; a cluster has its own (`count_workers`).
 
     Raises
     ------

@@ -51,7 +51,7 @@ def to_one_line(text: str) -> str:
 
 
 def escape_all_to_one_line(values: Any) -> Any:
-    """Apply `escape_to_one_line` to every text of a JSON-ready value."""
+    """Apply `to_one_line` to every text of a JSON-ready value."""
     if isinstance(values, dict):
         return {name: escape_all_to_one_line(value) for name, value in values.items()}
     if isinstance(values, (list, tuple)):

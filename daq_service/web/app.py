@@ -87,7 +87,7 @@ def create_app(settings: Settings, data_folder: Path, *, no_person: bool = False
 
 
 def create_app_of_test(lifespan: Lifespan[FastAPI] | None = None) -> Service:
-    """Create an application with the routes of a test; `context.context_at` selects the test of a request."""
+    """Create an application with the routes of a test; `find_request_context` finds that of a request."""
     app = Service(
         "solimon",
         (

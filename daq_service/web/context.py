@@ -233,7 +233,7 @@ def find_request_context(connection: HTTPConnection) -> Context:
 
 
 async def _provide_context(connection: HTTPConnection) -> Context:
-    """Return `context_at` as dependency of routes; as a coroutine it needs no thread of the pool."""
+    """Return `find_request_context` as dependency of routes; a coroutine needs no thread of the pool."""
     return find_request_context(connection)
 
 

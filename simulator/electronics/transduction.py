@@ -81,7 +81,7 @@ def quantise_volts(volts: FloatArray, calibration: Calibration) -> Counts:
 
 @lru_cache(maxsize=64)
 def _prepare_inversion(calibration: Calibration) -> tuple[FloatArray, int]:
-    """Prepare `inverted_codes`: return the polynomial's curvature over its slope, and the passes.
+    """Prepare `invert_scaling`: return the polynomial's curvature over its slope, and the passes.
 
     Raise ValueError for a scaling whose slope varies by more than half.
     """

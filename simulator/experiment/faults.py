@@ -3,7 +3,8 @@
 `parameters.faults` says which faults a position has; here they are drawn, and strike and chain altered.
 The altered shot takes the same way as a sound one: through the physics, the trigger and the ADC. Each
 active fault leaves its truth with every record of its position, also where it did not act, so that
-detectors can be assessed. A missed strike leaves no record: `faults_of_shot` shows it again from the seed.
+detectors can be assessed. A missed strike leaves no record: `draw_faults_of_shot` shows it again from the
+seed.
 """
 
 from __future__ import annotations
@@ -64,7 +65,7 @@ SOUND = FaultParameters()
 def draw_faults_of_shot(faults: FaultParameters, *, seed: int, key: ShotKey, hour_h: float) -> ShotFaults:
     """Draw the faults of a strike, of its chain and of its sensor at an hour of the test.
 
-    Hum and spikes are drawn by `interference_of_shot`, since they need the record's length.
+    Hum and spikes are drawn by `draw_interference`, since they need the record's length.
     """
     truth: dict[str, float] = {}
     missed, gain_factor = False, 1.0

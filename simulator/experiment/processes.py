@@ -56,7 +56,7 @@ def draw_autocorrelated_values(
     Parameters
     ----------
     weights
-        `memory_weights`.
+        `compute_ar1_weights`.
     dof
         Of the innovations, Student's t of variance 1.
 

@@ -88,7 +88,7 @@ class _Sources:
     set_sd, shot_sd, wander_sd, reseat_sd
         Shape (n_sources,).
     memory
-        `processes.memory_weights` of the sources.
+        `processes.compute_ar1_weights` of the sources.
     effect
         Shape (2 n + 3, n_sources): what they add to ln A and ln gamma of the contacts below each body, to ln
         drop height, ln gain and tilt.

@@ -59,7 +59,7 @@ def read_or_compute_arrays(
     folder
         None computes without any disk. Kept or not, the arrays are the same to the last bit.
     key
-        From `content_key`: whatever changes the arrays must change it.
+        From `hash_content`: whatever changes the arrays must change it.
     compute
         Makes the arrays, float64 of any shape, by name.
     """

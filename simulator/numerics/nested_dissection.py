@@ -126,7 +126,7 @@ def factorize(fronts: list[Front], cell_matrix: Callable[[int], FloatArray]) -> 
     Parameters
     ----------
     fronts
-        From `dissect`.
+        From `order_elimination`.
     cell_matrix
         Dense matrix of one cell over its sorted unknowns.
 

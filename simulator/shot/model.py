@@ -159,7 +159,7 @@ class ShotModel:
     step_s
         Step of the integration and of the record. None resolves the chain, by 0.5 us for the paper's.
     prepared_plate
-        What `modal_plate` gives for `plate` and `corrosion`, where the caller has it for another chain.
+        What `prepare_modal_plate` gives for `plate` and `corrosion`, if another chain has it already.
     energy_tolerance
         Largest defect of the energy balance, relative to the impact energy.
 

@@ -35,7 +35,7 @@ def write_tiles_of_set(
     experiment
          Identifier of the test (`Tiles.experiment`).
     anchors
-        Shot id to the time of its first pulse or echo (`anchors_of`).
+        Shot id to the time of its first pulse or echo (`extract_anchors`).
     complete_blocks_only
         For the newest set of a test: see `Tiles.write_row`.
 

@@ -10,7 +10,7 @@ from sqlalchemy import Connection, Engine, bindparam, select, text, update
 
 from daq_service.catalogue.errors import SchemaVersionError
 from daq_service.catalogue.rows import CountsRow
-from daq_service.catalogue.stored_rows import compute_row_crc32, insert_rows, open_write_transaction
+from daq_service.catalogue.stored_rows import begin_write, compute_row_crc32, insert_rows
 from daq_service.catalogue.tables import KINDS, ROW_CRC32, TABLES, metadata
 from daq_service.catalogue.trends import rebuild_trends
 
@@ -40,7 +40,7 @@ def migrate_schema(engine: Engine, path: Path, found: str | None) -> None:
     """
     if found is None:
         # The tables as they are described: what the migrations make, step by step, is the same.
-        with open_write_transaction(engine) as connection:
+        with begin_write(engine) as connection:
             metadata.create_all(connection)
             connection.execute(text(_VERSION_TABLE))
             version = text("INSERT INTO alembic_version VALUES (:revision)")
@@ -63,7 +63,7 @@ def migrate_schema(engine: Engine, path: Path, found: str | None) -> None:
             f"{path} has schema {found}; this version of solimon knows none newer than {SCHEMA_REVISION}: "
             "install the version that made it, or a newer one"
         ) from error
-    with open_write_transaction(engine) as connection:
+    with begin_write(engine) as connection:
         config.attributes["connection"] = connection
         command.upgrade(config, "head")
         _add_missing_checksums(connection)

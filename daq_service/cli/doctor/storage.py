@@ -159,7 +159,7 @@ def _check_owner(settings: Settings, folder: Path) -> Check:
 
 
 def _check_catalogue(folder: Path) -> list[Check]:
-    """Check that a started test has its catalogue; `_owner` reports an unreadable one."""
+    """Check that a started test has its catalogue; `_check_owner` reports an unreadable one."""
     try:
         reason = loss_reason(folder)
     except StorageError:
@@ -175,7 +175,7 @@ def _check_stored_sets(folder: Path) -> list[Check]:
         with open_catalogue(folder) as catalogue:
             lost = find_lost_sets(folder, catalogue)
     except (NoDataYetError, SchemaVersionError):
-        return []  # not started, or an earlier version's: `_owner` reports that
+        return []  # not started, or an earlier version's: `_check_owner` reports that
     except (StorageError, OSError) as error:
         return [_failed_check(name, str(error), "solimon verify says more")]
     values = {"lost_sets": len(lost)}

@@ -46,7 +46,7 @@ class AssessedSet:
 
 
 def build_twin(settings: Settings) -> Specimen:
-    """Build the twin of a configuration, which `assessed_sets` of multiple positions share."""
+    """Build the twin of a configuration, which `simulate_assessed_sets` of multiple positions share."""
     return build_specimen(settings.twin, transducers=build_transducers(settings), probed_thickness_m={})
 
 

@@ -176,7 +176,7 @@ def _describe_counts(counts: Mapping[str, int]) -> str:
 
 
 def print_result(result: Mapping[str, Any]) -> None:
-    """Print the result of `finish` for a person."""
+    """Print the result of `write_outcome` for a person."""
     rows = result["comparison"]
     if rows:
         click.echo(f"{'':<8}{'quantity':<66}{'paper':>26}{'ours':>15}  {'unit':<5}{'deviation':>15}  cause")

@@ -98,7 +98,7 @@ class DeliveryLog:
             self._last_error = ""
 
     def read(self, *, limit: int, end: int | None = None) -> tuple[list[tuple[int, Delivery]], int | None]:
-        """Read the newest lines with their numbers (`line_file.newest_lines`).
+        """Read the newest lines with their numbers (`line_file.read_newest_lines`).
 
         Raises
         ------

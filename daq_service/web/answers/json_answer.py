@@ -46,7 +46,7 @@ def format_hour_as_rfc3339(epoch_utc_ns: int, hour: float) -> str | None:
 
 
 def format_hours_as_rfc3339(epoch_utc_ns: int, hours: Sequence[float]) -> list[str]:
-    """Format a column of hours as RFC 3339 texts (`rfc3339_of_hour`) in one step."""
+    """Format a column of hours as RFC 3339 texts (`format_hour_as_rfc3339`) in one step."""
     if not hours:
         return []
     whole, rest = divmod(epoch_utc_ns, NS_PER_S)

@@ -15,7 +15,7 @@ def hertz_nodal_weights(
 
     The shape is (len(x), len(y)).
 
-    The deflection is bilinear on an element: each of the `hertz_points` gives its share to the four
+    The deflection is bilinear on an element: each of the `hertz_pressure_points` gives its share to the four
     corners around it. The loads add up to one, also where symmetry leaves only the part with x >= 0 or
     y >= 0.
     """

@@ -80,7 +80,7 @@ def layer_mass(
         Whether the mesh is the part with x >= 0 (y >= 0) of a plate symmetric in x (y): its matrices are
         the whole plate's, and only odd sines are left.
     terms
-        Highest sine along x and y; None takes `sine_terms`.
+        Highest sine along x and y; None takes `choose_sine_terms`.
 
     Returns
     -------

@@ -58,7 +58,7 @@ class SolidFamily:
     projected
         Both layers in the merged basis.
     residual
-        float64: Chebyshev coefficients of the compliance to add to the modes, over `_log_place`.
+        float64: Chebyshev coefficients of the compliance to add to the modes, over `_position_of_depth`.
     """
 
     projected: ProjectedSolid
@@ -73,7 +73,7 @@ class SolidFamily:
         return make_modes_passive(self.projected.modes(remaining, added))
 
     def arrays(self) -> dict[str, FloatArray]:
-        """Return the arrays that `family_of` needs to restore it."""
+        """Return the arrays that `restore_family` needs to restore it."""
         return asdict(self.projected) | {"residual": self.residual}
 
 

@@ -6,7 +6,7 @@ lines lie on the patch's edge and on its remaining thickness, and grow finer tow
 where stresses are singular. Polynomials of degree three and more neither lock nor need a shear correction.
 
 Through the thickness the many layers are wanted near the edge of the patch only. Farther away the
-unknowns of a node are polynomials over the whole thickness there (`_kinds`), a subspace, so that the
+unknowns of a node are polynomials over the whole thickness there (`_kinds_of_nodes`), a subspace, so that the
 solution stays continuous.
 
 A round patch cuts elements: what the circle takes away of the lower layer is left out of their integrals

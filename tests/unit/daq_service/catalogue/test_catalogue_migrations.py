@@ -73,7 +73,7 @@ def upgrade(path, revision):
     engine = connection.make_engine(path, writable=True)
     config = Config()
     config.set_main_option("script_location", str(Path(migrations.__file__).parent))
-    with stored_rows.open_write_transaction(engine) as opened:
+    with stored_rows.begin_write(engine) as opened:
         config.attributes["connection"] = opened
         command.upgrade(config, revision)
     engine.dispose()

@@ -13,7 +13,7 @@ from analysis.statistics.trend import fit_trend, fit_trend_of_part
 from daq_service.catalogue import SetCommit
 from daq_service.catalogue.rollups import QUALITIES, list_bin_values
 from daq_service.catalogue.rows import FeatureRow
-from daq_service.catalogue.stored_rows import open_write_transaction
+from daq_service.catalogue.stored_rows import begin_write
 from daq_service.catalogue.tables import sets, trend_blocks
 from daq_service.catalogue.trends import (
     compute_trend_part,
@@ -150,7 +150,7 @@ def test_fits_equal_those_from_all_rows(tmp_path):
 def test_blocks_depend_on_the_rows_alone_and_a_wrong_one_is_reported(tmp_path):
     catalogue, _ = random_sets(tmp_path, 1)
     with catalogue:
-        with open_write_transaction(catalogue._engine) as connection:
+        with begin_write(catalogue._engine) as connection:
             assert list(find_trend_differences(connection)) == []
             kept = connection.execute(trend_blocks.select()).all()
             rebuild_trends(connection)
@@ -176,7 +176,7 @@ def test_a_corrupt_row_does_not_prevent_the_storage_of_a_set(tmp_path, caplog):
     with new_catalogue(tmp_path) as catalogue:
         for index in range(3):
             catalogue.commit_set(SetCommit(sets=[planned(index)]))
-        with open_write_transaction(catalogue._engine) as connection:
+        with begin_write(catalogue._engine) as connection:
             connection.execute(sets.update().where(sets.c.set_index == 1).values(due_h=77.0))
         catalogue.commit_set(SetCommit(sets=[planned(3)]))  # the last one of a block
         with catalogue.open_snapshot() as connection:
