@@ -1,14 +1,14 @@
 """Supervisor of two child processes that also run alone: the recorder and the web service.
 
-The children share only the data folder. Each holds the reading end of a pipe (its standard
-input) whose other end the supervisor keeps open: when the supervisor ends, however it ends, the
-pipe closes and the children end safely. A recorder whose heartbeat is overdue is killed and
-started again; so is a child that crashed. A driver or a vendor's library may end the process with any exit
-code, so a code counts only if the child announced it on its pipe before it ended (`child.run_and_announce`).
-A child that announces a code of the table (2 usage, 3 rig, 4 storage, 5 busy) names its problem: everything
-stops and the supervisor returns the code. Where other children stay, a recorder whose test has started ends alone,
-and its code is returned when they are stopped. A web service that has listened once is always restarted: it
-ends no test. A recorder that its operator stopped (130) stays stopped.
+The children share only the data folder. Each holds the reading end of a pipe (its standard input) whose other
+end the supervisor keeps open: when the supervisor ends, however it ends, the pipe closes and the children end
+safely. A recorder whose heartbeat is overdue is killed and started again; so is a child that crashed. A
+driver or a vendor's library may end the process with any exit code, so a code counts only if the child
+announced it on its pipe before it ended (`child.run_and_announce`). A child that announces a code of the
+table (2 usage, 3 rig, 4 storage, 5 busy) names its problem: everything stops and the supervisor returns the
+code. Where other children stay, a recorder whose test has started ends alone, and its code is returned when
+they are stopped. A web service that has listened once is always restarted: it ends no test. A recorder that
+its operator stopped (130) stays stopped.
 """
 
 from __future__ import annotations

@@ -14,14 +14,14 @@ STOPPING = """
 import sys
 from pathlib import Path
 import numpy as np
-from simulator.numerics.array_cache import cached_arrays
+from simulator.numerics.array_cache import read_or_compute_arrays
 
 def stop(path, target):
     print("written", flush=True)
     sys.stdin.readline()
 
 Path.replace = stop
-cached_arrays(Path(sys.argv[1]), "key", lambda: {"a": np.arange(10_000.0)})
+read_or_compute_arrays(Path(sys.argv[1]), "key", lambda: {"a": np.arange(10_000.0)})
 """
 """Stops when a file is complete but has not yet its name, and reports it."""
 

@@ -103,10 +103,10 @@ def test_a_compiling_worker_is_reported_and_a_dead_one_ends_its_compilation():
 ORPHAN = """
 import os, sys
 from daq_service.settings.tree import Settings
-from daq_service.rig.twin import twin_executor
+from daq_service.rig.twin import start_twin_executor
 
 if __name__ == "__main__":
-    executor = twin_executor(Settings.model_validate_json(sys.argv[1]))
+    executor = start_twin_executor(Settings.model_validate_json(sys.argv[1]))
     print(executor.submit(os.getpid).result(), flush=True)
     sys.stdin.read()
 """

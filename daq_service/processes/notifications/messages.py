@@ -135,7 +135,7 @@ class Message:
         return orjson.dumps({**header, "title": self.title, "text": self.text, **self.facts})
 
 
-def compute_message_key(test: Test, receiver: str, event_ids: Sequence[int]) -> str:
+def message_key(test: Test, receiver: str, event_ids: Sequence[int]) -> str:
     """Compute the key of a message from test, receiver and events; a repeated message has the same key."""
     first, others = event_ids[0], ",".join(map(str, event_ids))
     group_suffix = f"-{hashlib.sha256(others.encode()).hexdigest()[:8]}" if len(event_ids) > 1 else ""
@@ -169,7 +169,7 @@ def build_alarm_message(
         else f"{len(changes)} changes of alarms: {_format_counts(changes)}"
     )
     return Message(
-        key=compute_message_key(test, receiver, [item.event_id for item in changes]),
+        key=message_key(test, receiver, [item.event_id for item in changes]),
         kind="alarm",
         title=f"{title} - {test.name}",
         text="\n\n".join(paragraphs),

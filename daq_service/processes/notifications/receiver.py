@@ -266,9 +266,7 @@ class ReceiverQueue:
         self._log_delivery("gave_up", description, event_ids)
 
     def _new_message(self, changes: Sequence[messages.AlarmChange]) -> _OpenMessage:
-        key = messages.compute_message_key(
-            self._source.test(), self.name, [change.event_id for change in changes]
-        )
+        key = messages.message_key(self._source.test(), self.name, [change.event_id for change in changes])
         return _OpenMessage(changes=changes, key=key)
 
     def _attempt(self, send: Send, message: messages.Message) -> Outcome:
