@@ -5,7 +5,7 @@ and returns what each model of a crash leaves. The models (`MODELS`):
 
 - ``kill``: everything that was written; the process died, not the machine.
 - ``nothing``: of what was not synced nothing, names included.
-- ``torn``: of what was not synced a prefix, of each file and of the names.
+- ``torn``: of what was not synced a prefix, of each file (within its size in whole sectors) and of the names.
 - ``pages``: of what was not synced some pages of 512 or 4096 bytes, zeros between; a prefix of the names.
 
 A name is durable once its folder was synced, nothing less. Names come and go in their order, as journaling
@@ -28,7 +28,8 @@ from support import refusing_files
 
 SOURCE = Path(__file__).with_suffix(".c")
 MODELS = ("kill", "nothing", "torn", "pages")
-PAGES_BYTES = (512, 4096)
+SECTOR_BYTES = 512
+PAGES_BYTES = (SECTOR_BYTES, 4096)
 MARK = "k"
 ONE_IN = 8
 """Of the calls after which a start finds the same: on caches, and on frames of a log without a commit."""
@@ -118,7 +119,10 @@ class _File:
                 _apply(found, offset, content)
             for offset, content in self.pending[whole : whole + 1]:
                 if content is not None:
-                    _apply(found, offset, content[: chance.randrange(len(content) + 1)])
+                    end = offset + chance.randrange(len(content) + 1)
+                    if offset + len(content) <= len(found):  # within a file a disk writes whole sectors
+                        end = max(offset, end - end % SECTOR_BYTES)
+                    _apply(found, offset, content[: end - offset])
         if model == "pages" and self.pending:
             page = chance.choice(PAGES_BYTES)
             for offset, content in self.pending:

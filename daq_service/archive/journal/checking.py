@@ -13,7 +13,7 @@ from daq_service.archive.journal.reader import JournaledSet, build_segment_path,
 from daq_service.archive.records import JOURNAL_FOLDER, SETS_FOLDER, Damage, to_references
 from hardware_drivers.measurement import SetKey
 
-_PAGE_BYTES = 4096
+_SECTOR_BYTES = 512
 
 
 @dataclass(slots=True, kw_only=True, eq=False)
@@ -70,8 +70,8 @@ class CheckedJournal:
 
 
 def _is_torn(frame: Frame, length: int, size: int) -> bool:
-    """Return whether a crash truncated a frame: pages are written in order, so the rest is zeros."""
-    return frame.end > size or -(-length // _PAGE_BYTES) * _PAGE_BYTES < frame.end
+    """Return whether a crash truncated a frame: sectors are written in order, so the rest is zeros."""
+    return frame.end > size or -(-length // _SECTOR_BYTES) * _SECTOR_BYTES < frame.end
 
 
 def check_journal(folder: Path) -> CheckedJournal:
