@@ -24,6 +24,7 @@ from daq_service.archive import (
 from daq_service.archive.errors import ArchiveReadError
 from daq_service.archive.finalize_set import finalize_set
 from daq_service.archive.journal import frames, writer
+from daq_service.archive.journal.checking import check_journal
 from daq_service.archive.journal.reader import list_segments, read_journal, read_segments
 from daq_service.archive.journal.writer import Journal
 from daq_service.archive.layout import build_image
@@ -265,3 +266,16 @@ def test_a_group_torn_by_a_power_cut_leaves_its_set_open(archive, tmp_path):
         stored = again.store_set(make_set())
     assert bits(FolderArchive(tmp_path).read_set(stored.file)) == bits(make_set())
     assert opened.due_utc_ns == DUE_UTC_NS
+
+
+def test_a_last_frame_without_its_last_sector_is_truncated_and_a_changed_one_corrupt(archive, tmp_path):
+    append_set(archive, make_set())
+    archive.sync()
+    (path,) = list_segments(tmp_path).values()
+    content = path.read_bytes()
+    start = (len(content.rstrip(b"\0")) - 1) // 512 * 512
+    path.write_bytes(content[:start] + bytes(len(content) - start))
+    assert check_journal(tmp_path).unsound == []
+    path.write_bytes(content)
+    flip(path, start)
+    assert len(check_journal(tmp_path).unsound) == 1

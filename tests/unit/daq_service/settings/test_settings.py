@@ -21,7 +21,7 @@ def test_the_shipped_file_spells_out_the_defaults():
 
 def test_the_shipped_schema_is_current():
     shipped = json.loads(find_config_file("settings.schema.json").read_text(encoding="utf-8"))
-    assert shipped == build_settings_schema(), "renew it by json.dumps(settings_schema(), indent=1)"
+    assert shipped == build_settings_schema(), "renew it by json.dumps(build_settings_schema(), indent=1)"
 
 
 def test_every_key_is_described():
