@@ -42,7 +42,7 @@ class SimulatedClock:
         self._anchor = (start_utc_ns, mono_ns())
 
     def utc_ns(self) -> int:
-        """Return the experiment time as UTC in ns since the epoch."""
+        """Return the experiment time as UTC in ns since the Unix epoch."""
         return self._utc_ns
 
     def mono_ns(self) -> int:

@@ -83,7 +83,7 @@ def fit_diagnosis_parameters(healthy: Sequence[tuple[int, Values]]) -> Diagnosis
 def diagnose_scheduled(
     memory: DiagnosisState, design: DiagnosisParameters, index: int, values: Values, *, suspicious: bool
 ) -> tuple[DiagnosisState, Diagnosis | None]:
-    """Add a scheduled set to the diagnosis state and diagnose.
+    """Add a scheduled set to the diagnosis state and diagnose it; return the next state and the diagnosis.
 
     If the set lacks a feature, return the state unchanged and None.
     """
@@ -96,7 +96,7 @@ def diagnose_scheduled(
 def diagnose_confirmation(
     memory: DiagnosisState, design: DiagnosisParameters, values: Values
 ) -> tuple[DiagnosisState, Diagnosis | None]:
-    """Add a confirmation set to the diagnosis state and diagnose.
+    """Add a confirmation set to the diagnosis state and diagnose it; return next state and diagnosis.
 
     If the set lacks a feature, return the state unchanged and None.
     """

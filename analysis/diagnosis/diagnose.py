@@ -69,7 +69,11 @@ class Diagnosis:
 def diagnose_latest_set(
     memory: DiagnosisState, design: DiagnosisParameters, *, suspicious: bool = False
 ) -> Diagnosis:
-    """Diagnose the cause of a change since the baseline, after the latest set.
+    """Diagnose the cause of a change since the baseline, after the latest set in the state.
+
+    A cause is named from a probability of 90 %: a new wall change only at 96 % in two consecutive sets, a
+    re-seat only if it came in one step with a recent confirmation set. Otherwise the diagnosis is
+    `UNDETERMINED`; it is `OK` if that is the likeliest and ``suspicious`` is False.
 
     Parameters
     ----------
@@ -110,7 +114,10 @@ def diagnose_latest_set(
 
 
 def _is_nearer_to_its_baseline(memory: DiagnosisState, design: DiagnosisParameters) -> bool:
-    """Check whether the average of about ten sets is nearer to the baseline than to the re-seated state."""
+    """Check whether the average of about ten sets is nearer to the baseline than to the re-seated state.
+
+    Return False for fewer than ten sets since the re-seat.
+    """
     deviation_from_baseline, moved = (
         memory.averages(from_moved=place)[1] @ design.whitening for place in (False, True)
     )
@@ -120,7 +127,7 @@ def _is_nearer_to_its_baseline(memory: DiagnosisState, design: DiagnosisParamete
 
 
 def update_state(memory: DiagnosisState, assessment: Diagnosis) -> DiagnosisState:
-    """Store what a diagnosis implies for the next sets: a confirmed wall change, or re-seated contacts."""
+    """Return the state with what a diagnosis implies for the next sets: a wall change or a re-seat."""
     if assessment.reseated:
         return after_reseat(memory, memory.confirmation)
     healthy = assessment.cause in (OK, COUPLING)
@@ -135,7 +142,10 @@ def update_state(memory: DiagnosisState, assessment: Diagnosis) -> DiagnosisStat
 def _compute_posterior(
     memory: DiagnosisState, design: DiagnosisParameters, *, from_moved: bool
 ) -> tuple[dict[str, float], float]:
-    """Return the probability of each cause, and of a step, for a change since the baseline or a re-seat."""
+    """Return the posterior probability of each cause, `OK` included, and that of a step instead of a growth.
+
+    Growths count only from 32 sets on.
+    """
     seen, noise, course = _collect_observations(memory, design, from_moved=from_moved)
     noise_whitening = np.linalg.inv(np.linalg.cholesky(noise))
     seen, course = noise_whitening @ seen @ design.whitening, course @ noise_whitening.T
@@ -161,7 +171,7 @@ def _log_densities(
     along: FloatArray,
     length: FloatArray,
 ) -> FloatArray:
-    """Return log densities of hypotheses and courses over that of no change, shape (h, s).
+    """Return the log-likelihood ratio of each hypothesis and course to no change, shape (h, s).
 
     Parameters
     ----------

@@ -70,7 +70,7 @@ class DiagnosisParameters:
 
 
 def log_features(values: Mapping[str, float | None]) -> FloatArray | None:
-    """Return the logarithms of a set's features in the order of `COMPONENTS`.
+    """Return the natural logarithms of a set's features in the order of `COMPONENTS`, shape (7,).
 
     Return None if a feature is missing, not finite or not positive.
     """
@@ -127,7 +127,7 @@ def diagnosis_parameters(history: ArrayLike, first_index: int = 0) -> DiagnosisP
 
 
 def _prior_weights(one: Hypothesis) -> FloatArray:
-    """Return the prior probability of a hypothesis with each course in time: steps, then growths."""
+    """Return the prior probability of a hypothesis with each time course, shape (s,): steps, then growths."""
     since, courses = np.gradient(np.log(STEPS)), len(GROWTHS) * len(POWERS)
     growth = one.weight * (1.0 - one.abrupt) / courses
     return np.concatenate([one.weight * one.abrupt * since / since.sum(), np.full(courses, growth)])

@@ -77,12 +77,12 @@ class Baseline:
 
     @property
     def n(self) -> int:
-        """Return the number of sets."""
+        """Return the number of sets in the baseline."""
         return len(self.set_indices)
 
     @property
     def p(self) -> int:
-        """Return the number of features."""
+        """Return the number of features of each set."""
         return len(self.feature_names)
 
 
@@ -187,7 +187,7 @@ def fit_baseline(
 
 
 def _list_warnings(n: int, suspects: tuple[int, ...]) -> tuple[str, ...]:
-    """Return warnings about a baseline of few sets or with suspect sets; empty if there is none."""
+    """List warnings (English) about a baseline of fewer than 48 sets or with suspects; empty for neither."""
     warnings = []
     if n < ADVISED_SETS:
         warnings.append(f"baseline of {n} sets, {ADVISED_SETS} advised: the false-alarm rate is uncertain")

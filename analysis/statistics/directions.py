@@ -88,7 +88,7 @@ def directions_of(vectors: ArrayLike) -> Directions:
 
 
 def _autocorrelations(whitened: FloatArray, complete: np.ndarray, lags: int) -> FloatArray:
-    """Return the symmetric part of the autocorrelation at lags from 1 on, shape (lags, p, p).
+    """Return the symmetric part of the autocorrelation at lags 1 to ``lags``, shape (lags, p, p).
 
     Gaps are rows of 0.
     """
@@ -101,7 +101,7 @@ def _autocorrelations(whitened: FloatArray, complete: np.ndarray, lags: int) -> 
 
 
 def phi_of_averages(autocorrelations: FloatArray, n: int, directions: int = 1) -> FloatArray:
-    """Return the phi of the AR(1) process whose exponential averages have the same variance.
+    """Return the phi of the AR(1) process whose exponential averages have the same variance, at most 0.95.
 
     Their variance is I = 1 + 2 sum of (1 - weight)^k r_k times that of independent sets, and
     (1 + q)/(1 - q), q = (1 - weight) phi, for r_k = phi^k. Where independent sets hardly show as large a sum,

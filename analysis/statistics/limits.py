@@ -51,7 +51,7 @@ def _check(n: int, p: int) -> None:
 
 
 def predictive_scale(n: int, p: int) -> float:
-    """Return the factor between the squared distance of a new normal set and F(p, n - p)."""
+    """Return the ratio of the squared distance of a new normal set to F(p, n - p): p (n+1)(n-1)/(n (n-p))."""
     return p * (n + 1) * (n - 1) / (n * (n - p))
 
 
@@ -75,9 +75,9 @@ def f_predictive_limit(n: int, p: int, rate: float = NOMINAL_RATE) -> float:
 
 
 def false_alarm_rate(limit: float, n: int, p: int) -> float:
-    """Return the chance that a new healthy normal set exceeds ``limit``.
+    """Return the chance that a new healthy normal set exceeds ``limit``, averaged over baselines of n sets.
 
-    The mean over baselines of n sets.
+    A negative limit counts as 0. Raise InvalidInputError for p below 1, NotEnoughSetsError for n up to p.
     """
     _check(n, p)
     return float(scipy.special.fdtrc(p, n - p, max(limit, 0.0) / predictive_scale(n, p)))
@@ -110,6 +110,7 @@ def phase_one_limit(n: int, p: int, rate: float = 0.05) -> float:
 
     ``rate`` is the chance that any of the n healthy sets exceeds it (Bonferroni). Source as for
     `f_predictive_limit`.
+    Raise NotEnoughSetsError for n up to p + 1, InvalidInputError for p below 1 or a rate outside (0, 1).
     """
     _check(n, p)
     if n <= p + 1:

@@ -72,7 +72,7 @@ def next_alarm_state(
 
 
 def determines_state(outliers: Sequence[bool | None], rule: AlarmRule) -> bool:
-    """Check whether these sets alone determine the state, independent of earlier ones.
+    """Check whether these outliers, oldest first, alone determine the alarm state.
 
     A full window with outliers enough, or few enough, leaves no doubt whether the alarm is on.
     """

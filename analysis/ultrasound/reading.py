@@ -45,6 +45,8 @@ def read_echo(
 ) -> EchoReading:
     """Measure travel time and wall thickness in one pulse-echo record (paper, eq. 17).
 
+    A value that is not finite becomes None.
+
     Raises
     ------
     AnalysisError

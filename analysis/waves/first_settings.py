@@ -95,6 +95,8 @@ class Proposal:
 def propose_settings(struck: Mapping[str, StruckTransducer], *, pulse_s: float, fall_s: float) -> Proposal:
     """Propose acquisition settings from one strike of each transducer, at least one.
 
+    What prevents a proposal does not raise: it is listed in `Proposal.troubles`.
+
     Parameters
     ----------
     pulse_s, fall_s
@@ -114,7 +116,7 @@ def propose_settings(struck: Mapping[str, StruckTransducer], *, pulse_s: float, 
     sign = -1.0 if len(falling) == len(struck) else 1.0
 
     def surveys(pretrigger_s: float, above_v: Mapping[str, float]) -> dict[str, SpikeSurvey]:
-        """Survey the coil spike of every transducer, by name."""
+        """Survey the coil spike of every transducer at a level ``above_v`` its quiet level, by name."""
         return {
             name: survey_spike(
                 one.strike,
@@ -199,14 +201,14 @@ def cut_triggered_record(
 
 
 def _block_means(volts: FloatArray, rate_hz: float) -> tuple[FloatArray, int]:
-    """Average volts in blocks that hide electrical spikes; return means and samples per block."""
+    """Average volts in blocks of 10 us that hide electrical spikes; return means and samples per block."""
     block = max(1, round(WAVE_BLOCK_S * rate_hz))
     n_blocks = volts.size // block
     return volts[: n_blocks * block].reshape(n_blocks, block).mean(axis=1), block
 
 
 def _find_crest(one: StruckTransducer, earliest_s: float) -> float:
-    """Return the largest deviation in V, with its sign, where a wave can be."""
+    """Return the largest deviation from the quiet level in V, with its sign, from ``earliest_s`` on."""
     rate_hz = one.strike.sample_rate_hz
     means, _ = _block_means(one.strike.volts()[round(earliest_s * rate_hz) :], rate_hz)
     departures = means - median(one.noise.volts())
@@ -228,7 +230,7 @@ def _choose_trigger_level(
 
 
 def _rise_s(one: StruckTransducer, earliest_s: float, above_v: float, noise_v: float, sign: float) -> float:
-    """Return the time in s from the wave's first deviation until it reaches the level."""
+    """Return the time in s from the last quiet block before the wave until it reaches the level."""
     rate_hz = one.strike.sample_rate_hz
     volts = sign * (one.strike.volts()[round(earliest_s * rate_hz) :] - median(one.noise.volts()))
     means, block = _block_means(volts, rate_hz)

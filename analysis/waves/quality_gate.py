@@ -81,7 +81,7 @@ class RestrikeRule:
             )
 
     def wants(self, shot_flags: Sequence[str], *, attempt: int, restrikes_so_far: int) -> bool:
-        """Check whether the rule repeats a shot.
+        """Check whether the rule repeats a shot; at most one repetition of each shot.
 
         Parameters
         ----------
@@ -110,6 +110,7 @@ def decide_outcomes(attempts: Sequence[Attempt]) -> list[str]:
     """Mark each record ``accepted`` or ``superseded``: of a shot's attempts the best one counts.
 
     Of equally good ones the last counts: it was struck because something was wrong with the first.
+    The result has the order of the attempts. Raise InvalidInputError for an unknown quality.
     """
     best: dict[Hashable, int] = {}
     for number, item in enumerate(attempts):

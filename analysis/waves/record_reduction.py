@@ -120,7 +120,7 @@ class ExtractionSettings:
 
     @property
     def kernel_width_s(self) -> float:
-        """Return the width W of the matched filter's kernel cos^4(pi t / W), 178 us by default."""
+        """Return the width W of the matched filter's kernel cos^4(pi t / W) in s, 178 us by default."""
         return KERNEL_WIDTH_PER_FWHM * self.isw_fwhm_s
 
 
@@ -165,7 +165,7 @@ class ReducedRecord:
 
     @property
     def end_s(self) -> float:
-        """Return the end of the record, from the trigger."""
+        """Return the end of the record, in s from the trigger."""
         return self.time_s(self.blocks_v.size - 0.5)
 
     def time_s(self, index: float) -> float:
@@ -178,7 +178,7 @@ class ReducedRecord:
 
 
 def nearest_odd(width: float) -> int:
-    """Round to the nearest odd number, at least 1."""
+    """Return the odd integer nearest to a width, at least 1."""
     return 2 * max(0, round(0.5 * (width - 1.0))) + 1
 
 
@@ -192,7 +192,7 @@ def moving_mean(values: FloatArray, width: int) -> FloatArray:
 
 
 def moving_means(rows: FloatArray, width: int) -> FloatArray:
-    """Compute the moving mean of each row, shape (n_rows, n)."""
+    """Compute the moving mean over ``width`` (odd) neighbours of each row, shape (n_rows, n)."""
     # One correlation of all, with zeros between them.
     gap, (n_rows, n) = width // 2, rows.shape
     spaced = np.zeros(n_rows * (n + gap) + 2 * gap)
@@ -230,7 +230,7 @@ def column_medians(table: FloatArray) -> FloatArray:
 
 
 def filter_kernel(width_blocks: float) -> FloatArray:
-    """Return the matched filter's weights cos^4(pi t / W) / sum(cos^8), shape (2 k + 1,)."""
+    """Return the matched filter's weights cos^4(pi t / W) / sum(cos^8), shape (2 k + 1,), W in blocks."""
     half = math.ceil(width_blocks / 2) - 1
     weights: FloatArray = np.cos(np.pi * np.arange(-half, half + 1) / width_blocks) ** 4
     return weights / float(weights @ weights)
@@ -245,7 +245,7 @@ def kernel_noise_gain(width_blocks: float) -> float:
 
 @lru_cache(maxsize=64)
 def _kernel_spectrum(width_blocks: float, n_fft: int) -> NDArray[np.complex128]:
-    """Return the spectrum of the matched filter's weights, centred on sample 0, read-only."""
+    """Return the spectrum of the matched filter's weights, shape (n_fft // 2 + 1,), centred on sample 0."""
     weights = filter_kernel(width_blocks)
     half = weights.size // 2
     wrapped = np.zeros(n_fft)
@@ -256,7 +256,9 @@ def _kernel_spectrum(width_blocks: float, n_fft: int) -> NDArray[np.complex128]:
 
 
 def apply_matched_filter(blocks_v: FloatArray, width_blocks: float) -> FloatArray:
-    """Correlate with the pulse cos^4(pi t / W), zeros outside the record.
+    """Apply the matched filter for the pulse cos^4(pi t / W); zeros are assumed outside the record.
+
+    Raise RecordError for a width below 4 samples.
 
     Parameters
     ----------
@@ -282,13 +284,11 @@ def apply_matched_filter(blocks_v: FloatArray, width_blocks: float) -> FloatArra
 
 
 def noise_rms(samples_v: FloatArray) -> float:
-    """Estimate the white noise of one sample; blind to pulses, hum and offset.
+    """Estimate the RMS of the white noise of one sample in V; blind to pulses, hum and offset.
 
-    It is 1.4826 MAD(differences) / sqrt(2).
-
-    The median is sought in bins of 1/64 of the mean, linearly inside a bin, from where it usually lies: a few
-    counts cost a sixth of a partition. Where few large differences make the mean, the bins are too wide and
-    the median is taken exactly.
+    It is 1.4826 MAD(differences) / sqrt(2). The median is sought in bins of 1/64 of the mean, linearly inside
+    a bin, from where it usually lies: a few counts cost a sixth of a partition. Where few large differences
+    make the mean, the bins are too wide and the median is taken exactly.
     """
     difference = samples_v[1:] - samples_v[:-1]
     np.abs(difference, out=difference)
@@ -309,7 +309,7 @@ def noise_rms(samples_v: FloatArray) -> float:
 
 
 def fine_noise(blocks_v: FloatArray) -> float:
-    """Estimate the white noise of a block mean: 1.4826 MAD(third differences) / sqrt(20).
+    """Estimate the SD of a block mean's white noise in V: 1.4826 MAD(third differences) / sqrt(20).
 
     No wave is left in them: a cos^4 pulse of 65 us leaves 5e-5 of its height at blocks of 1 us.
     """
@@ -317,9 +317,9 @@ def fine_noise(blocks_v: FloatArray) -> float:
 
 
 def block_noise(blocks_v: FloatArray, white_v: float) -> float:
-    """Estimate the noise of a block mean.
+    """Estimate the SD of a block mean's noise in V, at least ``white_v``.
 
-    From white noise, or `fine_noise` where that is significantly larger.
+    It is ``white_v``, the SD expected from white samples, or `fine_noise` where that is significantly larger.
     """
     differences = _absolute_third_differences(blocks_v)
     limit_v = LEAST_EXCESS * white_v * THIRD_DIFFERENCE / MAD_TO_SD
@@ -430,7 +430,7 @@ def _check_record(
     step_s: float,
     settings: ExtractionSettings,
 ) -> None:
-    """Check a record's length, rate and pre-trigger; raise an error for too little of one."""
+    """Raise RecordError if a record's length, sample rate or pre-trigger is too small."""
     if not (math.isfinite(sample_rate_hz) and sample_rate_hz > 0.0):
         raise RecordError(f"sample_rate_hz is {sample_rate_hz}; it must be positive")
     if not 0 < pretrigger_samples < n_samples:

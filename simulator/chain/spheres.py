@@ -84,9 +84,9 @@ class Chain:
 
     @property
     def dashpot_impulse_n_s_per_m(self) -> NDArray[np.float64]:
-        """Return ``gamma / ((p + 1) d_r^p)``, shape (n_bodies,).
+        """Return ``gamma / ((p + 1) d_r^p)`` of each contact, shape (n_bodies,).
 
-        Times [d]_+^(p + 1) the dashpots' impulse.
+        Multiplied by [d]_+^(p + 1), it is the impulse of the dashpots.
         """
         p = self.damping_exponent
         scale: float = 1.0 / ((p + 1.0) * self.damping_reference_overlap_m**p)
@@ -94,12 +94,12 @@ class Chain:
 
     @property
     def impact_energy_j(self) -> float:
-        """Return the kinetic energy of the striker at first touch."""
+        """Return the kinetic energy of the striker at first touch, in J."""
         return 0.5 * float(self.mass_kg[0]) * self.impact_speed_m_per_s**2
 
     @property
     def preload_n(self) -> float:
-        """Return the mean of the two static contact forces at the sensor."""
+        """Return the mean of the two static contact forces at the sensor, in N."""
         return 0.5 * float(self.static_force_n[self.sensor - 1] + self.static_force_n[self.sensor])
 
 
@@ -173,7 +173,7 @@ def build_chain(parameters: ChainParameters, plate: PlateParameters) -> Chain:
 def with_other_strike(
     chain: Chain, damping_n_s_per_m: float, drop_height_m: float, tilt_rad: float, contacts: Contacts | None
 ) -> Chain:
-    """Return the chain with another drop height of the striker and another tilt of the sensor.
+    """Return the chain with another drop height in m, sensor tilt in rad and contacts.
 
     On other contacts they are in static equilibrium again: ``d = (F / A)^(2/3)``.
 

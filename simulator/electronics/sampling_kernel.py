@@ -75,7 +75,11 @@ def interpolate_cubic(
 
 @jit_compile(error_model="numpy")
 def find_first_crossing_s(volts: FloatArray, step_s: float, level_v: float) -> Any:
-    """Return the time in s of the first crossing of the level; if there is none, of the maximum."""
+    """Return the time in s after the first value at which volts first rise to the level.
+
+    Return the time of the maximum if they never do, or if the first value is above the level already. The
+    crossing is interpolated linearly.
+    """
     highest = 0
     for k in range(volts.shape[0]):
         if volts[k] >= level_v:
@@ -106,7 +110,7 @@ def add_noise(
     cubic: FloatArray,
     slow_rms: float,
 ) -> None:
-    """Add white noise and slow noise, each of unit variance, to as many volts.
+    """Add white noise and slow noise, each of unit variance times its RMS in V, to volts in place.
 
     Parameters
     ----------

@@ -34,7 +34,7 @@ INVERSE_TOLERANCE_COUNTS = 1e-6
 
 
 def make_adc_calibration(adc: AdcParameters) -> Calibration:
-    """Build the board's scaling polynomial; ideal codes reach `over_range_fraction` beyond the range."""
+    """Build the ADC's scaling polynomial; ideal codes reach ``over_range_fraction`` beyond the range."""
     half = float(1 << (adc.resolution_bits - 1))
     full_scale_v = adc.range_v * (1.0 + adc.over_range_fraction)
     return Calibration(

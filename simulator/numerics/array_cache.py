@@ -54,6 +54,8 @@ def read_or_compute_arrays(
 ) -> dict[str, FloatArray]:
     """Read the arrays stored in `folder` under `key`, or compute and store them.
 
+    Unfinished files of killed writers are removed; a file that cannot be written is only logged.
+
     Parameters
     ----------
     folder
@@ -75,7 +77,7 @@ def read_or_compute_arrays(
 
 
 def hash_content(described: Mapping[str, object]) -> str:
-    """Hash a description together with the simulator's code and the numerical libraries.
+    """Return the SHA-256 (hex) of a description, the simulator's code and the numerical libraries.
 
     Parameters
     ----------
@@ -94,7 +96,10 @@ def _describe_environment() -> dict[str, object]:
 
 
 def read_arrays(path: Path) -> dict[str, FloatArray] | None:
-    """Read arrays written by `write_arrays`; None if there is no complete and readable file."""
+    """Read arrays written by `write_arrays`; None if there is no complete and readable file.
+
+    A damaged or unreadable file is logged; its arrays must be computed again.
+    """
     try:
         stored = path.read_bytes()
     except FileNotFoundError:
@@ -150,7 +155,7 @@ def _as_float64(arrays: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
 
 
 def _encode_arrays(arrays: Mapping[str, FloatArray]) -> bytes:
-    """Encode arrays as bytes, after a header of names and shapes."""
+    """Encode arrays as little-endian float64 after a header (length, JSON names and shapes)."""
     header = json.dumps([[name, values.shape] for name, values in arrays.items()]).encode()
     before = len(MAGIC) + DIGEST_BYTES + 4
     header += b" " * (-(before + len(header)) % ALIGNMENT)
@@ -159,7 +164,7 @@ def _encode_arrays(arrays: Mapping[str, FloatArray]) -> bytes:
 
 
 def _remove_unfinished_files(folder: Path) -> None:
-    """Remove stale unfinished files of killed writers; on Windows a file still open stays."""
+    """Remove unfinished files older than 600 s, left by killed writers; on Windows an open file stays."""
     now = time.time()
     for entry in _list_cache_files(folder):
         if entry.name.endswith(UNFINISHED_SUFFIX):
@@ -169,7 +174,7 @@ def _remove_unfinished_files(folder: Path) -> None:
 
 
 def _limit_folder_size(folder: Path, limit_bytes: int) -> None:
-    """Remove the oldest cache files until the folder is within the limit in bytes."""
+    """Remove the oldest cache files until the folder is within the limit in bytes; the newest stays."""
     files = [
         (entry, _file_status(entry)) for entry in _list_cache_files(folder) if entry.name.endswith(SUFFIX)
     ]

@@ -31,7 +31,7 @@ def factorize_band(band: FloatArray) -> FloatArray:
 
 
 def solve_band(factor: FloatArray, right: FloatArray) -> FloatArray:
-    """Solve a linear system with a factor of `band_factor`; `right` has the shape (n,)."""
+    """Solve a linear system with a factor of `factorize_band`; `right` and result have the shape (n,)."""
     solution, _ = lapack.dpbtrs(factor, right, lower=1)
     return np.asarray(solution)
 
@@ -54,7 +54,7 @@ class _LowerEntries:
 
     @classmethod
     def of(cls, matrix: sparse.spmatrix, place: IntArray) -> _LowerEntries:
-        """Create the entries of a matrix's lower triangle in the new order of unknowns."""
+        """Create the lower-triangle entries of a matrix whose unknown k moves to ``place[k]``."""
         entries = matrix.tocoo()
         row, column = place[entries.row], place[entries.col]
         lower = row >= column
@@ -129,7 +129,7 @@ class FactorFamily:
 
 
 def _extract_lower_corner(band: FloatArray) -> FloatArray:
-    """Return the lower triangle of a band matrix's last columns as a square matrix."""
+    """Return the lower triangle of a band matrix's columns as a square matrix; zeros above."""
     size = band.shape[1]
     corner = np.zeros((size, size))
     for column in range(size):

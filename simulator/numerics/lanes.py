@@ -49,12 +49,12 @@ register_model(Lanes)(_LanesModel)
 
 
 def _vector_type(lanes: Lanes) -> ir.VectorType:
-    """Return the LLVM type of a vector of double lanes."""
+    """Return the LLVM type of a vector of ``lanes.width`` doubles."""
     return ir.VectorType(ir.DoubleType(), lanes.width)
 
 
 def _make_intrinsic(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Turn a function into a Numba intrinsic that prefers literal arguments."""
+    """Turn a typing function into a Numba intrinsic that prefers literal arguments."""
     intrinsic: Callable[..., Any] = numba_intrinsic(prefer_literal=True)(function)
     return intrinsic
 
@@ -69,7 +69,7 @@ def _address_of_lanes(
 
 @_make_intrinsic
 def load(typing: Any, array: Any, start: Any, width: Any) -> Any:
-    """Load a vector of `width` numbers from a contiguous array, from index `start` on."""
+    """Load a vector of `width` (constant) numbers from a contiguous float64 array, from index `start` on."""
     lanes = Lanes(width.literal_value)
 
     def codegen(context: Any, builder: Any, signature: Any, values: Any) -> Any:
@@ -96,7 +96,7 @@ def store(typing: Any, array: Any, start: Any, lanes: Any) -> Any:
 
 @_make_intrinsic
 def broadcast(typing: Any, number: Any, width: Any) -> Any:
-    """Copy a number into every lane of a vector of `width` lanes."""
+    """Build a vector of `width` lanes, each holding the same number; the width is a constant."""
     lanes = Lanes(width.literal_value)
 
     def codegen(context: Any, builder: Any, signature: Any, values: Any) -> Any:
@@ -107,7 +107,7 @@ def broadcast(typing: Any, number: Any, width: Any) -> Any:
 
 
 def _splat(builder: Any, number: Any, lanes: Lanes) -> Any:
-    """Emit a vector with the number in each lane."""
+    """Emit a vector with the number in each lane (an LLVM shuffle)."""
     vector = builder.insert_element(ir.Constant(_vector_type(lanes), ir.Undefined), number, ir.IntType(32)(0))
     mask = ir.Constant(ir.VectorType(ir.IntType(32), lanes.width), [0] * lanes.width)
     return builder.shuffle_vector(vector, ir.Constant(_vector_type(lanes), ir.Undefined), mask)
@@ -150,7 +150,7 @@ def _make_lane_intrinsic(operands: int, emit: Callable[[Any, Any], Any]) -> Call
 
 
 def _make_call_emitter(name: str) -> Callable[[Any, Any], Any]:
-    """Create a function that emits the call of an LLVM vector function."""
+    """Return a function that emits the call of an LLVM vector function, such as ``llvm.fma``."""
 
     def emit(builder: Any, values: Any) -> Any:
         """Declare the vector function for these operands and emit its call."""

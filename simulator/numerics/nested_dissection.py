@@ -90,7 +90,7 @@ def order_elimination(cells: IntArray, unknowns: Sequence[IntArray]) -> list[Fro
 
 
 def _cut_in_halves(cells: IntArray, chosen: IntArray) -> tuple[IntArray, IntArray]:
-    """Split cells across their longer side into the most equal halves."""
+    """Split cells across their longer side into the most equal halves; return the cells of each."""
     places = cells[chosen]
     extent = places.max(axis=0) - places.min(axis=0)
     along = places[:, int(extent[1] > extent[0])]
@@ -107,7 +107,7 @@ class DissectedCholesky:
     factors: list[tuple[FloatArray, FloatArray]]
 
     def solve(self, right: FloatArray) -> FloatArray:
-        """Solve the linear system for one right-hand side, shape (unknowns,)."""
+        """Solve the linear system for one right-hand side, shape (unknowns,), which is not changed."""
         x = right.copy()
         for front, (own, below) in zip(self.fronts, self.factors, strict=True):
             if len(front.eliminated):
@@ -153,7 +153,7 @@ def factorize(fronts: list[Front], cell_matrix: Callable[[int], FloatArray]) -> 
 def _eliminate(
     matrix: FloatArray, done: IntArray, rest: IntArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Eliminate unknowns: return their Cholesky factor, its continuation below, Schur complement."""
+    """Eliminate unknowns; return their Cholesky factor, its continuation below, and the Schur complement."""
     below = np.asfortranarray(matrix[np.ix_(rest, done)])
     schur = matrix[np.ix_(rest, rest)]
     if not len(done):

@@ -21,7 +21,7 @@ def _find_blas_libraries() -> ThreadpoolController:
 
 
 def use_one_blas_thread() -> AbstractContextManager[object]:
-    """Limit BLAS to one thread within this context."""
+    """Return a context manager that limits BLAS to one thread in the whole process."""
     limiter: AbstractContextManager[object] = _find_blas_libraries().limit(limits=1, user_api="blas")
     return limiter
 

@@ -41,7 +41,7 @@ class Axis:
 
     @property
     def nodes_m(self) -> FloatArray:
-        """Return all nodes, rising."""
+        """Return the positions of all nodes in m, rising, shape (nodes,)."""
         pieces = [self.breaks_m[:1]]
         for start, end, degree in zip(self.breaks_m, self.breaks_m[1:], self.degrees, strict=False):
             pieces.append(start + 0.5 * (lobatto_points(degree)[1:] + 1.0) * (end - start))
@@ -49,7 +49,7 @@ class Axis:
         return np.concatenate(pieces)
 
     def nodes_of(self, interval: int) -> IntArray:
-        """Return the node numbers of one interval, both ends included."""
+        """Return the node numbers of one interval, both ends included; shape (degree + 1,)."""
         first = self.first
         return np.arange(first[interval], first[interval + 1] + 1)
 
@@ -83,7 +83,7 @@ class Axis:
 
 @cache
 def lobatto_points(degree: int) -> FloatArray:
-    """Compute Gauss-Lobatto-Legendre points on -1..1, rising, both ends included."""
+    """Compute the degree + 1 Gauss-Lobatto-Legendre points on -1..1, rising, both ends included."""
     top = np.zeros(degree + 1)
     top[degree] = 1.0
     inner = np.sort(legendre.legroots(legendre.legder(top)).real)
@@ -91,9 +91,9 @@ def lobatto_points(degree: int) -> FloatArray:
 
 
 def lagrange(degree: int, at: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Evaluate Lagrange's polynomials on the Lobatto points, and their derivatives.
+    """Evaluate Lagrange's polynomials on the Lobatto points and their derivatives at points on -1..1.
 
-    Shape (points, degree + 1).
+    Both arrays have the shape (points, degree + 1).
     """
     inverse = np.linalg.inv(legendre.legvander(lobatto_points(degree), degree))
     slopes = [legendre.legval(at, legendre.legder(unit)) for unit in np.eye(degree + 1)]
@@ -102,7 +102,7 @@ def lagrange(degree: int, at: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 @cache
 def _reference_element_matrices(degree: int) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Compute mass, coupling and stiffness matrices of an element of this degree on [-1, 1]."""
+    """Compute mass, coupling and stiffness matrices on [-1, 1], shape (degree + 1, degree + 1) each."""
     points, weights = legendre.leggauss(degree + 1)
     value, slope = lagrange(degree, points)
     weighted_value, weighted_slope = weights[:, None] * value, weights[:, None] * slope
@@ -117,7 +117,7 @@ def make_graded_breaks_m(
     largest_m: float,
     stops_m: Sequence[float],
 ) -> FloatArray:
-    """Divide 0 to `length_m` into intervals that are small at `features` and grow away from them.
+    """Return the breaks, rising in m, of intervals on 0 to `length_m` that are small at `features`.
 
     Parameters
     ----------

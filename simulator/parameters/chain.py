@@ -47,7 +47,7 @@ class SphereParameters:
 
     @property
     def bodies(self) -> range:
-        """Return the described bodies."""
+        """Return the indices of the described bodies, counted from the striker (0)."""
         return range(self.body, 1 + (self.body if self.last_body is None else self.last_body))
 
 
@@ -124,7 +124,7 @@ class ChainParameters:
         return self.spheres_above + 1 + self.spheres_below
 
     def body(self, index: int) -> Body:
-        """Return one body, 0 the striker, with Young's modulus at the chain's temperature."""
+        """Return the body with an index, 0 the striker, with Young's modulus at the chain's temperature."""
         radius, mass = self.radius_m, self.mass_kg
         modulus, poisson = self.youngs_modulus_pa, self.poisson_ratio
         is_disk = self.sensor == "disk" and index == self.spheres_above
@@ -144,7 +144,7 @@ class ChainParameters:
         )
 
     def with_worn_contacts(self, radius_factor: float) -> ChainParameters:
-        """Return the chain with all radii of curvature scaled and the same masses."""
+        """Return the chain with all radii of curvature multiplied by a factor and the same masses."""
         spheres = tuple(
             other
             if other.radius_m is None and other.density_kg_per_m3 is None
@@ -190,7 +190,7 @@ class ChainParameters:
             _check_density(f"mass_kg of body {other.body}", self._mass_kg(other), radius)
 
     def _check_moduli(self) -> None:
-        """Check Young's moduli at the chain's temperature; raise ValueError for one that is too low."""
+        """Raise ValueError if a Young's modulus is below 1e5 Pa at the chain's temperature."""
         given = [self.youngs_modulus_pa]
         given += [other.youngs_modulus_pa for other in self.spheres if other.youngs_modulus_pa is not None]
         softest = youngs_modulus_at_pa(min(given), self.youngs_modulus_change_per_k, self.temperature_c)
@@ -207,7 +207,7 @@ def _volume_m3(radius_m: float) -> float:
 
 
 def _check_density(name: str, mass_kg: float, radius_m: float) -> None:
-    """Check that mass and radius give a plausible density; raise ValueError if they do not."""
+    """Raise ValueError if mass and radius give a density outside 1 to 100,000 kg/m3."""
     density_kg_per_m3 = mass_kg / _volume_m3(radius_m)
     if not 1.0 <= density_kg_per_m3 <= 1e5:
         raise ValueError(
