@@ -102,7 +102,7 @@ class RecordsAhead:
         return self._specimen.solitary_wave(key, hour_h(utc_ns))
 
     def _record(self, key: ShotKey, utc_ns: int, hour_h: Callable[[int], float]) -> Acquired | None:
-        """Return the record of a strike, and start those of the strikes to come."""
+        """Return the record of a strike and start the next; raise BrokenExecutor if the executor broke."""
         strike = key, hour_h(utc_ns)
         expected = list(self._pending)
         pending = self._pending.pop(strike, None)
@@ -141,7 +141,7 @@ class RecordsAhead:
     def _plan_from(
         self, key: ShotKey, utc_ns: int, expected: Sequence[ShotKey], hour_h: Callable[[int], float]
     ) -> None:
-        """Plan the strikes ahead again, after a strike out of the planned order."""
+        """Plan the strikes ahead again after one out of the planned order; skip positions passed over."""
         if key in expected:
             self._passed_over |= {shot.position for shot in expected[: expected.index(key)]}
         self._passed_over.discard(key.position)

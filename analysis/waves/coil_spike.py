@@ -199,7 +199,7 @@ def _find_wave_front(volts: FloatArray, earliest: int, rate_hz: float) -> tuple[
 def _measure_edge(
     volts: FloatArray, rate_hz: float, seen_v: float, limit_v: float, trigger_v: float
 ) -> EdgeSpike:
-    """Measure the coil's voltage after an edge, which is at the first sample."""
+    """Measure the coil's voltage after an edge at the first sample; zeros if it stays below ``seen_v``."""
     departed = np.abs(volts)
     if departed.max() < seen_v:
         return EdgeSpike()

@@ -91,7 +91,7 @@ def _compute_slope(wave: FloatArray) -> FloatArray:
 
 
 def _variation_columns(waves: Sequence[tuple[int, int, FloatArray]]) -> FloatArray:
-    """Build columns of a sound shot's normal variation: arrival of each wave, width of all."""
+    """Build columns, shape (n, n_waves + 1), of a sound shot's variation: arrival of each wave, width."""
     n = sum(wave.size for _, _, wave in waves)
     columns = np.zeros((n, len(waves) + 1))
     for k, (begin, first, wave) in enumerate(waves):

@@ -585,7 +585,7 @@ def _remove_outliers(table: FloatArray) -> FloatArray:
 
 
 def _column_statistics(table: FloatArray) -> tuple[list[float], list[float]]:
-    """Return mean and standard deviation (n - 1) of each column's numbers, NaN where there are too few."""
+    """Return mean and SD (n - 1) of each column's numbers; NaN where there are too few (none, one)."""
     present = ~np.isnan(table)
     n = present.sum(axis=0)
     filled = np.where(present, table, 0.0)

@@ -350,7 +350,7 @@ class VoltRecord:
 
     @property
     def kind(self) -> tuple[int, float, int]:
-        """Return length, rate and pre-trigger."""
+        """Return sample count, sample rate in Hz and pre-trigger samples, which alike records share."""
         return self.samples_v.size, self.sample_rate_hz, self.pretrigger_samples
 
 

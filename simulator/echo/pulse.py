@@ -147,7 +147,7 @@ def _add_heights_to_grid(grid: FloatArray, place: FloatArray, height: FloatArray
 
 
 def _remaining_amplitude(way_m: float, echo: EchoParameters) -> float:
-    """Return the fraction of the amplitude left after a path in the wall, at the centre frequency."""
+    """Return the fraction of the amplitude left after a path in the wall in m, at centre frequency."""
     return float(10.0 ** (-echo.attenuation_db_per_m * way_m / 20.0))
 
 
@@ -159,7 +159,7 @@ def _attenuation_by_frequency(frequency_hz: FloatArray, way_m: float, echo: Echo
 
 
 def _pulse_spectrum(frequency_hz: FloatArray, echo: EchoParameters) -> FloatArray:
-    """Return the Fourier transform of `_add_pulse`'s burst around its peak, in seconds."""
+    """Return the real Fourier transform of `_add_pulse`'s unit burst around its peak, in s."""
     spread_s = _envelope_sd_s(echo)
     lines = [
         np.exp(-0.5 * (2.0 * np.pi * (frequency_hz - sign * echo.centre_frequency_hz) * spread_s) ** 2)
@@ -179,7 +179,7 @@ def _envelope_sd_s(echo: EchoParameters) -> float:
 
 
 def _add_pulse(volts: FloatArray, arrival_s: float, amplitude_v: float, echo: EchoParameters) -> None:
-    """Add a tone burst with a Gaussian envelope to volts in place, its peak at the arrival."""
+    """Add a tone burst with a Gaussian envelope to volts in place, with its peak at the arrival."""
     spread_s = _envelope_sd_s(echo)
     first = max(0, math.ceil((arrival_s - PULSE_HALF_LENGTH * spread_s) * echo.sample_rate_hz))
     last = min(volts.size, math.floor((arrival_s + PULSE_HALF_LENGTH * spread_s) * echo.sample_rate_hz) + 1)

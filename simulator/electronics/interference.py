@@ -40,7 +40,7 @@ class Interference:
     spike_fwhm_s: float
 
     def false_triggers_s(self, level_v: float) -> FloatArray:
-        """Return the times before the wave, in s, at which a spike alone reaches the trigger level."""
+        """Return the times in s, negative, at which a spike alone reaches the trigger level."""
         found: FloatArray = self.spike_time_s[(self.spike_time_s < 0.0) & (self.spike_v >= level_v)]
         return found
 

@@ -94,7 +94,7 @@ def find_first_crossing_s(volts: FloatArray, step_s: float, level_v: float) -> A
 
 @jit_compile(error_model="numpy")
 def find_rising_edge(volts: FloatArray, level_v: float, first: int, n_samples: int) -> int:
-    """Find the first sample from ``first`` on that reaches the level after one below it; else -1."""
+    """Return the index of the first of ``n_samples`` from ``first`` on that rises to the level, else -1."""
     for k in range(first, min(first + n_samples, volts.shape[0])):
         if volts[k] >= level_v and not volts[k - 1] >= level_v:
             return k

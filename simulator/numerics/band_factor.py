@@ -121,7 +121,7 @@ class FactorFamily:
         return np.asarray(solve_band(factor, right[self._order])[self._place])
 
     def _band_at_parameter(self, entries: list[_LowerEntries], s: float, size: int) -> FloatArray:
-        """Assemble the band matrix at parameter s from the entries of each power of s."""
+        """Assemble the lower band storage of A(s), shape (bandwidth + 1, size)."""
         band = np.zeros((self._bandwidth + 1, size), order="F")
         for power, one in enumerate(entries):
             band[one.below, one.column] += s**power * one.value

@@ -36,7 +36,7 @@ class Axis:
 
     @property
     def first(self) -> IntArray:
-        """Return the number of the first node of each interval, and of the last node of all."""
+        """Return the number of the first node of each interval, and that of the last node."""
         return np.concatenate(([0], np.cumsum(self.degrees)))
 
     @property
@@ -54,7 +54,7 @@ class Axis:
         return np.arange(first[interval], first[interval + 1] + 1)
 
     def interval_matrices(self, interval: int) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Compute ``int N_i N_j``, ``int N_i' N_j``, ``int N_i' N_j'`` over one interval."""
+        """Compute ``int N_i N_j``, ``int N_i' N_j``, ``int N_i' N_j'`` over one interval, row i, column j."""
         length = float(self.breaks_m[interval + 1] - self.breaks_m[interval])
         mass, slope, stiffness = _reference_element_matrices(self.degrees[interval])
         return mass * (0.5 * length), slope, stiffness * (2.0 / length)

@@ -168,7 +168,7 @@ class ChainParameters:
         return self.mass_kg if other.radius_m is None else self.mass_kg * (radius / self.radius_m) ** 3
 
     def _check_spheres(self) -> None:
-        """Check the described spheres; raise an error for one that does not exist or is described twice."""
+        """Raise ValueError for a described body that does not exist, is described twice or implausible."""
         described: set[int] = set()
         for other in self.spheres:
             if other.bodies[-1] >= self.bodies:

@@ -117,13 +117,13 @@ class PlateParameters:
 
     @property
     def warm_youngs_modulus_pa(self) -> float:
-        """Return Young's modulus at the plate's temperature."""
+        """Return Young's modulus at the plate's temperature, in Pa."""
         return youngs_modulus_at_pa(
             self.youngs_modulus_pa, self.youngs_modulus_change_per_k, self.temperature_c
         )
 
     def _check_contact(self) -> None:
-        """Check that the contact fits on the plate and is resolved; raise ValueError if not."""
+        """Raise ValueError if the contact does not fit on the plate or the grid does not resolve it."""
         reach_m = self.contact_radius_m if self.contact == "patch" else self.contact_element_m
         for name, at_m, edge_m in (
             ("contact_x_m", self.contact_x_m, self.width_m),
@@ -176,7 +176,7 @@ class PatchParameters:
 
     @property
     def half_sizes_m(self) -> tuple[float, float]:
-        """Return half the patch's extent along x and y."""
+        """Return half the patch's extent along x and y, in m; the radius twice for a round one."""
         return 0.5 * self.size_m, 0.5 * (self.size_m if self.size_y_m is None else self.size_y_m)
 
 
@@ -215,11 +215,11 @@ class CorrosionParameters:
 
     @property
     def patches(self) -> tuple[PatchParameters, ...]:
-        """Return all patches, the first one first."""
+        """Return all patches: the one of these parameters, then the further ones."""
         first = {part.name: getattr(self, part.name) for part in fields(PatchParameters)}
         return PatchParameters(**first), *self.further
 
     @property
     def half_sizes_m(self) -> tuple[float, float]:
-        """Return half the first patch's extent along x and y."""
+        """Return half the first patch's extent along x and y, in m."""
         return self.patches[0].half_sizes_m

@@ -41,7 +41,7 @@ class PlateModes:
 
     @property
     def static_compliance_m_per_n(self) -> float:
-        """Return the deflection under a static unit force."""
+        """Return the deflection under the chain for a static unit force, in m/N, residual included."""
         modal = np.sum((self.participation / self.omega_rad_per_s) ** 2)
         return float(modal) + self.residual_compliance_m_per_n
 
@@ -94,7 +94,10 @@ class ReducedPlate:
     load: FloatArray
 
     def modes(self, depth_fraction: float) -> PlateModes:
-        """Compute the modes of the reduced plate with the patch thinned by `depth_fraction`."""
+        """Compute the modes of the reduced plate with the patch thinned by `depth_fraction`.
+
+        Raise LinAlgError if the projected matrices are not positive definite.
+        """
         size = self.stiffness.shape[1]
         powers = (1.0 - depth_fraction) ** np.arange(4.0)
         k, m = ((powers @ terms.reshape(4, -1)).reshape(size, size) for terms in (self.stiffness, self.mass))

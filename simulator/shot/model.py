@@ -229,7 +229,7 @@ class ShotModel:
         return other
 
     def with_liquid(self, depth_factor: float) -> ShotModel | None:
-        """Return a model with another depth of the liquid; None for a dry plate."""
+        """Return a model with `depth_factor` times the liquid's depth; None for a dry plate."""
         liquid = self._plate.liquid
         if liquid is None:
             return None
@@ -332,7 +332,7 @@ class ShotModel:
     def _integrate_over_wall(
         self, chains: list[Chain], depth: float, modulus: float, contact_forces: bool
     ) -> list[ShotForce]:
-        """Simulate chains over a wall of one depth and modulus; extend records that end too soon."""
+        """Simulate chains over a wall of one depth and modulus; repeat up to thrice with longer records."""
 
         def specimen(step: float, wide: bool) -> Propagator:
             return self._prepare_propagator(depth, step, wide, modulus)
@@ -419,7 +419,7 @@ class ShotModel:
         )
 
     def _prepare_propagator(self, depth: float, step: float, wide: bool, modulus: float) -> Propagator:
-        """Return the prepared modes of a thinned wall for a time step."""
+        """Return the modes' weights of a thinned wall for a time step; the latest 64 are kept in memory."""
         if self._modal_plate is None:
             still = _make_specimen_without_modes(self._plate)
             return still._replace(mobility_m_per_n_s=still.mobility_m_per_n_s / math.sqrt(modulus))
@@ -447,7 +447,7 @@ class ShotModel:
 
 
 def _compute_modes(plate: ModalPlate | None, depth: float) -> PlateModes:
-    """Compute the modes of a plate at a depth in one BLAS thread."""
+    """Compute the modes of a plate at a depth fraction with BLAS limited to one thread."""
     assert plate is not None, "an analytic anchor has no modes"
     with use_one_blas_thread():
         return plate.modes(depth)
@@ -464,7 +464,7 @@ def _make_specimen_without_modes(plate: PlateParameters) -> Propagator:
 
 
 def _clear_last(values: FloatArray) -> FloatArray:
-    """Copy an array with zero as its last value."""
+    """Return a copy of an array with zero as its last value."""
     changed = values.copy()
     changed[-1] = 0.0
     return changed

@@ -88,7 +88,7 @@ def summarise_pulses(force: ShotForce) -> PulseSummary:
 
 @jit_compile(error_model="numpy")
 def _find_waves(force_n: FloatArray, time_s: FloatArray, preload_n: float, turn_s: float) -> tuple[int, int]:
-    """Find the samples of ISW and PSW in a force; -1 for one that is not there.
+    """Find the sample indices of ISW and PSW in a force; -1 for one that is not there.
 
     ``turn_s`` is NaN if nothing is reflected.
     """

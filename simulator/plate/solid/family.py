@@ -65,7 +65,7 @@ class SolidFamily:
     residual: FloatArray
 
     def modes(self, remaining: float) -> PlateModes:
-        """Compute modes with the fraction `remaining` of the thickness within the patch.
+        """Compute modes with the fraction `remaining` of the thickness left within the patch.
 
         They are ready for a shot: no negative residual compliance.
         """
@@ -73,7 +73,7 @@ class SolidFamily:
         return make_modes_passive(self.projected.modes(remaining, added))
 
     def arrays(self) -> dict[str, FloatArray]:
-        """Return the arrays that `restore_family` needs to restore it."""
+        """Return the arrays by name from which `restore_family` restores this family."""
         return asdict(self.projected) | {"residual": self.residual}
 
 
@@ -125,5 +125,5 @@ def build_solid_family(
 
 
 def _patch_at_loss(corrosion: CorrosionParameters, lost: float) -> CorrosionParameters:
-    """Return the patch with this fraction of the thickness lost."""
+    """Return the patch with this fraction of the thickness lost and a depth factor of 1."""
     return replace(corrosion, depth_fraction=lost, depth_factor=1.0)

@@ -49,7 +49,7 @@ def integrate_over_patch(
 
 
 def integrate_in_plane(x: Axis, y: Axis, ex: int, ey: int) -> tuple[FloatArray, ...]:
-    """Integrate over one element, numbered (x, y), with N_,x for a derivative.
+    """Integrate products of shape functions over one element; six arrays, shape (nodes, nodes).
 
     ``N N``, ``N_,x N_,x``, ``N_,y N_,y``, ``N_,x N``, ``N_,y N`` and ``N_,x N_,y``, the first factor by row.
     """
@@ -67,7 +67,7 @@ def integrate_in_plane(x: Axis, y: Axis, ex: int, ey: int) -> tuple[FloatArray, 
 
 
 def _integrate_within_circle(x: Axis, y: Axis, ex: int, ey: int, radius_m: float) -> tuple[FloatArray, ...]:
-    """Integrate over the part of an element within a circle about the origin."""
+    """Integrate over the part of an element within a circle about the origin; as `integrate_in_plane`."""
     left, right = np.sort(np.abs(x.breaks_m[ex : ex + 2]))
     bottom, top = np.sort(np.abs(y.breaks_m[ey : ey + 2]))
     crossings = [math.sqrt(radius_m**2 - side**2) for side in (bottom, top) if side < radius_m]

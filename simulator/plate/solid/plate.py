@@ -102,11 +102,11 @@ class SolidPlate:
 
     @property
     def upper_nodes(self) -> int:
-        """Return nodes of z in the upper layer, those on its lower face included."""
+        """Return the number of nodes of z in the upper layer, those on its lower face included."""
         return int(self.z.first[self.upper]) + 1
 
     def displacements_of(self, ex: int, ey: int) -> IntArray:
-        """Return the displacement numbers of one column.
+        """Return the displacement numbers of one column of elements.
 
         The shape is (nodes in the plane, 3, nodes of z).
         """
@@ -167,7 +167,7 @@ def build_solid_plate(
 
 
 def cut_out_remaining_wall(plate: SolidPlate, corrosion: CorrosionParameters) -> SolidPlate:
-    """Cut the remaining wall within the patch out of `plate`: same elements, simply supported edges."""
+    """Cut the remaining wall within the patch out of `plate`: same elements, edges simply supported."""
     half_x, half_y = corrosion.half_sizes_m
     x, y = (
         Axis(breaks_m=a.breaks_m[: count + 1], degrees=a.degrees[:count])
@@ -182,7 +182,7 @@ def cut_out_remaining_wall(plate: SolidPlate, corrosion: CorrosionParameters) ->
 
 
 def check_solid(plate: PlateParameters, corrosion: CorrosionParameters) -> None:
-    """Check that the solid model covers the parameters; raise an error for one that it does not."""
+    """Raise SpecimenError for a plate or patch that the solid model does not cover."""
     remedy = "use plate.model = 'mindlin'"
     if plate.support == "free":
         raise SpecimenError(f"plate.support is 'free'; the solid plate is held at its edges: {remedy}")
@@ -229,7 +229,7 @@ def check_solid(plate: PlateParameters, corrosion: CorrosionParameters) -> None:
 def _mesh_in_plane_axis(
     length_m: float, half_m: float, mesh: SolidMesh, h: float, *, round_patch: bool
 ) -> Axis:
-    """Mesh an axis in the plane, refined at contact and patch."""
+    """Mesh an axis in the plane from 0 to `length_m`, refined at the contact and at the patch's edge."""
     features = [(0.0, mesh.contact_element * h), (half_m, mesh.edge_element * h)]
     if round_patch:  # the circle crosses every line up to half_m
         features += [(half_m * t, max(mesh.edge_element, 0.25) * h) for t in np.linspace(0.5, 1.0, 9)]
@@ -270,6 +270,7 @@ def assemble_solid(
     """Assemble the plate on any axes from the contact on, the first three intervals of z above the patch.
 
     `support` replaces that of `plate`; see `build_solid_plate` for the rest.
+    Raise SpecimenError for more than 3,000,000 displacements.
     """
     count = COMPONENTS * math.prod(int(axis.first[-1]) + 1 for axis in (x, y, z))
     if count > MOST_DISPLACEMENTS:
@@ -323,7 +324,7 @@ def assemble_solid(
 def _kinds_of_nodes(
     x: Axis, y: Axis, inside: FloatArray, corrosion: CorrosionParameters, strip_m: float
 ) -> IntArray:
-    """Classify the unknowns of each node (`SolidPlate.kinds`); where a circle cuts, all layers stay."""
+    """Classify the unknowns of each node as `SolidPlate.kinds`, shape (nodes of x, nodes of y)."""
     half_x, half_y = corrosion.half_sizes_m
     at_x, at_y = np.abs(x.nodes_m)[:, None], np.abs(y.nodes_m)[None, :]
     if corrosion.shape == "round":
@@ -350,7 +351,7 @@ def _find_existing_nodes(
 
 
 def _find_fixed_displacements(support: str, shape: tuple[int, ...], symmetry: Symmetry) -> NDArray[np.bool_]:
-    """Mark the displacements that the supports and the symmetry planes fix."""
+    """Mark the displacements that the supports and the symmetry planes fix; Boolean, shape (*shape, 3)."""
     fixed = np.zeros((*shape, COMPONENTS), dtype=bool)
     clamped = support == "clamped"
     fixed[-1, :, :, 0] = clamped
@@ -389,7 +390,7 @@ def _number_free_displacements(free: NDArray[np.bool_], symmetry: Symmetry) -> I
 def _build_lift_matrix(
     numbers: IntArray, kinds: IntArray, shapes: tuple[FloatArray, FloatArray]
 ) -> sparse.csr_matrix:
-    """Build the sparse map from the unknowns to the displacements of all nodes."""
+    """Build the sparse map, shape (displacements, unknowns), from unknowns to displacements of all nodes."""
     z_nodes = numbers.shape[2]
     flat = numbers.reshape(-1, z_nodes, COMPONENTS)
     rows, columns, values = [], [], []
