@@ -60,7 +60,7 @@ class Axis:
         return mass * (0.5 * length), slope, stiffness * (2.0 / length)
 
     def matrices(self, intervals: Iterable[int]) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Sum the integrals of `interval_matrices` over some intervals; three arrays over all nodes."""
+        """Sum the integrals of `interval_matrices` over some intervals; three arrays, (nodes, nodes) each."""
         count = int(self.first[-1]) + 1
         sums = np.zeros((3, count, count))
         for interval in intervals:

@@ -60,7 +60,7 @@ class ThinningParameters:
             )
 
     def _check_history(self) -> None:
-        """Check a history of depths; raise an error if it does not rise or a second law is given."""
+        """Raise ValueError if hours or depths do not rise, or are out of range, or a second law is given."""
         if self.depth_fraction != 0.0 or self.unevenness != 0.0:
             raise ValueError(
                 f"history is given together with depth_fraction {self.depth_fraction} and unevenness "

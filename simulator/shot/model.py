@@ -277,7 +277,7 @@ class ShotModel:
         tilt_rad: float | None = None,
         contact_forces: bool = False,
     ) -> ShotForce:
-        """Simulate the force at the sensor above a through hole: an incident wave without a reflected one."""
+        """Simulate the force at the sensor above a through hole, without a reflection; raises as `shot`."""
         impact = Impact(through_hole=True, drop_height_m=drop_height_m, tilt_rad=tilt_rad)
         return self.shots([impact], contact_forces=contact_forces)[0]
 
@@ -301,7 +301,7 @@ class ShotModel:
         return [forces[order] for order in range(count)]
 
     def _depth_of_wall(self, impact: Impact) -> float:
-        """Return the depth fraction of an impact; raise SpecimenError above 0 without a patch."""
+        """Return an impact's depth fraction; SpecimenError if a plate without patch is to have one."""
         if impact.depth_fraction is None:
             return self._corrosion.depth_fraction
         depth = float(impact.depth_fraction)
@@ -313,7 +313,7 @@ class ShotModel:
         return depth
 
     def _chain_as_struck(self, impact: Impact) -> Chain:
-        """Return the chain of an impact, with its drop height, tilt and contacts."""
+        """Return the chain with an impact's height, tilt, contacts and second strike, bounds checked."""
         chain, height_m, tilt_rad = self._chain, impact.drop_height_m, impact.tilt_rad
         struck = self._nominal
         if height_m is not None or tilt_rad is not None or impact.contacts is not None:
@@ -377,7 +377,7 @@ class ShotModel:
         retainer_force_n: float = 0.0,
         contact_forces: bool = False,
     ) -> list[ShotForce]:
-        """Integrate with smaller steps, then with more modes, until the energy balances close."""
+        """Integrate with smaller steps and more modes until energy balances; else raise IntegrationError."""
         samples = round(duration_s / self._step_s) + 1
         time_s = self._step_s * np.arange(samples, dtype=np.float64)
         forces: dict[int, ShotForce] = {}

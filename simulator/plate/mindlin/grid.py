@@ -71,7 +71,7 @@ def _solve_growth(excess: Callable[[float], float], largest: float) -> float:
 
 
 def _growing_lines(start_m: float, end_m: float, first_m: float, growth: float, elements: int) -> FloatArray:
-    """Place grid lines whose distances grow by a constant factor."""
+    """Place grid lines from `start_m` to `end_m` whose distances grow by a constant factor."""
     lines = start_m + np.concatenate(([0.0], np.cumsum(first_m * growth ** np.arange(elements))))
     lines[-1] = end_m
     return np.asarray(lines)

@@ -33,6 +33,6 @@ def hertz_nodal_weights(
 
 
 def _locate_in_elements(lines_m: FloatArray, at_m: FloatArray) -> tuple[IntArray, FloatArray]:
-    """Find the element of each coordinate and the relative position in it, 0 to 1."""
+    """Find the element of each coordinate, within the grid, and the relative position in it, 0 to 1."""
     cell = np.clip(np.searchsorted(lines_m, at_m, side="right") - 1, 0, len(lines_m) - 2)
     return cell, (at_m - lines_m[cell]) / np.diff(lines_m)[cell]

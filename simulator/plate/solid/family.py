@@ -78,7 +78,7 @@ class SolidFamily:
 
 
 def restore_family(arrays: Mapping[str, FloatArray]) -> SolidFamily:
-    """Restore the family from its `arrays`."""
+    """Restore a family from the result of `SolidFamily.arrays`; TypeError or KeyError if one is missing."""
     projected = {name: values for name, values in arrays.items() if name != "residual"}
     return SolidFamily(projected=ProjectedSolid(**projected), residual=arrays["residual"])
 

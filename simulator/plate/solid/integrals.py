@@ -30,7 +30,7 @@ CUT_POINTS = 16
 def integrate_over_patch(
     x: Axis, y: Axis, corrosion: CorrosionParameters
 ) -> tuple[FloatArray, dict[tuple[int, int], tuple[FloatArray, ...]]]:
-    """Compute the fraction of each element within the patch, and the integrals over a circle's part."""
+    """Return the fraction of each element within the patch, and integrals of elements that a circle cuts."""
     half_x, half_y = corrosion.half_sizes_m
     near_x, near_y = (np.minimum(np.abs(a.breaks_m[1:]), np.abs(a.breaks_m[:-1])) for a in (x, y))
     far_x, far_y = (np.maximum(np.abs(a.breaks_m[1:]), np.abs(a.breaks_m[:-1])) for a in (x, y))
@@ -100,7 +100,7 @@ def _integrate_within_circle(x: Axis, y: Axis, ex: int, ey: int, radius_m: float
 
 
 def _evaluate_shape_functions(axis: Axis, interval: int, at_m: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Evaluate the shape functions of an element, and their slopes per m, at some coordinates."""
+    """Evaluate an element's shape functions and their slopes per m, (points, degree + 1) each."""
     start, end = axis.breaks_m[interval], axis.breaks_m[interval + 1]
     value, slope = lagrange(axis.degrees[interval], 2.0 * (at_m - start) / (end - start) - 1.0)
     return value, slope * (2.0 / (end - start))

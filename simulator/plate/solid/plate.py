@@ -116,7 +116,7 @@ class SolidPlate:
         return np.asarray(components[:, :, None] * nodes_z + np.arange(nodes_z))
 
     def layer_matrices(self, kind: int, *, upper: bool) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Integrate over z of one layer for nodes of `kind`; see `tensor_basis.Axis.matrices`."""
+        """Integrate over z of one layer for nodes of `kind`: mass, slope, stiffness, as `Axis.matrices`."""
         layer = range(self.upper) if upper else range(self.upper, len(self.z.degrees))
         integrals = self.z.matrices(layer)
         if kind == 0:

@@ -119,7 +119,7 @@ def _fold_matrix(matrix: FloatArray, fold: sparse.csr_matrix) -> FloatArray:
 
 
 def make_shifted_solver(plate: SolidPlate, shift_rad_per_s: float) -> Callable[[FloatArray], FloatArray]:
-    """Factorize ``K + sigma^2 M`` and return its solver."""
+    """Factorize ``K + sigma^2 M``; return a function that solves it for one vector, shape (unknowns,)."""
     folds = list_column_folds(plate)
 
     def cell(column: int) -> FloatArray:
@@ -206,7 +206,7 @@ class ProjectedSolid:
     def modes(self, remaining: float, residual_compliance_m_per_n: float) -> PlateModes:
         """Compute modes with the fraction `remaining` of the thickness left within the patch.
 
-        The last argument is passed on to the result.
+        The given residual compliance becomes that of the result, and may be negative.
         """
         s, lost = remaining, 1.0 - remaining
         factors = np.array([s, 1.0 / s, 1.0, lost, 1.0 / lost if lost else 0.0, 1.0 if lost else 0.0])
