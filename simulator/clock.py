@@ -32,6 +32,7 @@ class SimulatedClock:
         mono_ns: Callable[[], int] = time.monotonic_ns,
         sleep: Callable[[float], None] = time.sleep,
     ) -> None:
+        """Raise ValueError for a pace that is not positive."""
         if pace_h_per_s is not None and not pace_h_per_s > 0.0:
             raise ValueError(f"pace_h_per_s is {pace_h_per_s}; it must be positive, or None to jump")
         self._utc_ns = start_utc_ns

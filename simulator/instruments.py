@@ -207,6 +207,7 @@ class Bench(StruckDigitizer):
         """Return the record of the last strike as the digitizer samples it.
 
         Raise AcquisitionTimeoutError if the strike does not reach the trigger level.
+        Raise ConfigurationError if the twin cannot compute the shot.
         """
         try:
             acquired = self._record(key, self._struck_utc_ns)

@@ -184,7 +184,7 @@ class Specimen:
         return strike if faults is NO_FAULTS else apply_strike_faults(strike, faults, sensor)
 
     def _temperature_c(self, hour_h: float, faults: ShotFaults, found: ShotNuisance | None) -> float:
-        """Return the temperature of a transducer in degrees Celsius."""
+        """Return the temperature of a transducer's chain at an hour in degrees Celsius, faults included."""
         if found is None:
             return self.room.at(hour_h) + faults.temperature_k
         return self.room.drift.mean_temperature_c + found.chain_warmer_k
@@ -204,7 +204,7 @@ class Specimen:
         )
 
     def solitary_wave(self, key: ShotKey, hour_h: float) -> Acquired | None:
-        """Simulate the record of one strike; None if it does not reach the trigger level."""
+        """Simulate the record of one strike; None if it is missed or does not reach the trigger level."""
         (acquired,) = self.solitary_waves([(key, hour_h)])
         return acquired
 
@@ -272,7 +272,7 @@ class Specimen:
     def _digitize_force(
         self, blow: _DrawnStrike, force: ShotForce, every_impact: ShotForce
     ) -> Acquired | None:
-        """Digitize a force: return the record with its true values; None without a trigger."""
+        """Digitize the force of all impacts; return record and true values, None without a trigger."""
         seed, adc, key, hour_h = self.twin.seed, self.twin.adc, blow.key, blow.hour_h
         interference, electrical_truth = draw_interference(
             self.twin.faults.get(key.position, SOUND), seed=seed, key=key, hour_h=hour_h, adc=adc
@@ -373,7 +373,7 @@ def _model_of_transducer(transducer: Transducer, faults: ShotFaults) -> Solitary
 
 
 def _integrate_blows(model: ShotModel, blows: Sequence[_DrawnStrike]) -> list[tuple[ShotForce, ShotForce]]:
-    """Simulate several strikes on one chain side by side; return results as `Specimen._compute_forces`."""
+    """Simulate strikes on one chain side by side; return each one's first impact and complete force."""
     bounced = [blow for blow in blows if blow.faults.double_delay_s is not None]
     found = iter(model.shots([*(blow.impact() for blow in blows), *(blow.impacts() for blow in bounced)]))
     first = [next(found) for _ in blows]
@@ -453,7 +453,7 @@ def build_specimen(
 
 
 def _transducers_by_liquid(place: Transducer, factors: Sequence[float]) -> dict[float, Transducer]:
-    """Return the transducer for each depth of the liquid over the full one; empty for a dry plate."""
+    """Return the transducer for each depth of the liquid over the full depth; empty for a dry plate."""
     if not isinstance(place.model, ShotModel):
         return {}
     models = {factor: place.model if factor == 1.0 else place.model.with_liquid(factor) for factor in factors}

@@ -137,7 +137,10 @@ class FrozenBaseline:
     causes: DiagnosisParameters | None = None
 
     def effective_limit(self, name: str) -> str:
-        """Return the name of the outlier limit: as configured if the baseline has it, else the F limit."""
+        """Return the name of the outlier limit: ``name`` if the baseline has it, else the F limit.
+
+        A baseline without limits returns ``name`` unchanged.
+        """
         return name if name in self.limits or not self.limits else F_PREDICTIVE
 
 
@@ -302,7 +305,7 @@ def clear_faults(state: State) -> State:
 
 
 def _add_to_baseline(state: State, set_of_shots: SetOfShots) -> State:
-    """Add a set to the baseline that is being collected; count one without all features as left out."""
+    """Return the state with a set added to its baseline, or counted as left out if it lacks a feature."""
     if set_of_shots.vector() is None:
         return replace(state, n_left_out=state.n_left_out + 1)
     return replace(state, healthy=(*state.healthy, replace(set_of_shots, flags=(), reason="")))
@@ -352,7 +355,7 @@ def _freeze_baseline(state: State, rules: Rules) -> State:
 
 
 def _minimum_sets(rules: Rules) -> int:
-    """Return the minimum number of sets of a baseline: configured, or needed by the statistics."""
+    """Return the minimum number of sets of a baseline: the configured one, but at least 15."""
     return max(rules.minimum_sets, MINIMUM_SETS)
 
 

@@ -192,10 +192,10 @@ def _log_densities(
 
 @lru_cache(maxsize=512)
 def _courses_of_change(n: int, gap: int, gap_ago: int, confirmation_ago: int | None) -> FloatArray:
-    """Return the averages that a change of final size 1 produces, for each course; shape (s, r).
+    """Return the averages that a change of final size 1 produces, for each time course; shape (s, r).
 
-    The averages begin with the first of n sets after the baseline. A step lies between two sets, however
-    far apart they are; what grows goes on growing while the plan has a gap.
+    The averages begin with the first of n sets after the baseline. A step is between two sets, however far
+    apart they are; a growth continues during a gap of the plan.
     """
     ago = np.arange(n)
     steps = ago < STEPS[:, None]
@@ -209,9 +209,10 @@ def _courses_of_change(n: int, gap: int, gap_ago: int, confirmation_ago: int | N
 def _collect_observations(
     memory: DiagnosisState, design: DiagnosisParameters, *, from_moved: bool
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return the stored averages, their covariance without a change (a set's is 1), and the courses in them.
+    """Collect the stored averages, their covariance without a change, and the time courses in them.
 
-    Where the wander stood when the baseline ended shows where it may be now, until a re-seat.
+    Variances are in units of a whitened set's. The averages at the end of the baseline come first: they show
+    the slow drift at that time. After a re-seat (``from_moved``) they are left out.
 
     Returns
     -------

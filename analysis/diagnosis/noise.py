@@ -97,17 +97,17 @@ def _reference_observations(sets: int) -> tuple[FloatArray, FloatArray, FloatArr
 def compute_covariances(n: int, since: int, confirmation_ago: int | None, reference: int) -> FloatArray:
     """Return the covariance of the observations by component, in units of its variance; shape (7, r, r).
 
-    Rows are the averages at the end of the sets of reference, those of the last n sets, and a confirmation,
-    all as differences from the mean of the sets of reference.
+    Rows are the averages at the end of the reference sets, those of the last n sets, and a confirmation, all
+    as differences from the mean of the reference sets.
 
     Parameters
     ----------
     n, since
-        Sets that the averages have seen, and sets of the plan since the reference ended; not fewer.
+        Sets in the averages, and sets of the plan since the reference ended; not fewer.
     confirmation_ago
-        See `memory.weights`.
+        See `state.average_weights`.
     reference
-        Sets whose mean the differences are from.
+        Number of reference sets.
     """
     sums, before, reach = _reference_observations(reference)
     after = average_weights(n, confirmation_ago)

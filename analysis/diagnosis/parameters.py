@@ -87,10 +87,12 @@ def diagnosis_parameters(history: ArrayLike, first_index: int = 0) -> DiagnosisP
     history
         Logarithms in the order of time, shape (n, 7); rows of NaN are gaps and keep their place.
     first_index
-        Of the first one in the plan.
+        Index of the first row in the plan.
 
     Raises
     ------
+    InvalidInputError
+        The history has another shape.
     SingularCovarianceError
         A feature is constant, or a combination of others.
     """

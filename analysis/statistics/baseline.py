@@ -99,7 +99,7 @@ def whitening_matrix(correlation: FloatArray, feature_names: Sequence[str] = ())
     Parameters
     ----------
     feature_names
-        For the error's words; none: their numbers.
+        Names for the error message; empty: indices.
 
     Raises
     ------

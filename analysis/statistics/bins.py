@@ -86,7 +86,10 @@ def make_bins(
 
 
 def join_bins(bins: NDArray[np.void], starts: ArrayLike) -> NDArray[np.void]:
-    """Join the bins from each start to the next, the last to the end; ``starts`` rise from 0."""
+    """Join the bins from each start to the next, the last to the end; one bin for each of ``starts``.
+
+    ``starts`` rise from 0.
+    """
     numbers = np.asarray(starts, dtype=np.intp)
     joined = np.empty(numbers.size, bins.dtype)
     for name, join in _JOINED_BY.items():

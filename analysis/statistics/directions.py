@@ -50,6 +50,7 @@ def directions_of(vectors: ArrayLike) -> Directions:
     """Find the directions of falling autocorrelation in sets, shape (n, p), in the order of time.
 
     Rows of NaN are gaps and keep their position.
+    Raise SingularCovarianceError if a feature is a combination of the others.
 
     Autocorrelations scatter: of sets that remember alike along all directions, the largest and the least
     found are still far apart. What of their spread is no more than that is taken out (as by James and Stein).

@@ -26,6 +26,8 @@ def _standardised(vectors: ArrayLike, baseline: Baseline) -> FloatArray:
 def distance_squared(vectors: ArrayLike, baseline: Baseline) -> FloatArray:
     """Return D = (x - mean)^T K^-1 (x - mean) (paper, eq. 16); NaN where a feature is missing.
 
+    Raise InvalidInputError if the last axis is not the baseline's features.
+
     Parameters
     ----------
     vectors
@@ -62,7 +64,10 @@ def contributions(vectors: ArrayLike, baseline: Baseline) -> FloatArray:
 
 
 def named_contributions(vector: ArrayLike, baseline: Baseline) -> dict[str, float]:
-    """Return each feature's contribution to the squared distance of one vector, shape (p,), by name."""
+    """Return each feature's contribution to the squared distance of one vector, shape (p,), by name.
+
+    Raise InvalidInputError for another shape.
+    """
     parts = contributions(vector, baseline)
     if parts.ndim != 1:
         raise InvalidInputError(f"vector has shape {np.shape(vector)}; it must be ({baseline.p},)")

@@ -38,10 +38,7 @@ class Limit:
 
 
 def _check(n: int, p: int) -> None:
-    """Check that a limit exists for n sets and p features.
-
-    Raise InvalidInputError without a feature, NotEnoughSetsError if n is at most p.
-    """
+    """Raise InvalidInputError for p below 1, NotEnoughSetsError for n sets of up to p features."""
     if p < 1:
         raise InvalidInputError(f"p is {p}; a distance needs at least one feature")
     if n <= p:
@@ -123,9 +120,10 @@ def phase_one_limit(n: int, p: int, rate: float = 0.05) -> float:
 
 
 def limits(baseline_distances_squared: ArrayLike, p: int, rate: float = NOMINAL_RATE) -> tuple[Limit, Limit]:
-    """Return the predictive F limit and the paper's, in this order, for one baseline.
+    """Return the predictive F limit and the paper's, in this order, for a baseline of p features.
 
     The paper limit's rate treats its value as fixed before the baseline was taken: a good guide, not exact.
+    Raise NotEnoughSetsError for n up to p.
     """
     distances = np.asarray(baseline_distances_squared, dtype=np.float64)
     n = distances.size

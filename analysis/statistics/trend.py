@@ -115,7 +115,7 @@ of ``[1, u, u^2, y - mean]``, u in hours since ``first_h``. Of no points the hou
 
 
 def make_parts(time_h: ArrayLike, values: ArrayLike) -> NDArray[np.void]:
-    """Convert each point to a part of a least-squares fit, which can be joined with others.
+    """Convert each point to a part of a least-squares fit, which `join_parts` can join with others.
 
     Parameters
     ----------

@@ -65,7 +65,10 @@ def find_envelope_peak(envelope: FloatArray, peak: int) -> float:
 
 
 def find_echo_extent(envelope: FloatArray, peak: int, fraction: float) -> tuple[int, int]:
-    """Return the first and last sample around ``peak`` where the envelope is above a fraction of it."""
+    """Return the first and last sample around ``peak`` where the envelope is at least a fraction of it.
+
+    It ends at an end of the record if the envelope does not fall below that.
+    """
     low_enough = np.flatnonzero(envelope < fraction * envelope[peak])
     before, after = low_enough[low_enough < peak], low_enough[low_enough > peak]
     first = int(before[-1]) + 1 if before.size else 0
@@ -74,7 +77,7 @@ def find_echo_extent(envelope: FloatArray, peak: int, fraction: float) -> tuple[
 
 
 def find_first_envelope_maximum(envelope: FloatArray, first: int, last: int, fraction: float) -> int | None:
-    """Return the index of the first high maximum of an envelope in a range; None without one.
+    """Return the first high maximum of an envelope from sample ``first`` to ``last``; None without one.
 
     High is at least ``fraction`` of the highest value in the range.
     """

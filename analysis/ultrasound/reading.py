@@ -71,5 +71,5 @@ def read_echo(
 
 
 def _finite_or_none(value: float) -> float | None:
-    """Return the value, or None if it is not finite."""
+    """Return a value unchanged if it is finite, otherwise None."""
     return value if math.isfinite(value) else None

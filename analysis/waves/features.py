@@ -153,7 +153,10 @@ class ShotFeatures:
 
 
 def apply_flags(shot: ShotFeatures, found: Collection[str]) -> ShotFeatures:
-    """Return the shot with other flags, and with the validity and quality that follow from them."""
+    """Return the shot with ``found`` as its flags, in the order of `FLAGS`, and the quality that follows.
+
+    An unknown flag is dropped.
+    """
     return replace(shot, **_grade_flags(found))
 
 
@@ -283,7 +286,12 @@ def extract_from_volts(
     Parameters
     ----------
     with_sd
-        Also tell the standard deviation of each (`analysis.waves.uncertainty`).
+        Also compute the standard deviation of each feature (`analysis.waves.uncertainty`).
+
+    Raises
+    ------
+    RecordError
+        A voltage is not finite, the shape is another one, or as for `extract_features`.
     """
     samples = np.asarray(volts_v, dtype=np.float64)
     if samples.ndim != 1 or not np.isfinite(samples.sum()):
@@ -295,7 +303,7 @@ def extract_from_volts(
 def _extract_records(
     given: Sequence[VoltRecord], settings: ExtractionSettings, *, with_sd: bool = False
 ) -> list[ShotFeatures]:
-    """Extract the features of records in their order; records of one kind are processed together."""
+    """Extract the features of records, in their order; at most 32 of one kind are processed together."""
     kinds: dict[tuple[int, float, int], list[int]] = {}
     for number, one in enumerate(given):
         kinds.setdefault(one.kind, []).append(number)
@@ -311,7 +319,10 @@ def _extract_records(
 def _extract_alike(
     given: Sequence[VoltRecord], settings: ExtractionSettings, *, with_sd: bool
 ) -> list[ShotFeatures]:
-    """Extract the features of records of one length, rate and pre-trigger (`VoltRecord.kind`)."""
+    """Extract the features of records of one length, rate and pre-trigger (`VoltRecord.kind`).
+
+    A record with a false trigger or lost samples has no feature but its noise.
+    """
     records = reduce_records(given, settings)
     pulses = [find_pulses(record, settings) for record in records]
     rate_hz = given[0].sample_rate_hz

@@ -93,9 +93,7 @@ class Proposal:
 
 
 def propose_settings(struck: Mapping[str, StruckTransducer], *, pulse_s: float, fall_s: float) -> Proposal:
-    """Propose acquisition settings from one strike of each transducer, at least one.
-
-    What prevents a proposal does not raise: it is listed in `Proposal.troubles`.
+    """Propose settings from one strike of each transducer, at least one; obstacles are `troubles`.
 
     Parameters
     ----------
@@ -179,12 +177,14 @@ def propose_settings(struck: Mapping[str, StruckTransducer], *, pulse_s: float, 
 def cut_triggered_record(
     strike: Waveform, *, after_s: float, level_v: float, rising: bool, pretrigger_samples: int, samples: int
 ) -> Waveform | None:
-    """Cut the record that the trigger would start out of a strike; None if it is not reached in time.
+    """Cut the record that the trigger would start out of a strike; None if the level is not crossed in time.
+
+    Return None, too, if the record does not fit into the strike's.
 
     Parameters
     ----------
     after_s
-        From the record's beginning until the trigger listens.
+        Time from the start of the strike's record until the trigger is armed.
     """
     sign = 1.0 if rising else -1.0
     first = round(after_s * strike.sample_rate_hz)
@@ -218,7 +218,7 @@ def _find_crest(one: StruckTransducer, earliest_s: float) -> float:
 def _choose_trigger_level(
     waves_v: Mapping[str, float], noises_v: Mapping[str, float], offset_v: float, sign: float
 ) -> float | None:
-    """Choose one trigger level in V for all transducers; None if no level fits.
+    """Choose one trigger level in V, two digits, for all transducers; None without a wave or a level.
 
     It depends on the smallest wave and the largest noise.
     """
@@ -240,7 +240,7 @@ def _rise_s(one: StruckTransducer, earliest_s: float, above_v: float, noise_v: f
 
 
 def _choose_holdoff(surveys: Mapping[str, SpikeSurvey], fall_s: float) -> tuple[float | None, float, str]:
-    """Choose one holdoff for all transducers; None if the coil rings for too long.
+    """Choose one holdoff in s for all transducers; None if the coil rings for too long.
 
     Return also the ringing time in s, and the transducer whose coil rings longest.
     """
@@ -253,9 +253,9 @@ def _choose_holdoff(surveys: Mapping[str, SpikeSurvey], fall_s: float) -> tuple[
 
 
 def _choose_range(one: StruckTransducer, listens_s: float) -> tuple[float, bool, bool]:
-    """Choose the smallest input range in V with headroom.
+    """Choose the smallest input range in V with headroom for the samples from ``listens_s`` on.
 
-    Return also whether the record was clipped, and whether any range fits.
+    Return the largest range if none fits, then whether these samples were clipped, and whether a range fits.
     """
     first = round(listens_s * one.strike.sample_rate_hz)
     part = replace(one.strike, counts=one.strike.counts[first:])

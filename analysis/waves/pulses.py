@@ -109,7 +109,7 @@ def find_pulses(record: ReducedRecord, settings: ExtractionSettings) -> Pulses:
     Parameters
     ----------
     record
-        From `analysis.waves.record_reduction.reduce_record`.
+        From `analysis.waves.record_reduction.reduce_records`.
 
     Returns
     -------
@@ -324,7 +324,7 @@ def _measure_width(values: FloatArray, peak: int, level: float) -> float:
 
 @lru_cache(maxsize=1024)
 def quartic_design_matrix(n: int) -> tuple[FloatArray, FloatArray]:
-    """Return the design matrix of a quartic on n points over -1..1, shape (n, 5), and its pseudo-inverse."""
+    """Return the design matrix of a quartic on n points over -1..1, (n, 5), and its pseudo-inverse."""
     design = np.vander(np.linspace(-1.0, 1.0, n), 5, increasing=True)
     solver: FloatArray = np.asarray(np.linalg.pinv(design), dtype=np.float64)
     for array in (design, solver):

@@ -72,6 +72,7 @@ class RestrikeRule:
     restrikes_per_set: int = 3
 
     def __post_init__(self) -> None:
+        """Raise InvalidInputError for an unknown flag or a negative number of repetitions."""
         unknown = sorted(set(self.flags) - set(FLAGS))
         if unknown:
             raise InvalidInputError(f"{unknown} are no flags of a shot; there are {', '.join(FLAGS)}")

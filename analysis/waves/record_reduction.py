@@ -104,6 +104,7 @@ class ExtractionSettings:
     """Drift of the quiet parts of the record that flags it."""
 
     def __post_init__(self) -> None:
+        """Raise InvalidInputError for a value that is not positive and finite, or a window that is empty."""
         for field in fields(self):
             value = getattr(self, field.name)
             if not (math.isfinite(value) and value > 0.0):
@@ -238,7 +239,7 @@ def filter_kernel(width_blocks: float) -> FloatArray:
 
 @lru_cache(maxsize=64)
 def kernel_noise_gain(width_blocks: float) -> float:
-    """Return the SD of the matched filter's output for white noise of SD 1."""
+    """Return the SD of the matched filter's output for white noise of SD 1: the norm of its weights."""
     weights = filter_kernel(width_blocks)
     return math.sqrt(float(weights @ weights))
 
@@ -416,10 +417,7 @@ def reduce_records(given: Sequence[VoltRecord], settings: ExtractionSettings) ->
 
 
 def minimum_after_isw_s(settings: ExtractionSettings) -> float:
-    """Return the minimum time in s from the ISW to the reflected wave of a sound wall.
-
-    The record's end bounds the search.
-    """
+    """Return the shortest record in s after the ISW that holds a sound wall's reflected wave."""
     return settings.psw_earliest_s + 2.0 * (settings.window_half_width_s + settings.isw_fwhm_s)
 
 

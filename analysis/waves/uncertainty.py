@@ -133,7 +133,7 @@ def _kernel_slope_energy(width_blocks: float) -> float:
 def _coefficient_sd(
     record: ReducedRecord, isw: Pulse, ratio: float, gate_s: float, noise: NoiseColour
 ) -> float:
-    """Return the relative standard deviation of the autocorrelation coefficient."""
+    """Return the relative SD of the autocorrelation coefficient for a gate of ``gate_s`` seconds."""
     both = 1.0 + ratio**2
     energy = ENERGY * isw.amplitude_v**2 * isw.fwhm_s / record.step_s
     of_ratio = noise.slow2 / energy * ((1.0 - ratio**2) / both) ** 2 * (1.0 + 1.0 / ratio**2)

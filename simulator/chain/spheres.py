@@ -132,6 +132,7 @@ def build_chain(parameters: ChainParameters, plate: PlateParameters) -> Chain:
     """Build the chain on `plate`: masses, contacts and static equilibrium.
 
     The plate's Young's modulus and Poisson's ratio enter the last contact.
+    Raise ValueError if two flat faces touch.
     """
     sensor = parameters.spheres_above
     bodies = [parameters.body(i) for i in range(parameters.bodies)]
@@ -214,12 +215,12 @@ def with_other_strike(
 
 
 def impact_speed_m_per_s(drop_height_m: float) -> float:
-    """Return the speed of the falling striker at first touch, in m/s."""
+    """Return the speed of the falling striker at first touch, ``sqrt(2 g h)`` in m/s, g = 9.81 m/s^2."""
     return math.sqrt(2.0 * FREE_FALL_M_PER_S2 * drop_height_m)
 
 
 def _contact_surface(body: Body) -> Surface:
-    """Return the contact surface (radius and elasticity) of a sphere."""
+    """Return the contact surface of a body: radius of curvature and elastic constants."""
     return Surface(
         radius_m=body.radius_m, youngs_modulus_pa=body.youngs_modulus_pa, poisson_ratio=body.poisson_ratio
     )

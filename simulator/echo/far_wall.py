@@ -83,9 +83,9 @@ def draw_rough_spot(
 ) -> RoughSpot | None:
     """Draw the rough far wall under the probe of one position; None if it stays smooth.
 
-    The depth of a position with a probe is the mean under its beam: the relative loss is scaled to that.
-    The field does not depend on the number of facets, so a finer grid samples the same wall. Kept: it is the
-    costliest part of a specimen, and a doctor, a double or a comparison builds several of one seed.
+    The depth of a position with a probe is the mean under its beam: the relative loss is scaled to that. The
+    field does not depend on the number of facets, so a finer grid samples the same wall. The last 16 results
+    are cached, because drawing is the costliest part of building a specimen.
     """
     if echo.roughness_fraction == 0.0:
         return None

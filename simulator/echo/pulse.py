@@ -47,7 +47,7 @@ def travel_time_s(thickness_m: float, echo: EchoParameters) -> float:
 
 
 def warm_probe_and_wall(echo: EchoParameters, warmer_k: float) -> EchoParameters:
-    """Return the echo parameters of probe and wall ``warmer_k`` above their reference temperature."""
+    """Return the echo parameters with delay and wave speed of probe and wall warmer by ``warmer_k``."""
     return replace(
         echo,
         delay_s=echo.delay_s * (1.0 + echo.delay_per_k * warmer_k),
@@ -137,7 +137,7 @@ def _rough_wall_volts(wall: FarWall, echo: EchoParameters) -> FloatArray:
 
 
 def _add_heights_to_grid(grid: FloatArray, place: FloatArray, height: FloatArray) -> None:
-    """Add heights to a grid in place, each shared by the two points around its position."""
+    """Add heights to a grid in place, each shared by the two points around its fractional index."""
     index = place.astype(np.intp)
     later = place - index
     first = int(index.min())

@@ -50,7 +50,7 @@ class ProbedWall:
         )
 
     def truth(self, echo: EchoParameters) -> dict[str, float]:
-        """Return the wall's true values that are stored with a record, by column.
+        """Return the wall's true values that are stored with a record, by column name.
 
         The travel time is that of a smooth wall.
         """

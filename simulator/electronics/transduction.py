@@ -65,6 +65,11 @@ def quantise_volts(volts: FloatArray, calibration: Calibration) -> Counts:
     -------
     Counts
         int16 up to 16 bits, else int32, of the same shape.
+
+    Raises
+    ------
+    ValueError
+        The slope of the polynomial varies by more than half.
     """
     low, high = calibration.full_scale_counts
     curved, passes = _prepare_inversion(calibration)
@@ -81,7 +86,7 @@ def quantise_volts(volts: FloatArray, calibration: Calibration) -> Counts:
 
 @lru_cache(maxsize=64)
 def _prepare_inversion(calibration: Calibration) -> tuple[FloatArray, int]:
-    """Prepare `invert_scaling`: return the polynomial's curvature over its slope, and the passes.
+    """Prepare `invert_scaling`: return the polynomial's curvature over its slope, and the number of passes.
 
     Raise ValueError for a scaling whose slope varies by more than half.
     """
@@ -233,10 +238,7 @@ def _prepare_slow_noise_grid(n_samples: int, shortest_period: float) -> tuple[in
 
 @lru_cache(maxsize=64)
 def _lagrange_cubic_weights(per_step: int) -> FloatArray:
-    """Return weights of Lagrange's cubic through -1, 0, 1, 2 for samples between 0 and 1.
-
-    The shape is (4, per_step).
-    """
+    """Return weights of Lagrange's cubic through -1, 0, 1, 2 for samples in 0 to 1, shape (4, per_step)."""
     x = np.arange(per_step) / per_step
     return np.array(
         [

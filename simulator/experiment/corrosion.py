@@ -105,7 +105,7 @@ class WallHistory:
 
 @lru_cache(maxsize=256)
 def _cached_wall_state(history: WallHistory, hour_h: float) -> Wall:
-    """Return the state of a wall at an hour, cached, because all shots of a set need it."""
+    """Return mean and deepest loss of a wall at an hour, cached: all shots of a set need it."""
     mean = history.mean_at(hour_h)
     pit, onset_h = mean, history.thinning.onset_h
     is_pitted = history.pits.size > 0

@@ -53,7 +53,7 @@ class Climate:
     def liquid_factor(self, hour_h: float) -> float:
         """Return the depth of the liquid at an hour, as a fraction of the full depth.
 
-        It falls in four steps between two refills.
+        It falls through four values between two refills.
         """
         part = (hour_h / self.parameters.refill_h + self.refilled) % 1.0
         return list_liquid_factors(self.parameters)[int(LIQUID_LEVELS * part)]
@@ -107,7 +107,7 @@ class _Sources:
 
 @lru_cache(maxsize=64)
 def _effects_of_sources(level: str, chain: ChainParameters) -> _Sources:
-    """Compute the effects of each source of variation on the parameters of a chain, cached."""
+    """Return sizes and effects of all sources of variability on a chain, cached by level and chain."""
     n = chain.bodies
     of_stiffness, of_damping, last = np.eye(n), np.zeros((n, n)), np.eye(2 * n + 3)[:, 2 * n :]
     curvature = _contact_radius_exponent(chain)

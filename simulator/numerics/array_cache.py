@@ -90,7 +90,7 @@ def hash_content(described: Mapping[str, object]) -> str:
 
 @cache
 def _describe_environment() -> dict[str, object]:
-    """Describe the code, libraries and BLAS kernels that determine the last digits of results."""
+    """Return the code hash, library versions and BLAS kernels that determine the last digits; cached."""
     libraries = {name: version(name) for name in ("numpy", "scipy", "numba")}
     return {"code": hash_source(), "libraries": libraries, "blas": describe_blas_libraries()}
 
@@ -126,7 +126,7 @@ def read_arrays(path: Path) -> dict[str, FloatArray] | None:
 def write_arrays(
     path: Path, arrays: Mapping[str, FloatArray], *, limit_bytes: int = FOLDER_LIMIT_BYTES
 ) -> None:
-    """Write `arrays` to `path`; if the folder cannot be written, log that and store nothing.
+    """Write `arrays` to `path` atomically; if the folder cannot be written, log that and store nothing.
 
     Beyond `limit_bytes` the folder loses its oldest files.
     """
@@ -150,7 +150,7 @@ def write_arrays(
 
 
 def _as_float64(arrays: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
-    """Convert arrays to C-contiguous float64."""
+    """Convert arrays to C-contiguous float64; copy only those that are not."""
     return {name: np.asarray(values, dtype=np.float64, order="C") for name, values in arrays.items()}
 
 
@@ -187,7 +187,7 @@ def _limit_folder_size(folder: Path, limit_bytes: int) -> None:
 
 
 def _list_cache_files(folder: Path) -> list[os.DirEntry[str]]:
-    """List the files of a cache folder; return an empty list if it cannot be read."""
+    """List the directory entries of a cache folder; return an empty list if it cannot be read."""
     try:
         with os.scandir(folder) as found:
             return list(found)

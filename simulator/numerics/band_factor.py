@@ -114,7 +114,7 @@ class FactorFamily:
         return self._factor
 
     def solve(self, factor: FloatArray, right: FloatArray) -> FloatArray:
-        """Solve a linear system with a factor of `factor`.
+        """Solve a linear system for one right-hand side, shape (n,), with a result of `factor`.
 
         `right` and the result have the matrices' own order.
         """

@@ -62,7 +62,7 @@ def _make_intrinsic(function: Callable[..., Any]) -> Callable[..., Any]:
 def _address_of_lanes(
     context: Any, builder: Any, array_type: Any, array: Any, start: Any, lanes: Lanes
 ) -> Any:
-    """Emit the address of the lanes that begin at ``start`` in an array."""
+    """Emit the address of the lanes that begin at index ``start`` in an array, without a bounds check."""
     data = context.make_array(array_type)(context, builder, array).data
     return builder.bitcast(cgutils.gep_inbounds(builder, data, start), _vector_type(lanes).as_pointer())
 
@@ -120,7 +120,7 @@ def _common_vector_type(given: Sequence[Any]) -> Lanes | None:
 
 
 def _make_lane_intrinsic(operands: int, emit: Callable[[Any, Any], Any]) -> Callable[..., Any]:
-    """Create an intrinsic of vectors and numbers, at least one a vector; numbers are broadcast."""
+    """Create an intrinsic of one to four vectors or numbers, at least one a vector; numbers are broadcast."""
 
     def typed(*given: Any) -> Any:
         """Return signature and code generator for the given types; None if they do not match."""
@@ -208,7 +208,7 @@ def all_positive(typing: Any, lanes: Any) -> Any:
 
 @_make_intrinsic
 def lane(typing: Any, lanes: Any, index: Any) -> Any:
-    """Extract one lane of a vector; its index is a constant."""
+    """Return one lane of a vector as a number; its index is a constant."""
 
     def codegen(context: Any, builder: Any, signature: Any, values: Any) -> Any:
         """Emit the extraction of the lane."""

@@ -45,7 +45,7 @@ class Front:
 
 
 def order_elimination(cells: IntArray, unknowns: Sequence[IntArray]) -> list[Front]:
-    """Order the elimination of unknowns by nested dissection; each front comes after its children.
+    """Return the fronts that eliminate all unknowns by nested dissection; each comes after its children.
 
     Parameters
     ----------
@@ -58,7 +58,7 @@ def order_elimination(cells: IntArray, unknowns: Sequence[IntArray]) -> list[Fro
     fronts: list[Front] = []
 
     def order(chosen: IntArray) -> tuple[int, IntArray, IntArray]:
-        """Append the fronts of some cells, children first; return the number of the last front."""
+        """Append the fronts of some cells; return the last front, its remaining unknowns and counts."""
         children: tuple[int, ...] = ()
         places: tuple[IntArray, ...] = ()
         if len(chosen) == 1:

@@ -70,7 +70,7 @@ class Axis:
         return sums[0], sums[1], sums[2]
 
     def values(self, at_m: FloatArray) -> FloatArray:
-        """Evaluate all shape functions at some points, shape (points, nodes)."""
+        """Evaluate all shape functions at points in m, shape (points, nodes); extrapolate beyond the ends."""
         found = np.zeros((len(at_m), int(self.first[-1]) + 1))
         interval = np.clip(np.searchsorted(self.breaks_m, at_m, side="right") - 1, 0, len(self.degrees) - 1)
         for k in np.unique(interval):

@@ -37,6 +37,7 @@ class SphereParameters:
     """Poisson's ratio."""
 
     def __post_init__(self) -> None:
+        """Raise ValueError for an empty range of bodies, or for both a mass and a density."""
         if self.last_body is not None and self.last_body < self.body:
             raise ValueError(f"last_body is {self.last_body}; it must be at least body = {self.body}")
         if self.mass_kg is not None and self.density_kg_per_m3 is not None:
@@ -107,6 +108,7 @@ class ChainParameters:
     25 C, 198 at 100 C, 192 at 200 C)."""
 
     def __post_init__(self) -> None:
+        """Raise ValueError for implausible densities, a disk on the plate, or bad spheres or moduli."""
         _check_density("mass_kg", self.mass_kg, self.radius_m)
         if self.spheres_below == 0 and self.sensor == "disk":
             raise ValueError(

@@ -50,6 +50,7 @@ class ThinningParameters:
     before the first and after the last."""
 
     def __post_init__(self) -> None:
+        """Raise ValueError for a history that does not rise, or hours in the wrong order."""
         if self.history:
             self._check_history()
         check_pair(self, "reference_h", "later than", "onset_h", " h")
@@ -139,6 +140,7 @@ class DriftParameters:
     """Relative change of the PZT's sensitivity a kelvin (assumption: of the order given for soft PZT)."""
 
     def __post_init__(self) -> None:
+        """Raise ValueError if the longest period of the wander is below the shortest."""
         check_pair(self, "longest_wander_h", "at least", "shortest_wander_h", " h")
 
 
@@ -191,6 +193,7 @@ class TwinParameters:
     """Faults of each transducer and its channel by the position's name; without an entry it has none."""
 
     def __post_init__(self) -> None:
+        """Raise ValueError for mains hum that reaches the trigger level."""
         for position, faults in self.faults.items():
             hum_v = faults.mains_hum.amplitude_v
             if hum_v >= self.adc.trigger_level_v:

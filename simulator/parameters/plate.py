@@ -94,6 +94,7 @@ class PlateParameters:
     """Mesh of `solid`, which takes Hertz's pressure over `contact_radius_m`."""
 
     def __post_init__(self) -> None:
+        """Raise ValueError for a grid, modulus, contact or liquid that the model cannot have."""
         if self.elements_per_edge % 2:
             raise ValueError(f"elements_per_edge is {self.elements_per_edge}; it must be even")
         largest = min(self.width_m, self.height_m) / self.elements_per_edge
@@ -168,6 +169,7 @@ class PatchParameters:
     """Largest depth of this patch over the depth of the position."""
 
     def __post_init__(self) -> None:
+        """Raise ValueError unless a rectangular patch, and no other, has ``size_y_m``."""
         if (self.shape == "rectangular") != (self.size_y_m is not None):
             raise ValueError(
                 f"size_y_m is {self.size_y_m} for a {self.shape} patch; a rectangular one needs it, no other "
@@ -207,6 +209,7 @@ class CorrosionParameters:
     """Lost part of the thickness: 0 pristine, at most 0.95; beyond that the position is a hole."""
 
     def __post_init__(self) -> None:
+        """Raise ValueError for more than 32 further patches, or a first patch that makes no sense."""
         if len(self.further) > MOST_FURTHER_PATCHES:
             raise ValueError(
                 f"further has {len(self.further)} patches; at most {MOST_FURTHER_PATCHES} are possible"

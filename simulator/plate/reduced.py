@@ -46,7 +46,7 @@ class PlateModes:
         return float(modal) + self.residual_compliance_m_per_n
 
     def with_scaled_modulus(self, factor: float) -> PlateModes:
-        """Return the modes for `factor` times the Young's modulus, to which stiffness is proportional."""
+        """Return the modes for `factor` times Young's modulus; frequencies scale with its square root."""
         return PlateModes(
             omega_rad_per_s=self.omega_rad_per_s * math.sqrt(factor),
             participation=self.participation,
@@ -54,7 +54,7 @@ class PlateModes:
         )
 
     def cut_above(self, omega_rad_per_s: float, yielding_per_kg: float) -> PlateModes:
-        """Convert modes above a frequency to residual compliance; keep the lower ones.
+        """Return the modes up to a frequency; those above become residual compliance.
 
         Parameters
         ----------

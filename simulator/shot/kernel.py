@@ -97,7 +97,7 @@ _compiled = jit_compile(nogil=True, error_model="numpy")
 
 @_compiled
 def _power_of_overlap(overlap: Any, law: int) -> Any:
-    """Compute ``overlap^(1 + p)`` of a damping law by square roots only."""
+    """Compute ``overlap^(1 + p)``, p of index `law` in `LAWS_OF_DAMPING`, by square roots only."""
     if law == 0:
         return overlap
     root = sqrt(overlap)
@@ -110,7 +110,7 @@ def _power_of_overlap(overlap: Any, law: int) -> Any:
 
 @_compiled
 def _slope_of_power(overlap: Any, law: int) -> Any:
-    """Compute the derivative of `_power_of_overlap` by the overlap."""
+    """Compute the derivative of `_power_of_overlap` by the overlap, ``(1 + p) overlap^p``."""
     if law == 0:
         return overlap * 0.0 + 1.0
     root = sqrt(overlap)
@@ -172,7 +172,7 @@ def _set_bodies_at_rest(chains: Chains, speed: Any, step: float, width: int) -> 
 def _contact_weights(
     chains: Chains, specimen: Propagator, step: float, width: int, law: int, linear: bool
 ) -> Contact:
-    """Compute the weights of everything that acts on the plate's contact within a step."""
+    """Return the constants of a step that act on the contact with the plate, one lane per shot."""
     last = chains.mass.shape[0] - 1
     bank, compliance = specimen.bank, specimen.residual_compliance_m_per_n
     w_per_i = w_per_s = specimen.mobility_m_per_n_s
@@ -254,7 +254,7 @@ def _set_last_body_at_rest(chains: Chains, contact: Contact, zero: Any, width: i
 
 @_step
 def _compute_initial_energy(chains: Chains, strikes: Strikes, compliance: float, width: int) -> FloatArray:
-    """Compute the initial energy of all contacts and of the striker for each shot, in J."""
+    """Compute the initial energy of all contacts and the striker in J for each shot, shape (width,)."""
     last = chains.mass.shape[0] - 1
     energy = np.empty(width)
     for k in range(width):

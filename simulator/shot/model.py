@@ -99,6 +99,7 @@ class Impact:
     plate_modulus_factor: float = 1.0
 
     def __post_init__(self) -> None:
+        """Raise ValueError for a delay or factor that is not positive and finite, or a lone second height."""
         delay_s = self.second_delay_s
         if delay_s is not None and not (math.isfinite(delay_s) and delay_s > 0.0):
             raise ValueError(f"second_delay_s is {delay_s}; it must be positive and finite, or None")
@@ -454,7 +455,7 @@ def _compute_modes(plate: ModalPlate | None, depth: float) -> PlateModes:
 
 
 def _make_specimen_without_modes(plate: PlateParameters) -> Propagator:
-    """Return the response of a model without modes: a rigid wall or an infinite thin plate."""
+    """Return the propagator of a plate without modes: a rigid wall, or an infinite thin plate's mobility."""
     if plate.model == "rigid_wall":
         return UNMOVED
     impedance = thin_plate_impedance_n_s_per_m(

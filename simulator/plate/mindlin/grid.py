@@ -118,7 +118,7 @@ def make_graded_edge(
 
 
 def _required_lines(start_m: float, end_m: float, first_m: float, lines_m: Sequence[float]) -> FloatArray:
-    """Return the required grid lines, rising and each once.
+    """Return the grid lines that contact, edges and patches require, rising and each once.
 
     Raise SpecimenError for a patch's edge within the contact's elements.
     """

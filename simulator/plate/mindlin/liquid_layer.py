@@ -128,7 +128,7 @@ def integrate_hats_times_sines(
 ) -> FloatArray:
     """Integrate hat functions on `lines_m` times ``sqrt(2 / a) sin(m pi (x - start) / a)``.
 
-    They are exact, for any size of element against the wave.
+    The integrals are exact for elements of any size relative to the wave.
 
     Returns
     -------

@@ -76,7 +76,7 @@ def _outlines_overlap(one: PatchParameters, other: PatchParameters) -> bool:
 def list_patch_lines(
     corrosion: CorrosionParameters, contact_element_m: float
 ) -> tuple[list[float], list[float]]:
-    """Return the coordinates x and y, in m, that need a grid line in addition to the contact's.
+    """Return the sorted coordinates x and y, in m, that need a grid line in addition to the contact's.
 
     They are the edges of all patches; a circle has those of its bounding square. A smooth profile also
     has lines half-way to its middle, except within the elements at the contact.

@@ -110,9 +110,9 @@ class PlateThinning:
     profile: FloatArray
 
     def coefficients(self, power: int) -> FloatArray:
-        """Return coefficients of 1, s, s^2, s^3 in the relative thickness to `power`.
+        """Return coefficients of 1, s, s^2, s^3 in the relative thickness to `power` (1 to 3).
 
-        Shape (4, Gauss points, elements).
+        The shape is (4, Gauss points, elements).
         """
         rest = 1.0 - self.covered.sum(axis=0)
         total = rest * _binomial_coefficients(self.profile, power)
@@ -181,7 +181,7 @@ def _make_edge_lines(
 
 
 def evaluate_thinning(x_m: FloatArray, y_m: FloatArray, corrosion: CorrosionParameters) -> PlateThinning:
-    """Evaluate the patches of `corrosion` on the elements of a grid with its origin at the contact."""
+    """Evaluate the patches on the elements of a grid with its origin at the contact."""
     flat = [patch for patch in corrosion.patches if patch.profile == "flat"]
     elements = (len(x_m) - 1) * (len(y_m) - 1)
     covered = [patch_fraction(x_m, y_m, patch).ravel() for patch in flat]

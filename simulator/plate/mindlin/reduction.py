@@ -101,7 +101,7 @@ def _fill_krylov_space(
 
 
 def _turn_load_last(vectors: FloatArray, load: FloatArray) -> None:
-    """Reflect the basis in place so that the load has its last direction.
+    """Reflect the basis, shape (r, n), in place so that the load acts only along its last vector.
 
     `load` is in the basis' coordinates.
     """

@@ -98,6 +98,8 @@ def build_solid_family(
 ) -> SolidFamily:
     """Merge the Krylov spaces at `depths` and project the solid plate onto them.
 
+    Raise SpecimenError if the solid plate does not model such a plate or patch.
+
     Parameters
     ----------
     plate, corrosion

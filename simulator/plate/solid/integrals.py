@@ -107,9 +107,7 @@ def _evaluate_shape_functions(axis: Axis, interval: int, at_m: FloatArray) -> tu
 
 
 def hertz_nodal_weights(x: Axis, y: Axis, radius_m: float, *, whole: bool) -> FloatArray:
-    """Compute nodal loads of a unit force of Hertz's pressure about the origin.
-
-    The shape is (nodes of x, nodes of y).
+    """Compute nodal loads of a unit force of Hertz's pressure about the origin, (nodes of x, nodes of y).
 
     The loads add up to one, for a quarter of the plate, too.
     """
@@ -123,7 +121,7 @@ def hertz_nodal_weights(x: Axis, y: Axis, radius_m: float, *, whole: bool) -> Fl
 def compute_in_plane_elasticity(
     plate: PlateParameters, integrals: tuple[FloatArray, ...]
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Compute isotropic elasticity of one element, dependence on z split off.
+    """Compute the in-plane factors of stiffness and mass of one isotropic element.
 
     Unknowns are numbered (node, component).
 

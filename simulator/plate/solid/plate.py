@@ -244,9 +244,9 @@ def _mesh_in_plane_axis(
 
 
 def _mesh_thickness_axis(lost: float, mesh: SolidMesh, h: float) -> Axis:
-    """Mesh the thickness, with grid lines at the same fractions of both layers at any depth.
+    """Mesh the thickness in m, with grid lines at fixed fractions of the remaining and the lost layer.
 
-    So shots change smoothly with the depth.
+    So results change smoothly with the depth.
     """
     graded = mesh.degree - 2
     breaks = (1.0 - lost) * h * np.array(UPPER_LINES)
@@ -342,7 +342,7 @@ def _kinds_of_nodes(
 def _find_existing_nodes(
     x: Axis, y: Axis, z_nodes: int, upper_nodes: int, inside: FloatArray
 ) -> NDArray[np.bool_]:
-    """Mark the nodes that belong to an element, shape (nodes of x, of y, of z)."""
+    """Mark the nodes that belong to an element; Boolean, shape (nodes of x, of y, of z)."""
     existing = np.zeros((int(x.first[-1]) + 1, int(y.first[-1]) + 1, z_nodes), dtype=bool)
     existing[:, :, :upper_nodes] = True
     for ex, ey in np.argwhere(inside < 1.0):
@@ -368,7 +368,7 @@ def _find_fixed_displacements(support: str, shape: tuple[int, ...], symmetry: Sy
 
 
 def _number_free_displacements(free: NDArray[np.bool_], symmetry: Symmetry) -> IntArray:
-    """Assign numbers to the free displacements; -1 marks a fixed one.
+    """Return a number for each free displacement, shape as `free`; -1 for a fixed one.
 
     Across the diagonal of an eighth u and v change places.
     """

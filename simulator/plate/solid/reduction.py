@@ -90,7 +90,7 @@ def _find_column_kind(plate: SolidPlate, ex: int, ey: int) -> tuple[int, int]:
 
 
 def column_matrices(plate: SolidPlate, column: int, fold: sparse.csr_matrix) -> tuple[FloatArray, FloatArray]:
-    """Compute stiffness and mass of one column over its unknowns, times its symmetric copies."""
+    """Compute stiffness and mass of one column over its unknowns, times the number of symmetric copies."""
     ex, ey = (int(e) for e in plate.columns[column])
     kind, nodes = _find_column_kind(plate, ex, ey)
     whole = integrate_in_plane(plate.x, plate.y, ex, ey)
@@ -221,7 +221,7 @@ class ProjectedSolid:
 
 
 def project_layers(plate: SolidPlate, fields: FloatArray) -> ProjectedSolid:
-    """Project each layer onto `fields` (Galerkin), displacements of all nodes, shape (n, r)."""
+    """Project each layer onto `fields` (Galerkin): displacements of all nodes, shape (n, r)."""
     count = fields.shape[1]
     stiffness, mass = np.zeros((6, count, count)), np.zeros((2, count, count))
     h = plate.parameters.thickness_m
@@ -278,7 +278,7 @@ def solid_modes(
 
 
 def contact_residual_m_per_n(plate: SolidPlate, corrosion: CorrosionParameters) -> float:
-    """Return the mesh's missing compliance under the contact in m/N, less the half-space's part."""
+    """Return the compliance to add to the modes in m/N: the mesh's missing part less the half-space's."""
     indentation = half_space_indentation_m_per_n(
         plate.parameters.warm_youngs_modulus_pa,
         plate.parameters.poisson_ratio,
