@@ -161,7 +161,7 @@ class ChainParameters:
         return replace(self, radius_m=self.radius_m * radius_factor, spheres=spheres)
 
     def _mass_kg(self, other: SphereParameters) -> float:
-        """Return the mass of a different sphere in kg: as given, by density, or by radius."""
+        """Return the mass of a differing sphere in kg: as given, by density, or by its radius cubed."""
         if other.mass_kg is not None:
             return other.mass_kg
         radius = self.radius_m if other.radius_m is None else other.radius_m
