@@ -370,7 +370,7 @@ def _remedy_for_baseline(rules: Rules) -> str:
 def _assess_with_baseline(
     set_of_shots: SetOfShots, state: State, baseline: FrozenBaseline, rules: Rules
 ) -> SetAssessment:
-    """Assess a set against a frozen baseline; a set that cannot be assessed gets only a reason."""
+    """Assess a set against a frozen baseline; if that is impossible, return only a reason."""
     if baseline.fitted is None:
         return SetAssessment(reason=baseline.reason)
     values = set_of_shots.vector()

@@ -43,7 +43,7 @@ class Diagnosis:
     cause
         `OK`, one of `hypotheses.CAUSES`, or `UNDETERMINED`.
     probability
-        Of that cause; where it cannot be told, that of the likeliest one, `OK` included.
+        Of that cause; if it is undetermined, that of the likeliest one, `OK` included.
     probabilities
         Of `OK` and of all causes.
     abrupt
@@ -53,7 +53,7 @@ class Diagnosis:
     confirmed
         With a set struck outside the schedule.
     reseated, returned
-        It names a re-seat that was not known before; the contact sits as in the baseline again.
+        A re-seat is diagnosed that was not known before; the contact is as in the baseline again.
     """
 
     cause: str

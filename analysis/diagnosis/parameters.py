@@ -44,7 +44,7 @@ class DiagnosisParameters:
     ends
         Averages of the changes when the baseline ended, shape (2, 7).
     rows
-        Which hypotheses stand for a cause.
+        Indices of the hypotheses of each cause.
     weights
         Of each hypothesis with each course in time, beforehand; shape (h, s).
     abrupt

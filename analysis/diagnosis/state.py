@@ -35,7 +35,7 @@ class DiagnosisState:
     wall
         A wall was named, and the transducer was not healthy since.
     likely
-        The last set, or its confirmation, was sure of a wall: the next one that is names it.
+        The last set, or its confirmation, gave a wall at least 96 %: the next one that does confirms it.
     changes
         Averages of the change from the baseline's mean, one for each of `RATES`; shape (3, 7).
     index
@@ -46,7 +46,7 @@ class DiagnosisState:
         Change in the last confirmation set, and planned sets since; empty: there is none among the last.
     moved
         Where a confirmed re-seat left the transducer: mean change of the sets since, `SETTLING` at most;
-        empty: it sits as in its baseline.
+        empty: it is as in its baseline.
     """
 
     n: int = 0

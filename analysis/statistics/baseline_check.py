@@ -47,7 +47,7 @@ class Anomaly:
     ----------
     kind
         ``outlier``: one set far off; ``group``: several sets off alike (a re-seat, a knock, another gain);
-        ``trend``: the sets wander one way from first to last.
+        ``trend``: the sets drift in one direction from first to last.
     rows
         Rows of the vectors handed in; all of a trend.
     """
@@ -153,9 +153,8 @@ def _find_group(whitened: FloatArray, outside: np.ndarray, fewest: int) -> np.nd
 def trend_probability(x: FloatArray, rows: ArrayLike) -> float:
     """Return the p-value of a linear trend of x, shape (n, p), over its rows (Hotelling's test of slopes).
 
-    Autocorrelation lets healthy sets wander: the variance of the slopes is (1 + phi)/(1 - phi) times that of
-    independent sets.
-    Return 0 if the residual covariance is singular.
+    Autocorrelated healthy sets drift slowly: the variance of the slopes is (1 + phi)/(1 - phi) times that of
+    independent sets. Return 0 if the residual covariance is singular.
     """
     t = np.asarray(rows, dtype=np.float64)
     n, p = x.shape

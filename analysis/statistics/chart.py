@@ -43,11 +43,12 @@ class Chart:
     mean
         Of the features, shape (p,).
     directions, phi
-        Along which sets remember, shape (p, p) (`directions.Directions.matrix`), and how much, shape (p,).
+        Directions of autocorrelation, shape (p, p) (`directions.Directions.matrix`), and its size, shape
+        (p,).
     whitening
-        Turns what is new in a set along the directions, shape (p,), into a row with covariance 1:
-        row @ whitening. Its columns stand for the features (`distance.contributions`), so that the parts of
-        the statistic are theirs.
+        Turns what is new in a set along the directions, shape (p,), into a row with covariance 1: row @
+        whitening. Its columns correspond to the features (`distance.contributions`), so that the parts of the
+        statistic are theirs.
     cap
         Longest whitened vector that enters the average.
     limit
@@ -121,7 +122,8 @@ def design_chart(baseline: ArrayLike, run_length: float, least_phi: ArrayLike = 
     baseline
         Shape (n, p); rows with a NaN are gaps and keep their place.
     least_phi
-        Memory along the directions, falling, that is known from elsewhere; a number, or shape (p,).
+        Lower bound of the autocorrelation along the directions, falling, known from elsewhere; a number, or
+        shape (p,).
     """
     x = np.asarray(baseline, dtype=np.float64)
     n, p = int(np.isfinite(x).all(axis=1).sum()), x.shape[1]
@@ -152,9 +154,10 @@ def chart_with_phi(baseline: FloatArray, directions: FloatArray, phi: FloatArray
 def widened_phi(found: Directions) -> FloatArray:
     """Return an autocorrelation above the estimate, shape (p,), with more margin for few sets; at most 0.95.
 
-    artanh phi is half the logarithm of (1 + phi)/(1 - phi), by which memory widens what slow averages scatter
-    by: that factor is taken to be larger by one part for all directions. Standard errors of phi itself would
-    take out more where there is much memory, though there the most of several is found too large anyway.
+    artanh phi is half the logarithm of (1 + phi)/(1 - phi), by which autocorrelation widens the scatter of
+    slow averages: that factor is increased by the same ratio for all directions. Standard errors of phi
+    itself would add more where it is large, though there the largest of several estimates is too large
+    anyway.
     """
     steps = np.arctanh(found.guarded) + WIDENED_BY * found.error
     return np.asarray(np.minimum(np.tanh(steps), LARGEST_PHI))

@@ -26,7 +26,7 @@ class DefaultLimit:
     Attributes
     ----------
     phi
-        Memory from set to set that is taken out; 0: it is not significant.
+        Lag-1 autocorrelation that is removed; 0: it is not significant.
     mean
         Of the sets, shape (p,).
     residuals

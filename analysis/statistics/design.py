@@ -58,7 +58,7 @@ class Design:
     limits
         By name (`named_limits.LIMITS`).
     phi_pooled, n_eff
-        Memory from set to set, and how many independent sets the baseline's are worth.
+        Lag-1 autocorrelation, and the effective number of independent sets of the baseline.
     rate_not_verified_reason
         Why the chart's rate of false alarms is not promised; empty: it is.
     """
@@ -173,7 +173,7 @@ def contributions_of(average: FloatArray) -> FloatArray:
 def next_alarm(alarming: bool, statistic: float, limit: float, p: int) -> bool:
     """Return whether the chart alarm is active: from above the limit until the statistic is at most p.
 
-    p is its mean while the sensor is healthy, so the chart goes on as one that has begun anew: an alarm that
-    ends at the limit itself would come and go, each time beyond the budget.
+    p is its mean while the sensor is healthy, so the chart continues like one after a restart: an alarm that
+    ended at the limit itself would return again and again, beyond the design rate.
     """
     return statistic > p if alarming else statistic > limit

@@ -31,13 +31,15 @@ class Directions:
     Attributes
     ----------
     matrix
-        Shape (p, p): (vectors - mean) @ matrix has covariance 1; its columns fall in memory.
+        Shape (p, p): (vectors - mean) @ matrix has covariance 1; its columns are ordered by falling
+        autocorrelation.
     phi
         From one set to the next, shape (p,).
     guarded
-        The same, and at least what averages over the sets see of slower memory.
+        The same, and at least what averages over the sets show of slower autocorrelation.
     error
-        Standard error of artanh phi for sets that hardly remember; less where all directions are alike.
+        Standard error of artanh phi for sets with little autocorrelation; less where all directions are
+        alike.
     """
 
     matrix: FloatArray
@@ -52,8 +54,8 @@ def directions_of(vectors: ArrayLike) -> Directions:
     Rows of NaN are gaps and keep their position.
     Raise SingularCovarianceError if a feature is a combination of the others.
 
-    Autocorrelations scatter: of sets that remember alike along all directions, the largest and the least
-    found are still far apart. What of their spread is no more than that is taken out (as by James and Stein).
+    Autocorrelations scatter: of sets with equal ones along all directions, the largest and the smallest
+    estimate are still far apart. That part of their spread is removed (shrinkage as by James and Stein).
     """
     x = np.asarray(vectors, dtype=np.float64)
     complete = np.asarray(np.isfinite(x).all(axis=1))

@@ -45,9 +45,9 @@ def contributions(vectors: ArrayLike, baseline: Baseline) -> FloatArray:
     """Return the contribution of each feature to the squared distance: never negative, and they sum to it.
 
     The corr-max transformation: z = (x - mean) / SD, w = C^(-1/2) z with the symmetric root of the
-    correlation matrix C, parts w_j^2. Of all rotations of the whitened vector it is the one whose
-    components correlate most with the features they stand for. Source: Garthwaite and Koch (2016),
-    Australian & New Zealand Journal of Statistics 58(1), 99-119, doi:10.1111/anzs.12144.
+    correlation matrix C, parts w_j^2. Of all rotations of the whitened vector it is the one whose components
+    correlate most with their features. Source: Garthwaite and Koch (2016), Australian & New Zealand Journal
+    of Statistics 58(1), 99-119, doi:10.1111/anzs.12144.
 
     Parameters
     ----------

@@ -138,8 +138,8 @@ def shared_deviation(deviations: ArrayLike) -> FloatArray:
 def typical_autocorrelation(baselines: Sequence[FloatArray]) -> FloatArray:
     """Return the median over the sensors of the autocorrelation along their directions, shape (p,), falling.
 
-    One baseline shows its memory to some 1/sqrt(n); a sensor that happens to show too little of it would be
-    raised first of all. No feature has more memory than the first direction.
+    One baseline shows its autocorrelation to about 1/sqrt(n); a sensor that by chance shows too little of it
+    would raise an alarm first. No feature has more autocorrelation than the first direction.
 
     Parameters
     ----------
@@ -193,7 +193,7 @@ def find_shared_changes(
     shared
         Of `shared_deviation`, shape (sets, p).
     phi
-        Memory of a sensor from set to set.
+        Lag-1 autocorrelation of a sensor.
     first_row
         Not before this one, which is the first after the baseline.
     """
@@ -242,8 +242,8 @@ def sensor_gain(
     Returns
     -------
     tuple
-        The gain, its variance for sets without memory, and the part of the variance of one feature's SD that
-        goes into it. NaN: nothing is shared.
+        The gain, its variance for independent sets, and the part of the variance of one feature's SD that
+        enters it. NaN: nothing is shared.
     """
     # Next to their means: what is wrong with the mean of a baseline is no gain.
     x = np.ma.masked_invalid(deviations)

@@ -42,8 +42,8 @@ def tail_limit(distances_squared: ArrayLike, p: int, rate: float = NOMINAL_RATE)
 
     Of normal sets each left-out distance over its scale is F(p, n - 1 - p). Fitted are a factor and the
     denominator's degrees of freedom, at most these, by the median of the logarithm and by how far its upper
-    half reaches beyond on average: the small distances of few features say nothing of the tail, and one gross
-    set does not carry the fit away.
+    half reaches beyond on average: the small distances of few features hold no information on the tail, and
+    one gross set hardly affects the fit.
     """
     d = np.asarray(distances_squared, dtype=np.float64)
     n = d.size

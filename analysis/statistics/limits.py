@@ -83,8 +83,8 @@ def false_alarm_rate(limit: float, n: int, p: int) -> float:
 def paper_limit(baseline_distances_squared: ArrayLike) -> float:
     """Return the paper's limit: mean + 3 SD of the baseline's own distances (section 4, below eq. 16).
 
-    That the paper means this, with n - 1 in the SD, is our reading. Its realised rate lies far above
-    the stated .27 %: the baseline's own distances are bounded and the SD is not that of a normal variable.
+    That the paper means this, with n - 1 in the SD, is our reading. Its realised rate is far above the stated
+    .27 %: the baseline's own distances are bounded and the SD is not that of a normal variable.
 
     Parameters
     ----------

@@ -94,8 +94,8 @@ def known_limit(p: int, run_length: float, weight: float = WEIGHT) -> float:
 def estimated_limit(n: int, p: int, run_length: float, weight: float = WEIGHT) -> float:
     """Return the MEWMA limit for a baseline of ``n`` sets: wider, since mean and covariance are estimates.
 
-    h_n = h_inf F(n, 1/ARL)/chi2(1/ARL) [1 + (2 - weight)/(weight n)]: the first ratio stands for the
-    covariance, the bracket for the mean's error, which the average takes in whole.
+    h_n = h_inf F(n, 1/ARL)/chi2(1/ARL) [1 + (2 - weight)/(weight n)]: the ratio allows for the covariance's
+    error, the bracket for the mean's, which enters the average in full.
     """
     rate = 1.0 / run_length
     widened = f_predictive_limit(n, p, rate) / float(scipy.special.chdtri(p, rate))

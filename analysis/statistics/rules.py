@@ -142,8 +142,8 @@ def next_poor_sets(running: int, *, n_valid: int, n_tried: int, n_planned: int, 
     n_tried
         Shots tried, repetitions not counted.
     n_planned
-        Shots planned. A set that was cut short (a hold, a rig that is gone) says nothing of the
-        transducer unless it has valid shots enough: it neither counts nor interrupts.
+        Shots planned. A set that was cut short (a pause, a lost rig) neither counts nor interrupts, unless it
+        has enough valid shots.
     minimum_valid
         Fewer make a poor set.
     """

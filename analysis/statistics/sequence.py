@@ -39,13 +39,13 @@ class Assessed:
     features_dropped
         Constant in the baseline.
     n, n_eff, phi_pooled
-        Sets of the baseline, how many independent ones they are worth, and their memory from set to set.
+        Sets of the baseline, the effective number of independent ones, and their lag-1 autocorrelation.
     tail
         Limit that allows for the tails of the baseline, over the F limit.
     suspects
         Rows of the baseline beyond the Phase I limit.
     named
-        What else stands out of the baseline.
+        Anomalies of the baseline.
     left_out
         Rows with a missing value, and other rows that are not assessed, each with its reason.
     limits
@@ -109,8 +109,8 @@ def assess_sequence(
     textbooks
         Also run the MCUSUM, which nothing here decides by.
     least_phi
-        Memory along the directions that is known from sensors like this one (`chart.design_chart`); a number,
-        or one for each feature.
+        Lower bound of the autocorrelation along the directions, from similar sensors (`chart.design_chart`);
+        a number, or one for each feature.
     """
     x, healthy = np.asarray(vectors, dtype=np.float64), np.asarray(in_baseline, dtype=bool)
     x = np.where(np.isfinite(x), x, np.nan)

@@ -249,12 +249,12 @@ def substitute_reference(
 def travel_time(waveform: Waveform, reference: EchoReference) -> TravelTime:
     """Measure the travel time of the first back-wall echo, by correlation with the reference echo.
 
-    The complex correlation with the reference's analytic signal gives envelope and carrier in one. The
-    first envelope maximum in the gate above half of the gate's largest is the first echo; the carrier
-    maximum nearest to it, refined by a parabola, is the travel time. Where a neighbouring carrier maximum is
-    higher, or the nearest one lies more than a quarter period from the envelope's, a slip by one period is
-    possible and the result is suspect.
-    Without an echo in the gate or with a correlation below 0.6, the quality is bad and the time NaN.
+    The complex correlation with the reference's analytic signal gives envelope and carrier in one. The first
+    envelope maximum in the gate above half of the gate's largest is the first echo; the carrier maximum
+    nearest to it, refined by a parabola, is the travel time. Where a neighbouring carrier maximum is higher,
+    or the nearest one is more than a quarter period from the envelope's, a slip by one period is possible and
+    the result is suspect. Without an echo in the gate or with a correlation below 0.6, the quality is bad and
+    the time NaN.
 
     Raises
     ------
@@ -317,8 +317,8 @@ def compute_thickness(
 ) -> Thickness:
     """Return the remaining thickness: th_0 - (UT_0 - UT) / (UT_0 - D) th_0 (paper, eq. 17).
 
-    Equation 17 takes the sound's way for straight. Between the two elements of a probe it is a V of length
-    sqrt(4 th^2 + s^2), and a thinned wall is read too thick; with their distance s given, that is taken off.
+    Equation 17 assumes a straight sound path. Between the two elements of a probe it is a V of length sqrt(4
+    th^2 + s^2), and a thinned wall is read too thick; with their distance s given, that is corrected.
 
     Parameters
     ----------

@@ -77,14 +77,14 @@ class SpikeSurvey:
         What rings.
     wave_v, wave_after_s
         Height of the incident wave, and the time of its front's beginning from the coil's switching off; None
-        where no wave stands out.
+        where no wave is above the limit.
     latest_holdoff_s
         Fall less the pre-trigger: of the nominal height, or as measured where that was shorter.
     holdoff_s, trigger_level_v
         Proposals; None where there is none to make.
     obstacle
         Why no holdoff is proposed: the ``noise`` alone passes the trigger level, the ``ringing`` leaves no
-        room for one, or ``no_wave`` stands out; empty where one is.
+        room for one, or there is ``no_wave``; empty where one is proposed.
     """
 
     noise_rms_v: float

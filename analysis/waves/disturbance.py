@@ -176,8 +176,8 @@ def has_drift(
 ) -> bool:
     """Check for hum or drift: the quiet part before the ISW, or the record's end, is off its level.
 
-    The stretch's 10-us means range over more, or the end lies farther off, than the stated fraction of the
-    ISW and six standard deviations of noise.
+    The stretch's 10-us means range over more, or the end is farther off, than the stated fraction of the ISW
+    and six standard deviations of noise.
     """
     width = max(1, round(10e-6 / record.step_s))
     # Some pulses have long feet (sech^2: 3 % of its height a width before its middle's flank).

@@ -66,7 +66,7 @@ class Proposal:
     Attributes
     ----------
     trigger_level_v, holdoff_s
-        None where there is none to make; `troubles` says why.
+        None where there is none to make; `troubles` has the reason.
     ringing_s
         Longest of all transducers, rounded up to 0.1 ms.
     range_v
@@ -76,9 +76,9 @@ class Proposal:
     again
         Positions whose record is clipped where the wave is: take their new range, then strike again.
     troubles
-        What stands against the proposal, by position: the ``noise`` leaves no room for a level, the
-        ``ringing`` none for a holdoff, there is ``no_wave``, it goes down (``inverted``, which the quality
-        gate refuses), its height fits no ``level`` of all, or no ``range`` of the board holds it.
+        What prevents the proposal, by position: the ``noise`` leaves no room for a level, the ``ringing``
+        none for a holdoff, there is ``no_wave``, it goes down (``inverted``, which the quality gate refuses),
+        its height fits no ``level`` of all, or no ``range`` of the board holds it.
     """
 
     rising: bool

@@ -220,7 +220,7 @@ def _find_isw(
 
 
 def _has_room_for_reflection(record: ReducedRecord, isw: Pulse, settings: ExtractionSettings) -> bool:
-    """Check whether the record has room for a reflected wave, or for a sound wall's if it is short."""
+    """Check whether the record has room for a reflected wave; a short one only for an intact wall's."""
     window_s = settings.psw_latest_s + settings.window_half_width_s
     if record.end_s < window_s + LATEST_ISW_PER_FWHM * settings.isw_fwhm_s:
         window_s = min(window_s, minimum_after_isw_s(settings))
@@ -296,7 +296,7 @@ def _measure_pulse(record: ReducedRecord, matched_index: int) -> Pulse | None:
 def _find_stretch_above(values: FloatArray, peak: int, level: float) -> tuple[int, int]:
     """Return the first and last index of the stretch around ``peak`` that stays above ``level``.
 
-    The last lies before the first if ``peak`` itself does not.
+    The last is before the first if ``peak`` itself does not.
     """
     below = values <= level
     if below[peak]:
@@ -309,7 +309,7 @@ def _find_stretch_above(values: FloatArray, peak: int, level: float) -> tuple[in
 def _measure_width(values: FloatArray, peak: int, level: float) -> float:
     """Measure the width in samples between the interpolated crossings of ``level`` around ``peak``.
 
-    0 where ``peak`` itself lies below the level, NaN where a side never falls to it.
+    Return 0 if ``peak`` itself is not above the level, NaN if a side never falls to it.
     """
     first, last = _find_stretch_above(values, peak, level)
     if last < first:

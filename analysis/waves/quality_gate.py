@@ -62,7 +62,7 @@ class RestrikeRule:
     Attributes
     ----------
     flags
-        Of `FLAGS`; a strike that left no record counts as ``missed``, and ``missed`` stands for
+        Of `FLAGS`; a strike that left no record counts as ``missed``, and ``missed`` includes
         ``false_trigger``, ``lost_samples`` and ``disturbed`` too: none of them gave a wave to measure.
     restrikes_per_set
         For each transducer.

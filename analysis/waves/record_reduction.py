@@ -288,8 +288,8 @@ def noise_rms(samples_v: FloatArray) -> float:
     """Estimate the RMS of the white noise of one sample in V; blind to pulses, hum and offset.
 
     It is 1.4826 MAD(differences) / sqrt(2). The median is sought in bins of 1/64 of the mean, linearly inside
-    a bin, from where it usually lies: a few counts cost a sixth of a partition. Where few large differences
-    make the mean, the bins are too wide and the median is taken exactly.
+    a bin, from its usual place on: a few counts cost a sixth of a partition. Where few large differences make
+    the mean, the bins are too wide and the median is taken exactly.
     """
     difference = samples_v[1:] - samples_v[:-1]
     np.abs(difference, out=difference)
@@ -358,10 +358,10 @@ class VoltRecord:
 def reduce_records(given: Sequence[VoltRecord], settings: ExtractionSettings) -> list[ReducedRecord]:
     """Compute block means, quiet level, noise and matched filter of records of one kind (`VoltRecord.kind`).
 
-    The quiet level is the median of the block means before the trigger that also lie at least
-    3/4 FWHM before the first rise to half of the record's extreme: the foot of an ISW that itself fired the
-    trigger reaches into the pre-trigger and would bias it. Block means, because a median of raw
-    counts moves in steps of an ADC code.
+    The quiet level is the median of the block means before the trigger that are also at least 3/4 FWHM before
+    the first rise to half of the record's extreme: the foot of an ISW that itself fired the trigger reaches
+    into the pre-trigger and would bias it. Block means, because a median of raw counts moves in steps of an
+    ADC code.
 
     Raises
     ------

@@ -154,8 +154,8 @@ def invert_scaling(
     passes
         How often the bend at the last answer is taken off the line's.
     low, high
-        Outermost codes. Beyond them the polynomial says nothing: outside 1.1 times them the line's answer
-        is held.
+        Outermost codes. The polynomial is not valid beyond them: the line's answer is held outside 1.1 times
+        them.
     codes
         Of an integer type, shape (n,): filled with the answer.
     """

@@ -145,7 +145,7 @@ def simulate_triggered_record(
     dynamic_force_n
         float64, shape (n,): force at the sensor less the static preload; zero before the contact.
     sampling_phase
-        Where the free-running sample clock stands at the noise-free crossing, in samples, 0 .. 1.
+        Phase of the free-running sample clock at the noise-free crossing, in samples, 0 .. 1.
     noise, random
         Electronic noise and the generator it is drawn from.
     interference

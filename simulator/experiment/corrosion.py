@@ -138,8 +138,8 @@ def _draw_pit_depths(flat: WallHistory, seed: int, position: str) -> FloatArray:
     """Draw a Weibull spectrum of pit depths over the deepest, which is in the middle; shape (count, count).
 
     Where the hour of the hole is given the spectrum is stretched, as a power, until its mean is that of the
-    law over `DEEPEST_PATCH_FRACTION` at that hour, so that the deepest pit goes through then.
-    Raise SpecimenError if the mean depth at that hour leaves no room for such a spectrum.
+    law over `DEEPEST_PATCH_FRACTION` at that hour, so that the deepest pit is through then. Raise
+    SpecimenError if the mean depth at that hour leaves no room for such a spectrum.
     """
     count, hole_h = flat.thinning.pits_per_edge, flat.thinning.hole_h
     drawn = keyed_generator(seed, Purpose.PITS, position=position).weibull(PIT_SHAPE, (count, count))

@@ -62,7 +62,7 @@ class ShotNuisance:
     liquid_factor
         Depth of the liquid on the plate over the full one; it does nothing to a dry plate.
     knock, burst
-        What else is heard.
+        Ringing that the record contains; None without.
     """
 
     reseats: int

@@ -53,7 +53,7 @@ def draw_autocorrelated_values(
 ) -> FloatArray:
     """Return the values of stationary AR(1) processes of variance 1 at a set, shape (n,).
 
-    An unscheduled set remembers what the next scheduled one does and has an innovation of its own: scheduled
+    An unscheduled set shares the past of the next scheduled one and has an innovation of its own: scheduled
     sets are the same with and without it.
 
     Parameters
@@ -94,7 +94,7 @@ def draw_slow_drift(
 ) -> tuple[FloatArray, FloatArray]:
     """Draw periods in h and phases in rad of `size` slow drifts, shape (size, WANDER_TERMS).
 
-    One period lies in each of equal steps of ln(period): slow and less slow parts are always there.
+    One period is in each of equal steps of ln(period), so that slow and less slow parts are always present.
     """
     random = keyed_generator(seed, purpose, position=position)
     steps = (np.arange(WANDER_TERMS) + random.uniform(0.0, 1.0, (size, WANDER_TERMS))) / WANDER_TERMS

@@ -71,11 +71,10 @@ def draw_scattered_strike(
 ) -> Strike:
     """Draw drop height, tilt and sensitivity of one shot with its random scatter.
 
-    The logarithm of the drop height is normal: it stays positive, and time of flight and amplitude,
-    powers of it, scatter evenly to both sides. The tilt is uniform: the disk lies somewhere in the play
-    of its guide, and there is nothing beyond. The set's part is drawn from the set alone, so all its
-    shots share it.
-    The drop height is limited to 0.01 times the nominal one and 1 m, the tilt to 0.2 rad.
+    The logarithm of the drop height is normal: it stays positive, and time of flight and amplitude, powers of
+    it, scatter evenly to both sides. The tilt is uniform: the disk is somewhere in the play of its guide, and
+    nowhere beyond. The set's part is drawn from the set alone, so all its shots share it. The drop height is
+    limited to 0.01 times the nominal one and 1 m, the tilt to 0.2 rad.
     """
     set_part = _draw_set_numbers(seed, ShotKey.in_set(key.set_key, key.position, 0))
     shot_part = _draw_unit_numbers(keyed_generator(seed, Purpose.SHOT_SCATTER, key=key))

@@ -82,7 +82,7 @@ def hash_content(described: Mapping[str, object]) -> str:
     Parameters
     ----------
     described
-        The name of the computation and everything that goes in, for `json.dumps`.
+        The name of the computation and all its inputs, for `json.dumps`.
     """
     text = json.dumps({"described": described, "made_with": _describe_environment()}, sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()

@@ -29,7 +29,7 @@ class Front:
     children
         Numbers of the two fronts that are merged.
     places
-        Where their remaining unknowns stand among the unknowns of this front.
+        Positions of their remaining unknowns among the unknowns of this front.
     eliminated, remaining
         Unknowns eliminated here, and those left to later fronts.
     own

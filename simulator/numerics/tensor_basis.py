@@ -128,7 +128,7 @@ def make_graded_breaks_m(
     largest_m
         No interval grows beyond this.
     stops_m
-        Places that get a line of their own; those beyond `length_m` are left out.
+        Positions in m that become breaks; those beyond `length_m` are left out.
     """
     lines = [0.0]
     inner = sorted(stop for stop in stops_m if 0.0 < stop < length_m * (1.0 - 1e-9))

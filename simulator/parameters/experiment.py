@@ -90,9 +90,9 @@ class ThinningParameters:
 class ScatterParameters:
     """Scatter between shots without any change.
 
-    A set-level part (the chain settles anew before each set) and a part of each shot. All figures
-    are assumptions: the paper prints none. They are sized for a baseline whose sets scatter by about
-    0.5 % in time of flight, 2.5 % in amplitude ratio and 5 % in incident amplitude.
+    A set-level part (the chain settles again before each set) and a part of each shot. All figures are
+    assumptions: the paper prints none. They are sized for a baseline whose sets scatter by about 0.5 % in
+    time of flight, 2.5 % in amplitude ratio and 5 % in incident amplitude.
     """
 
     scale: Annotated[float, Ge(0.0), Le(10.0)] = 1.0
@@ -140,7 +140,7 @@ class DriftParameters:
     """Relative change of the PZT's sensitivity a kelvin (assumption: of the order given for soft PZT)."""
 
     def __post_init__(self) -> None:
-        """Raise ValueError if the longest period of the wander is below the shortest."""
+        """Raise ValueError if the longest period of the slow drift is below the shortest."""
         check_pair(self, "longest_wander_h", "at least", "shortest_wander_h", " h")
 
 

@@ -119,8 +119,8 @@ def merge_vectors(vectors: FloatArray, weight: FloatArray, strengths: list[Float
     weight
         float64, shape (n,): the basis is orthonormal after multiplication with it.
     strengths
-        For each space the columns that make its directions of its vectors, in their relative strength;
-        all spaces get the same weight.
+        For each space the columns that make its directions of its vectors, in their relative strength; all
+        spaces have the same weight.
 
     Returns
     -------

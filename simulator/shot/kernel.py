@@ -317,7 +317,7 @@ def _advance_mode(
 def _advance_modes_of_two(y: FloatArray, sums: FloatArray, bank: FloatArray, last: LastBody) -> None:
     """Advance the modes of a plate for two shots in place, eight modes of one shot at a time.
 
-    `sums` gets each shot's deflection without the share of this step's I and S.
+    `sums` then holds each shot's deflection without the share of this step's I and S.
     """
     total, other = broadcast(0.0, BLOCK), broadcast(0.0, BLOCK)
     i0, s0, i1, s1 = lane(last.i[0], 0), lane(last.s[0], 0), lane(last.i[0], 1), lane(last.s[0], 1)
@@ -357,7 +357,7 @@ def _advance_modes_of_many(
 ) -> None:
     """Advance the modes of shots side by side in place, one mode of all shots at a time.
 
-    `sums` gets eight vectors, each the sum of every eighth mode's deflection.
+    `sums` then holds eight vectors, each the sum of every eighth mode's deflection.
     """
     for j in range(BLOCK):
         total = broadcast(0.0, width)

@@ -77,13 +77,13 @@ class Impact:
     depth_fraction, drop_height_m, tilt_rad
         Depth of the patch, height the striker falls from, tilt of the sensor disk.
     through_hole
-        Nothing stands under the chain (`ShotModel.shot_at_hole`); the depth does not matter then.
+        There is nothing under the chain (`ShotModel.shot_at_hole`); the depth does not matter then.
     second_delay_s, second_drop_height_m
         A second impact: so long after the first touch, to the nearest step, the striker, taken off meanwhile,
         touches again as from this height (None: as at first). It meets the chain as it then moves. The
         record gets no longer by it, and `ShotForce.reflection_time_s` is that of the stronger wave.
     contacts
-        How the strike finds the chain seated; None: as the parameters say.
+        How the strike finds the chain seated; None: as in the parameters.
     plate_modulus_factor
         Young's modulus of the plate over the nominal one, as its bending feels it; its contact has a factor
         of its own in `contacts`. An elastic bed under free edges goes with it, too.
