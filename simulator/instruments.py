@@ -73,6 +73,7 @@ class RecordsAhead:
     def __init__(
         self, specimen: Specimen, executor: Executor, strikes_after: StrikesAfter, compute: Compute
     ) -> None:
+        """Keep the collaborators; nothing is computed before the first call of `record`."""
         self._specimen = specimen
         self._executor = executor
         self._compute = compute

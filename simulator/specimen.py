@@ -317,7 +317,7 @@ class Specimen:
         return lambda first_s, rate_hz, n: np.sum([one(first_s, rate_hz, n) for one in strays], axis=0)
 
     def _plate_temperature_c(self, hour_h: float) -> float:
-        """Return the temperature of the plate at an hour in degrees Celsius."""
+        """Return the temperature of the plate at an hour in degrees Celsius; the room's without a climate."""
         if self.climate is None:
             return self.room.at(hour_h)
         return self.room.at(hour_h) + self.climate.room_k(hour_h) + self.climate.process_k(hour_h)

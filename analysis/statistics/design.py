@@ -41,7 +41,7 @@ class Budget:
 
     @property
     def run_length(self) -> float:
-        """Return the average number of sets between two false alarms of the chart."""
+        """Return the average number of sets between two false alarms of the chart, at the given cadence."""
         return self.sets_per_day * DAYS_PER_YEAR / self.alarms_per_year
 
 

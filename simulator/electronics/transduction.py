@@ -205,7 +205,7 @@ def simulate_triggered_record(
 def add_noise_volts(
     volts: FloatArray, sample_rate_hz: float, noise: NoiseParameters, random: np.random.Generator
 ) -> None:
-    """Add white and slow noise to volts, shape (n_samples,), in place."""
+    """Add white and slow noise to volts, shape (n_samples,), in place; draws from ``random``."""
     # The grain of float32, 1e-7 of the noise, is far below a code.
     white = draw_standard_normals(random, volts.size)
     if noise.slow_rms_v == 0.0:

@@ -82,7 +82,7 @@ class ShotNuisance:
 
     @property
     def rings(self) -> list[Ringing]:
-        """Return the knock and the burst of the record, as far as there are any."""
+        """Return the knock and the burst of the record, in this order; empty without either."""
         return [ring for ring in (self.knock, self.burst) if ring is not None]
 
     def truth(self) -> dict[str, float]:

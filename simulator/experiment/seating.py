@@ -47,7 +47,7 @@ class Climate:
         return self.parameters.day_amplitude_k * day + self.parameters.season_amplitude_k * season
 
     def process_k(self, hour_h: float) -> float:
-        """Return the temperature of the plate relative to the room at an hour, in K."""
+        """Return the temperature of the plate relative to the room at an hour, in K; drawn once per test."""
         return self.parameters.process_sd_k * float(evaluate_slow_drift(hour_h, self.process)[0])
 
     def liquid_factor(self, hour_h: float) -> float:

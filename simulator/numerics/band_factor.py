@@ -81,6 +81,7 @@ class FactorFamily:
     """
 
     def __init__(self, coefficients: tuple[sparse.spmatrix, ...], order: IntArray) -> None:
+        """Factorize what is the same for all s; raise LinAlgError if that part is not positive definite."""
         n = len(order)
         self._order = order
         self._place = np.empty(n, dtype=np.int64)

@@ -169,13 +169,13 @@ absolute = _make_lane_intrinsic(1, _make_call_emitter("llvm.fabs"))
 
 
 def _positive(builder: Any, values: Any) -> Any:
-    """Emit max(x, 0) of each lane."""
+    """Emit max(x, 0) of each lane; NaN gives 0."""
     zero = ir.Constant(values[0].type, [0.0] * values[0].type.count)
     return builder.select(builder.fcmp_ordered(">", values[0], zero), values[0], zero)
 
 
 def _where_greater(builder: Any, values: Any) -> Any:
-    """Emit ``c if a > b else d`` for each lane."""
+    """Emit ``c if a > b else d`` for each lane; NaN gives d."""
     return builder.select(builder.fcmp_ordered(">", values[0], values[1]), values[2], values[3])
 
 
@@ -194,7 +194,7 @@ unless_within = _make_lane_intrinsic(4, _where_not_less_or_equal)
 
 @_make_intrinsic
 def all_positive(typing: Any, lanes: Any) -> Any:
-    """Check whether every lane of a vector is greater than zero."""
+    """Return whether every lane of a vector is greater than zero; NaN is not."""
 
     def codegen(context: Any, builder: Any, signature: Any, values: Any) -> Any:
         """Emit the comparison of all lanes with zero."""

@@ -122,7 +122,7 @@ class ChainParameters:
 
     @property
     def bodies(self) -> int:
-        """Return the number of bodies, the striker and the sensor counted."""
+        """Return the number of bodies of the chain; the striker and the sensor count."""
         return self.spheres_above + 1 + self.spheres_below
 
     def body(self, index: int) -> Body:

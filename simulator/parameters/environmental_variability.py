@@ -135,7 +135,7 @@ class NuisanceParameters:
     """SD of its height at the digitizer's input."""
 
     def __post_init__(self) -> None:
-        """Raise ValueError for a longest period below the shortest one."""
+        """Raise ValueError if a longest period is below the shortest one."""
         check_pair(self, "longest_wander_h", "at least", "shortest_wander_h", " h")
         check_pair(self, "longest_process_h", "at least", "shortest_process_h", " h")
 

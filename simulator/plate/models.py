@@ -73,6 +73,7 @@ class CachedSolid:
     """
 
     def __init__(self, plate: PlateParameters, corrosion: CorrosionParameters, folder: Path | None) -> None:
+        """Check plate and patch; nothing is computed before the first call of `modes`."""
         check_solid(plate, replace(corrosion, depth_fraction=0.0))
         self._plate = plate
         self._corrosion = corrosion

@@ -349,7 +349,7 @@ class ShotModel:
         return forces
 
     def _integrate_over_hole(self, chains: list[Chain], contact_forces: bool) -> list[ShotForce]:
-        """Simulate chains above a through hole, where nothing is reflected."""
+        """Simulate chains above a through hole; the reflection times are None."""
         free_ends = [
             replace(
                 chain,

@@ -155,7 +155,7 @@ def _solve_shared_growth(near: FloatArray, far: FloatArray, elements: int) -> fl
 
 
 def _distribute_elements(wanted: FloatArray, total: int) -> IntArray:
-    """Round positive numbers to integers of at least 1 that add up to `total`."""
+    """Round positive numbers to integers of at least 1 that add up to `total`, keeping their ratios."""
     counts = np.maximum(1, np.floor(wanted)).astype(np.int64)
     while counts.sum() < total:
         counts[np.argmax(wanted / counts)] += 1
