@@ -47,4 +47,4 @@ class SingularCovarianceError(AnalysisError):
 
 
 class EchoNotFoundError(AnalysisError):
-    """Error: no back-wall echo stands out where it is expected."""
+    """Error: no back-wall echo is above the noise where it is expected."""

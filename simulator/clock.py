@@ -32,6 +32,7 @@ class SimulatedClock:
         mono_ns: Callable[[], int] = time.monotonic_ns,
         sleep: Callable[[float], None] = time.sleep,
     ) -> None:
+        """Raise ValueError for a pace that is not positive."""
         if pace_h_per_s is not None and not pace_h_per_s > 0.0:
             raise ValueError(f"pace_h_per_s is {pace_h_per_s}; it must be positive, or None to jump")
         self._utc_ns = start_utc_ns
@@ -42,7 +43,7 @@ class SimulatedClock:
         self._anchor = (start_utc_ns, mono_ns())
 
     def utc_ns(self) -> int:
-        """Return the experiment time as UTC in ns since the epoch."""
+        """Return the experiment time as UTC in ns since the Unix epoch."""
         return self._utc_ns
 
     def mono_ns(self) -> int:

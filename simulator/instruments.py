@@ -73,6 +73,7 @@ class RecordsAhead:
     def __init__(
         self, specimen: Specimen, executor: Executor, strikes_after: StrikesAfter, compute: Compute
     ) -> None:
+        """Keep the collaborators; nothing is computed before the first call of `record`."""
         self._specimen = specimen
         self._executor = executor
         self._compute = compute
@@ -85,6 +86,8 @@ class RecordsAhead:
 
     def record(self, key: ShotKey, utc_ns: int, hour_h: Callable[[int], float]) -> Acquired | None:
         """Return the record of a strike, waiting if necessary; start computing those after it.
+
+        Return None for a strike that does not trigger. If the executor broke, log that once and compute here.
 
         Parameters
         ----------
@@ -100,7 +103,7 @@ class RecordsAhead:
         return self._specimen.solitary_wave(key, hour_h(utc_ns))
 
     def _record(self, key: ShotKey, utc_ns: int, hour_h: Callable[[int], float]) -> Acquired | None:
-        """Return the record of a strike, and start those of the strikes to come."""
+        """Return the record of a strike and start the next; raise BrokenExecutor if the executor broke."""
         strike = key, hour_h(utc_ns)
         expected = list(self._pending)
         pending = self._pending.pop(strike, None)
@@ -139,7 +142,7 @@ class RecordsAhead:
     def _plan_from(
         self, key: ShotKey, utc_ns: int, expected: Sequence[ShotKey], hour_h: Callable[[int], float]
     ) -> None:
-        """Plan the strikes ahead again, after a strike out of the planned order."""
+        """Plan the strikes ahead again after one out of the planned order; skip positions passed over."""
         if key in expected:
             self._passed_over |= {shot.position for shot in expected[: expected.index(key)]}
         self._passed_over.discard(key.position)
@@ -152,7 +155,7 @@ class RecordsAhead:
 
 
 def _group_strikes(strikes: Iterable[TimedStrike]) -> Iterator[list[TimedStrike]]:
-    """Group consecutive strikes of one position and set, at most `LARGEST_GROUP` each."""
+    """Yield consecutive strikes of one position and set in groups of at most 10."""
     for _, neighbours in groupby(strikes, key=lambda strike: (strike[0].position, strike[0].set_key)):
         while group := list(islice(neighbours, LARGEST_GROUP)):
             yield group
@@ -184,11 +187,11 @@ class Bench(StruckDigitizer):
         self._struck_utc_ns = 0
 
     def hour_h(self, utc_ns: int) -> float:
-        """Return the hour of the test whose depth and temperature apply at a time."""
+        """Return the hour of the test whose depth and temperature apply at a time (UTC in ns)."""
         return self.specimen.hour_h(utc_ns - self._epoch_utc_ns)
 
     def require_transducer(self, key: ShotKey) -> None:
-        """Check that a position has a chain; raise ConfigurationError if not."""
+        """Raise ConfigurationError if a position has no solitary-wave transducer."""
         _require_position(key, self.specimen.transducers, "solitary-wave transducer")
 
     def strike(self, key: ShotKey) -> bool:
@@ -205,6 +208,7 @@ class Bench(StruckDigitizer):
         """Return the record of the last strike as the digitizer samples it.
 
         Raise AcquisitionTimeoutError if the strike does not reach the trigger level.
+        Raise ConfigurationError if the twin cannot compute the shot.
         """
         try:
             acquired = self._record(key, self._struck_utc_ns)
@@ -219,14 +223,14 @@ class Bench(StruckDigitizer):
         return acquired
 
     def _record(self, key: ShotKey, utc_ns: int) -> Acquired | None:
-        """Return the record of a strike, computed now or ahead of time."""
+        """Return the record of a strike, computed now or ahead of time; None if it does not trigger."""
         if self._ahead is None:
             return self.specimen.solitary_wave(key, self.hour_h(utc_ns))
         return self._ahead.record(key, utc_ns, self.hour_h)
 
 
 def _require_position(key: ShotKey, known: Mapping[str, object], role: str) -> None:
-    """Check that a position is configured; raise ConfigurationError if not."""
+    """Raise ConfigurationError, with the known positions, if a position is not configured."""
     if key.position not in known:
         names = ", ".join(sorted(known)) or "none"
         raise ConfigurationError(f"no {role} at position {key.position!r}; there are: {names}")
@@ -256,23 +260,26 @@ class SimulatedStriker:
 
     @property
     def coil_events(self) -> tuple[CoilEvent, ...]:
-        """Return the newest switchings, oldest first."""
+        """Return the newest 1,000 switchings of coils, oldest first."""
         return tuple(self._events)
 
     def strike(self, key: ShotKey) -> None:
-        """Strike once: energising the coil lifts the striker, releasing drops it on the chain."""
+        """Strike once: energising the coil lifts the striker, releasing drops it on the chain.
+
+        Raise ConfigurationError for a position without a transducer.
+        """
         _require_position(key, self._bench.specimen.transducers, "striker")
         self._switch_coil(key.position, energised=True)
         self.make_safe()
         self._bench.strike(key)
 
     def make_safe(self) -> None:
-        """De-energise every coil."""
+        """De-energise the coil that is on, if any, which drops its striker."""
         if self._energised is not None:
             self._switch_coil(self._energised, energised=False)
 
     def _switch_coil(self, position: str, *, energised: bool) -> None:
-        """Switch a coil on or off and record the event."""
+        """Switch a coil on or off and record the event with the experiment's time."""
         self._energised = position if energised else None
         now_ns = self._bench.clock.utc_ns()
         self._events.append(CoilEvent(utc_ns=now_ns, position=position, energised=energised))
@@ -285,7 +292,10 @@ class SimulatedPulseEchoUnit:
         self._bench = bench
 
     def acquire(self, key: ShotKey, timeout_s: float) -> Echo:
-        """Return the averaged pulse-echo record of the wall at this hour."""
+        """Return the averaged pulse-echo record of the wall at this hour, at once.
+
+        Raise ConfigurationError for a position without a probe, and for a timeout that is not valid.
+        """
         require_timeout(timeout_s)
         _require_position(key, self._bench.specimen.probed_thickness_m, "ultrasonic probe")
         return self._bench.specimen.echo(key, self._bench.hour_h(self._bench.clock.utc_ns()))

@@ -54,7 +54,7 @@ class SolitaryWaveModel(Protocol):
     """Physics of one transducer on its plate (`simulator.shot.model.ShotModel`)."""
 
     def shot(self, *, depth_fraction: float, drop_height_m: float, tilt_rad: float) -> ShotForce:
-        """Simulate the force at the sensor after a strike on a wall of this depth."""
+        """Simulate the force at the sensor after a strike on a wall thinned by `depth_fraction`."""
         ...
 
     def shot_at_hole(self, *, drop_height_m: float, tilt_rad: float) -> ShotForce:
@@ -82,7 +82,7 @@ class _DrawnStrike:
     strike: Strike
 
     def impact(self) -> Impact:
-        """Return the striker's first impact, as input of the shot model."""
+        """Return the striker's first impact as input of the shot model; a second one is left out."""
         found = self.nuisance
         return Impact(
             depth_fraction=self.wall.patch_depth_fraction,
@@ -94,7 +94,7 @@ class _DrawnStrike:
         )
 
     def impacts(self) -> Impact:
-        """Return both impacts of a striker that bounced, as input of the shot model."""
+        """Return the impact with the striker's second touch, if it bounced, as input of the shot model."""
         return replace(
             self.impact(),
             second_delay_s=self.faults.double_delay_s,
@@ -145,7 +145,7 @@ class Specimen:
         return held_hour_h(elapsed_ns, self.twin.update_interval_s)
 
     def faults(self, key: ShotKey, hour_h: float) -> ShotFaults:
-        """Draw the faults of one strike, its chain and its gain; hum and spikes come with the record."""
+        """Draw the faults of one strike, its chain and its gain; hum and spikes are drawn with the record."""
         faults = self.twin.faults.get(key.position)
         if faults is None:
             return NO_FAULTS
@@ -161,14 +161,14 @@ class Specimen:
         )
 
     def strike(self, key: ShotKey, hour_h: float) -> Strike:
-        """Draw drop height, tilt and sensitivity of one shot, its faults included."""
+        """Draw drop height, tilt and sensitivity of one shot, with scatter, variability and faults."""
         faults = self.faults(key, hour_h)
         return self._draw_complete_strike(key, hour_h, faults, self.nuisance(key, hour_h, faults))
 
     def _draw_complete_strike(
         self, key: ShotKey, hour_h: float, faults: ShotFaults, found: ShotNuisance | None
     ) -> Strike:
-        """Draw a shot's strike with scatter, variability and the given faults."""
+        """Draw a shot's strike with scatter, the given variability (or None) and the given faults."""
         chain, sensor = self.transducers[key.position].chain, self.twin.sensor
         strike = draw_scattered_strike(
             key,
@@ -184,13 +184,16 @@ class Specimen:
         return strike if faults is NO_FAULTS else apply_strike_faults(strike, faults, sensor)
 
     def _temperature_c(self, hour_h: float, faults: ShotFaults, found: ShotNuisance | None) -> float:
-        """Return the temperature of a transducer in degrees Celsius."""
+        """Return the temperature of a transducer's chain at an hour in degrees Celsius, faults included."""
         if found is None:
             return self.room.at(hour_h) + faults.temperature_k
         return self.room.drift.mean_temperature_c + found.chain_warmer_k
 
     def force(self, wall: Wall, strike: Strike, position: str, faults: ShotFaults = NO_FAULTS) -> ShotForce:
-        """Simulate the force of one impact at its own depth, drop height and tilt."""
+        """Simulate the force at the sensor for one impact; above a through hole nothing is reflected.
+
+        A second impact and variability are not included.
+        """
         model = _model_of_transducer(self.transducers[position], faults)
         if wall.is_hole:
             return model.shot_at_hole(drop_height_m=strike.drop_height_m, tilt_rad=strike.tilt_rad)
@@ -201,7 +204,7 @@ class Specimen:
         )
 
     def solitary_wave(self, key: ShotKey, hour_h: float) -> Acquired | None:
-        """Simulate the record of one strike; None if it does not reach the trigger level."""
+        """Simulate the record of one strike; None if it is missed or does not reach the trigger level."""
         (acquired,) = self.solitary_waves([(key, hour_h)])
         return acquired
 
@@ -215,7 +218,7 @@ class Specimen:
         return [None if blow is None else self._digitize_force(blow, *next(forces)) for blow in blows]
 
     def _draw_blow(self, key: ShotKey, hour_h: float) -> _DrawnStrike | None:
-        """Draw a strike with its wall, faults and variability; None if it misses the chain."""
+        """Draw a strike with its wall, faults and variability; None if the strike is missed."""
         faults = self.faults(key, hour_h)
         if faults.missed:
             return None
@@ -230,7 +233,7 @@ class Specimen:
         )
 
     def _compute_forces(self, blows: Sequence[_DrawnStrike]) -> Iterator[tuple[ShotForce, ShotForce]]:
-        """Yield the force of each strike's first impact, and the force of all its impacts."""
+        """Yield, in order, the force of each strike's first impact and the force of all its impacts."""
         alike: dict[tuple[str, float, float, float], list[int]] = {}
         for number, blow in enumerate(blows):
             faults, liquid = blow.faults, 1.0 if blow.nuisance is None else blow.nuisance.liquid_factor
@@ -269,7 +272,7 @@ class Specimen:
     def _digitize_force(
         self, blow: _DrawnStrike, force: ShotForce, every_impact: ShotForce
     ) -> Acquired | None:
-        """Digitize a force: return the record with its true values; None without a trigger."""
+        """Digitize the force of all impacts; return record and true values, None without a trigger."""
         seed, adc, key, hour_h = self.twin.seed, self.twin.adc, blow.key, blow.hour_h
         interference, electrical_truth = draw_interference(
             self.twin.faults.get(key.position, SOUND), seed=seed, key=key, hour_h=hour_h, adc=adc
@@ -305,10 +308,7 @@ class Specimen:
         return Acquired(waveform=waveform, truth=truth if found is None else truth | found.truth())
 
     def _stray_volts(self, found: ShotNuisance | None) -> Stray | None:
-        """Return the function of all voltages that no strike causes, the variability's ringing included.
-
-        Return None if there are none.
-        """
+        """Return a function of all voltages that no strike causes, ringing included; None without any."""
         if found is None or not found.rings:
             return self.stray
         strays: list[Stray] = [ring.volts for ring in found.rings]
@@ -317,13 +317,13 @@ class Specimen:
         return lambda first_s, rate_hz, n: np.sum([one(first_s, rate_hz, n) for one in strays], axis=0)
 
     def _plate_temperature_c(self, hour_h: float) -> float:
-        """Return the temperature of the plate at an hour in degrees Celsius."""
+        """Return the temperature of the plate at an hour in degrees Celsius; the room's without a climate."""
         if self.climate is None:
             return self.room.at(hour_h)
         return self.room.at(hour_h) + self.climate.room_k(hour_h) + self.climate.process_k(hour_h)
 
     def probed_wall(self, position: str, hour_h: float) -> ProbedWall:
-        """Return the wall under an ultrasonic probe at an hour of the test."""
+        """Return the wall under the ultrasonic probe of a position at an hour of the test."""
         return probe_wall(
             self.probed_thickness_m[position],
             self.walls[position].at(hour_h).depth_fraction,
@@ -332,7 +332,10 @@ class Specimen:
         )
 
     def echo(self, key: ShotKey, hour_h: float) -> Echo:
-        """Simulate the averaged pulse-echo record of one position."""
+        """Simulate the averaged pulse-echo record of one position, with its true values.
+
+        Noise, couplant and bubbles are drawn from the seed; there are none if noise is disabled.
+        """
         echo, seed, noisy = self.twin.echo, self.twin.seed, self.twin.noise.enabled
         wall = self.probed_wall(key.position, hour_h)
         found, disturbed = draw_disturbance(echo, seed=seed, key=key) if noisy else (Disturbance(), {})
@@ -370,7 +373,7 @@ def _model_of_transducer(transducer: Transducer, faults: ShotFaults) -> Solitary
 
 
 def _integrate_blows(model: ShotModel, blows: Sequence[_DrawnStrike]) -> list[tuple[ShotForce, ShotForce]]:
-    """Simulate several strikes on one chain side by side; return results as `Specimen._compute_forces`."""
+    """Simulate strikes on one chain side by side; return each one's first impact and complete force."""
     bounced = [blow for blow in blows if blow.faults.double_delay_s is not None]
     found = iter(model.shots([*(blow.impact() for blow in blows), *(blow.impacts() for blow in bounced)]))
     first = [next(found) for _ in blows]
@@ -386,7 +389,7 @@ def _grid_step_s(force: ShotForce) -> float:
 
 
 def _true_values_of_shot(wall: Wall, strike: Strike, force: ShotForce) -> dict[str, float]:
-    """Compute the true values of a shot, by column.
+    """Return the true values of a shot, by column name; NaN for a wave that is missing.
 
     The values of its force are those of ``solimon simulate``.
     """
@@ -408,14 +411,14 @@ def _true_values_of_shot(wall: Wall, strike: Strike, force: ShotForce) -> dict[s
 
 
 def _si_or_nan(value: float | None, unit: float = 1.0) -> float:
-    """Convert a value to SI; NaN if it is None because no wave was reflected."""
+    """Multiply a value by the unit's size in SI; NaN if it is None because no wave was reflected."""
     return math.nan if value is None else unit * value
 
 
 def build_specimen(
     twin: TwinParameters, *, transducers: Mapping[str, Transducer], probed_thickness_m: Mapping[str, float]
 ) -> Specimen:
-    """Draw the constants of a test (corrosion, climate) and build the specimen."""
+    """Draw the constants of a test (corrosion, far walls, climate) and build the specimen."""
     walls = {
         position: draw_wall_history(
             twin.thinning.get(position, ThinningParameters()), seed=twin.seed, position=position
@@ -450,7 +453,7 @@ def build_specimen(
 
 
 def _transducers_by_liquid(place: Transducer, factors: Sequence[float]) -> dict[float, Transducer]:
-    """Return the transducer for each depth of the liquid over the full one; empty for a dry plate."""
+    """Return the transducer for each depth of the liquid over the full depth; empty for a dry plate."""
     if not isinstance(place.model, ShotModel):
         return {}
     models = {factor: place.model if factor == 1.0 else place.model.with_liquid(factor) for factor in factors}

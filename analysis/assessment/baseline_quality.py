@@ -15,7 +15,7 @@ ALIKE = "a feature is the same in most of its sets: what stands out of them cann
 
 
 def advise_on_baseline(n_sets: int) -> str | None:
-    """Return the advice to extend a baseline of ``n_sets`` sets; None from `GOOD_SETS` sets on."""
+    """Return the advice (English text) to extend a baseline of ``n_sets`` sets; None from 200 sets on."""
     if n_sets >= GOOD_SETS:
         return None
     warned = f"fewer than {ADVISED_SETS} sets: the rate of false alarms is uncertain; "
@@ -24,9 +24,10 @@ def advise_on_baseline(n_sets: int) -> str | None:
 
 
 def assess_baseline(state: State, rules: Rules) -> dict[str, object] | None:
-    """Return the quality of a baseline that was just frozen; None if it has no limits.
+    """Return the quality of a frozen baseline as a JSON object; None if it has no fit or no chart parameters.
 
     Sets are listed by index; ``rate_verified``: the chart keeps its design false-alarm rate.
+    ``named`` lists the anomalies.
     """
     baseline = state.baseline
     if baseline is None or baseline.fitted is None or baseline.design is None:
@@ -54,7 +55,7 @@ def assess_baseline(state: State, rules: Rules) -> dict[str, object] | None:
 
 
 def _find_anomalies(state: State) -> tuple[Anomaly, ...] | None:
-    """Find the anomalies of a baseline; None if most of its sets do not scatter in some direction."""
+    """Find the anomalies among a state's baseline sets; None if the covariance of most sets is singular."""
     try:
         return find_anomalies(np.array([healthy_set.vector() for healthy_set in state.healthy]))
     except np.linalg.LinAlgError:  # as of records that are played back again and again

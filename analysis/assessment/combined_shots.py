@@ -68,7 +68,10 @@ def combine_shots(
     minimum_valid_shots: int,
     of_set: Literal["mean_of_shots", "averaged_waveform"],
 ) -> CombinedShots:
-    """Combine the features of a set's shots, with flags that a comparison of the shots finds.
+    """Combine the features of a set's shots; flag those that differ from the others.
+
+    Only accepted, valid shots enter the mean. If the averaged waveform is not valid, the set's quality
+    becomes ``bad``, with a reason.
 
     Parameters
     ----------

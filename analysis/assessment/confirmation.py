@@ -15,7 +15,7 @@ STEP = "it is the first set beyond the limit"
 
 
 def request_reason(before: State, after: State, assessment: SetAssessment, rules: Rules) -> str:
-    """Return the reason why a scheduled set requests a confirmation set; empty if it requests none.
+    """Return why a scheduled set requests a confirmation set (English text); empty if it requests none.
 
     A set requests one when it is an outlier after `alarms.n` sets without one, and when the wall alarm
     becomes active. Each requests again only after its condition has returned to normal (hysteresis).
@@ -34,6 +34,7 @@ def confirms_change(
 
     Both are normal populations with the baseline's covariance; the likelier one has the nearer mean by the
     Mahalanobis distance.
+    Return None if no scheduled set was assessed.
 
     Parameters
     ----------

@@ -60,10 +60,10 @@ def update_origin(before: Origin, cause: str, *, was_active: bool, n: int) -> Or
 
 
 def fit_diagnosis_parameters(healthy: Sequence[tuple[int, Values]]) -> DiagnosisParameters | None:
-    """Fit the diagnosis parameters to a baseline's sets.
+    """Fit the diagnosis parameters to a baseline's sets; None for fewer than 15 complete ones.
 
-    ``healthy`` holds index and features of each set. Return None for too few complete sets or a constant
-    feature.
+    ``healthy`` holds index and features of each set, in the order of time. Return None for a constant
+    feature, too.
     """
     logs = [
         (index, components) for index, values in healthy if (components := log_features(values)) is not None
@@ -83,7 +83,7 @@ def fit_diagnosis_parameters(healthy: Sequence[tuple[int, Values]]) -> Diagnosis
 def diagnose_scheduled(
     memory: DiagnosisState, design: DiagnosisParameters, index: int, values: Values, *, suspicious: bool
 ) -> tuple[DiagnosisState, Diagnosis | None]:
-    """Add a scheduled set to the diagnosis state and diagnose.
+    """Add a scheduled set to the diagnosis state and diagnose it; return the next state and the diagnosis.
 
     If the set lacks a feature, return the state unchanged and None.
     """
@@ -96,7 +96,7 @@ def diagnose_scheduled(
 def diagnose_confirmation(
     memory: DiagnosisState, design: DiagnosisParameters, values: Values
 ) -> tuple[DiagnosisState, Diagnosis | None]:
-    """Add a confirmation set to the diagnosis state and diagnose.
+    """Add a confirmation set to the diagnosis state and diagnose it; return next state and diagnosis.
 
     If the set lacks a feature, return the state unchanged and None.
     """
@@ -109,6 +109,6 @@ def diagnose_confirmation(
 def _diagnose_newest_set(
     memory: DiagnosisState, design: DiagnosisParameters, *, suspicious: bool
 ) -> tuple[DiagnosisState, Diagnosis]:
-    """Diagnose the latest set; return the next diagnosis state and the diagnosis."""
+    """Diagnose the latest set in the state; return the state for the next set, and the diagnosis."""
     assessment = diagnose_latest_set(memory, design, suspicious=suspicious)
     return update_state(memory, assessment), assessment

@@ -27,7 +27,10 @@ def to_json(values: Mapping[str, object]) -> str:
 
 
 def from_json(kind: type[T], *texts: str) -> T:
-    """Restore a dataclass of type ``kind`` from the JSON texts that together hold its fields."""
+    """Restore a dataclass of type ``kind`` from JSON texts that together hold its fields, as `to_json` wrote.
+
+    Raise ValueError for text that is no JSON, KeyError for an unknown field, TypeError for a missing one.
+    """
     values: dict[str, object] = {}
     for text in texts:
         values |= json.loads(text)
@@ -50,7 +53,7 @@ def _encode_value(value: object) -> object:
 
 
 def _decode_value(kind: Any, value: Any) -> Any:
-    """Restore a value of a declared type from its JSON form."""
+    """Restore a value of the declared type ``kind`` from its JSON form; arrays become read-only."""
     origin, arguments = get_origin(kind), get_args(kind)
     if origin in (Union, UnionType):
         (kind,) = (argument for argument in arguments if argument is not NoneType)

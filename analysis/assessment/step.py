@@ -97,7 +97,10 @@ class SetOfShots:
     flags: Sequence[Sequence[str]]
 
     def vector(self) -> tuple[float, ...] | None:
-        """Return the five features of the Mahalanobis vector; None if the set cannot be assessed."""
+        """Return the five features in the order of `FEATURE_NAMES`; None if the set cannot be assessed.
+
+        It cannot if its quality is bad, or if a feature is missing or not finite.
+        """
         values = [self.values.get(name) for name in FEATURE_NAMES]
         known = tuple(value for value in values if value is not None and math.isfinite(value))
         return known if self.quality != "bad" and len(known) == len(values) else None
@@ -134,7 +137,10 @@ class FrozenBaseline:
     causes: DiagnosisParameters | None = None
 
     def effective_limit(self, name: str) -> str:
-        """Return the name of the outlier limit: as configured if the baseline has it, else the F limit."""
+        """Return the name of the outlier limit: ``name`` if the baseline has it, else the F limit.
+
+        A baseline without limits returns ``name`` unchanged.
+        """
         return name if name in self.limits or not self.limits else F_PREDICTIVE
 
 
@@ -219,6 +225,8 @@ def assess_next_set(
     """Update the state with one set and assess the set.
 
     The assessment is None if the set has no record.
+    A set before the baseline's first one changes nothing; one without a record only counts as a poor set. The
+    baseline is frozen after its last set, or by the first set after it if that was missed.
     """
     if set_of_shots.set_index < rules.first_baseline_set:
         return state, SetAssessment(
@@ -269,7 +277,10 @@ def assess_next_set(
 def _add_diagnosis(
     assessment: SetAssessment, set_of_shots: SetOfShots, state: State, rules: Rules, *, suspicious: bool
 ) -> SetAssessment:
-    """Add the diagnosis of a scheduled set to its assessment, where the baseline supports one."""
+    """Return the assessment with the diagnosis of its scheduled set added.
+
+    Return it unchanged without diagnosis parameters, or if the control charts did not assess the set.
+    """
     parameters = None if state.baseline is None else state.baseline.causes
     if parameters is None or assessment.memory is None:
         return assessment
@@ -294,14 +305,17 @@ def clear_faults(state: State) -> State:
 
 
 def _add_to_baseline(state: State, set_of_shots: SetOfShots) -> State:
-    """Add a set to the baseline that is being collected; count one without all features as left out."""
+    """Return the state with a set added to its baseline, or counted as left out if it lacks a feature."""
     if set_of_shots.vector() is None:
         return replace(state, n_left_out=state.n_left_out + 1)
     return replace(state, healthy=(*state.healthy, replace(set_of_shots, flags=(), reason="")))
 
 
 def _freeze_baseline(state: State, rules: Rules) -> State:
-    """Fit the baseline to its sets and start the control chart; the same sets give identical bits."""
+    """Fit the baseline to its sets, compute its limits and start the chart; equal sets give identical bits.
+
+    For too few sets or a singular covariance, the frozen baseline has no fit and states the reason.
+    """
     vectors = np.array([healthy_set.vector() for healthy_set in state.healthy], dtype=np.float64)
     try:
         if len(state.healthy) < _minimum_sets(rules):
@@ -341,12 +355,12 @@ def _freeze_baseline(state: State, rules: Rules) -> State:
 
 
 def _minimum_sets(rules: Rules) -> int:
-    """Return the minimum number of sets of a baseline: configured, or needed by the statistics."""
+    """Return the minimum number of sets of a baseline: the configured one, but at least 15."""
     return max(rules.minimum_sets, MINIMUM_SETS)
 
 
 def _remedy_for_baseline(rules: Rules) -> str:
-    """Return the advice for a baseline with too few sets: a longer one, or a renewed one."""
+    """Return the advice (English text) for a baseline with too few sets: a new test, or a new baseline."""
     n_planned = 1 + rules.last_baseline_set - rules.first_baseline_set
     if n_planned < _minimum_sets(rules):
         return f"only {n_planned} are planned: begin a new test with more baseline.hours"
@@ -356,7 +370,7 @@ def _remedy_for_baseline(rules: Rules) -> str:
 def _assess_with_baseline(
     set_of_shots: SetOfShots, state: State, baseline: FrozenBaseline, rules: Rules
 ) -> SetAssessment:
-    """Assess a set against a frozen baseline; give the reason if that is not possible."""
+    """Assess a set against a frozen baseline; if that is impossible, return only a reason."""
     if baseline.fitted is None:
         return SetAssessment(reason=baseline.reason)
     values = set_of_shots.vector()
@@ -377,11 +391,17 @@ def _assess_with_baseline(
 
 
 def assess_without_charts(set_of_shots: SetOfShots, baseline: FrozenBaseline, rules: Rules) -> SetAssessment:
-    """Assess a set by its own distance from the baseline, without updating a chart."""
+    """Assess a set by its own distance from the baseline, without updating a chart.
+
+    The only statistic is the squared distance; without a fit, the assessment has only a reason.
+    """
     return _assess_with_baseline(set_of_shots, State(baseline=baseline), baseline, rules)
 
 
 def exceeds_limit(name: str, statistics: Mapping[str, float], limits: Mapping[str, float]) -> bool | None:
-    """Check whether a statistic exceeds the limit ``name``; None if either of them is missing."""
+    """Check whether a statistic exceeds the limit ``name``; None if either of them is missing.
+
+    Equal to the limit is not above it. Raise KeyError for a name that is not in `LIMITS`.
+    """
     value, limit = statistics.get(LIMITS[name].of), limits.get(name)
     return None if value is None or limit is None else value > limit

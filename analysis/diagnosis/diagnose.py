@@ -43,7 +43,7 @@ class Diagnosis:
     cause
         `OK`, one of `hypotheses.CAUSES`, or `UNDETERMINED`.
     probability
-        Of that cause; where it cannot be told, that of the likeliest one, `OK` included.
+        Of that cause; if it is undetermined, that of the likeliest one, `OK` included.
     probabilities
         Of `OK` and of all causes.
     abrupt
@@ -53,7 +53,7 @@ class Diagnosis:
     confirmed
         With a set struck outside the schedule.
     reseated, returned
-        It names a re-seat that was not known before; the contact sits as in the baseline again.
+        A re-seat is diagnosed that was not known before; the contact is as in the baseline again.
     """
 
     cause: str
@@ -69,7 +69,11 @@ class Diagnosis:
 def diagnose_latest_set(
     memory: DiagnosisState, design: DiagnosisParameters, *, suspicious: bool = False
 ) -> Diagnosis:
-    """Diagnose the cause of a change since the baseline, after the latest set.
+    """Diagnose the cause of a change since the baseline, after the latest set in the state.
+
+    A cause is named from a probability of 90 %: a new wall change only at 96 % in two consecutive sets, a
+    re-seat only if it came in one step with a recent confirmation set. Otherwise the diagnosis is
+    `UNDETERMINED`; it is `OK` if that is the likeliest and ``suspicious`` is False.
 
     Parameters
     ----------
@@ -110,7 +114,10 @@ def diagnose_latest_set(
 
 
 def _is_nearer_to_its_baseline(memory: DiagnosisState, design: DiagnosisParameters) -> bool:
-    """Check whether the average of about ten sets is nearer to the baseline than to the re-seated state."""
+    """Check whether the average of about ten sets is nearer to the baseline than to the re-seated state.
+
+    Return False for fewer than ten sets since the re-seat.
+    """
     deviation_from_baseline, moved = (
         memory.averages(from_moved=place)[1] @ design.whitening for place in (False, True)
     )
@@ -120,7 +127,7 @@ def _is_nearer_to_its_baseline(memory: DiagnosisState, design: DiagnosisParamete
 
 
 def update_state(memory: DiagnosisState, assessment: Diagnosis) -> DiagnosisState:
-    """Store what a diagnosis implies for the next sets: a confirmed wall change, or re-seated contacts."""
+    """Return the state with what a diagnosis implies for the next sets: a wall change or a re-seat."""
     if assessment.reseated:
         return after_reseat(memory, memory.confirmation)
     healthy = assessment.cause in (OK, COUPLING)
@@ -135,7 +142,10 @@ def update_state(memory: DiagnosisState, assessment: Diagnosis) -> DiagnosisStat
 def _compute_posterior(
     memory: DiagnosisState, design: DiagnosisParameters, *, from_moved: bool
 ) -> tuple[dict[str, float], float]:
-    """Return the probability of each cause, and of a step, for a change since the baseline or a re-seat."""
+    """Return the posterior probability of each cause, `OK` included, and that of a step instead of a growth.
+
+    Growths count only from 32 sets on.
+    """
     seen, noise, course = _collect_observations(memory, design, from_moved=from_moved)
     noise_whitening = np.linalg.inv(np.linalg.cholesky(noise))
     seen, course = noise_whitening @ seen @ design.whitening, course @ noise_whitening.T
@@ -161,7 +171,7 @@ def _log_densities(
     along: FloatArray,
     length: FloatArray,
 ) -> FloatArray:
-    """Return log densities of hypotheses and courses over that of no change, shape (h, s).
+    """Return the log-likelihood ratio of each hypothesis and course to no change, shape (h, s).
 
     Parameters
     ----------
@@ -182,10 +192,10 @@ def _log_densities(
 
 @lru_cache(maxsize=512)
 def _courses_of_change(n: int, gap: int, gap_ago: int, confirmation_ago: int | None) -> FloatArray:
-    """Return the averages that a change of final size 1 produces, for each course; shape (s, r).
+    """Return the averages that a change of final size 1 produces, for each time course; shape (s, r).
 
-    The averages begin with the first of n sets after the baseline. A step lies between two sets, however
-    far apart they are; what grows goes on growing while the plan has a gap.
+    The averages begin with the first of n sets after the baseline. A step is between two sets, however far
+    apart they are; a growth continues during a gap of the plan.
     """
     ago = np.arange(n)
     steps = ago < STEPS[:, None]
@@ -199,9 +209,10 @@ def _courses_of_change(n: int, gap: int, gap_ago: int, confirmation_ago: int | N
 def _collect_observations(
     memory: DiagnosisState, design: DiagnosisParameters, *, from_moved: bool
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return the stored averages, their covariance without a change (a set's is 1), and the courses in them.
+    """Collect the stored averages, their covariance without a change, and the time courses in them.
 
-    Where the wander stood when the baseline ended shows where it may be now, until a re-seat.
+    Variances are in units of a whitened set's. The averages at the end of the baseline come first: they show
+    the slow drift at that time. After a re-seat (``from_moved``) they are left out.
 
     Returns
     -------

@@ -79,7 +79,7 @@ class Hypothesis:
 
 
 def make_hypotheses(baseline: FloatArray) -> tuple[Hypothesis, ...]:
-    """Build the hypotheses of all causes, with prior weights and covariances.
+    """Build the hypotheses of `OK` and all causes, with prior weights that sum to 1.
 
     Parameters
     ----------
@@ -122,7 +122,7 @@ def _weight_hypotheses(cause: str, signatures: Sequence[Signature], *, abrupt: f
 
 
 def _make_wall_hypotheses() -> Iterator[Signature]:
-    """Yield the mean change, with its covariance, of every wall depth under either patch.
+    """Yield mean change and covariance of the log features, (7,) and (7, 7), for each patch and wall depth.
 
     A wall change has a sign and follows a curve.
     """
@@ -134,20 +134,23 @@ def _make_wall_hypotheses() -> Iterator[Signature]:
 
 
 def _spread_over_sizes(covariances: Sequence[FloatArray]) -> Iterator[Signature]:
-    """Yield changes of mean zero whose covariance is scaled to every size; they act in either direction."""
+    """Yield each covariance scaled to every one of `SIZES`, with mean zero: either direction is possible."""
     for covariance in covariances:
         for size in SIZES:
             yield np.zeros(len(covariance)), size**2 * covariance
 
 
 def _sum_of_sources(sources: Sequence[tuple[Sequence[float], float]]) -> FloatArray:
-    """Return the covariance of independent sources, each given by its slope and standard deviation."""
+    """Return the covariance of independent sources, shape (7, 7), each given by slope and SD.
+
+    `MISMATCH` adds independent scatter to each feature's own variance.
+    """
     slopes = np.array([slope for slope, _ in sources]) * np.array([sd for _, sd in sources])[:, None]
     return np.asarray(slopes.T @ slopes + MISMATCH**2 * np.diag((slopes**2).sum(axis=0)))
 
 
 def _sensor_sources() -> list[FloatArray]:
-    """Return the covariance of each sensor fault alone, since one part fails at a time.
+    """Return the covariance, shape (7, 7), of each sensor fault alone: one component fails at a time.
 
     Gain, striker, tilt, wear of all contacts.
     """
@@ -162,7 +165,7 @@ def _sensor_sources() -> list[FloatArray]:
 
 
 def _coupling_sources() -> list[FloatArray]:
-    """Return the covariances of coupling changes.
+    """Return the two covariances, shape (7, 7), of coupling changes.
 
     The foot of the chain alone, or a re-seated chain with tilt and height.
     """
@@ -174,7 +177,7 @@ def _coupling_sources() -> list[FloatArray]:
 
 
 def _environment_sources() -> FloatArray:
-    """Return the covariance of a temperature change: modulus, PZT and the striker's guide."""
+    """Return the covariance, shape (7, 7), of a temperature change: modulus, PZT and the striker's guide."""
     return _sum_of_sources(
         [
             ([1e-3 * slope for slope in MODULUS_K], USUAL_K),

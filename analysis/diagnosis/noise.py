@@ -33,12 +33,13 @@ END_RATES = (0.1, 0.02)
 
 
 def estimate_variances(whitened: FloatArray, indices: NDArray[np.intp]) -> FloatArray:
-    """Return the maximum-likelihood variance of each component, shape (7,), shared by all directions.
+    """Estimate the variance of each noise component, shape (7,), shared by all directions (penalized ML).
 
     Each step multiplies a variance by the root of the ratio of what the sets show to what it explains, the
     prior (inverse gamma, mode `BEFOREHAND`) taken in as further sets: a minorize-maximize algorithm, which
     never lowers the posterior density. Source: Zhou, Hu, Zhou, Lange (2019), "MM algorithms for variance
     components models", J. Comput. Graph. Stat. 28, 350-361.
+    Only the last 256 sets are used; there are always 25 steps.
 
     Parameters
     ----------
@@ -77,12 +78,14 @@ def _end_weights(n: int) -> FloatArray:
 
 @lru_cache(maxsize=64)
 def _reference_observations(sets: int) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return the mean of ``sets`` sets and the averages at their end as weights, covariance and reach.
+    """Return weights, covariance and reach of the reference: the mean of ``sets`` sets and two end averages.
+
+    Each observation is a weighted sum of the sets; unit component variances.
 
     Returns
     -------
     sums, covariance, reach
-        Shapes (3,), (7, 3, 3) and (7, 3); reach is the covariance with the last set.
+        Sum of weights, shape (3,); by component, shape (7, 3, 3); covariance with the last set, shape (7, 3).
     """
     rows, at = np.vstack([np.full(sets, 1.0 / sets), _end_weights(sets)]), np.arange(sets)
     reach = PHI[:, None] ** at[::-1] @ rows.T
@@ -94,17 +97,17 @@ def _reference_observations(sets: int) -> tuple[FloatArray, FloatArray, FloatArr
 def compute_covariances(n: int, since: int, confirmation_ago: int | None, reference: int) -> FloatArray:
     """Return the covariance of the observations by component, in units of its variance; shape (7, r, r).
 
-    Rows are the averages at the end of the sets of reference, those of the last n sets, and a confirmation,
-    all as differences from the mean of the sets of reference.
+    Rows are the averages at the end of the reference sets, those of the last n sets, and a confirmation, all
+    as differences from the mean of the reference sets.
 
     Parameters
     ----------
     n, since
-        Sets that the averages have seen, and sets of the plan since the reference ended; not fewer.
+        Sets in the averages, and sets of the plan since the reference ended; not fewer.
     confirmation_ago
-        See `memory.weights`.
+        See `state.average_weights`.
     reference
-        Sets whose mean the differences are from.
+        Number of reference sets.
     """
     sums, before, reach = _reference_observations(reference)
     after = average_weights(n, confirmation_ago)

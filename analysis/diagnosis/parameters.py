@@ -44,7 +44,7 @@ class DiagnosisParameters:
     ends
         Averages of the changes when the baseline ended, shape (2, 7).
     rows
-        Which hypotheses stand for a cause.
+        Indices of the hypotheses of each cause.
     weights
         Of each hypothesis with each course in time, beforehand; shape (h, s).
     abrupt
@@ -70,7 +70,7 @@ class DiagnosisParameters:
 
 
 def log_features(values: Mapping[str, float | None]) -> FloatArray | None:
-    """Return the logarithms of a set's features in the order of `COMPONENTS`.
+    """Return the natural logarithms of a set's features in the order of `COMPONENTS`, shape (7,).
 
     Return None if a feature is missing, not finite or not positive.
     """
@@ -87,10 +87,12 @@ def diagnosis_parameters(history: ArrayLike, first_index: int = 0) -> DiagnosisP
     history
         Logarithms in the order of time, shape (n, 7); rows of NaN are gaps and keep their place.
     first_index
-        Of the first one in the plan.
+        Index of the first row in the plan.
 
     Raises
     ------
+    InvalidInputError
+        The history has another shape.
     SingularCovarianceError
         A feature is constant, or a combination of others.
     """
@@ -127,7 +129,7 @@ def diagnosis_parameters(history: ArrayLike, first_index: int = 0) -> DiagnosisP
 
 
 def _prior_weights(one: Hypothesis) -> FloatArray:
-    """Return the prior probability of a hypothesis with each course in time: steps, then growths."""
+    """Return the prior probability of a hypothesis with each time course, shape (s,): steps, then growths."""
     since, courses = np.gradient(np.log(STEPS)), len(GROWTHS) * len(POWERS)
     growth = one.weight * (1.0 - one.abrupt) / courses
     return np.concatenate([one.weight * one.abrupt * since / since.sum(), np.full(courses, growth)])

@@ -35,7 +35,7 @@ class DiagnosisState:
     wall
         A wall was named, and the transducer was not healthy since.
     likely
-        The last set, or its confirmation, was sure of a wall: the next one that is names it.
+        The last set, or its confirmation, gave a wall at least 96 %: the next one that does confirms it.
     changes
         Averages of the change from the baseline's mean, one for each of `RATES`; shape (3, 7).
     index
@@ -46,7 +46,7 @@ class DiagnosisState:
         Change in the last confirmation set, and planned sets since; empty: there is none among the last.
     moved
         Where a confirmed re-seat left the transducer: mean change of the sets since, `SETTLING` at most;
-        empty: it sits as in its baseline.
+        empty: it is as in its baseline.
     """
 
     n: int = 0
@@ -61,7 +61,7 @@ class DiagnosisState:
     moved: tuple[float, ...] = ()
 
     def averages(self, *, from_moved: bool) -> FloatArray:
-        """Return the exponential averages, and the confirmation set's change below them.
+        """Return the exponential averages of the change, shape (3, 7); a confirmation set adds a fourth row.
 
         Parameters
         ----------
@@ -77,7 +77,10 @@ class DiagnosisState:
 
 
 def with_set(before: DiagnosisState, mean: FloatArray, logs: FloatArray, index: int) -> DiagnosisState:
-    """Add one more complete set to the diagnosis state.
+    """Return the diagnosis state after one more complete scheduled set.
+
+    A confirmation set is dropped 24 sets later; the position after a re-seat is the mean of the first 24
+    sets.
 
     Parameters
     ----------
@@ -110,7 +113,7 @@ def with_set(before: DiagnosisState, mean: FloatArray, logs: FloatArray, index: 
 
 
 def _widest_gap(before: DiagnosisState, index: int) -> tuple[int, int]:
-    """Return the widest gap that still affects the averages, and the number of sets since then."""
+    """Return the length of the widest gap in the last 250 sets, and the sets since; (0, 0) without one."""
     missed = 0 if before.index is None else index - before.index - 1
     old = before.gap if before.gap_ago < MOST_AVERAGED else 0
     if missed > 0 and missed >= old:
@@ -119,14 +122,14 @@ def _widest_gap(before: DiagnosisState, index: int) -> tuple[int, int]:
 
 
 def with_confirmation(memory: DiagnosisState, mean: FloatArray, logs: FloatArray) -> DiagnosisState:
-    """Add an unscheduled confirmation set to the state; the averages do not include it."""
+    """Return the state with a confirmation set, which replaces an earlier one; the averages ignore it."""
     return replace(memory, confirmation=tuple((logs - mean).tolist()), confirmation_ago=0)
 
 
 def after_reseat(memory: DiagnosisState, moved: tuple[float, ...]) -> DiagnosisState:
-    """Restart the averages of the state after a re-seat, from the new position.
+    """Restart the averages after a re-seat; later changes are measured from the position ``moved``.
 
-    Empty means as in the baseline.
+    ``moved`` is the mean change of the log features, length 7; empty: as in the baseline.
     """
     return DiagnosisState(wall=memory.wall, index=memory.index, moved=moved)
 
@@ -147,7 +150,7 @@ def average_weights(n: int, confirmation_ago: int | None = None) -> FloatArray:
 
 
 def covariance_of_averages(n: int, phi: float, confirmation_ago: int | None) -> FloatArray:
-    """Return the covariance of averages (and confirmation) over n sets of an autoregression of variance 1."""
+    """Return the covariance of averages over n sets of a unit-variance AR(1) process, (3, 3) or (4, 4)."""
     # Of two averages: of sets k ago with themselves, and with the m-th before, in either order.
     ago, rates = np.arange(n), np.array(RATES)
     decay = (1.0 - rates)[:, None]

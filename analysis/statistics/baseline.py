@@ -61,6 +61,7 @@ class Baseline:
     whitening: FloatArray = field(init=False)
 
     def __post_init__(self) -> None:
+        """Copy arrays read-only; derive SD, correlation, whitening. InvalidInputError if shapes differ."""
         for name in ("mean", "covariance", "distances_squared"):
             object.__setattr__(self, name, _read_only_copy(getattr(self, name)))
         p, n = len(self.feature_names), len(self.set_indices)
@@ -77,12 +78,12 @@ class Baseline:
 
     @property
     def n(self) -> int:
-        """Return the number of sets."""
+        """Return the number of sets in the baseline."""
         return len(self.set_indices)
 
     @property
     def p(self) -> int:
-        """Return the number of features."""
+        """Return the number of features of each set."""
         return len(self.feature_names)
 
 
@@ -99,7 +100,7 @@ def whitening_matrix(correlation: FloatArray, feature_names: Sequence[str] = ())
     Parameters
     ----------
     feature_names
-        For the error's words; none: their numbers.
+        Names for the error message; empty: indices.
 
     Raises
     ------
@@ -187,7 +188,7 @@ def fit_baseline(
 
 
 def _list_warnings(n: int, suspects: tuple[int, ...]) -> tuple[str, ...]:
-    """Return warnings about a baseline of few sets or with suspect sets; empty if there is none."""
+    """List warnings (English) about a baseline of fewer than 48 sets or with suspects; empty for neither."""
     warnings = []
     if n < ADVISED_SETS:
         warnings.append(f"baseline of {n} sets, {ADVISED_SETS} advised: the false-alarm rate is uncertain")

@@ -47,7 +47,7 @@ class Anomaly:
     ----------
     kind
         ``outlier``: one set far off; ``group``: several sets off alike (a re-seat, a knock, another gain);
-        ``trend``: the sets wander one way from first to last.
+        ``trend``: the sets drift in one direction from first to last.
     rows
         Rows of the vectors handed in; all of a trend.
     """
@@ -57,7 +57,11 @@ class Anomaly:
 
 
 def find_anomalies(vectors: ArrayLike) -> tuple[Anomaly, ...]:
-    """Find anomalies in the sets of a baseline, shape (n, p), none missing, n above 2 p + 2."""
+    """Find a group, outliers and a trend among the sets of a baseline, in this order; empty if there is none.
+
+    ``vectors`` has shape (n, p) with no value missing and n above 2 p + 2. Raise LinAlgError if most sets do
+    not scatter in some direction.
+    """
     x = np.asarray(vectors, dtype=np.float64)
     found: list[Anomaly] = []
     near, core = grow_cores(x)
@@ -76,7 +80,7 @@ def find_anomalies(vectors: ArrayLike) -> tuple[Anomaly, ...]:
 
 
 def grow_cores(x: FloatArray) -> tuple[np.ndarray, np.ndarray]:
-    """Find the sets as near to the rest as most healthy ones, and those that fit it; shape (n,) each.
+    """Return two masks, shape (n,): sets as near to the core as most healthy ones, and sets that fit it.
 
     The core grows by what is near. Grown at once by all that is not far, it would swallow a group: of few
     sets or many features it is known too badly.
@@ -93,11 +97,9 @@ def grow_cores(x: FloatArray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _distances_from_core(x: FloatArray, core: np.ndarray, kept: float) -> FloatArray:
-    """Return squared distances from a core that holds the nearest fraction ``kept`` of healthy sets.
+    """Return squared distances, shape (n,), from a core of the nearest fraction ``kept`` of healthy sets.
 
-    Shape (n,).
-
-    Its covariance is that of a normal distribution cut at its edge (Croux and Haesbroeck 1999).
+    The core's covariance is that of a normal distribution cut at its edge (Croux and Haesbroeck 1999).
     """
     p = x.shape[1]
     inside = float(scipy.special.chdtr(p + 2, scipy.special.chdtri(p, 1.0 - kept)))
@@ -105,9 +107,10 @@ def _distances_from_core(x: FloatArray, core: np.ndarray, kept: float) -> FloatA
 
 
 def _minimum_covariance_determinant(x: FloatArray) -> np.ndarray:
-    """Find the subset of sets whose covariance has the smallest determinant.
+    """Find the subset of 70 % of the sets whose covariance has the smallest determinant; mask of shape (n,).
 
     Random starts, concentrated (Rousseeuw 1999).
+    The random seed depends only on n and p, so equal sets give the same subset.
     """
     n, p = x.shape
     size = max(math.ceil(CORE * n), p + 2)
@@ -136,7 +139,7 @@ def _whiten_by_core(x: FloatArray, core: np.ndarray) -> FloatArray:
 
 
 def _find_group(whitened: FloatArray, outside: np.ndarray, fewest: int) -> np.ndarray:
-    """Find outlying sets with a common offset; empty if fewer than ``fewest`` have one.
+    """Find the rows of outlying sets with a common offset; empty if fewer than ``fewest`` have one.
 
     They are nearer to their centre than that is to the core.
     """
@@ -148,10 +151,10 @@ def _find_group(whitened: FloatArray, outside: np.ndarray, fewest: int) -> np.nd
 
 
 def trend_probability(x: FloatArray, rows: ArrayLike) -> float:
-    """Return the chance of such a trend over the rows without one, by Hotelling's test of the slopes.
+    """Return the p-value of a linear trend of x, shape (n, p), over its rows (Hotelling's test of slopes).
 
-    Memory lets healthy sets wander: the slopes' variance is (1 + phi)/(1 - phi) times that of independent
-    ones.
+    Autocorrelated healthy sets drift slowly: the variance of the slopes is (1 + phi)/(1 - phi) times that of
+    independent sets. Return 0 if the residual covariance is singular.
     """
     t = np.asarray(rows, dtype=np.float64)
     n, p = x.shape

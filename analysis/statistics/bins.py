@@ -38,7 +38,7 @@ _OF_EACH_VALUE = 4
 
 
 def choose_bin_type(n_values: int) -> np.dtype[np.void]:
-    """Return the structured NumPy type of a bin with ``n_values`` numbers in each of its value fields."""
+    """Return the structured NumPy dtype of a bin with ``n_values`` numbers in each of its value fields."""
     names = list(_JOINED_BY)
     of_value = [(name, "<f8", (n_values,)) for name in names[:_OF_EACH_VALUE]]
     return np.dtype([*of_value, *((name, "<f8") for name in names[_OF_EACH_VALUE:])])
@@ -56,7 +56,7 @@ def make_bins(
     in_baseline: Sequence[bool],
     n_alarms: Sequence[int],
 ) -> NDArray[np.void]:
-    """Convert each set to a bin that represents it exactly.
+    """Convert each set to a bin that represents it exactly; shape (n,), dtype of `choose_bin_type`.
 
     Parameters
     ----------
@@ -86,7 +86,10 @@ def make_bins(
 
 
 def join_bins(bins: NDArray[np.void], starts: ArrayLike) -> NDArray[np.void]:
-    """Join the bins from each start to the next, the last to the end; ``starts`` rise from 0."""
+    """Join the bins from each start to the next, the last to the end; one bin for each of ``starts``.
+
+    ``starts`` rise from 0.
+    """
     numbers = np.asarray(starts, dtype=np.intp)
     joined = np.empty(numbers.size, bins.dtype)
     for name, join in _JOINED_BY.items():

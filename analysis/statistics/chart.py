@@ -43,11 +43,12 @@ class Chart:
     mean
         Of the features, shape (p,).
     directions, phi
-        Along which sets remember, shape (p, p) (`directions.Directions.matrix`), and how much, shape (p,).
+        Directions of autocorrelation, shape (p, p) (`directions.Directions.matrix`), and its size, shape
+        (p,).
     whitening
-        Turns what is new in a set along the directions, shape (p,), into a row with covariance 1:
-        row @ whitening. Its columns stand for the features (`distance.contributions`), so that the parts of
-        the statistic are theirs.
+        Turns what is new in a set along the directions, shape (p,), into a row with covariance 1: row @
+        whitening. Its columns correspond to the features (`distance.contributions`), so that the parts of the
+        statistic are theirs.
     cap
         Longest whitened vector that enters the average.
     limit
@@ -62,28 +63,28 @@ class Chart:
     limit: float
 
     def whitened(self, vectors: ArrayLike) -> FloatArray:
-        """Return the chart's whitened inputs, shape (n, p), for sets that start with the baseline."""
+        """Return the chart's inputs, whitened and clipped, shape (n, p), for sets from the baseline on."""
         return self._entering(prewhitened(self._along(vectors), 0.0, self.phi))
 
     def whitened_after(self, vector: FloatArray, before: FloatArray, distance: int) -> FloatArray:
-        """Return the chart's whitened input of one set, shape (p,).
+        """Return the chart's clipped whitened input of one complete set, shape (p,).
 
         ``before`` is the last complete set, ``distance`` sets earlier.
         """
         return self._entering(innovation(self._along(vector), self._along(before), distance, self.phi))
 
     def _along(self, vectors: ArrayLike) -> FloatArray:
-        """Project vectors onto the chart's directions, after subtracting the baseline's mean."""
+        """Subtract the baseline's mean from vectors, shape (..., p), and project them onto the directions."""
         return np.asarray((np.asarray(vectors, dtype=np.float64) - self.mean) @ self.directions)
 
     def _entering(self, new: FloatArray) -> FloatArray:
-        """Whiten the innovations of sets, shape (..., p), and clip them to the cap."""
+        """Whiten the innovations of sets, shape (..., p), and shorten vectors longer than the cap."""
         w = new @ self.whitening
         length = np.sqrt((w**2).sum(axis=-1, keepdims=True))
         return np.asarray(w * np.minimum(1.0, self.cap / np.maximum(length, 1e-300)))
 
     def run(self, whitened: FloatArray) -> tuple[FloatArray, list[int]]:
-        """Run the chart from zero; restart from zero after each alarm.
+        """Compute the statistic of whitened inputs, shape (n, p), from zero; restart after each alarm.
 
         Returns
         -------
@@ -114,12 +115,15 @@ class Chart:
 def design_chart(baseline: ArrayLike, run_length: float, least_phi: ArrayLike = 0.0) -> Chart:
     """Design the MEWMA control chart of a baseline for a mean run length between false alarms.
 
+    ``run_length`` counts sets. Raise SingularCovarianceError if a feature is a combination of the others.
+
     Parameters
     ----------
     baseline
         Shape (n, p); rows with a NaN are gaps and keep their place.
     least_phi
-        Memory along the directions, falling, that is known from elsewhere; a number, or shape (p,).
+        Lower bound of the autocorrelation along the directions, falling, known from elsewhere; a number, or
+        shape (p,).
     """
     x = np.asarray(baseline, dtype=np.float64)
     n, p = int(np.isfinite(x).all(axis=1).sum()), x.shape[1]
@@ -148,18 +152,19 @@ def chart_with_phi(baseline: FloatArray, directions: FloatArray, phi: FloatArray
 
 
 def widened_phi(found: Directions) -> FloatArray:
-    """Return an autocorrelation somewhat larger than the estimate, with more margin for few sets.
+    """Return an autocorrelation above the estimate, shape (p,), with more margin for few sets; at most 0.95.
 
-    artanh phi is half the logarithm of (1 + phi)/(1 - phi), by which memory widens what slow averages scatter
-    by: that factor is taken to be larger by one part for all directions. Standard errors of phi itself would
-    take out more where there is much memory, though there the most of several is found too large anyway.
+    artanh phi is half the logarithm of (1 + phi)/(1 - phi), by which autocorrelation widens the scatter of
+    slow averages: that factor is increased by the same ratio for all directions. Standard errors of phi
+    itself would add more where it is large, though there the largest of several estimates is too large
+    anyway.
     """
     steps = np.arctanh(found.guarded) + WIDENED_BY * found.error
     return np.asarray(np.minimum(np.tanh(steps), LARGEST_PHI))
 
 
 def unverified_rate_reason(baseline: ArrayLike) -> str:
-    """Return the reason why the chart's rate is not verified; empty where it is.
+    """Return why the chart's false-alarm rate is not verified (English text); empty where it is.
 
     Parameters
     ----------
@@ -179,7 +184,7 @@ def unverified_rate_reason(baseline: ArrayLike) -> str:
 
 
 def _prewhitened_by_last_set(baseline: FloatArray) -> FloatArray:
-    """Whiten a baseline after removing its dependence on the previous set (lag 1)."""
+    """Whiten a baseline, shape (n, p), without its lag-1 autocorrelation and unclipped; NaN at gaps."""
     found = directions_of(baseline)
     chart = chart_with_phi(baseline, found.matrix, found.phi, math.inf)
     return replace(chart, cap=math.inf).whitened(baseline)
@@ -189,6 +194,7 @@ def slow_drift_probability(whitened: FloatArray) -> float:
     """Return the p-value of a chi-square test for slow drift between `BLOCKS` blocks of sets.
 
     It is the chance that the block means of independent sets scatter so much.
+    Sets after the last full block are ignored.
     """
     n, p = whitened.shape
     length = n // BLOCKS

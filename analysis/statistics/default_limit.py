@@ -26,7 +26,7 @@ class DefaultLimit:
     Attributes
     ----------
     phi
-        Memory from set to set that is taken out; 0: it is not significant.
+        Lag-1 autocorrelation that is removed; 0: it is not significant.
     mean
         Of the sets, shape (p,).
     residuals
@@ -45,9 +45,9 @@ class DefaultLimit:
     tail: float
 
     def distances_squared(self, vectors: FloatArray) -> FloatArray:
-        """Return squared distances of sets that start with the baseline, shape (n, p).
+        """Return squared distances, shape (n,), of sets that start with the baseline, shape (n, p).
 
-        NaN at and for gaps.
+        NaN for incomplete sets.
         """
         new = prewhitened(vectors, self.mean, self.phi) if self.phi else vectors
         known = np.asarray(np.isfinite(new).all(axis=1))
@@ -55,7 +55,7 @@ class DefaultLimit:
         return np.asarray(np.where(known, distances, np.nan))
 
     def distance_squared_after(self, vector: FloatArray, before: FloatArray, distance: int) -> float:
-        """Return the squared distance of one set, shape (p,).
+        """Return the squared distance of one complete set, shape (p,), from the residuals.
 
         ``before`` is the last complete set, ``distance`` sets earlier.
         """
@@ -67,6 +67,8 @@ class DefaultLimit:
 
 def default_limit(history: FloatArray, baseline: Baseline, rate: float = NOMINAL_RATE) -> DefaultLimit:
     """Choose the default outlier limit of a baseline from autocorrelation and tails of its data.
+
+    ``rate`` is the false-alarm rate of one set.
 
     Parameters
     ----------

@@ -41,7 +41,7 @@ class Budget:
 
     @property
     def run_length(self) -> float:
-        """Return the average number of sets between two false alarms."""
+        """Return the average number of sets between two false alarms of the chart, at the given cadence."""
         return self.sets_per_day * DAYS_PER_YEAR / self.alarms_per_year
 
 
@@ -58,7 +58,7 @@ class Design:
     limits
         By name (`named_limits.LIMITS`).
     phi_pooled, n_eff
-        Memory from set to set, and how many independent sets the baseline's are worth.
+        Lag-1 autocorrelation, and the effective number of independent sets of the baseline.
     rate_not_verified_reason
         Why the chart's rate of false alarms is not promised; empty: it is.
     """
@@ -79,7 +79,7 @@ def design_of(
     rate: float = NOMINAL_RATE,
     least_phi: ArrayLike = 0.0,
 ) -> Design:
-    """Design the outlier limits and the control chart of a baseline.
+    """Compute the outlier limits and the control chart of a baseline.
 
     Parameters
     ----------
@@ -127,7 +127,7 @@ class ChartState:
 
 
 def state_at_end_of(baseline: Baseline, last: FloatArray) -> ChartState:
-    """Return the chart's state after a baseline, before the first set that it assesses.
+    """Return the chart's state after a baseline: averages zero, no alarm.
 
     ``last`` is the baseline's last complete set.
     """
@@ -142,7 +142,7 @@ def state_at_end_of(baseline: Baseline, last: FloatArray) -> ChartState:
 def next_chart_state(
     memory: ChartState, design: Design, index: int, vector: FloatArray
 ) -> tuple[ChartState, dict[str, float]]:
-    """Assess one more complete set, shape (p,), with the control chart."""
+    """Assess one more complete set, shape (p,); return the next state and every statistic by name."""
     baseline, chart = design.baseline, design.chart
     before, distance = np.array(memory.vector), max(1, index - memory.index)
     entering = {
@@ -166,17 +166,14 @@ def next_chart_state(
 
 
 def contributions_of(average: FloatArray) -> FloatArray:
-    """Return the contribution of each feature to a chart's statistic, (2 - weight)/weight |z|^2.
-
-    Shape (p,).
-    """
+    """Return each feature's contribution to a chart's statistic, (2 - weight)/weight z^2, shape (p,)."""
     return np.asarray((2.0 - WEIGHT) / WEIGHT * average**2)
 
 
 def next_alarm(alarming: bool, statistic: float, limit: float, p: int) -> bool:
-    """Return whether the chart alarm is on: from above the limit until the statistic is back at p.
+    """Return whether the chart alarm is active: from above the limit until the statistic is at most p.
 
-    p is its mean while the sensor is healthy, so the chart goes on as one that has begun anew: an alarm that
-    ends at the limit itself would come and go, each time beyond the budget.
+    p is its mean while the sensor is healthy, so the chart continues like one after a restart: an alarm that
+    ended at the limit itself would return again and again, beyond the design rate.
     """
     return statistic > p if alarming else statistic > limit

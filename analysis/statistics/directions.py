@@ -31,13 +31,15 @@ class Directions:
     Attributes
     ----------
     matrix
-        Shape (p, p): (vectors - mean) @ matrix has covariance 1; its columns fall in memory.
+        Shape (p, p): (vectors - mean) @ matrix has covariance 1; its columns are ordered by falling
+        autocorrelation.
     phi
         From one set to the next, shape (p,).
     guarded
-        The same, and at least what averages over the sets see of slower memory.
+        The same, and at least what averages over the sets show of slower autocorrelation.
     error
-        Standard error of artanh phi for sets that hardly remember; less where all directions are alike.
+        Standard error of artanh phi for sets with little autocorrelation; less where all directions are
+        alike.
     """
 
     matrix: FloatArray
@@ -50,9 +52,10 @@ def directions_of(vectors: ArrayLike) -> Directions:
     """Find the directions of falling autocorrelation in sets, shape (n, p), in the order of time.
 
     Rows of NaN are gaps and keep their position.
+    Raise SingularCovarianceError if a feature is a combination of the others.
 
-    Autocorrelations scatter: of sets that remember alike along all directions, the largest and the least
-    found are still far apart. What of their spread is no more than that is taken out (as by James and Stein).
+    Autocorrelations scatter: of sets with equal ones along all directions, the largest and the smallest
+    estimate are still far apart. That part of their spread is removed (shrinkage as by James and Stein).
     """
     x = np.asarray(vectors, dtype=np.float64)
     complete = np.asarray(np.isfinite(x).all(axis=1))
@@ -88,7 +91,7 @@ def directions_of(vectors: ArrayLike) -> Directions:
 
 
 def _autocorrelations(whitened: FloatArray, complete: np.ndarray, lags: int) -> FloatArray:
-    """Return the symmetric part of the autocorrelation at lags from 1 on, shape (lags, p, p).
+    """Return the symmetric part of the autocorrelation at lags 1 to ``lags``, shape (lags, p, p).
 
     Gaps are rows of 0.
     """
@@ -101,7 +104,7 @@ def _autocorrelations(whitened: FloatArray, complete: np.ndarray, lags: int) -> 
 
 
 def phi_of_averages(autocorrelations: FloatArray, n: int, directions: int = 1) -> FloatArray:
-    """Return the phi of the AR(1) process whose exponential averages have the same variance.
+    """Return the phi of the AR(1) process whose exponential averages have the same variance, at most 0.95.
 
     Their variance is I = 1 + 2 sum of (1 - weight)^k r_k times that of independent sets, and
     (1 + q)/(1 - q), q = (1 - weight) phi, for r_k = phi^k. Where independent sets hardly show as large a sum,

@@ -26,6 +26,8 @@ def _standardised(vectors: ArrayLike, baseline: Baseline) -> FloatArray:
 def distance_squared(vectors: ArrayLike, baseline: Baseline) -> FloatArray:
     """Return D = (x - mean)^T K^-1 (x - mean) (paper, eq. 16); NaN where a feature is missing.
 
+    Raise InvalidInputError if the last axis is not the baseline's features.
+
     Parameters
     ----------
     vectors
@@ -43,9 +45,9 @@ def contributions(vectors: ArrayLike, baseline: Baseline) -> FloatArray:
     """Return the contribution of each feature to the squared distance: never negative, and they sum to it.
 
     The corr-max transformation: z = (x - mean) / SD, w = C^(-1/2) z with the symmetric root of the
-    correlation matrix C, parts w_j^2. Of all rotations of the whitened vector it is the one whose
-    components correlate most with the features they stand for. Source: Garthwaite and Koch (2016),
-    Australian & New Zealand Journal of Statistics 58(1), 99-119, doi:10.1111/anzs.12144.
+    correlation matrix C, parts w_j^2. Of all rotations of the whitened vector it is the one whose components
+    correlate most with their features. Source: Garthwaite and Koch (2016), Australian & New Zealand Journal
+    of Statistics 58(1), 99-119, doi:10.1111/anzs.12144.
 
     Parameters
     ----------
@@ -62,7 +64,10 @@ def contributions(vectors: ArrayLike, baseline: Baseline) -> FloatArray:
 
 
 def named_contributions(vector: ArrayLike, baseline: Baseline) -> dict[str, float]:
-    """Return each feature's contribution to the squared distance of one vector, shape (p,), by name."""
+    """Return each feature's contribution to the squared distance of one vector, shape (p,), by name.
+
+    Raise InvalidInputError for another shape.
+    """
     parts = contributions(vector, baseline)
     if parts.ndim != 1:
         raise InvalidInputError(f"vector has shape {np.shape(vector)}; it must be ({baseline.p},)")

@@ -54,14 +54,15 @@ class SharedChange:
 
 @lru_cache(maxsize=64)
 def _limits(n: int, p: int) -> FloatArray:
-    """Return the MEWMA limit at each of `RUN_LENGTHS` for a baseline of n sets and p features."""
+    """Return the MEWMA limit at each of `RUN_LENGTHS`, shape (17,), for n baseline sets and p features."""
     return np.array([estimated_limit(n, p, length) for length in RUN_LENGTHS.tolist()])
 
 
 def running_chance(statistic: FloatArray, n: int, p: int, period: int) -> FloatArray:
-    """Return the chance, after each set, that a healthy sensor's chart rises so high.
+    """Return, after each set, the chance that a healthy chart rises so high within a period; shape (sets,).
 
-    It never rises in a period.
+    It is 1 - exp(-period/ARL), ARL the run length whose limit is the highest value so far; 1 below all
+    limits.
 
     Parameters
     ----------
@@ -70,7 +71,7 @@ def running_chance(statistic: FloatArray, n: int, p: int, period: int) -> FloatA
     n, p
         Sets and features of the baseline.
     period
-        Sets in the whole period: known at its beginning, so that what has been raised stays raised.
+        Sets in the whole period: known at its beginning, so that an alarm that was raised stays raised.
     """
     highest = np.maximum.accumulate(np.where(np.isfinite(statistic), statistic, 0.0))
     length = np.exp(np.interp(highest, _limits(n, p), np.log(RUN_LENGTHS)))
@@ -78,9 +79,10 @@ def running_chance(statistic: FloatArray, n: int, p: int, period: int) -> FloatA
 
 
 def raised_at(chances: ArrayLike, rate: float = FALSE_DISCOVERY_RATE) -> list[int | None]:
-    """Return the set at which each sensor's alarm is raised, None where it never is.
+    """Return the row of the set at which each sensor's alarm is raised; None where it never is.
 
-    At most ``rate`` of them are healthy on average.
+    At most ``rate`` of the raised alarms are false on average (Benjamini-Hochberg at each set).
+    Raise InvalidInputError for a rate outside (0, 1).
 
     Parameters
     ----------
@@ -100,7 +102,7 @@ def raised_at(chances: ArrayLike, rate: float = FALSE_DISCOVERY_RATE) -> list[in
 
 
 def standardized(vectors: ArrayLike, in_baseline: ArrayLike) -> tuple[FloatArray, FloatArray]:
-    """Return deviations from the baseline's mean in its SD, shape (sets, p), and the SD, shape (p,).
+    """Return deviations from the baseline's mean in SD, shape (sets, p), and these SD, shape (p,).
 
     A feature that is constant, or never known, in the baseline has SD 1 and no deviation (NaN).
     """
@@ -136,8 +138,8 @@ def shared_deviation(deviations: ArrayLike) -> FloatArray:
 def typical_autocorrelation(baselines: Sequence[FloatArray]) -> FloatArray:
     """Return the median over the sensors of the autocorrelation along their directions, shape (p,), falling.
 
-    One baseline shows its memory to some 1/sqrt(n); a sensor that happens to show too little of it would be
-    raised first of all. No feature has more memory than the first direction.
+    One baseline shows its autocorrelation to about 1/sqrt(n); a sensor that by chance shows too little of it
+    would raise an alarm first. No feature has more autocorrelation than the first direction.
 
     Parameters
     ----------
@@ -153,10 +155,11 @@ def typical_autocorrelation(baselines: Sequence[FloatArray]) -> FloatArray:
 
 
 def typical_tails(baselines: Sequence[FloatArray]) -> float:
-    """Return the mean over the sensors of the kurtosis of their baselines, at least 1 (normal sets).
+    """Return the mean over the sensors of the relative kurtosis of their baselines, at least 1 (normal sets).
 
     Heavy tails make a covariance as uncertain as fewer normal sets would: its variance grows by the kurtosis
     E[d^4]/(p (p + 2)), d the Mahalanobis distance (Mardia 1970; for elliptical distributions).
+    Baselines of fewer than 15 complete sets are skipped; 1 if none remains.
 
     Parameters
     ----------
@@ -169,7 +172,7 @@ def typical_tails(baselines: Sequence[FloatArray]) -> float:
 
 
 def _kurtosis(x: FloatArray) -> float | None:
-    """Return Mardia's kurtosis of rows over that of a normal distribution; None for too few rows."""
+    """Return Mardia's kurtosis of rows over that of a normal distribution; None for fewer than 15 rows."""
     n, p = x.shape
     if n < MINIMUM_SETS:
         return None
@@ -181,14 +184,16 @@ def _kurtosis(x: FloatArray) -> float | None:
 def find_shared_changes(
     shared: FloatArray, n_sensors: int, phi: float, first_row: int
 ) -> tuple[SharedChange, ...]:
-    """Find the sets in which the shared average is too large for independent sensors.
+    """Find the runs of sets in which the shared average is too large for independent sensors, in order.
+
+    Return an empty tuple for fewer than 20 sensors.
 
     Parameters
     ----------
     shared
         Of `shared_deviation`, shape (sets, p).
     phi
-        Memory of a sensor from set to set.
+        Lag-1 autocorrelation of a sensor.
     first_row
         Not before this one, which is the first after the baseline.
     """
@@ -207,9 +212,10 @@ def find_shared_changes(
 
 
 def mean_squared_correlation(baselines: Sequence[FloatArray]) -> FloatArray:
-    """Return the mean squared correlation of the features, shape (p, p).
+    """Return the mean over the sensors of the squared correlations of the features, shape (p, p).
 
-    That of their SD's errors, if normal.
+    For normal sets they are the correlations of the errors of the SDs. Baselines of fewer than 15 complete
+    sets are skipped; the identity if none remains.
 
     Parameters
     ----------
@@ -224,7 +230,7 @@ def mean_squared_correlation(baselines: Sequence[FloatArray]) -> FloatArray:
 def sensor_gain(
     deviations: FloatArray, shared: FloatArray, correlation2: FloatArray
 ) -> tuple[float, float, float]:
-    """Return the gain of a sensor to the shared change: 1 where it moves as the median does.
+    """Estimate the gain of a sensor to the shared change: 1 where it moves as the median does.
 
     Parameters
     ----------
@@ -236,8 +242,8 @@ def sensor_gain(
     Returns
     -------
     tuple
-        The gain, its variance for sets without memory, and the part of the variance of one feature's SD that
-        goes into it. NaN: nothing is shared.
+        The gain, its variance for independent sets, and the part of the variance of one feature's SD that
+        enters it. NaN: nothing is shared.
     """
     # Next to their means: what is wrong with the mean of a baseline is no gain.
     x = np.ma.masked_invalid(deviations)
@@ -254,19 +260,19 @@ def sensor_gain(
 def residual_shift(
     gains: ArrayLike, causes: Sequence[SharedChange], *, phi: float, n: int, tails: float
 ) -> float:
-    """Return the shift that remains without the shared change, in SD.
+    """Estimate the shift that remains in a sensor after the shared change is removed, in SD (3 scaled MAD).
 
-    Three scaled deviations from the median gain.
-
-    What sets and the SD of a baseline scatter by makes healthy sensors of equal gains unlike, too; that is
-    taken off: n sets show an SD to sqrt((kurtosis - 1)/(4 n)), widened by memory.
+    Scatter of the gains that sets and baseline SDs explain by chance is subtracted: n sets show an SD to
+    sqrt((kurtosis - 1)/(4 n)), widened by autocorrelation. Return 0 without a shared change or a known gain.
 
     Parameters
     ----------
     gains
         Of `sensor_gain`, shape (sensors, 3).
+    causes
+        Shared changes; the largest deviation in them scales the result.
     phi, n, tails
-        Memory from set to set, sets of a baseline, and kurtosis over that of normal sets, all as is usual.
+        Typical lag-1 autocorrelation, sets of a baseline, and kurtosis over that of normal sets.
     """
     found = np.asarray(gains, dtype=np.float64)
     found = found[np.isfinite(found).all(axis=1)]
@@ -281,6 +287,6 @@ def residual_shift(
 
 
 def _largest(average: FloatArray) -> tuple[float, ...]:
-    """Return the largest deviation of each feature over all rows, with its sign."""
+    """Return each feature's deviation of largest magnitude over all rows, with its sign; length p."""
     rows: Sequence[int] = np.abs(average).argmax(axis=0).tolist()
     return tuple(float(average[row, feature]) for feature, row in enumerate(rows))

@@ -38,12 +38,12 @@ def left_out_distances(distances_squared: ArrayLike) -> FloatArray:
 
 
 def tail_limit(distances_squared: ArrayLike, p: int, rate: float = NOMINAL_RATE) -> float:
-    """Return a limit from a scaled F distribution fitted to the left-out distances of the baseline's sets.
+    """Return the limit of the squared distance from an F distribution fitted to the left-out distances.
 
     Of normal sets each left-out distance over its scale is F(p, n - 1 - p). Fitted are a factor and the
     denominator's degrees of freedom, at most these, by the median of the logarithm and by how far its upper
-    half reaches beyond on average: the small distances of few features say nothing of the tail, and one gross
-    set does not carry the fit away.
+    half reaches beyond on average: the small distances of few features hold no information on the tail, and
+    one gross set hardly affects the fit.
     """
     d = np.asarray(distances_squared, dtype=np.float64)
     n = d.size
@@ -59,9 +59,9 @@ def tail_limit(distances_squared: ArrayLike, p: int, rate: float = NOMINAL_RATE)
 
 @lru_cache(maxsize=64)
 def _log_f_table(n: int, p: int) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return quantities of log F(p, v), v falling from n - 1 - p; 1/v, reach of the upper half, median.
+    """Tabulate log F(p, v), v falling from n - 1 - p: 1/v, mean of the upper half less the median, median.
 
-    Rising.
+    Three arrays of shape (25,), the first two ascending; v ends at 2.5.
     """
     most = max(float(n - 1 - p), FEWEST_DEGREES)
     per_degree = np.linspace(1.0 / most, 1.0 / FEWEST_DEGREES, 25)

@@ -12,7 +12,10 @@ FACTOR = 4
 
 
 def level_widths(finest: int, widest: int) -> list[int]:
-    """Return the block width of each level in sets, from ``finest`` to at most ``widest``."""
+    """Return the block width of each level in sets, from ``finest``, times 4 each, to at most ``widest``.
+
+    Return an empty list if ``finest`` exceeds ``widest``.
+    """
     widths = []
     while finest <= widest:
         widths.append(finest)
@@ -21,7 +24,7 @@ def level_widths(finest: int, widest: int) -> list[int]:
 
 
 def finer_blocks(number: int) -> range:
-    """Return the block numbers of the next finer level that block ``number`` combines."""
+    """Return the numbers of the four blocks of the next finer level that block ``number`` combines."""
     return range(number * FACTOR, (number + 1) * FACTOR)
 
 
@@ -42,9 +45,10 @@ def sets_per_step(first: int, last: int, most: int, finest: int = 1) -> int:
 
 
 def parts_of_range(first: int, end: int, widths: Sequence[int]) -> Iterator[tuple[int, int, int]]:
-    """Yield width, first and end of parts that cover a half-open range of sets exactly.
+    """Yield width, first and end of blocks that cover a half-open range of sets exactly, in order.
 
     The widest blocks are in the middle, narrower ones at the ends; parts of width 1 are single sets.
+    ``widths`` ascend, each a multiple of the one before; an empty range yields nothing.
     """
     if first >= end:
         return

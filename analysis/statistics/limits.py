@@ -38,10 +38,7 @@ class Limit:
 
 
 def _check(n: int, p: int) -> None:
-    """Check that a limit exists for n sets and p features.
-
-    Raise InvalidInputError without a feature, NotEnoughSetsError if n is at most p.
-    """
+    """Raise InvalidInputError for p below 1, NotEnoughSetsError for n sets of up to p features."""
     if p < 1:
         raise InvalidInputError(f"p is {p}; a distance needs at least one feature")
     if n <= p:
@@ -51,7 +48,7 @@ def _check(n: int, p: int) -> None:
 
 
 def predictive_scale(n: int, p: int) -> float:
-    """Return the factor between the squared distance of a new normal set and F(p, n - p)."""
+    """Return the ratio of the squared distance of a new normal set to F(p, n - p): p (n+1)(n-1)/(n (n-p))."""
     return p * (n + 1) * (n - 1) / (n * (n - p))
 
 
@@ -75,9 +72,9 @@ def f_predictive_limit(n: int, p: int, rate: float = NOMINAL_RATE) -> float:
 
 
 def false_alarm_rate(limit: float, n: int, p: int) -> float:
-    """Return the chance that a new healthy normal set exceeds ``limit``.
+    """Return the chance that a new healthy normal set exceeds ``limit``, averaged over baselines of n sets.
 
-    The mean over baselines of n sets.
+    A negative limit counts as 0. Raise InvalidInputError for p below 1, NotEnoughSetsError for n up to p.
     """
     _check(n, p)
     return float(scipy.special.fdtrc(p, n - p, max(limit, 0.0) / predictive_scale(n, p)))
@@ -86,8 +83,8 @@ def false_alarm_rate(limit: float, n: int, p: int) -> float:
 def paper_limit(baseline_distances_squared: ArrayLike) -> float:
     """Return the paper's limit: mean + 3 SD of the baseline's own distances (section 4, below eq. 16).
 
-    That the paper means this, with n - 1 in the SD, is our reading. Its realised rate lies far above
-    the stated .27 %: the baseline's own distances are bounded and the SD is not that of a normal variable.
+    That the paper means this, with n - 1 in the SD, is our reading. Its realised rate is far above the stated
+    .27 %: the baseline's own distances are bounded and the SD is not that of a normal variable.
 
     Parameters
     ----------
@@ -110,6 +107,7 @@ def phase_one_limit(n: int, p: int, rate: float = 0.05) -> float:
 
     ``rate`` is the chance that any of the n healthy sets exceeds it (Bonferroni). Source as for
     `f_predictive_limit`.
+    Raise NotEnoughSetsError for n up to p + 1, InvalidInputError for p below 1 or a rate outside (0, 1).
     """
     _check(n, p)
     if n <= p + 1:
@@ -122,9 +120,10 @@ def phase_one_limit(n: int, p: int, rate: float = 0.05) -> float:
 
 
 def limits(baseline_distances_squared: ArrayLike, p: int, rate: float = NOMINAL_RATE) -> tuple[Limit, Limit]:
-    """Return the predictive F limit and the paper's, in this order, for one baseline.
+    """Return the predictive F limit and the paper's, in this order, for a baseline of p features.
 
     The paper limit's rate treats its value as fixed before the baseline was taken: a good guide, not exact.
+    Raise NotEnoughSetsError for n up to p.
     """
     distances = np.asarray(baseline_distances_squared, dtype=np.float64)
     n = distances.size

@@ -20,7 +20,10 @@ SIGNIFICANT = 1.64
 
 
 def autocorrelation(vectors: ArrayLike, lag: int) -> FloatArray:
-    """Return the autocorrelation of each feature at one lag, shape (p,).
+    """Return the autocorrelation of each feature at one lag in sets, shape (p,).
+
+    Return 0 for a constant feature, and for all without a pair of complete sets at this lag. Raise
+    InvalidInputError unless the lag is in 1..n - 1.
 
     Parameters
     ----------
@@ -50,13 +53,13 @@ def corrected_autocorrelation(r: ArrayLike, n: int) -> FloatArray:
 
 
 def pooled_phi(vectors: ArrayLike) -> float:
-    """Return the mean lag-1 autocorrelation of all features, corrected for the estimated mean."""
+    """Return the mean lag-1 autocorrelation of all features, corrected for the estimated mean, 0 to 0.95."""
     n = int(np.isfinite(np.asarray(vectors)).all(axis=1).sum())
     return float(corrected_autocorrelation(autocorrelation(vectors, 1).mean(), n))
 
 
 def significant_phi(phi: float, n: int) -> float:
-    """Return ``phi`` if it is significant for n sets, else 0."""
+    """Return ``phi`` if it exceeds 1.64/sqrt(n) (5 % one-sided test for n sets), else 0."""
     return phi if phi > SIGNIFICANT / math.sqrt(n) else 0.0
 
 
@@ -91,7 +94,7 @@ def prewhitened(vectors: ArrayLike, mean: ArrayLike, phi: ArrayLike) -> FloatArr
 
 
 def innovation(z: FloatArray, before: FloatArray, distance: ArrayLike, phi: ArrayLike) -> FloatArray:
-    """Remove from deviations the dependence on those ``distance`` sets before, as `prewhitened` does.
+    """Remove from deviations the dependence on those ``distance`` sets earlier, as `prewhitened` does.
 
     Parameters
     ----------

@@ -34,6 +34,7 @@ def average_run_length(limit: float, p: int, weight: float = WEIGHT) -> float:
     Rigdon's integral equation for the squared radius of the average, solved by Gauss-Legendre quadrature in
     the radius itself. Source: Rigdon (1995), "An integral equation for the in-control average run length of a
     multivariate exponentially weighted moving average control chart", J. Statist. Comput. Simul. 52, 351-365.
+    At most 1e12 is returned. Raise InvalidInputError for a limit, p or weight out of range.
     """
     if not (limit > 0.0 and p >= 1 and 0.0 < weight <= 1.0):
         raise InvalidInputError(
@@ -74,7 +75,10 @@ def _log_bessel(order: float, z: FloatArray) -> FloatArray:
 
 @lru_cache(maxsize=64)
 def known_limit(p: int, run_length: float, weight: float = WEIGHT) -> float:
-    """Return the limit for a known baseline with the healthy average run length ``run_length`` in sets."""
+    """Return the MEWMA limit for a known baseline and a mean healthy run length of ``run_length`` sets.
+
+    Raise InvalidInputError unless ``run_length`` exceeds 1.
+    """
     if not run_length > 1.0:
         raise InvalidInputError(f"run_length is {run_length}; it must be more than 1 set")
     chi_square = float(scipy.special.chdtri(p, 1.0 / run_length))
@@ -88,10 +92,10 @@ def known_limit(p: int, run_length: float, weight: float = WEIGHT) -> float:
 
 
 def estimated_limit(n: int, p: int, run_length: float, weight: float = WEIGHT) -> float:
-    """Return the limit for a baseline of ``n`` sets: wider, since mean and covariance are estimates.
+    """Return the MEWMA limit for a baseline of ``n`` sets: wider, since mean and covariance are estimates.
 
-    h_n = h_inf F(n, 1/ARL)/chi2(1/ARL) [1 + (2 - weight)/(weight n)]: the first ratio stands for the
-    covariance, the bracket for the mean's error, which the average takes in whole.
+    h_n = h_inf F(n, 1/ARL)/chi2(1/ARL) [1 + (2 - weight)/(weight n)]: the ratio allows for the covariance's
+    error, the bracket for the mean's, which enters the average in full.
     """
     rate = 1.0 / run_length
     widened = f_predictive_limit(n, p, rate) / float(scipy.special.chdtri(p, rate))
@@ -99,7 +103,10 @@ def estimated_limit(n: int, p: int, run_length: float, weight: float = WEIGHT) -
 
 
 def averages(whitened: ArrayLike, start: ArrayLike, weight: float = WEIGHT) -> FloatArray:
-    """Return the averages z_t = weight w_t + (1 - weight) z_(t-1), shape (n, p), none missing."""
+    """Return the exponential averages z_t = weight w_t + (1 - weight) z_(t-1), shape (n, p), from ``start``.
+
+    No value may be missing.
+    """
     w = np.asarray(whitened, dtype=np.float64)
     before = (1.0 - weight) * np.asarray(start, dtype=np.float64)[None, :]
     filtered, _ = scipy.signal.lfilter([weight], [1.0, weight - 1.0], w, axis=0, zi=before)
@@ -107,7 +114,10 @@ def averages(whitened: ArrayLike, start: ArrayLike, weight: float = WEIGHT) -> F
 
 
 def mewma(whitened: ArrayLike, weight: float = WEIGHT) -> FloatArray:
-    """Return (2 - weight)/weight |z_t|^2 from z = 0, shape (n,); NaN and no step where a row has a NaN."""
+    """Return the MEWMA statistic (2 - weight)/weight |z_t|^2 of whitened sets from z = 0, shape (n,).
+
+    A row with a NaN gives NaN and does not change z.
+    """
     w = np.asarray(whitened, dtype=np.float64)
     complete = np.isfinite(w).all(axis=1)
     result = np.full(w.shape[0], np.nan)
@@ -117,8 +127,9 @@ def mewma(whitened: ArrayLike, weight: float = WEIGHT) -> FloatArray:
 
 
 def mcusum(whitened: ArrayLike, reference: float = REFERENCE) -> FloatArray:
-    """Return Crosier's max(0, C - k), C = |s + w|, s shrunk by k each set; NaN as in `mewma`. Shape (n,).
+    """Return Crosier's MCUSUM statistic of whitened sets, shape (n,): max(0, C - k), C = |s + w|.
 
+    The sum s starts from 0 and is shrunk by k each set; a row with a NaN gives NaN and does not change it.
     Source: Crosier (1988), "Multivariate generalizations of cumulative sum quality-control schemes",
     Technometrics 30, 291-303.
     """

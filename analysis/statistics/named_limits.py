@@ -133,5 +133,5 @@ LIMITS: Mapping[str, NamedLimit] = MappingProxyType(
 
 
 def compute_limits(facts: Facts) -> dict[str, float]:
-    """Compute every outlier limit of a baseline, by name."""
+    """Compute every one of `LIMITS` for a baseline, by name in the order in which they are listed."""
     return {name: limit.value(facts) for name, limit in LIMITS.items()}

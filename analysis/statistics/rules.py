@@ -33,6 +33,7 @@ class AlarmRule:
     off_at_most: int = 0
 
     def __post_init__(self) -> None:
+        """Raise InvalidInputError unless 1 <= k <= n and 0 <= off_at_most < k."""
         if not 1 <= self.k <= self.n:
             raise InvalidInputError(f"k is {self.k} of n = {self.n}; it must lie in 1..n")
         if not 0 <= self.off_at_most < self.k:
@@ -62,7 +63,7 @@ def next_alarm_state(
     outlier: bool | None,
     rule: AlarmRule = AlarmRule(),
 ) -> AlarmState:
-    """Update the k-of-n alarm with one more set; ``outlier`` is None if the set was not assessed."""
+    """Return the state of the k-of-n alarm after one more set; unchanged if ``outlier`` is None."""
     if outlier is None:
         return state
     recent = (*state.recent, bool(outlier))[-rule.n :]
@@ -72,7 +73,7 @@ def next_alarm_state(
 
 
 def determines_state(outliers: Sequence[bool | None], rule: AlarmRule) -> bool:
-    """Check whether these sets alone determine the state, independent of earlier ones.
+    """Check whether these outliers, oldest first, alone determine the alarm state.
 
     A full window with outliers enough, or few enough, leaves no doubt whether the alarm is on.
     """
@@ -93,6 +94,7 @@ class HoleRule:
     consecutive_sets: int = 2
 
     def __post_init__(self) -> None:
+        """Raise InvalidInputError unless both numbers are at least 1."""
         if self.shots < 1 or self.consecutive_sets < 1:
             raise InvalidInputError(
                 f"shots is {self.shots} and consecutive_sets {self.consecutive_sets}; both must be at least 1"
@@ -112,7 +114,9 @@ def next_hole_state(
     shot_flags: Sequence[Sequence[str]],
     rule: HoleRule = HoleRule(),
 ) -> HoleState:
-    """Count consecutive sets without a reflected wave and latch a through hole, after one more set.
+    """Return the hole rule's state after one more set: the count of sets without a reflection, and the hole.
+
+    A set without shots changes nothing; a hole, once found, remains.
 
     Parameters
     ----------
@@ -127,7 +131,7 @@ def next_hole_state(
 
 
 def next_poor_sets(running: int, *, n_valid: int, n_tried: int, n_planned: int, minimum_valid: int) -> int:
-    """Count the consecutive sets with too few valid shots, after one more set.
+    """Return the count of consecutive sets with too few valid shots, after one more set.
 
     Parameters
     ----------
@@ -138,8 +142,8 @@ def next_poor_sets(running: int, *, n_valid: int, n_tried: int, n_planned: int, 
     n_tried
         Shots tried, repetitions not counted.
     n_planned
-        Shots planned. A set that was cut short (a hold, a rig that is gone) says nothing of the
-        transducer unless it has valid shots enough: it neither counts nor interrupts.
+        Shots planned. A set that was cut short (a pause, a lost rig) neither counts nor interrupts, unless it
+        has enough valid shots.
     minimum_valid
         Fewer make a poor set.
     """

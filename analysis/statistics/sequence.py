@@ -39,13 +39,13 @@ class Assessed:
     features_dropped
         Constant in the baseline.
     n, n_eff, phi_pooled
-        Sets of the baseline, how many independent ones they are worth, and their memory from set to set.
+        Sets of the baseline, the effective number of independent ones, and their lag-1 autocorrelation.
     tail
         Limit that allows for the tails of the baseline, over the F limit.
     suspects
         Rows of the baseline beyond the Phase I limit.
     named
-        What else stands out of the baseline.
+        Anomalies of the baseline.
     left_out
         Rows with a missing value, and other rows that are not assessed, each with its reason.
     limits
@@ -98,6 +98,8 @@ def assess_sequence(
 ) -> Assessed:
     """Assess a table of feature vectors against a baseline of its healthy rows.
 
+    Input that cannot be assessed does not raise: the result's ``refused`` states the reason.
+
     Parameters
     ----------
     vectors
@@ -107,8 +109,8 @@ def assess_sequence(
     textbooks
         Also run the MCUSUM, which nothing here decides by.
     least_phi
-        Memory along the directions that is known from sensors like this one (`chart.design_chart`); a number,
-        or one for each feature.
+        Lower bound of the autocorrelation along the directions, from similar sensors (`chart.design_chart`);
+        a number, or one for each feature.
     """
     x, healthy = np.asarray(vectors, dtype=np.float64), np.asarray(in_baseline, dtype=bool)
     x = np.where(np.isfinite(x), x, np.nan)
@@ -129,7 +131,7 @@ def assess_sequence(
 
 
 def _scale_columns(x: FloatArray, healthy: np.ndarray) -> FloatArray:
-    """Divide columns by powers of two near their size, which keeps all digits.
+    """Divide columns by powers of two near the baseline's size, then clip them to +-1e100.
 
     No digit of a result changes, and no square overflows.
     """
@@ -140,7 +142,7 @@ def _scale_columns(x: FloatArray, healthy: np.ndarray) -> FloatArray:
 
 
 def _too_few_sets_message(n: int, subject: str) -> str:
-    """Return the error message for a baseline with too few sets."""
+    """Return the error message for a baseline with fewer than 15 sets; ``subject`` names what was counted."""
     return f"{n} {subject} in the baseline; at least {MINIMUM_SETS} are needed: let it be longer"
 
 
@@ -164,7 +166,11 @@ def _assess_complete_rows(
     *,
     textbooks: bool,
 ) -> Assessed:
-    """Assess complete rows of a table with the baseline of its healthy rows."""
+    """Assess the complete rows of a table with the baseline of its healthy rows; NaN where not assessed.
+
+    Raise NotEnoughSetsError for fewer than 15 complete healthy rows, SingularCovarianceError as
+    `fit_baseline`.
+    """
     x = _scale_columns(measured, healthy)
     complete = np.asarray(np.isfinite(x).all(axis=1))
     rows = np.flatnonzero(healthy & complete)
@@ -223,7 +229,11 @@ def _assess_complete_rows(
 def _find_anomalies(
     measured: FloatArray, x: FloatArray, rows: np.ndarray, names: Sequence[str]
 ) -> tuple[Anomaly, ...]:
-    """Find anomalies of the baseline, or raise where the rest is negligible next to one value."""
+    """Find anomalies of the baseline, as row numbers of the complete table.
+
+    Raise SingularCovarianceError if most sets do not scatter, or if one value dwarfs the scatter of the
+    others.
+    """
     middle = np.quantile(measured, 0.5, axis=0, method="lower")
     with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
         deviation = np.abs(measured - middle)
@@ -249,7 +259,7 @@ def _find_anomalies(
 def _compute_statistics(
     x: FloatArray, followed: FloatArray, complete: np.ndarray, assessed: np.ndarray, design: Design
 ) -> dict[str, FloatArray]:
-    """Compute all rows' statistics by name, except the chart's.
+    """Compute the statistics of all rows by name, shape (rows,), except that of the default chart.
 
     ``followed`` has the baseline's and later rows.
     """
@@ -263,7 +273,7 @@ def _compute_statistics(
 
 
 def _whiten_vectors(vectors: FloatArray, baseline: Baseline) -> FloatArray:
-    """Standardize vectors by the baseline and decorrelate their features."""
+    """Standardize vectors, shape (n, p), by the baseline and decorrelate their features; same shape."""
     return np.asarray((vectors - baseline.mean) / baseline.sd @ baseline.whitening)
 
 

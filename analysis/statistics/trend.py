@@ -39,13 +39,13 @@ class Trend:
     n_points: int
 
     def at(self, time_h: ArrayLike) -> FloatArray:
-        """Evaluate the parabola at the given hours, any shape."""
+        """Return the parabola's values at the given hours, any shape, in the unit of the feature."""
         t = np.asarray(time_h, dtype=np.float64)
         return (self.quadratic * t + self.linear) * t + self.constant
 
 
 def _too_few_points_error(n_points: int, n_times: int) -> NotEnoughPointsError:
-    """Create the error for too few points or times of a parabola."""
+    """Build (without raising) the error for too few points or times of a parabola."""
     return NotEnoughPointsError(
         f"a parabola through {n_points} points at {n_times} times; it needs at least "
         f"{MINIMUM_POINTS} points at 3 times: wait for more sets"
@@ -84,15 +84,15 @@ def fit_trend(time_h: ArrayLike, values: ArrayLike) -> Trend:
 
 
 def _triangular_factors(rows: FloatArray) -> FloatArray:
-    """Return the triangular QR factor of matrices with four columns."""
+    """Return the triangular QR factors of matrices, shape (..., n, 4), as (..., min(n, 4), 4)."""
     triangle: FloatArray = np.linalg.qr(rows, mode="r")  # type: ignore[assignment] # declared for one mode only
     return triangle
 
 
 def _trend_from_factor(triangle: FloatArray, origin_h: float, mean: float, n_points: int) -> Trend:
-    """Compute a parabola from the triangular factor of ``[1, u, u^2, y - mean]``.
+    """Compute a parabola from the triangular factor of ``[1, u, u^2, y - mean]``, shape (4, 4).
 
-    Shape (4, 4), u = t - origin_h.
+    u = t - origin_h in hours; the residual SD has n_points - 3 degrees of freedom.
     """
     c, b, a = np.linalg.solve(triangle[:3, :3], triangle[:3, 3])
     # The columns of the orthogonal factor: the first is the mean, the last what no parabola reaches.
@@ -115,7 +115,7 @@ of ``[1, u, u^2, y - mean]``, u in hours since ``first_h``. Of no points the hou
 
 
 def make_parts(time_h: ArrayLike, values: ArrayLike) -> NDArray[np.void]:
-    """Convert each point to a part of a least-squares fit, which can be joined with others.
+    """Convert each point to a part of a least-squares fit, which `join_parts` can join with others.
 
     Parameters
     ----------

@@ -17,7 +17,7 @@ FACTORS = (2, 3, 5, 7, 11)
 
 
 def compute_analytic_signal(values: FloatArray) -> NDArray[np.complex128]:
-    """Return the analytic signal: negative frequencies removed, positive doubled.
+    """Return the analytic signal of real values, shape (n,); its modulus is their envelope.
 
     Its modulus is the envelope.
     """
@@ -40,7 +40,7 @@ def _one_sided_spectrum(spectrum: NDArray[np.complex128]) -> NDArray[np.complex1
 
 
 def complex_correlation(values: FloatArray, template: FloatArray) -> NDArray[np.complex128]:
-    """Correlate values with a template at lags 0..n-1, as an analytic signal.
+    """Correlate values with a template at lags 0..n-1 samples; return the analytic signal, shape (n,).
 
     The real part is the plain correlation, the modulus its envelope.
     """
@@ -50,9 +50,10 @@ def complex_correlation(values: FloatArray, template: FloatArray) -> NDArray[np.
 
 
 def find_envelope_peak(envelope: FloatArray, peak: int) -> float:
-    """Return the peak of the envelope: vertex of the parabola through its logarithm above half height.
+    """Return the peak of an envelope near sample ``peak``, as a fractional sample index.
 
-    Exact for a Gaussian envelope. Three samples around the peak would be thirty times noisier.
+    It is the vertex of the parabola through the envelope's logarithm above half height: exact for a Gaussian
+    envelope. Three samples around the peak would be thirty times noisier.
     """
     low, high = find_echo_extent(envelope, peak, 0.5)
     if high - low < 3:
@@ -64,7 +65,10 @@ def find_envelope_peak(envelope: FloatArray, peak: int) -> float:
 
 
 def find_echo_extent(envelope: FloatArray, peak: int, fraction: float) -> tuple[int, int]:
-    """Return the first and last sample around ``peak`` where the envelope is above a fraction of it."""
+    """Return the first and last sample around ``peak`` where the envelope is at least a fraction of it.
+
+    It ends at an end of the record if the envelope does not fall below that.
+    """
     low_enough = np.flatnonzero(envelope < fraction * envelope[peak])
     before, after = low_enough[low_enough < peak], low_enough[low_enough > peak]
     first = int(before[-1]) + 1 if before.size else 0
@@ -73,7 +77,7 @@ def find_echo_extent(envelope: FloatArray, peak: int, fraction: float) -> tuple[
 
 
 def find_first_envelope_maximum(envelope: FloatArray, first: int, last: int, fraction: float) -> int | None:
-    """Return the index of the first high maximum of an envelope in a range; None without one.
+    """Return the first high maximum of an envelope from sample ``first`` to ``last``; None without one.
 
     High is at least ``fraction`` of the highest value in the range.
     """
@@ -85,10 +89,10 @@ def find_first_envelope_maximum(envelope: FloatArray, first: int, last: int, fra
 
 
 def find_nearest_carrier_maximum(carrier: FloatArray, coarse: int) -> tuple[int, bool]:
-    """Return the lag of the carrier maximum nearest to ``coarse``, and whether it may be the wrong one.
+    """Return the lag in samples of the carrier maximum nearest to ``coarse``, and whether it may be wrong.
 
-    It may be if a neighbour is higher, or if it lies more than a quarter period from ``coarse``: the
-    echo's shape has changed then.
+    It may be wrong if a neighbouring maximum is higher, or if it is more than a quarter period from
+    ``coarse``: the echo's shape has changed then. Raise ValueError if the carrier has no local maximum.
     """
     maxima = np.flatnonzero((carrier[1:-1] > carrier[:-2]) & (carrier[1:-1] >= carrier[2:])) + 1
     k = int(np.argmin(np.abs(maxima - coarse)))
@@ -105,11 +109,10 @@ def correlation_coefficient(segment: FloatArray, template: FloatArray) -> float:
 
 
 def compute_cramer_rao_sd_s(volts: FloatArray, echo_v: FloatArray, rate_hz: float) -> float:
-    """Return the lowest possible SD of an echo's time in white noise (Cramer-Rao), in s.
+    """Return the lowest possible SD of an echo's arrival time in white noise (Cramer-Rao bound), in s.
 
-    Noise over the root of the slope's energy.
-
-    The noise is read from the differences between samples, which hold little of an echo.
+    It is the noise SD over the root of the energy of the echo's slope. The noise is estimated from the median
+    absolute deviation of differences between samples, which hold little of an echo.
     """
     differences = np.diff(volts)
     noise_v = MAD_TO_SD * float(np.median(np.abs(differences - np.median(differences)))) / math.sqrt(2.0)
@@ -118,7 +121,7 @@ def compute_cramer_rao_sd_s(volts: FloatArray, echo_v: FloatArray, rate_hz: floa
 
 
 def centre_of_gravity_hz(values: FloatArray, rate_hz: float) -> float:
-    """Return the centre of gravity of a signal's power spectrum, in Hz."""
+    """Return the centre of gravity of a signal's power spectrum, in Hz; NaN for an all-zero signal."""
     power = np.abs(fft(values, 8 * values.size)[: 4 * values.size]) ** 2
     frequency_hz = np.arange(power.size) * rate_hz / (8 * values.size)
     return float(power @ frequency_hz / power.sum())

@@ -45,6 +45,8 @@ def read_echo(
 ) -> EchoReading:
     """Measure travel time and wall thickness in one pulse-echo record (paper, eq. 17).
 
+    A value that is not finite becomes None.
+
     Raises
     ------
     AnalysisError
@@ -69,5 +71,5 @@ def read_echo(
 
 
 def _finite_or_none(value: float) -> float | None:
-    """Return the value, or None if it is not finite."""
+    """Return a value unchanged if it is finite, otherwise None."""
     return value if math.isfinite(value) else None

@@ -228,6 +228,8 @@ def substitute_reference(
 ) -> EchoReference:
     """Make a reference from the echo of a later record when the reference record is lost.
 
+    Its travel times continue those of the lost reference.
+
     Parameters
     ----------
     later
@@ -245,13 +247,14 @@ def substitute_reference(
 
 
 def travel_time(waveform: Waveform, reference: EchoReference) -> TravelTime:
-    """Return the travel time of the first back-wall echo, by correlation with the reference echo.
+    """Measure the travel time of the first back-wall echo, by correlation with the reference echo.
 
-    The complex correlation with the reference's analytic signal gives envelope and carrier in one. The
-    first envelope maximum in the gate above half of the gate's largest is the first echo; the carrier
-    maximum nearest to it, refined by a parabola, is the travel time. Where a neighbouring carrier maximum is
-    higher, or the nearest one lies more than a quarter period from the envelope's, a slip by one period is
-    possible and the result is suspect.
+    The complex correlation with the reference's analytic signal gives envelope and carrier in one. The first
+    envelope maximum in the gate above half of the gate's largest is the first echo; the carrier maximum
+    nearest to it, refined by a parabola, is the travel time. Where a neighbouring carrier maximum is higher,
+    or the nearest one is more than a quarter period from the envelope's, a slip by one period is possible and
+    the result is suspect. Without an echo in the gate or with a correlation below 0.6, the quality is bad and
+    the time NaN.
 
     Raises
     ------
@@ -314,8 +317,8 @@ def compute_thickness(
 ) -> Thickness:
     """Return the remaining thickness: th_0 - (UT_0 - UT) / (UT_0 - D) th_0 (paper, eq. 17).
 
-    Equation 17 takes the sound's way for straight. Between the two elements of a probe it is a V of length
-    sqrt(4 th^2 + s^2), and a thinned wall is read too thick; with their distance s given, that is taken off.
+    Equation 17 assumes a straight sound path. Between the two elements of a probe it is a V of length sqrt(4
+    th^2 + s^2), and a thinned wall is read too thick; with their distance s given, that is corrected.
 
     Parameters
     ----------
@@ -360,11 +363,12 @@ def thickness_interval(
     initial_thickness_m: float,
     element_separation_m: float = 0.0,
 ) -> ThicknessInterval:
-    """Return the interval around the thickness of one record, for its noise and the far wall's roughness.
+    """Return the 95 % interval of the thickness of one record, for its noise and the far wall's roughness.
 
     Wave speed, delay and initial thickness are taken as exact, and so is the separation: what they are wrong
     by comes on top. The amplitude is compared with the reference's without regard to attenuation, which in a
     thinner wall is smaller and hides a roughness of a few hundredths of a millimetre.
+    All values are NaN if there is no travel time.
     """
     wall = compute_thickness(
         found.travel_time_s,
@@ -399,7 +403,7 @@ def _check_reference(
     thinnest_fraction: float,
     thickest_fraction: float,
 ) -> None:
-    """Check the parameters of a reference echo; raise an error for one that is not physical."""
+    """Raise InvalidInputError for a parameter of a reference echo that is not physical, or not finite."""
     if not delay_s >= 0.0:
         raise InvalidInputError(f"delay_s is {delay_s} s; it must not be negative")
     for name, value in (
@@ -417,13 +421,16 @@ def _check_reference(
 
 
 def _remove_median(waveform: Waveform) -> FloatArray:
-    """Return the record in volts minus its median."""
+    """Return the record in volts minus its median, shape (n_samples,)."""
     volts = waveform.volts()
     return np.asarray(volts - np.median(volts), dtype=np.float64)
 
 
 def _assess_reading_quality(coefficient: float, slipped: bool) -> tuple[Quality, str]:
-    """Rate a reading good, suspect or bad by its correlation; return the reasons too."""
+    """Rate a reading good, suspect or bad by its correlation; return the quality and the reasons (English).
+
+    The reasons are empty for a good one.
+    """
     if not coefficient >= SUSPECT_CORRELATION:
         return "bad", f"correlation {coefficient:.2f} below {SUSPECT_CORRELATION}"
     reasons = []

@@ -77,14 +77,14 @@ class SpikeSurvey:
         What rings.
     wave_v, wave_after_s
         Height of the incident wave, and the time of its front's beginning from the coil's switching off; None
-        where no wave stands out.
+        where no wave is above the limit.
     latest_holdoff_s
         Fall less the pre-trigger: of the nominal height, or as measured where that was shorter.
     holdoff_s, trigger_level_v
         Proposals; None where there is none to make.
     obstacle
         Why no holdoff is proposed: the ``noise`` alone passes the trigger level, the ``ringing`` leaves no
-        room for one, or ``no_wave`` stands out; empty where one is.
+        room for one, or there is ``no_wave``; empty where one is proposed.
     """
 
     noise_rms_v: float
@@ -100,7 +100,7 @@ class SpikeSurvey:
 
     @property
     def takes_the_trigger(self) -> bool:
-        """Return whether the spike of either edge of the pulse would trigger an armed record."""
+        """Return whether the spike at either edge of the coil's pulse would trigger an armed record."""
         return self.on.triggers or self.off.triggers
 
 
@@ -115,6 +115,8 @@ def survey_spike(
     rising: bool = True,
 ) -> SpikeSurvey:
     """Assess the coil spike of one strike: height, ringing, and whether it would trigger a record.
+
+    A holdoff is proposed only if it has room and a wave is seen; else ``obstacle`` states why not.
 
     Parameters
     ----------
@@ -182,7 +184,7 @@ def survey_spike(
 
 
 def _find_wave_front(volts: FloatArray, earliest: int, rate_hz: float) -> tuple[int, float]:
-    """Find the start of the incident wave's front, and its height above the level before it."""
+    """Find the sample where the incident wave's front starts, and the wave's height in V above that level."""
     block = max(1, round(WAVE_BLOCK_S * rate_hz))
     n_blocks = (volts.size - earliest) // block
     means = volts[earliest : earliest + n_blocks * block].reshape(n_blocks, block).mean(axis=1)
@@ -197,7 +199,7 @@ def _find_wave_front(volts: FloatArray, earliest: int, rate_hz: float) -> tuple[
 def _measure_edge(
     volts: FloatArray, rate_hz: float, seen_v: float, limit_v: float, trigger_v: float
 ) -> EdgeSpike:
-    """Measure the coil's voltage after an edge, which is at the first sample."""
+    """Measure the coil's voltage after an edge at the first sample; zeros if it stays below ``seen_v``."""
     departed = np.abs(volts)
     if departed.max() < seen_v:
         return EdgeSpike()
@@ -215,7 +217,7 @@ def _measure_edge(
 
 
 def _apply_sign(edge: EdgeSpike, sign: float) -> EdgeSpike:
-    """Apply the trigger's sign to the heights of an edge's spike."""
+    """Return an edge's spike with both its heights multiplied by the trigger's sign, 1 or -1."""
     return replace(edge, height_v=sign * edge.height_v, flyback_v=sign * edge.flyback_v)
 
 

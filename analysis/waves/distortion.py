@@ -38,16 +38,17 @@ ROWS_AT_ONCE = 64
 
 
 def is_one_wall(tofs_s: FloatArray) -> bool:
-    """Check whether eight of ten shots arrive within `ONE_WALL_S`, so that they show the same wall."""
+    """Check whether the middle eight of ten times of flight agree within 30 us, as for one wall."""
     ordered, tenth = np.sort(tofs_s), tofs_s.size // 10
     return bool(ordered[-1 - tenth] - ordered[tenth] <= ONE_WALL_S)
 
 
 def find_flattened(outlines: Sequence[Outline], tofs_s: FloatArray) -> NDArray[np.bool_]:
-    """Find shots with a flattened top: an amplifier near its limit. Boolean, shape (n,).
+    """Find shots with a flattened top: an amplifier near its limit. Boolean, shape (n_shots,).
 
     A hard limit lowers the middle of the ISW's top; a soft one, v - c v^3, more of the ISW than of the PSW,
     which is sought where all shots are of one wall. Height, arrival and width are each shot's own.
+    None is found among fewer than seven shots.
     """
     table, sd = _tabulate_outlines(outlines)
     found = np.zeros(len(table), dtype=bool)
@@ -79,7 +80,7 @@ def _median_wave(points: FloatArray) -> FloatArray:
 
 
 def _compute_slope(wave: FloatArray) -> FloatArray:
-    """Compute the central differences of a wave, shape (n,), n >= 2.
+    """Compute the central differences of a wave per sample, shape (n,), n >= 2; one-sided at the ends.
 
     Same values as `numpy.gradient`, without its checks.
     """
@@ -90,7 +91,7 @@ def _compute_slope(wave: FloatArray) -> FloatArray:
 
 
 def _variation_columns(waves: Sequence[tuple[int, int, FloatArray]]) -> FloatArray:
-    """Build columns of a sound shot's normal variation: arrival of each wave, width of all."""
+    """Build columns, shape (n, n_waves + 1), of a sound shot's variation: arrival of each wave, width."""
     n = sum(wave.size for _, _, wave in waves)
     columns = np.zeros((n, len(waves) + 1))
     for k, (begin, first, wave) in enumerate(waves):
@@ -101,7 +102,7 @@ def _variation_columns(waves: Sequence[tuple[int, int, FloatArray]]) -> FloatArr
 
 
 def _fit_columns(columns: FloatArray, values: FloatArray) -> FloatArray:
-    """Fit least-squares weights of a few columns, shape (m, k), to values of shape (m,) or (m, n)."""
+    """Fit least-squares weights, shape (k,) or (k, n), of columns, (m, k), to values, (m,) or (m, n)."""
     gram = columns.T @ columns
     gram.flat[:: len(gram) + 1] += GRAIN * gram.trace()
     return np.asarray(np.linalg.solve(gram, columns.T @ values))
@@ -115,7 +116,7 @@ def _find_lowered_points(
     sd: FloatArray,
     least: float,
 ) -> NDArray[np.bool_]:
-    """Find the points that a pattern lowers by more than their scatter explains; Boolean, shape (n,)."""
+    """Find shots that a pattern lowers by more than their scatter explains; Boolean, shape (n_shots,)."""
     if not (np.isfinite(middle).all() and pattern.any()):
         return np.zeros(len(points), dtype=bool)
     variation = np.column_stack([middle, variation])
@@ -130,10 +131,11 @@ def _find_lowered_points(
 
 
 def find_lost_samples(outlines: Sequence[Outline], tofs_s: FloatArray) -> NDArray[np.bool_]:
-    """Find shots that lost samples after the top of the reflected wave; Boolean, shape (n,).
+    """Find shots that lost samples after the top of the reflected wave; Boolean, shape (n_shots,).
 
     What follows came earlier than in the middle of all shots by one length, at once: that must explain most
     of the difference from it. Only shots of one wall are compared.
+    None is found among fewer than seven shots.
     """
     n = len(outlines)
     found = np.zeros(n, dtype=bool)
@@ -158,7 +160,7 @@ def find_lost_samples(outlines: Sequence[Outline], tofs_s: FloatArray) -> NDArra
 def _search_cut(
     left: FloatArray, middle: FloatArray, noise2: FloatArray, scatter2: float
 ) -> NDArray[np.bool_]:
-    """Search for lost samples: a cut of each length after each point of an outline.
+    """Find shots that a cut of one length after one point explains; Boolean, shape (n_shots,).
 
     Arrays below have the shape (shots, lengths, points).
     """

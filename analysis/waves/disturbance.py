@@ -68,9 +68,10 @@ CLOSEST_ALIKE_S, STRAIGHT_CODES = 5e-6, 1.5
 
 
 def is_flat_topped(record: ReducedRecord, time_s: float, fwhm_s: float, noise_v: float) -> bool:
-    """Check whether a pulse's top is too flat for a wave: an amplifier was at its end.
+    """Check whether a pulse's top is too flat for a wave, as from a saturated amplifier.
 
     `noise_v`, here and below, is the standard deviation of a block mean.
+    Return False if the width is unknown or the record does not reach around the top.
     """
     if not math.isfinite(fwhm_s):
         return False
@@ -88,7 +89,10 @@ def is_flat_topped(record: ReducedRecord, time_s: float, fwhm_s: float, noise_v:
 
 
 def is_cut(record: ReducedRecord, time_s: float, fwhm_s: float, rate_hz: float) -> bool:
-    """Check whether a pulse stays at one maximum value: the signal exceeded the converter's range."""
+    """Check whether a pulse stays at one maximum value: the signal exceeded the converter's range.
+
+    At least 16 samples must be at it, over more of the width than a wave's top explains.
+    """
     centre = round(record.index(time_s) * record.block_samples)
     half = round(0.5 * fwhm_s * rate_hz) if math.isfinite(fwhm_s) else 0
     top = record.samples_v[max(0, centre - half) : centre + half]
@@ -108,19 +112,24 @@ def is_cut(record: ReducedRecord, time_s: float, fwhm_s: float, rate_hz: float) 
 def deepest_pull(
     record: ReducedRecord, isw_v: float, psw_time_s: float | None, noise_v: float
 ) -> tuple[float, bool]:
-    """Measure how far the record falls below its quiet level, and whether no push explains it.
+    """Measure how far the record falls below its quiet level, and whether more than a strike explains.
 
-    It is looked at up to `LOOKED_AFTER_PSW_S`, less strictly in the PSW's wake; the drift is a straight line.
+    The search ends `LOOKED_AFTER_PSW_S` after the PSW and is less strict in its wake; the drift is a straight
+    line.
 
     Parameters
     ----------
+    isw_v
+        Amplitude of the ISW in V.
     psw_time_s
-        None: there is none.
+        Time of the PSW from the trigger; None: there is none.
+    noise_v
+        Standard deviation of a block mean in V.
 
     Returns
     -------
     tuple
-        Of the ISW's amplitude; 0 where only a spike falls.
+        Depth over the ISW's amplitude (0 where only a spike falls), and True where the depth is too large.
     """
     last = record.blocks_v.size
     if psw_time_s is not None:
@@ -144,7 +153,7 @@ def deepest_pull(
 
 
 def has_edge(record: ReducedRecord, isw_v: float, isw_fwhm_s: float, noise_v: float) -> bool:
-    """Check for a jump in the record: samples are lost in a flank, or an electrical pulse starts."""
+    """Check for a jump in the record: samples lost in a flank, or the start of an electrical pulse."""
     width = max(1, round(EDGE_S / record.step_s))
     per_block = EDGE_PER_WIDTH * record.step_s / isw_fwhm_s * isw_v
     noise = math.sqrt(2.0) * noise_v
@@ -167,8 +176,8 @@ def has_drift(
 ) -> bool:
     """Check for hum or drift: the quiet part before the ISW, or the record's end, is off its level.
 
-    The stretch's 10-us means range over more, or the end lies farther off, than the stated fraction of the
-    ISW and six standard deviations of noise.
+    The stretch's 10-us means range over more, or the end is farther off, than the stated fraction of the ISW
+    and six standard deviations of noise.
     """
     width = max(1, round(10e-6 / record.step_s))
     # Some pulses have long feet (sech^2: 3 % of its height a width before its middle's flank).
@@ -181,7 +190,7 @@ def has_drift(
 
 
 def _end_level(record: ReducedRecord, psw: Pulse | None) -> float:
-    """Return the offset of the record's end from the quiet level in V, by a line through short means.
+    """Return the offset of the record's end from the quiet level in V; 0 if the end is on it or too short.
 
     A third wave that passes there leaves some of them on the level.
     """
@@ -206,7 +215,7 @@ def _end_level(record: ReducedRecord, psw: Pulse | None) -> float:
 
 
 def find_noise_free_flags(records: Sequence[ReducedRecord], rate_hz: float) -> list[set[str]]:
-    """Find stretches without noise; return the flags of lost samples, a plateau or a line per record.
+    """Find stretches without noise in records of one kind; return the flags of each record, empty for none.
 
     Lost samples were replaced by zeros, by the last one, or by a line between their neighbours.
     """
@@ -228,7 +237,7 @@ def find_noise_free_flags(records: Sequence[ReducedRecord], rate_hz: float) -> l
 
 
 def _stretches_without_noise(record: ReducedRecord, rate_hz: float) -> set[str]:
-    """Return the flags of stretches in one record whose samples follow one another without noise."""
+    """Return the flags of stretches in one record whose samples are equal or on a line, without noise."""
     steps = np.diff(record.samples_v)
     shortest = max(FEWEST_ALIKE, SHORTEST_ALIKE_S * rate_hz)
     found = _find_constant_stretches(record, steps, shortest)
@@ -241,7 +250,7 @@ def _stretches_without_noise(record: ReducedRecord, rate_hz: float) -> set[str]:
 
 
 def _find_constant_stretches(record: ReducedRecord, steps: FloatArray, shortest: float) -> set[str]:
-    """Return the flags of stretches of equal samples that are too long for the record's noise."""
+    """Return the flags (lost samples, clipped) of stretches of equal samples too long for the noise."""
     samples = record.samples_v
     lowest, highest = float(samples.min()), float(samples.max())
     edges = np.flatnonzero(np.concatenate([[True], steps != 0.0, [True]]))
@@ -261,5 +270,5 @@ def _find_constant_stretches(record: ReducedRecord, steps: FloatArray, shortest:
 
 
 def _smallest_step(steps: FloatArray) -> float:
-    """Return the smallest step that is not zero; infinite if there is none."""
+    """Return the magnitude of the smallest step in V that is not zero; infinite if all are zero."""
     return float(np.abs(steps[steps != 0.0]).min(initial=math.inf))

@@ -153,12 +153,15 @@ class ShotFeatures:
 
 
 def apply_flags(shot: ShotFeatures, found: Collection[str]) -> ShotFeatures:
-    """Return the shot with other flags, and with the validity and quality that follow from them."""
+    """Return the shot with ``found`` as its flags, in the order of `FLAGS`, and the quality that follows.
+
+    An unknown flag is dropped.
+    """
     return replace(shot, **_grade_flags(found))
 
 
 def _grade_flags(found: Collection[str]) -> dict[str, Any]:
-    """Derive ordered flags, validity and quality of a shot from the flags found."""
+    """Derive ordered flags, validity and quality of a shot from the flags found, as `ShotFeatures` fields."""
     flags = tuple(flag for flag in FLAGS if flag in found)
     valid = INVALIDATING_FLAGS.isdisjoint(flags)
     return {
@@ -194,7 +197,7 @@ class SetFeatures:
     reason: str
 
     def vector(self) -> FloatArray:
-        """Return the set's mean of the five features of the Mahalanobis vector, shape (5,)."""
+        """Return the set's means of the five Mahalanobis features, shape (5,); NaN where one is missing."""
         return np.array([self.mean[name] for name in FEATURE_NAMES])
 
 
@@ -222,6 +225,7 @@ def extract_all(
 
     One step after the other for all of them costs less than one shot after the other: a processor that
     repeats itself has at hand what it needs.
+    The result has the order of the waveforms, which may differ in rate and length.
 
     Raises
     ------
@@ -282,7 +286,12 @@ def extract_from_volts(
     Parameters
     ----------
     with_sd
-        Also tell the standard deviation of each (`analysis.waves.uncertainty`).
+        Also compute the standard deviation of each feature (`analysis.waves.uncertainty`).
+
+    Raises
+    ------
+    RecordError
+        A voltage is not finite, the shape is another one, or as for `extract_features`.
     """
     samples = np.asarray(volts_v, dtype=np.float64)
     if samples.ndim != 1 or not np.isfinite(samples.sum()):
@@ -294,7 +303,7 @@ def extract_from_volts(
 def _extract_records(
     given: Sequence[VoltRecord], settings: ExtractionSettings, *, with_sd: bool = False
 ) -> list[ShotFeatures]:
-    """Extract the features of records in their order; records of one kind are processed together."""
+    """Extract the features of records, in their order; at most 32 of one kind are processed together."""
     kinds: dict[tuple[int, float, int], list[int]] = {}
     for number, one in enumerate(given):
         kinds.setdefault(one.kind, []).append(number)
@@ -310,7 +319,10 @@ def _extract_records(
 def _extract_alike(
     given: Sequence[VoltRecord], settings: ExtractionSettings, *, with_sd: bool
 ) -> list[ShotFeatures]:
-    """Extract the features of records of one length, rate and pre-trigger (`VoltRecord.kind`)."""
+    """Extract the features of records of one length, rate and pre-trigger (`VoltRecord.kind`).
+
+    A record with a false trigger or lost samples has no feature but its noise.
+    """
     records = reduce_records(given, settings)
     pulses = [find_pulses(record, settings) for record in records]
     rate_hz = given[0].sample_rate_hz
@@ -360,7 +372,10 @@ def _find_flags(
     still: set[str],
     at_trigger: tuple[bool, bool],
 ) -> tuple[set[str], float]:
-    """Return a shot's flags, without that of its counts, and `ShotFeatures.pull_fraction`."""
+    """Return a shot's flags, except those of the ADC's range, and its `ShotFeatures.pull_fraction`.
+
+    Lost samples, a jump at the trigger, an inverted wave or a missing incident wave exclude all other flags.
+    """
     if "lost_samples" in still:
         return still, math.nan
     spiked, stirred = at_trigger
@@ -396,9 +411,9 @@ def _find_flags(
 def _has_moved(
     record: ReducedRecord, pulses: Pulses, isw: Pulse, settings: ExtractionSettings, noise_v: float
 ) -> tuple[set[str], float]:
-    """Return the flags of disturbances that exceed the noise, and the depth of the deepest pull.
+    """Return the flags of disturbances that exceed the noise, and the deepest pull over the ISW's amplitude.
 
-    ``noise_v`` is the standard deviation of a block mean.
+    ``noise_v`` is the standard deviation of a block mean in V.
     """
     psw_time_s = None if pulses.psw is None else pulses.psw.time_s
     pull, pulled = deepest_pull(record, isw.amplitude_v, psw_time_s, noise_v)
@@ -411,7 +426,7 @@ def _has_moved(
 
 
 def _check_trigger_jumps(records: Sequence[ReducedRecord]) -> list[tuple[bool, bool]]:
-    """Check whether each record jumps at its trigger, and whether it moves there at all.
+    """Return two Booleans per record: it jumps at its trigger; it moves there by more than noise.
 
     A wave needs 20 us to half its height: within `JUMP_S` before and after the trigger it rises by less than
     a quarter of what it reaches in `FRONT_S`. A coil's spike is at its height at once, and nothing in the
@@ -441,7 +456,7 @@ def _check_trigger_jumps(records: Sequence[ReducedRecord]) -> list[tuple[bool, b
 def _compute_features(
     record: ReducedRecord, pulses: Pulses, settings: ExtractionSettings
 ) -> dict[str, float]:
-    """Compute every feature that the pulses of a record allow, by name."""
+    """Compute every feature that the pulses of a record allow, by name; empty without an incident wave."""
     isw, psw, ssw = pulses.isw, pulses.psw, pulses.ssw
     values: dict[str, float] = {}
     if isw is None:
@@ -485,7 +500,7 @@ def _integrate_area(record: ReducedRecord, centre_s: float, half_width_s: float)
 def _compute_autocorrelation_features(
     record: ReducedRecord, isw: Pulse, psw: Pulse, settings: ExtractionSettings
 ) -> dict[str, float]:
-    """Compute time of flight and coefficient by autocorrelation; empty if no PSW is prominent.
+    """Compute time of flight in s and coefficient by autocorrelation, by name; empty without a maximum.
 
     The gate's edges fall on blocks. R(k) is summed over every block of the moving mean instead of every
     sample: the mean leaves nothing for the missing samples to add. The few lags wanted cost less one by one
@@ -520,10 +535,11 @@ def _compute_autocorrelation_features(
 
 
 def average_features(shots: Sequence[ShotFeatures], minimum_valid: int = MINIMUM_VALID_SHOTS) -> SetFeatures:
-    """Average the valid shots' features, without far outliers of each; return mean and SD.
+    """Average the features of a set's valid shots, without far outliers of each feature.
 
     A value is left out beyond `FAR_APART` of 1.4826 x the median distance from the median, as long as
     `FEWEST_FOR_FAR` shots are valid: the mean of all is the better one but for rogue shots.
+    A NaN is left out of its feature's mean. Raise InvalidInputError for ``minimum_valid`` below 1.
 
     Parameters
     ----------
@@ -571,7 +587,7 @@ def average_features(shots: Sequence[ShotFeatures], minimum_valid: int = MINIMUM
 
 
 def _remove_outliers(table: FloatArray) -> FloatArray:
-    """Replace values far from their column's median, in units of its MAD, by NaN."""
+    """Replace values more than 10 scaled MADs from their column's median by NaN; same shape."""
     known = np.where(np.isnan(table).any(axis=0), 0.0, table)  # a feature that some shots lack is left alone
     distance = np.abs(known - column_medians(known))
     middle = column_medians(distance)
@@ -580,7 +596,7 @@ def _remove_outliers(table: FloatArray) -> FloatArray:
 
 
 def _column_statistics(table: FloatArray) -> tuple[list[float], list[float]]:
-    """Return mean and standard deviation (n - 1) of each column's numbers, NaN where there are too few."""
+    """Return mean and SD (n - 1) of each column's numbers; NaN where there are too few (none, one)."""
     present = ~np.isnan(table)
     n = present.sum(axis=0)
     filled = np.where(present, table, 0.0)

@@ -66,7 +66,7 @@ class Proposal:
     Attributes
     ----------
     trigger_level_v, holdoff_s
-        None where there is none to make; `troubles` says why.
+        None where there is none to make; `troubles` has the reason.
     ringing_s
         Longest of all transducers, rounded up to 0.1 ms.
     range_v
@@ -76,9 +76,9 @@ class Proposal:
     again
         Positions whose record is clipped where the wave is: take their new range, then strike again.
     troubles
-        What stands against the proposal, by position: the ``noise`` leaves no room for a level, the
-        ``ringing`` none for a holdoff, there is ``no_wave``, it goes down (``inverted``, which the quality
-        gate refuses), its height fits no ``level`` of all, or no ``range`` of the board holds it.
+        What prevents the proposal, by position: the ``noise`` leaves no room for a level, the ``ringing``
+        none for a holdoff, there is ``no_wave``, it goes down (``inverted``, which the quality gate refuses),
+        its height fits no ``level`` of all, or no ``range`` of the board holds it.
     """
 
     rising: bool
@@ -93,7 +93,7 @@ class Proposal:
 
 
 def propose_settings(struck: Mapping[str, StruckTransducer], *, pulse_s: float, fall_s: float) -> Proposal:
-    """Propose acquisition settings from one strike of each transducer, at least one.
+    """Propose settings from one strike of each transducer, at least one; obstacles are `troubles`.
 
     Parameters
     ----------
@@ -114,7 +114,7 @@ def propose_settings(struck: Mapping[str, StruckTransducer], *, pulse_s: float, 
     sign = -1.0 if len(falling) == len(struck) else 1.0
 
     def surveys(pretrigger_s: float, above_v: Mapping[str, float]) -> dict[str, SpikeSurvey]:
-        """Survey the coil spike of every transducer, by name."""
+        """Survey the coil spike of every transducer at a level ``above_v`` its quiet level, by name."""
         return {
             name: survey_spike(
                 one.strike,
@@ -177,12 +177,14 @@ def propose_settings(struck: Mapping[str, StruckTransducer], *, pulse_s: float, 
 def cut_triggered_record(
     strike: Waveform, *, after_s: float, level_v: float, rising: bool, pretrigger_samples: int, samples: int
 ) -> Waveform | None:
-    """Cut the record that the trigger would start out of a strike; None if it is not reached in time.
+    """Cut the record that the trigger would start out of a strike; None if the level is not crossed in time.
+
+    Return None, too, if the record does not fit into the strike's.
 
     Parameters
     ----------
     after_s
-        From the record's beginning until the trigger listens.
+        Time from the start of the strike's record until the trigger is armed.
     """
     sign = 1.0 if rising else -1.0
     first = round(after_s * strike.sample_rate_hz)
@@ -199,14 +201,14 @@ def cut_triggered_record(
 
 
 def _block_means(volts: FloatArray, rate_hz: float) -> tuple[FloatArray, int]:
-    """Average volts in blocks that hide electrical spikes; return means and samples per block."""
+    """Average volts in blocks of 10 us that hide electrical spikes; return means and samples per block."""
     block = max(1, round(WAVE_BLOCK_S * rate_hz))
     n_blocks = volts.size // block
     return volts[: n_blocks * block].reshape(n_blocks, block).mean(axis=1), block
 
 
 def _find_crest(one: StruckTransducer, earliest_s: float) -> float:
-    """Return the largest deviation in V, with its sign, where a wave can be."""
+    """Return the largest deviation from the quiet level in V, with its sign, from ``earliest_s`` on."""
     rate_hz = one.strike.sample_rate_hz
     means, _ = _block_means(one.strike.volts()[round(earliest_s * rate_hz) :], rate_hz)
     departures = means - median(one.noise.volts())
@@ -216,7 +218,7 @@ def _find_crest(one: StruckTransducer, earliest_s: float) -> float:
 def _choose_trigger_level(
     waves_v: Mapping[str, float], noises_v: Mapping[str, float], offset_v: float, sign: float
 ) -> float | None:
-    """Choose one trigger level in V for all transducers; None if no level fits.
+    """Choose one trigger level in V, two digits, for all transducers; None without a wave or a level.
 
     It depends on the smallest wave and the largest noise.
     """
@@ -228,7 +230,7 @@ def _choose_trigger_level(
 
 
 def _rise_s(one: StruckTransducer, earliest_s: float, above_v: float, noise_v: float, sign: float) -> float:
-    """Return the time in s from the wave's first deviation until it reaches the level."""
+    """Return the time in s from the last quiet block before the wave until it reaches the level."""
     rate_hz = one.strike.sample_rate_hz
     volts = sign * (one.strike.volts()[round(earliest_s * rate_hz) :] - median(one.noise.volts()))
     means, block = _block_means(volts, rate_hz)
@@ -238,7 +240,7 @@ def _rise_s(one: StruckTransducer, earliest_s: float, above_v: float, noise_v: f
 
 
 def _choose_holdoff(surveys: Mapping[str, SpikeSurvey], fall_s: float) -> tuple[float | None, float, str]:
-    """Choose one holdoff for all transducers; None if the coil rings for too long.
+    """Choose one holdoff in s for all transducers; None if the coil rings for too long.
 
     Return also the ringing time in s, and the transducer whose coil rings longest.
     """
@@ -251,9 +253,9 @@ def _choose_holdoff(surveys: Mapping[str, SpikeSurvey], fall_s: float) -> tuple[
 
 
 def _choose_range(one: StruckTransducer, listens_s: float) -> tuple[float, bool, bool]:
-    """Choose the smallest input range in V with headroom.
+    """Choose the smallest input range in V with headroom for the samples from ``listens_s`` on.
 
-    Return also whether the record was clipped, and whether any range fits.
+    Return the largest range if none fits, then whether these samples were clipped, and whether a range fits.
     """
     first = round(listens_s * one.strike.sample_rate_hz)
     part = replace(one.strike, counts=one.strike.counts[first:])

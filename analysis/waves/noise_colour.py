@@ -69,7 +69,9 @@ class NoiseColour:
 
 
 def noise_colour(record: ReducedRecord, isw_time_s: float, isw_fwhm_s: float) -> NoiseColour:
-    """Estimate the colour of a record's noise from the quiet part before the incident wave.
+    """Estimate the noise variances of a record from the quiet part before the incident wave.
+
+    With fewer than seven quiet blocks, white noise is assumed.
 
     Parameters
     ----------
@@ -106,9 +108,10 @@ def noise_colour(record: ReducedRecord, isw_time_s: float, isw_fwhm_s: float) ->
 
 
 def strongest_block_noise_v(record: ReducedRecord, isw_time_s: float, isw_fwhm_s: float) -> float:
-    """Return the standard deviation of a block mean in white noise as strong as this is at its maximum.
+    """Return the SD in V of a block mean of white noise as strong as the record's between 20 and 100 kHz.
 
-    Of what stands in a few coefficients only, as a knock, a median sees nothing.
+    Return the record's own block noise where that is not significantly exceeded. The median over the band
+    ignores what is in a few coefficients only, such as a knock.
     """
     power2 = record.block_noise_v**2
     n = _count_quiet_blocks(record, isw_time_s, isw_fwhm_s)
@@ -137,7 +140,7 @@ def _noise_colour_of_variances(
     memory: float,
     of_differences: float,
 ) -> NoiseColour:
-    """Derive the noise colour of a record from its variances at several time scales."""
+    """Build the `NoiseColour` of a record from its variances in V^2 at several time scales."""
     block2, _, flank2, slow2 = bands
     return NoiseColour(
         sample2=sample2,
@@ -151,7 +154,7 @@ def _noise_colour_of_variances(
 
 
 def _median_variance(n: int, level: FloatArray, block2: float, slow2: float) -> float:
-    """Return the variance of the median of n blocks on a level that rises to the wave's foot.
+    """Return the variance in V^2 of the median of n blocks on a level that rises to the wave's foot.
 
     pi s^2 / (2 n + 1.1) for white noise, n the blocks whose level is so near that noise decides their side
     (s^2 for n = 1, .45 for 3); correlated noise, sum of arcsin(rho), adds nearly what it adds to a mean.
@@ -183,7 +186,7 @@ def _quiet_basis(n: int, fwhm_blocks: int) -> FloatArray:
 
 
 def _summed_autocorrelation(x: FloatArray, lags: int) -> float:
-    """Sum the squared autocorrelations over all lags, without those that chance explains."""
+    """Return the sum of the squared autocorrelations over all lags, negative ones too; 1 for white noise."""
     begin = x[: x.size - lags]
     energy = float(begin @ begin)
     if energy == 0.0:

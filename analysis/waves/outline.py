@@ -65,7 +65,10 @@ class Outline:
 
 
 def sample_outline(record: ReducedRecord, isw: Pulse, psw: Pulse) -> Outline:
-    """Sample a record around ISW and PSW at fixed points, in units of the ISW's height."""
+    """Sample a record around ISW and PSW at fixed points, in units of the ISW's height.
+
+    Points that the record does not reach are NaN.
+    """
     stride, points = max(1, round(STEP_S / record.step_s)), np.full(N_POINTS, math.nan)
     _fill_points(record, isw, FROM_ISW, stride, points[:N_ISW])
     _fill_points(record, psw, FROM_PSW, stride, points[N_ISW:])
@@ -75,7 +78,7 @@ def sample_outline(record: ReducedRecord, isw: Pulse, psw: Pulse) -> Outline:
 
 
 def _fill_points(record: ReducedRecord, pulse: Pulse, first: int, stride: int, points: FloatArray) -> None:
-    """Fill in the samples around a pulse, from ``first`` on, as far as the record reaches."""
+    """Fill ``points`` in place with the samples around a pulse; NaN stays where the record does not reach."""
     at = record.index(pulse.matched_time_s)
     begin = math.floor(at) + first * stride
     if begin < 0:
@@ -87,7 +90,7 @@ def _fill_points(record: ReducedRecord, pulse: Pulse, first: int, stride: int, p
 
 
 def find_unlike_others(outlines: Sequence[Outline], tofs_s: FloatArray) -> NDArray[np.bool_]:
-    """Find shots that no others resemble, or that arrived earlier than all similar ones, shape (n,).
+    """Find shots that no others resemble, or that arrived earlier than all similar ones; mask, shape (n,).
 
     Parameters
     ----------
@@ -118,9 +121,9 @@ def find_unlike_others(outlines: Sequence[Outline], tofs_s: FloatArray) -> NDArr
 
 
 def _distances_between_rows(table: FloatArray, start: int, others: NDArray[np.intp]) -> FloatArray:
-    """Compute the RMS difference of rows from each of the others, shape (n_parts, n_rows, n_others).
+    """Compute RMS differences of 64 rows from each of the others, shape (n_parts, n_rows, n_others).
 
-    It is inf to itself, and where one of both does not hold the part.
+    The rows begin at ``start``. A distance is inf to the shot itself, and where one of both lacks the part.
     """
     rows = table[start : start + ROWS_AT_ONCE]
     differences = rows[:, None] - table[others]
@@ -132,7 +135,11 @@ def _distances_between_rows(table: FloatArray, start: int, others: NDArray[np.in
 
 
 def _is_confirmed_by_others(tofs_s: FloatArray, others: NDArray[np.intp]) -> NDArray[np.bool_]:
-    """Check whether other shots show the same wall; corrosion changes the part after the incident wave."""
+    """Return a mask, shape (n,), of the shots whose wall at least seven shots show, by time of flight.
+
+    All are, if the middle eight of ten times of flight agree within 30 us. Corrosion changes the record after
+    the incident wave, so only shots of the same wall are comparable there.
+    """
     ordered = np.sort(tofs_s)
     if ordered[-1 - tofs_s.size // 10] - ordered[tofs_s.size // 10] <= ONE_WALL_S:
         return np.ones(tofs_s.size, dtype=bool)
@@ -144,7 +151,10 @@ def _is_confirmed_by_others(tofs_s: FloatArray, others: NDArray[np.intp]) -> NDA
 def _find_early(
     candidates: NDArray[np.intp], similar: NDArray[np.bool_], tofs_s: FloatArray, others: NDArray[np.intp]
 ) -> list[int]:
-    """Find shots whose reflected wave came earlier than those of similar shots."""
+    """Find the indices of shots whose reflected wave came earlier than those of similar shots.
+
+    Return an empty list if they are more than a third of all shots: another wall.
+    """
     early = []
     for index in candidates.tolist():
         like_s = np.sort(tofs_s[others[similar[index]]])

@@ -109,7 +109,7 @@ def find_pulses(record: ReducedRecord, settings: ExtractionSettings) -> Pulses:
     Parameters
     ----------
     record
-        From `analysis.waves.record_reduction.reduce_record`.
+        From `analysis.waves.record_reduction.reduce_records`.
 
     Returns
     -------
@@ -161,9 +161,10 @@ def find_pulses(record: ReducedRecord, settings: ExtractionSettings) -> Pulses:
 
 
 def first_fwhm_s(samples_v: FloatArray, sample_rate_hz: float, pretrigger_samples: int) -> float:
-    """Measure the width of a record's highest pulse in s, before its settings are known.
+    """Measure the full width at half maximum of a record's highest pulse in s, before its settings are known.
 
-    NaN where it has no flanks, or is no more than noise makes.
+    Return NaN if the pulse has no flanks, is no higher than noise, or the record is shorter than a block of 1
+    us.
     """
     block = max(1, math.floor(1e-6 * sample_rate_hz))
     n_blocks = samples_v.size // block
@@ -183,7 +184,7 @@ def first_fwhm_s(samples_v: FloatArray, sample_rate_hz: float, pretrigger_sample
 def search_windows_s(
     isw_time_s: float, psw_time_s: float | None, settings: ExtractionSettings
 ) -> dict[str, tuple[float, float]]:
-    """Return the search windows: around the ISW, then those of PSW and SSW.
+    """Return the search windows by wave name, in s from the trigger: around the ISW, for PSW and for SSW.
 
     Parameters
     ----------
@@ -219,7 +220,7 @@ def _find_isw(
 
 
 def _has_room_for_reflection(record: ReducedRecord, isw: Pulse, settings: ExtractionSettings) -> bool:
-    """Check whether the record has room for a reflected wave, or for a sound wall's if it is short."""
+    """Check whether the record has room for a reflected wave; a short one only for an intact wall's."""
     window_s = settings.psw_latest_s + settings.window_half_width_s
     if record.end_s < window_s + LATEST_ISW_PER_FWHM * settings.isw_fwhm_s:
         window_s = min(window_s, minimum_after_isw_s(settings))
@@ -227,7 +228,7 @@ def _has_room_for_reflection(record: ReducedRecord, isw: Pulse, settings: Extrac
 
 
 def _find_local_maxima(values: FloatArray) -> list[int]:
-    """Return the indices of interior local maxima; of a plateau the first sample."""
+    """Return the indices of interior local maxima, ascending; of a plateau the first sample."""
     rising = values[1:-1] > values[:-2]
     return ((rising & (values[1:-1] >= values[2:])).nonzero()[0] + 1).tolist()
 
@@ -249,13 +250,16 @@ def _find_first_pulse(
 
 
 def interpolate_parabola_peak(before: float, centre: float, after: float) -> float:
-    """Return the offset of a parabola's maximum from the middle of three equidistant values, in samples."""
+    """Return the offset in samples of a parabola's maximum from the middle of three equidistant values.
+
+    Return 0 where the three values have no maximum.
+    """
     curvature = before - 2.0 * centre + after
     return 0.0 if curvature >= 0.0 else 0.5 * (before - after) / curvature
 
 
 def _measure_pulse(record: ReducedRecord, matched_index: int) -> Pulse | None:
-    """Measure quartic peak, width and matched-filter time of the pulse at a matched-filter maximum."""
+    """Measure the pulse at a matched-filter maximum; None if its top is narrower than seven blocks."""
     blocks, matched = record.blocks_v, record.matched_v
     before, centre_v, after = matched[matched_index - 1 : matched_index + 2].tolist()
     shift = interpolate_parabola_peak(before, centre_v, after)
@@ -292,7 +296,7 @@ def _measure_pulse(record: ReducedRecord, matched_index: int) -> Pulse | None:
 def _find_stretch_above(values: FloatArray, peak: int, level: float) -> tuple[int, int]:
     """Return the first and last index of the stretch around ``peak`` that stays above ``level``.
 
-    The last lies before the first if ``peak`` itself does not.
+    The last is before the first if ``peak`` itself does not.
     """
     below = values <= level
     if below[peak]:
@@ -305,7 +309,7 @@ def _find_stretch_above(values: FloatArray, peak: int, level: float) -> tuple[in
 def _measure_width(values: FloatArray, peak: int, level: float) -> float:
     """Measure the width in samples between the interpolated crossings of ``level`` around ``peak``.
 
-    0 where ``peak`` itself lies below the level, NaN where a side never falls to it.
+    Return 0 if ``peak`` itself is not above the level, NaN if a side never falls to it.
     """
     first, last = _find_stretch_above(values, peak, level)
     if last < first:
@@ -320,7 +324,7 @@ def _measure_width(values: FloatArray, peak: int, level: float) -> float:
 
 @lru_cache(maxsize=1024)
 def quartic_design_matrix(n: int) -> tuple[FloatArray, FloatArray]:
-    """Return the design matrix of a quartic on n points over -1..1, shape (n, 5), and its pseudo-inverse."""
+    """Return the design matrix of a quartic on n points over -1..1, (n, 5), and its pseudo-inverse."""
     design = np.vander(np.linspace(-1.0, 1.0, n), 5, increasing=True)
     solver: FloatArray = np.asarray(np.linalg.pinv(design), dtype=np.float64)
     for array in (design, solver):
@@ -329,7 +333,10 @@ def quartic_design_matrix(n: int) -> tuple[FloatArray, FloatArray]:
 
 
 def _find_quartic_maximum(values: FloatArray) -> tuple[float, float, float] | None:
-    """Return position on -1..1, height and second derivative of the fitted quartic's maximum, if any."""
+    """Return position on -1..1, height and second derivative of the fitted quartic's maximum.
+
+    Return None if there is no maximum within -1..1.
+    """
     n = values.size
     design, solver = quartic_design_matrix(n)
     coefficients = solver @ values
@@ -354,7 +361,7 @@ def _find_quartic_maximum(values: FloatArray) -> tuple[float, float, float] | No
 def _has_extra_pulses(
     record: ReducedRecord, isw: Pulse, psw: Pulse | None, settings: ExtractionSettings, noise_v: float
 ) -> tuple[bool, bool, bool]:
-    """Check for a second strike, a merged PSW, and a pulse that no strike causes.
+    """Return whether there is a second strike, a merged PSW, and a pulse that no strike causes.
 
     `noise_v` is the standard deviation of a block mean.
     """

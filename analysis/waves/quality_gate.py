@@ -62,7 +62,7 @@ class RestrikeRule:
     Attributes
     ----------
     flags
-        Of `FLAGS`; a strike that left no record counts as ``missed``, and ``missed`` stands for
+        Of `FLAGS`; a strike that left no record counts as ``missed``, and ``missed`` includes
         ``false_trigger``, ``lost_samples`` and ``disturbed`` too: none of them gave a wave to measure.
     restrikes_per_set
         For each transducer.
@@ -72,6 +72,7 @@ class RestrikeRule:
     restrikes_per_set: int = 3
 
     def __post_init__(self) -> None:
+        """Raise InvalidInputError for an unknown flag or a negative number of repetitions."""
         unknown = sorted(set(self.flags) - set(FLAGS))
         if unknown:
             raise InvalidInputError(f"{unknown} are no flags of a shot; there are {', '.join(FLAGS)}")
@@ -81,7 +82,7 @@ class RestrikeRule:
             )
 
     def wants(self, shot_flags: Sequence[str], *, attempt: int, restrikes_so_far: int) -> bool:
-        """Check whether the rule repeats a shot.
+        """Check whether the rule repeats a shot; at most one repetition of each shot.
 
         Parameters
         ----------
@@ -110,6 +111,7 @@ def decide_outcomes(attempts: Sequence[Attempt]) -> list[str]:
     """Mark each record ``accepted`` or ``superseded``: of a shot's attempts the best one counts.
 
     Of equally good ones the last counts: it was struck because something was wrong with the first.
+    The result has the order of the attempts. Raise InvalidInputError for an unknown quality.
     """
     best: dict[Hashable, int] = {}
     for number, item in enumerate(attempts):

@@ -104,6 +104,7 @@ class ExtractionSettings:
     """Drift of the quiet parts of the record that flags it."""
 
     def __post_init__(self) -> None:
+        """Raise InvalidInputError for a value that is not positive and finite, or a window that is empty."""
         for field in fields(self):
             value = getattr(self, field.name)
             if not (math.isfinite(value) and value > 0.0):
@@ -120,7 +121,7 @@ class ExtractionSettings:
 
     @property
     def kernel_width_s(self) -> float:
-        """Return the width W of the matched filter's kernel cos^4(pi t / W), 178 us by default."""
+        """Return the width W of the matched filter's kernel cos^4(pi t / W) in s, 178 us by default."""
         return KERNEL_WIDTH_PER_FWHM * self.isw_fwhm_s
 
 
@@ -165,7 +166,7 @@ class ReducedRecord:
 
     @property
     def end_s(self) -> float:
-        """Return the end of the record, from the trigger."""
+        """Return the end of the record, in s from the trigger."""
         return self.time_s(self.blocks_v.size - 0.5)
 
     def time_s(self, index: float) -> float:
@@ -178,7 +179,7 @@ class ReducedRecord:
 
 
 def nearest_odd(width: float) -> int:
-    """Round to the nearest odd number, at least 1."""
+    """Return the odd integer nearest to a width, at least 1."""
     return 2 * max(0, round(0.5 * (width - 1.0))) + 1
 
 
@@ -192,7 +193,7 @@ def moving_mean(values: FloatArray, width: int) -> FloatArray:
 
 
 def moving_means(rows: FloatArray, width: int) -> FloatArray:
-    """Compute the moving mean of each row, shape (n_rows, n)."""
+    """Compute the moving mean over ``width`` (odd) neighbours of each row, shape (n_rows, n)."""
     # One correlation of all, with zeros between them.
     gap, (n_rows, n) = width // 2, rows.shape
     spaced = np.zeros(n_rows * (n + gap) + 2 * gap)
@@ -230,7 +231,7 @@ def column_medians(table: FloatArray) -> FloatArray:
 
 
 def filter_kernel(width_blocks: float) -> FloatArray:
-    """Return the matched filter's weights cos^4(pi t / W) / sum(cos^8), shape (2 k + 1,)."""
+    """Return the matched filter's weights cos^4(pi t / W) / sum(cos^8), shape (2 k + 1,), W in blocks."""
     half = math.ceil(width_blocks / 2) - 1
     weights: FloatArray = np.cos(np.pi * np.arange(-half, half + 1) / width_blocks) ** 4
     return weights / float(weights @ weights)
@@ -238,14 +239,14 @@ def filter_kernel(width_blocks: float) -> FloatArray:
 
 @lru_cache(maxsize=64)
 def kernel_noise_gain(width_blocks: float) -> float:
-    """Return the SD of the matched filter's output for white noise of SD 1."""
+    """Return the SD of the matched filter's output for white noise of SD 1: the norm of its weights."""
     weights = filter_kernel(width_blocks)
     return math.sqrt(float(weights @ weights))
 
 
 @lru_cache(maxsize=64)
 def _kernel_spectrum(width_blocks: float, n_fft: int) -> NDArray[np.complex128]:
-    """Return the spectrum of the matched filter's weights, centred on sample 0, read-only."""
+    """Return the spectrum of the matched filter's weights, shape (n_fft // 2 + 1,), centred on sample 0."""
     weights = filter_kernel(width_blocks)
     half = weights.size // 2
     wrapped = np.zeros(n_fft)
@@ -256,7 +257,9 @@ def _kernel_spectrum(width_blocks: float, n_fft: int) -> NDArray[np.complex128]:
 
 
 def apply_matched_filter(blocks_v: FloatArray, width_blocks: float) -> FloatArray:
-    """Correlate with the pulse cos^4(pi t / W), zeros outside the record.
+    """Apply the matched filter for the pulse cos^4(pi t / W); zeros are assumed outside the record.
+
+    Raise RecordError for a width below 4 samples.
 
     Parameters
     ----------
@@ -282,13 +285,11 @@ def apply_matched_filter(blocks_v: FloatArray, width_blocks: float) -> FloatArra
 
 
 def noise_rms(samples_v: FloatArray) -> float:
-    """Estimate the white noise of one sample; blind to pulses, hum and offset.
+    """Estimate the RMS of the white noise of one sample in V; blind to pulses, hum and offset.
 
-    It is 1.4826 MAD(differences) / sqrt(2).
-
-    The median is sought in bins of 1/64 of the mean, linearly inside a bin, from where it usually lies: a few
-    counts cost a sixth of a partition. Where few large differences make the mean, the bins are too wide and
-    the median is taken exactly.
+    It is 1.4826 MAD(differences) / sqrt(2). The median is sought in bins of 1/64 of the mean, linearly inside
+    a bin, from its usual place on: a few counts cost a sixth of a partition. Where few large differences make
+    the mean, the bins are too wide and the median is taken exactly.
     """
     difference = samples_v[1:] - samples_v[:-1]
     np.abs(difference, out=difference)
@@ -309,7 +310,7 @@ def noise_rms(samples_v: FloatArray) -> float:
 
 
 def fine_noise(blocks_v: FloatArray) -> float:
-    """Estimate the white noise of a block mean: 1.4826 MAD(third differences) / sqrt(20).
+    """Estimate the SD of a block mean's white noise in V: 1.4826 MAD(third differences) / sqrt(20).
 
     No wave is left in them: a cos^4 pulse of 65 us leaves 5e-5 of its height at blocks of 1 us.
     """
@@ -317,9 +318,9 @@ def fine_noise(blocks_v: FloatArray) -> float:
 
 
 def block_noise(blocks_v: FloatArray, white_v: float) -> float:
-    """Estimate the noise of a block mean.
+    """Estimate the SD of a block mean's noise in V, at least ``white_v``.
 
-    From white noise, or `fine_noise` where that is significantly larger.
+    It is ``white_v``, the SD expected from white samples, or `fine_noise` where that is significantly larger.
     """
     differences = _absolute_third_differences(blocks_v)
     limit_v = LEAST_EXCESS * white_v * THIRD_DIFFERENCE / MAD_TO_SD
@@ -350,17 +351,17 @@ class VoltRecord:
 
     @property
     def kind(self) -> tuple[int, float, int]:
-        """Return length, rate and pre-trigger."""
+        """Return sample count, sample rate in Hz and pre-trigger samples, which alike records share."""
         return self.samples_v.size, self.sample_rate_hz, self.pretrigger_samples
 
 
 def reduce_records(given: Sequence[VoltRecord], settings: ExtractionSettings) -> list[ReducedRecord]:
     """Compute block means, quiet level, noise and matched filter of records of one kind (`VoltRecord.kind`).
 
-    The quiet level is the median of the block means before the trigger that also lie at least
-    3/4 FWHM before the first rise to half of the record's extreme: the foot of an ISW that itself fired the
-    trigger reaches into the pre-trigger and would bias it. Block means, because a median of raw
-    counts moves in steps of an ADC code.
+    The quiet level is the median of the block means before the trigger that are also at least 3/4 FWHM before
+    the first rise to half of the record's extreme: the foot of an ISW that itself fired the trigger reaches
+    into the pre-trigger and would bias it. Block means, because a median of raw counts moves in steps of an
+    ADC code.
 
     Raises
     ------
@@ -416,10 +417,7 @@ def reduce_records(given: Sequence[VoltRecord], settings: ExtractionSettings) ->
 
 
 def minimum_after_isw_s(settings: ExtractionSettings) -> float:
-    """Return the minimum time in s from the ISW to the reflected wave of a sound wall.
-
-    The record's end bounds the search.
-    """
+    """Return the shortest record in s after the ISW that holds a sound wall's reflected wave."""
     return settings.psw_earliest_s + 2.0 * (settings.window_half_width_s + settings.isw_fwhm_s)
 
 
@@ -430,7 +428,7 @@ def _check_record(
     step_s: float,
     settings: ExtractionSettings,
 ) -> None:
-    """Check a record's length, rate and pre-trigger; raise an error for too little of one."""
+    """Raise RecordError if a record's length, sample rate or pre-trigger is too small."""
     if not (math.isfinite(sample_rate_hz) and sample_rate_hz > 0.0):
         raise RecordError(f"sample_rate_hz is {sample_rate_hz}; it must be positive")
     if not 0 < pretrigger_samples < n_samples:

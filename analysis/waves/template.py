@@ -93,7 +93,7 @@ class Template:
 
 
 def learn_template(shots: Sequence[ShotFeatures]) -> Template | None:
-    """Compute medians and other quantiles of the valid shots; None for fewer than `FEWEST_SHOTS`."""
+    """Compute the typical wave from quantiles of the valid shots; None for fewer than three."""
     valid = [shot for shot in shots if shot.valid and math.isfinite(shot.isw_fwhm_s)]
     if len(valid) < FEWEST_SHOTS:
         return None
@@ -118,7 +118,7 @@ def learn_template(shots: Sequence[ShotFeatures]) -> Template | None:
 
 
 def _column_quantiles(ordered: FloatArray, part: float) -> FloatArray:
-    """Compute a quantile of each column of sorted numbers, linear between two.
+    """Compute a quantile of each column of a sorted table, shape (m,), linear between two rows.
 
     `numpy.quantile` is slow.
     """
@@ -128,7 +128,9 @@ def _column_quantiles(ordered: FloatArray, part: float) -> FloatArray:
 
 
 def flag_residual_reflections(shots: Sequence[ShotFeatures], usual_ratio: float | None) -> list[ShotFeatures]:
-    """Flag shots ``no_psw`` whose reflection is too weak for any wall; the incident wave's values stay.
+    """Flag shots ``no_psw`` whose reflection is too weak for any wall; only the incident wave's values stay.
+
+    Shots that were compared before are not changed.
 
     Parameters
     ----------
@@ -157,7 +159,7 @@ def _keep_incident_wave(shot: ShotFeatures) -> ShotFeatures:
 
 
 def compare_with_others(shots: Sequence[ShotFeatures], template: Template | None) -> list[ShotFeatures]:
-    """Flag shots of one transducer that differ from its template, then from one another."""
+    """Flag shots of one transducer that differ from its template, then from one another; same order."""
     typical_ratio = None if template is None else template.amplitude_ratio
     found = [
         compare_with_template(shot, template) for shot in flag_residual_reflections(shots, typical_ratio)
@@ -179,6 +181,7 @@ def compare_with_template(shot: ShotFeatures, template: Template | None) -> Shot
     """Flag a shot whose incident wave is not the transducer's, or whose reflection came too early.
 
     A shot that is flagged ``missed`` keeps what was measured of its incident wave, and nothing else.
+    Return the shot unchanged without a template, without an incident wave, or if it was compared before.
     """
     if shot.compared or template is None or not math.isfinite(shot.isw_amplitude_v):
         return shot
@@ -212,7 +215,7 @@ def compare_with_template(shot: ShotFeatures, template: Template | None) -> Shot
 
 
 def _has_other_arrival(shot: ShotFeatures, template: Template) -> bool:
-    """Check whether the incident wave arrives at another time than in the template."""
+    """Check whether the incident wave's arrival after the trigger differs from the template's."""
     if template.isw_time_s is None:
         return False
     limit_s = max(LATEST_OWN * template.isw_fwhm_s, ARRIVAL_SD * template.isw_time_sd_s)

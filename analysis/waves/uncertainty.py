@@ -44,7 +44,7 @@ sech^2 1.88), itself."""
 def standard_deviations(
     record: ReducedRecord, pulses: Pulses, values: dict[str, float], settings: ExtractionSettings
 ) -> dict[str, float]:
-    """Propagate a record's noise to the standard deviation of each available feature.
+    """Propagate a record's noise to the standard deviation of each available feature, by name.
 
     Parameters
     ----------
@@ -124,7 +124,7 @@ def _matched_time_variance(
 
 @lru_cache(maxsize=64)
 def _kernel_slope_energy(width_blocks: float) -> float:
-    """Return the sum of squares of the matched filter's central differences."""
+    """Return the sum of squares of the matched filter's central differences, per block squared."""
     weights = np.pad(filter_kernel(width_blocks), 2)
     slopes = 0.5 * (weights[2:] - weights[:-2])
     return float(slopes @ slopes)
@@ -133,7 +133,7 @@ def _kernel_slope_energy(width_blocks: float) -> float:
 def _coefficient_sd(
     record: ReducedRecord, isw: Pulse, ratio: float, gate_s: float, noise: NoiseColour
 ) -> float:
-    """Return the relative standard deviation of the autocorrelation coefficient."""
+    """Return the relative SD of the autocorrelation coefficient for a gate of ``gate_s`` seconds."""
     both = 1.0 + ratio**2
     energy = ENERGY * isw.amplitude_v**2 * isw.fwhm_s / record.step_s
     of_ratio = noise.slow2 / energy * ((1.0 - ratio**2) / both) ** 2 * (1.0 + 1.0 / ratio**2)

@@ -84,9 +84,9 @@ class Chain:
 
     @property
     def dashpot_impulse_n_s_per_m(self) -> NDArray[np.float64]:
-        """Return ``gamma / ((p + 1) d_r^p)``, shape (n_bodies,).
+        """Return ``gamma / ((p + 1) d_r^p)`` of each contact, shape (n_bodies,).
 
-        Times [d]_+^(p + 1) the dashpots' impulse.
+        Multiplied by [d]_+^(p + 1), it is the impulse of the dashpots.
         """
         p = self.damping_exponent
         scale: float = 1.0 / ((p + 1.0) * self.damping_reference_overlap_m**p)
@@ -94,12 +94,12 @@ class Chain:
 
     @property
     def impact_energy_j(self) -> float:
-        """Return the kinetic energy of the striker at first touch."""
+        """Return the kinetic energy of the striker at first touch, in J."""
         return 0.5 * float(self.mass_kg[0]) * self.impact_speed_m_per_s**2
 
     @property
     def preload_n(self) -> float:
-        """Return the mean of the two static contact forces at the sensor."""
+        """Return the mean of the two static contact forces at the sensor, in N."""
         return 0.5 * float(self.static_force_n[self.sensor - 1] + self.static_force_n[self.sensor])
 
 
@@ -132,6 +132,7 @@ def build_chain(parameters: ChainParameters, plate: PlateParameters) -> Chain:
     """Build the chain on `plate`: masses, contacts and static equilibrium.
 
     The plate's Young's modulus and Poisson's ratio enter the last contact.
+    Raise ValueError if two flat faces touch.
     """
     sensor = parameters.spheres_above
     bodies = [parameters.body(i) for i in range(parameters.bodies)]
@@ -173,7 +174,7 @@ def build_chain(parameters: ChainParameters, plate: PlateParameters) -> Chain:
 def with_other_strike(
     chain: Chain, damping_n_s_per_m: float, drop_height_m: float, tilt_rad: float, contacts: Contacts | None
 ) -> Chain:
-    """Return the chain with another drop height of the striker and another tilt of the sensor.
+    """Return the chain with another drop height in m, sensor tilt in rad and contacts.
 
     On other contacts they are in static equilibrium again: ``d = (F / A)^(2/3)``.
 
@@ -214,12 +215,12 @@ def with_other_strike(
 
 
 def impact_speed_m_per_s(drop_height_m: float) -> float:
-    """Return the speed of the falling striker at first touch, in m/s."""
+    """Return the speed of the falling striker at first touch, ``sqrt(2 g h)`` in m/s, g = 9.81 m/s^2."""
     return math.sqrt(2.0 * FREE_FALL_M_PER_S2 * drop_height_m)
 
 
 def _contact_surface(body: Body) -> Surface:
-    """Return the contact surface (radius and elasticity) of a sphere."""
+    """Return the contact surface of a body: radius of curvature and elastic constants."""
     return Surface(
         radius_m=body.radius_m, youngs_modulus_pa=body.youngs_modulus_pa, poisson_ratio=body.poisson_ratio
     )

@@ -41,7 +41,7 @@ class RoughSpot:
     weights: FloatArray
 
     def at(self, pristine_m: float, depth_fraction: float) -> FarWall:
-        """Return the far wall after it has lost this fraction on average under the beam.
+        """Return the far wall after a mean loss of ``depth_fraction`` of its thickness under the beam.
 
         Facets through which the wall is gone send nothing back: they stay, with thickness 0.
         """
@@ -58,22 +58,22 @@ class FarWall:
 
     @property
     def mean_m(self) -> float:
-        """Return the mean thickness, weighted by the beam."""
+        """Return the mean thickness in m, weighted by the beam."""
         return float(self.weights @ self.thickness_m)
 
     @property
     def rms_m(self) -> float:
-        """Return the RMS roughness about that mean, weighted by the beam."""
+        """Return the RMS roughness in m about the mean thickness, weighted by the beam."""
         return math.sqrt(float(self.weights @ (self.thickness_m - self.mean_m) ** 2))
 
     @property
     def least_m(self) -> float:
-        """Return the thickness at the thinnest facet inside the -6 dB spot."""
+        """Return the thickness in m of the thinnest facet inside the -6 dB spot."""
         return float(self.thickness_m[self.weights >= 0.5 * self.weights.max()].min())
 
 
 def smooth_wall(thickness_m: float) -> FarWall:
-    """Create a far wall of uniform thickness."""
+    """Create a far wall of uniform thickness: one facet of weight 1."""
     return FarWall(thickness_m=np.array([thickness_m]), weights=np.ones(1))
 
 
@@ -83,9 +83,9 @@ def draw_rough_spot(
 ) -> RoughSpot | None:
     """Draw the rough far wall under the probe of one position; None if it stays smooth.
 
-    The depth of a position with a probe is the mean under its beam: the relative loss is scaled to that.
-    The field does not depend on the number of facets, so a finer grid samples the same wall. Kept: it is the
-    costliest part of a specimen, and a doctor, a double or a comparison builds several of one seed.
+    The depth of a position with a probe is the mean under its beam: the relative loss is scaled to that. The
+    field does not depend on the number of facets, so a finer grid samples the same wall. The last 16 results
+    are cached, because drawing is the costliest part of building a specimen.
     """
     if echo.roughness_fraction == 0.0:
         return None

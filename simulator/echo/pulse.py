@@ -47,7 +47,7 @@ def travel_time_s(thickness_m: float, echo: EchoParameters) -> float:
 
 
 def warm_probe_and_wall(echo: EchoParameters, warmer_k: float) -> EchoParameters:
-    """Return the echo parameters of probe and wall ``warmer_k`` above their reference temperature."""
+    """Return the echo parameters with delay and wave speed of probe and wall warmer by ``warmer_k``."""
     return replace(
         echo,
         delay_s=echo.delay_s * (1.0 + echo.delay_per_k * warmer_k),
@@ -56,7 +56,7 @@ def warm_probe_and_wall(echo: EchoParameters, warmer_k: float) -> EchoParameters
 
 
 def echo_volts(wall: float | FarWall, echo: EchoParameters) -> FloatArray:
-    """Simulate a noise-free record, shape (record_samples,); time zero is the firing pulse.
+    """Simulate a noise-free pulse-echo record in V, shape (record_samples,); time zero is the firing pulse.
 
     Parameters
     ----------
@@ -82,7 +82,7 @@ def echo_volts(wall: float | FarWall, echo: EchoParameters) -> FloatArray:
 
 
 def _smooth_wall_volts(thickness_m: float, echo: EchoParameters) -> FloatArray:
-    """Simulate the back-wall echoes of a smooth wall in closed form; the pulse keeps its shape."""
+    """Simulate the back-wall echoes of a smooth wall in V, in closed form, shape (record_samples,)."""
     volts = np.zeros(echo.record_samples)
     end_s = echo.record_samples / echo.sample_rate_hz
     for times in range(1, echo.record_samples):
@@ -96,12 +96,11 @@ def _smooth_wall_volts(thickness_m: float, echo: EchoParameters) -> FloatArray:
 
 
 def _rough_wall_volts(wall: FarWall, echo: EchoParameters) -> FloatArray:
-    """Simulate the back-wall echoes of all facets of a rough wall.
+    """Simulate the back-wall echoes of all facets of a rough wall in V, shape (record_samples,).
 
-    Their arrivals, weighted, convolved with the pulse by its spectrum.
-
-    The pulse is filtered by what the attenuation at each frequency differs from the one at the centre, at
-    the mean path of each echo; the attenuation at the centre is each facet's own.
+    The weighted arrivals are convolved with the pulse by its spectrum; facets of thickness 0 send nothing
+    back. The pulse is filtered by the difference of the attenuation at each frequency from that at the
+    centre, at the mean path of each echo; the attenuation at the centre is each facet's own.
     """
     reaches = wall.thickness_m > 0.0
     thickness_m, weights = wall.thickness_m[reaches], wall.weights[reaches]
@@ -138,7 +137,7 @@ def _rough_wall_volts(wall: FarWall, echo: EchoParameters) -> FloatArray:
 
 
 def _add_heights_to_grid(grid: FloatArray, place: FloatArray, height: FloatArray) -> None:
-    """Add heights to a grid in place, each shared by the two points around its position."""
+    """Add heights to a grid in place, each shared by the two points around its fractional index."""
     index = place.astype(np.intp)
     later = place - index
     first = int(index.min())
@@ -148,19 +147,19 @@ def _add_heights_to_grid(grid: FloatArray, place: FloatArray, height: FloatArray
 
 
 def _remaining_amplitude(way_m: float, echo: EchoParameters) -> float:
-    """Return the fraction of the amplitude left after a path in the wall, at the centre frequency."""
+    """Return the fraction of the amplitude left after a path in the wall in m, at centre frequency."""
     return float(10.0 ** (-echo.attenuation_db_per_m * way_m / 20.0))
 
 
 def _attenuation_by_frequency(frequency_hz: FloatArray, way_m: float, echo: EchoParameters) -> FloatArray:
-    """Return the amplitude left at each frequency, relative to that at the centre frequency."""
+    """Return the amplitude left at each frequency over that at the centre frequency, shape as given."""
     relative = (frequency_hz / echo.centre_frequency_hz) ** echo.attenuation_exponent - 1.0
     filtered: FloatArray = 10.0 ** (-echo.attenuation_db_per_m * relative * way_m / 20.0)
     return filtered
 
 
 def _pulse_spectrum(frequency_hz: FloatArray, echo: EchoParameters) -> FloatArray:
-    """Return the Fourier transform of `_add_pulse`'s burst around its peak, in seconds."""
+    """Return the real Fourier transform of `_add_pulse`'s unit burst around its peak, in s."""
     spread_s = _envelope_sd_s(echo)
     lines = [
         np.exp(-0.5 * (2.0 * np.pi * (frequency_hz - sign * echo.centre_frequency_hz) * spread_s) ** 2)
@@ -180,7 +179,7 @@ def _envelope_sd_s(echo: EchoParameters) -> float:
 
 
 def _add_pulse(volts: FloatArray, arrival_s: float, amplitude_v: float, echo: EchoParameters) -> None:
-    """Add a tone burst with a Gaussian envelope to volts in place, its peak at the arrival."""
+    """Add a tone burst with a Gaussian envelope to volts in place, with its peak at the arrival."""
     spread_s = _envelope_sd_s(echo)
     first = max(0, math.ceil((arrival_s - PULSE_HALF_LENGTH * spread_s) * echo.sample_rate_hz))
     last = min(volts.size, math.floor((arrival_s + PULSE_HALF_LENGTH * spread_s) * echo.sample_rate_hz) + 1)
@@ -192,7 +191,7 @@ def _add_pulse(volts: FloatArray, arrival_s: float, amplitude_v: float, echo: Ec
 def bubble_volts(
     thickness_m: float, echo: EchoParameters, random: np.random.Generator, records: int
 ) -> FloatArray:
-    """Simulate echoes of bubbles in the liquid behind the wall, shape (records, record_samples).
+    """Simulate echoes of bubbles in the liquid behind the wall in V, shape (records, record_samples).
 
     A bubble of radius a, long against the wave, reflects like a sphere, a / 2 in amplitude at the distance
     1; the mean of that spherical wave over a spot of area S is a lambda / (2 S). Going through the far wall
@@ -229,7 +228,7 @@ def bubble_volts(
 
 
 def echo_calibration(echo: EchoParameters) -> Calibration:
-    """Create the linear scaling of the receiver over its range."""
+    """Build the receiver's linear calibration: half of all codes span 0 to ``range_v``."""
     half = float(1 << (echo.resolution_bits - 1))
     return Calibration(
         coefficients_v=np.array([0.0, echo.range_v / half]),

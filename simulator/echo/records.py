@@ -44,13 +44,13 @@ class ProbedWall:
     warmer_k: float
 
     def volts(self, echo: EchoParameters) -> FloatArray:
-        """Simulate the noise-free record of this wall, shape (record_samples,)."""
+        """Simulate the noise-free record of this wall in V, shape (record_samples,)."""
         return echo_volts(
             self.thickness_m if self.facets is None else self.facets, warm_probe_and_wall(echo, self.warmer_k)
         )
 
     def truth(self, echo: EchoParameters) -> dict[str, float]:
-        """Return the wall's true values that are stored with a record, by column.
+        """Return the wall's true values that are stored with a record, by column name.
 
         The travel time is that of a smooth wall.
         """
@@ -66,7 +66,7 @@ class ProbedWall:
 def probe_wall(
     pristine_m: float, depth_fraction: float, spot: RoughSpot | None, warmer_k: float
 ) -> ProbedWall:
-    """Build the wall under a probe at one depth; a wall without loss is smooth."""
+    """Build the wall under a probe at one depth; without a spot or without loss it is smooth."""
     return ProbedWall(
         thickness_m=pristine_m * (1.0 - depth_fraction),
         facets=None if spot is None or depth_fraction == 0.0 else spot.at(pristine_m, depth_fraction),
@@ -107,7 +107,10 @@ def draw_disturbance(
 def simulate_disturbed_records(
     wall: ProbedWall, echo: EchoParameters, found: Disturbance, *, seed: int, key: ShotKey, records: int
 ) -> FloatArray:
-    """Simulate single records in volts before their noise, shape (records, record_samples)."""
+    """Simulate single records in volts before their noise, shape (records, record_samples).
+
+    Couplant gain and bubbles are applied; each record has bubbles of its own.
+    """
     volts = np.tile(wall.volts(echo), (records, 1))
     if found.bubbles:
         random = keyed_generator(seed, Purpose.BUBBLES, key=key)
@@ -157,6 +160,6 @@ def average_record(
 
 
 def _split_into_batches(records: int) -> Iterator[int]:
-    """Split a number of records into parts of at most `RECORDS_AT_ONCE`."""
+    """Yield batch sizes of at most 64 that add up to a number of records."""
     for first in range(0, records, RECORDS_AT_ONCE):
         yield min(RECORDS_AT_ONCE, records - first)

@@ -40,12 +40,12 @@ class Interference:
     spike_fwhm_s: float
 
     def false_triggers_s(self, level_v: float) -> FloatArray:
-        """Return the times before the wave, in s, at which a spike alone reaches the trigger level."""
+        """Return the times in s, negative, at which a spike alone reaches the trigger level."""
         found: FloatArray = self.spike_time_s[(self.spike_time_s < 0.0) & (self.spike_v >= level_v)]
         return found
 
     def volts(self, first_s: float, sample_rate_hz: float, n_samples: int) -> FloatArray:
-        """Compute hum and spikes in volts at ``n_samples`` samples, the first of them at ``first_s``."""
+        """Compute hum and spikes in V, shape (n_samples,), from ``first_s`` after the trigger crossing on."""
         t = first_s + np.arange(n_samples) / sample_rate_hz
         volts: FloatArray = self.hum_v * np.sin(
             2.0 * math.pi * self.hum_frequency_hz * t + self.hum_phase_rad
@@ -76,7 +76,7 @@ class Ringing:
     decay_s: float
 
     def volts(self, first_s: float, sample_rate_hz: float, n_samples: int) -> FloatArray:
-        """Compute the ringing in volts at ``n_samples`` samples, the first ``first_s`` after the contact."""
+        """Compute the ringing in V, shape (n_samples,), from ``first_s`` after the striker's contact on."""
         volts = np.zeros(n_samples)
         begins_s = self.start_s - first_s
         ends_s = begins_s + RING_REACH_DECAYS * self.decay_s

@@ -75,7 +75,11 @@ def interpolate_cubic(
 
 @jit_compile(error_model="numpy")
 def find_first_crossing_s(volts: FloatArray, step_s: float, level_v: float) -> Any:
-    """Return the time in s of the first crossing of the level; if there is none, of the maximum."""
+    """Return the time in s after the first value at which volts first rise to the level.
+
+    Return the time of the maximum if they never do, or if the first value is above the level already. The
+    crossing is interpolated linearly.
+    """
     highest = 0
     for k in range(volts.shape[0]):
         if volts[k] >= level_v:
@@ -90,7 +94,7 @@ def find_first_crossing_s(volts: FloatArray, step_s: float, level_v: float) -> A
 
 @jit_compile(error_model="numpy")
 def find_rising_edge(volts: FloatArray, level_v: float, first: int, n_samples: int) -> int:
-    """Find the first sample from ``first`` on that reaches the level after one below it; else -1."""
+    """Return the index of the first of ``n_samples`` from ``first`` on that rises to the level, else -1."""
     for k in range(first, min(first + n_samples, volts.shape[0])):
         if volts[k] >= level_v and not volts[k - 1] >= level_v:
             return k
@@ -106,7 +110,7 @@ def add_noise(
     cubic: FloatArray,
     slow_rms: float,
 ) -> None:
-    """Add white noise and slow noise, each of unit variance, to as many volts.
+    """Add white noise and slow noise, each of unit variance times its RMS in V, to volts in place.
 
     Parameters
     ----------
@@ -150,8 +154,8 @@ def invert_scaling(
     passes
         How often the bend at the last answer is taken off the line's.
     low, high
-        Outermost codes. Beyond them the polynomial says nothing: outside 1.1 times them the line's answer
-        is held.
+        Outermost codes. The polynomial is not valid beyond them: the line's answer is held outside 1.1 times
+        them.
     codes
         Of an integer type, shape (n,): filled with the answer.
     """

@@ -34,7 +34,7 @@ INVERSE_TOLERANCE_COUNTS = 1e-6
 
 
 def make_adc_calibration(adc: AdcParameters) -> Calibration:
-    """Build the board's scaling polynomial; ideal codes reach `over_range_fraction` beyond the range."""
+    """Build the ADC's scaling polynomial; ideal codes reach ``over_range_fraction`` beyond the range."""
     half = float(1 << (adc.resolution_bits - 1))
     full_scale_v = adc.range_v * (1.0 + adc.over_range_fraction)
     return Calibration(
@@ -65,6 +65,11 @@ def quantise_volts(volts: FloatArray, calibration: Calibration) -> Counts:
     -------
     Counts
         int16 up to 16 bits, else int32, of the same shape.
+
+    Raises
+    ------
+    ValueError
+        The slope of the polynomial varies by more than half.
     """
     low, high = calibration.full_scale_counts
     curved, passes = _prepare_inversion(calibration)
@@ -81,7 +86,7 @@ def quantise_volts(volts: FloatArray, calibration: Calibration) -> Counts:
 
 @lru_cache(maxsize=64)
 def _prepare_inversion(calibration: Calibration) -> tuple[FloatArray, int]:
-    """Prepare `invert_scaling`: return the polynomial's curvature over its slope, and the passes.
+    """Prepare `invert_scaling`: return the polynomial's curvature over its slope, and the number of passes.
 
     Raise ValueError for a scaling whose slope varies by more than half.
     """
@@ -140,7 +145,7 @@ def simulate_triggered_record(
     dynamic_force_n
         float64, shape (n,): force at the sensor less the static preload; zero before the contact.
     sampling_phase
-        Where the free-running sample clock stands at the noise-free crossing, in samples, 0 .. 1.
+        Phase of the free-running sample clock at the noise-free crossing, in samples, 0 .. 1.
     noise, random
         Electronic noise and the generator it is drawn from.
     interference
@@ -200,7 +205,7 @@ def simulate_triggered_record(
 def add_noise_volts(
     volts: FloatArray, sample_rate_hz: float, noise: NoiseParameters, random: np.random.Generator
 ) -> None:
-    """Add white and slow noise to volts, shape (n_samples,), in place."""
+    """Add white and slow noise to volts, shape (n_samples,), in place; draws from ``random``."""
     # The grain of float32, 1e-7 of the noise, is far below a code.
     white = draw_standard_normals(random, volts.size)
     if noise.slow_rms_v == 0.0:
@@ -233,10 +238,7 @@ def _prepare_slow_noise_grid(n_samples: int, shortest_period: float) -> tuple[in
 
 @lru_cache(maxsize=64)
 def _lagrange_cubic_weights(per_step: int) -> FloatArray:
-    """Return weights of Lagrange's cubic through -1, 0, 1, 2 for samples between 0 and 1.
-
-    The shape is (4, per_step).
-    """
+    """Return weights of Lagrange's cubic through -1, 0, 1, 2 for samples in 0 to 1, shape (4, per_step)."""
     x = np.arange(per_step) / per_step
     return np.array(
         [

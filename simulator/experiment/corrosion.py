@@ -81,11 +81,11 @@ class WallHistory:
     pits: NDArray[np.float64]
 
     def at(self, hour_h: float) -> Wall:
-        """Return the state of the wall at an hour of the test."""
+        """Return the mean and deepest wall loss at an hour of the test; cached."""
         return _cached_wall_state(self, hour_h)
 
     def mean_at(self, hour_h: float) -> float:
-        """Return the mean depth at an hour of the test, as a fraction of the thickness."""
+        """Return the mean depth at an hour of the test, as a fraction of the thickness; it never falls."""
         onset_h, reference_h = self.thinning.onset_h, self.thinning.reference_h
         if self.thinning.history:
             hours, depths = zip(*self.thinning.history, strict=True)
@@ -105,7 +105,7 @@ class WallHistory:
 
 @lru_cache(maxsize=256)
 def _cached_wall_state(history: WallHistory, hour_h: float) -> Wall:
-    """Return the state of a wall at an hour, cached, because all shots of a set need it."""
+    """Return mean and deepest loss of a wall at an hour, cached: all shots of a set need it."""
     mean = history.mean_at(hour_h)
     pit, onset_h = mean, history.thinning.onset_h
     is_pitted = history.pits.size > 0
@@ -122,7 +122,7 @@ def _cached_wall_state(history: WallHistory, hour_h: float) -> Wall:
 
 
 def draw_wall_history(thinning: ThinningParameters, *, seed: int, position: str) -> WallHistory:
-    """Draw the uneven corrosion rate of one position, and its pits if it has any."""
+    """Draw the uneven corrosion rate of one position, and its pits if it has any; same seed, same history."""
     random = keyed_generator(seed, Purpose.THINNING, position=position)
     shares = random.dirichlet(np.ones(HARMONICS))
     flat = WallHistory(
@@ -135,10 +135,11 @@ def draw_wall_history(thinning: ThinningParameters, *, seed: int, position: str)
 
 
 def _draw_pit_depths(flat: WallHistory, seed: int, position: str) -> FloatArray:
-    """Draw a Weibull spectrum of pit depths relative to the deepest, which is in the middle.
+    """Draw a Weibull spectrum of pit depths over the deepest, which is in the middle; shape (count, count).
 
     Where the hour of the hole is given the spectrum is stretched, as a power, until its mean is that of the
-    law over `DEEPEST_PATCH_FRACTION` at that hour, so that the deepest pit goes through then.
+    law over `DEEPEST_PATCH_FRACTION` at that hour, so that the deepest pit is through then. Raise
+    SpecimenError if the mean depth at that hour leaves no room for such a spectrum.
     """
     count, hole_h = flat.thinning.pits_per_edge, flat.thinning.hole_h
     drawn = keyed_generator(seed, Purpose.PITS, position=position).weibull(PIT_SHAPE, (count, count))
@@ -215,6 +216,7 @@ def held_hour_h(elapsed_ns: int, update_interval_s: float) -> float:
 
     Rounded in integer nanoseconds: a due time that is a multiple of the interval belongs to the
     interval it opens.
+    ``elapsed_ns`` is the time since the start of the test.
     """
     interval_ns = round(update_interval_s * NS_PER_S)
     return elapsed_ns // interval_ns * interval_ns / NS_PER_S / 3600.0

@@ -62,7 +62,7 @@ class ShotNuisance:
     liquid_factor
         Depth of the liquid on the plate over the full one; it does nothing to a dry plate.
     knock, burst
-        What else is heard.
+        Ringing that the record contains; None without.
     """
 
     reseats: int
@@ -82,13 +82,13 @@ class ShotNuisance:
 
     @property
     def rings(self) -> list[Ringing]:
-        """Return the ringing in the record."""
+        """Return the knock and the burst of the record, in this order; empty without either."""
         return [ring for ring in (self.knock, self.burst) if ring is not None]
 
     def truth(self) -> dict[str, float]:
-        """Return the true values of the variability that are stored with the record, by column.
+        """Return the true values of the variability that are stored with the record, by column name.
 
-        ``temperature_c`` and those of the strike hold the rest.
+        The columns begin with ``nuisance_``; ``temperature_c`` and those of the strike hold the rest.
         """
         contacts = self.contacts
         values = (
@@ -150,7 +150,7 @@ def _draw_block(
     hour_h: float,
     warmer_k: float,
 ) -> _Block:
-    """Draw the shots of a set from `first` on; its index counts blocks."""
+    """Draw the deviations of 16 shots of a set; the shot index of ``first`` is the number of the block."""
     parameters, n = NUISANCE[level], chain.bodies
     seat = draw_seat_of_set(
         level,
@@ -195,7 +195,7 @@ class TransducerNuisance:
     climate: Climate
 
     def at(self, key: ShotKey, hour_h: float, warmer_k: float) -> ShotNuisance:
-        """Draw the environmental deviations of one strike at an hour of the test.
+        """Return the environmental deviations of one strike at an hour of the test, drawn from the seed.
 
         Parameters
         ----------
@@ -235,7 +235,7 @@ class TransducerNuisance:
 def _draw_ringing(
     height_v: float, range_hz: tuple[float, float], decay_s: tuple[float, float], even: FloatArray
 ) -> Ringing:
-    """Create a ringing from uniform numbers, log-uniform in frequency and decay."""
+    """Build a ringing from three uniform numbers: start, and log-uniform frequency and decay."""
     return Ringing(
         start_s=RINGS_FROM_S + (RINGS_TO_S - RINGS_FROM_S) * float(even[0]),
         height_v=float(height_v),
@@ -247,7 +247,7 @@ def _draw_ringing(
 def disturb_strike(
     strike: Strike, found: ShotNuisance, chain: ChainParameters, sensor: SensorParameters
 ) -> Strike:
-    """Apply the variability to a strike: drop height, tilt with its loss of gain, and gain."""
+    """Return a strike with the variability applied: drop height, tilt with its loss of gain, and gain."""
     # A disk tilted past upright leans to the other side, which for the wave is the same tilt.
     tilt_rad = min(abs(strike.tilt_rad + found.tilt_rad), STEEPEST_TILT_RAD)
     tilt_loss = math.exp(-sensor.tilt_loss_per_rad * (tilt_rad - strike.tilt_rad))
@@ -261,7 +261,7 @@ def disturb_strike(
 
 @lru_cache(maxsize=16)
 def disturb_noise(noise: NoiseParameters, factor: float) -> NoiseParameters:
-    """Scale the noise by the factor of an hour; disabled noise stays disabled."""
+    """Return the noise with its RMS values scaled by the factor of an hour; disabled noise stays disabled."""
     if factor == 1.0:
         return noise
     return replace(noise, rms_v=noise.rms_v * factor, slow_rms_v=noise.slow_rms_v * factor)

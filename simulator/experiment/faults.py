@@ -66,6 +66,7 @@ def draw_faults_of_shot(faults: FaultParameters, *, seed: int, key: ShotKey, hou
     """Draw the faults of a strike, of its chain and of its sensor at an hour of the test.
 
     Hum and spikes are drawn by `draw_interference`, since they need the record's length.
+    The result depends only on seed, key and hour.
     """
     truth: dict[str, float] = {}
     missed, gain_factor = False, 1.0
@@ -140,7 +141,7 @@ def _draw_second_strike(faults: FaultParameters, seed: int, key: ShotKey) -> tup
 
 
 def apply_strike_faults(strike: Strike, faults: ShotFaults, sensor: SensorParameters) -> Strike:
-    """Apply faults to a strike: tilt with its loss of gain, and gain."""
+    """Return a strike with faults applied: tilt (at most 0.2 rad) with its loss of gain, and gain."""
     tilt_rad = min(strike.tilt_rad + faults.tilt_rad, STEEPEST_TILT_RAD)
     tilt_loss = math.exp(-sensor.tilt_loss_per_rad * (tilt_rad - strike.tilt_rad))
     return replace(
@@ -151,7 +152,7 @@ def apply_strike_faults(strike: Strike, faults: ShotFaults, sensor: SensorParame
 
 
 def apply_chain_faults(chain: ChainParameters, faults: ShotFaults) -> ChainParameters:
-    """Apply faults to a chain: worn contacts, and another dashpot to the plate.
+    """Return a chain with faults applied: worn contacts, and another dashpot to the plate.
 
     Masses and geometry stay.
     """

@@ -33,7 +33,7 @@ def _make_read_only(drawn: FloatArray) -> FloatArray:
 
 
 def draw_unit_t(random: np.random.Generator, dof: float, size: int | tuple[int, ...]) -> FloatArray:
-    """Draw numbers of Student's t distribution, scaled to variance 1."""
+    """Draw numbers of Student's t distribution, scaled to variance 1; ``dof`` must exceed 2."""
     return np.asarray(random.standard_t(dof, size) * np.sqrt((dof - 2.0) / dof))
 
 
@@ -51,7 +51,10 @@ def compute_ar1_weights(memory: FloatArray) -> FloatArray:
 def draw_autocorrelated_values(
     weights: FloatArray, dof: float, *, seed: int, position: str, set_key: SetKey
 ) -> FloatArray:
-    """Compute stationary autocorrelated processes of variance 1 at a set, shape (n,).
+    """Return the values of stationary AR(1) processes of variance 1 at a set, shape (n,).
+
+    An unscheduled set shares the past of the next scheduled one and has an innovation of its own: scheduled
+    sets are the same with and without it.
 
     Parameters
     ----------
@@ -59,9 +62,6 @@ def draw_autocorrelated_values(
         `compute_ar1_weights`.
     dof
         Of the innovations, Student's t of variance 1.
-
-    A set beside the plan remembers what the next planned one does, and has an innovation of its own: planned
-    sets stay what they are without it.
     """
     planned, unscheduled = set_key
     block, first = divmod(planned + bool(unscheduled), LAGS)
@@ -94,7 +94,7 @@ def draw_slow_drift(
 ) -> tuple[FloatArray, FloatArray]:
     """Draw periods in h and phases in rad of `size` slow drifts, shape (size, WANDER_TERMS).
 
-    One period lies in each of equal steps of ln(period): slow and less slow parts are always there.
+    One period is in each of equal steps of ln(period), so that slow and less slow parts are always present.
     """
     random = keyed_generator(seed, purpose, position=position)
     steps = (np.arange(WANDER_TERMS) + random.uniform(0.0, 1.0, (size, WANDER_TERMS))) / WANDER_TERMS
@@ -133,7 +133,7 @@ def draw_values_after_reseats(
 def _draw_reseats(
     seed: int, position: str, block: int, rate_per_h: float, size: int
 ) -> tuple[FloatArray, FloatArray]:
-    """Draw the re-seats of a block: hours, rising, and values after each, shape (count, size)."""
+    """Draw the re-seats of a block of 1,000 h: hours, rising, and values after each, shape (count, size)."""
     key = ShotKey(position=position, set_index=block, shot_index=0)
     random = keyed_generator(seed, Purpose.RESEATS, key=key)
     count = int(random.poisson(rate_per_h * RESEAT_BLOCK_H))
@@ -143,6 +143,6 @@ def _draw_reseats(
 
 @lru_cache(maxsize=256)
 def is_noisy_hour(seed: int, hour: int, probability: float) -> bool:
-    """Draw whether an hour of the test is noisy, the same for all positions."""
+    """Draw from the seed whether an hour of the test is noisy, the same for all positions."""
     key = ShotKey(position="", set_index=hour, shot_index=0)
     return bool(keyed_generator(seed, Purpose.NOISY_HOURS, key=key).random() < probability)

@@ -31,13 +31,13 @@ class Temperature:
     drawn: tuple[FloatArray, FloatArray]
 
     def at(self, hour_h: float) -> float:
-        """Return the temperature in degrees Celsius at an hour of the test."""
+        """Return the temperature in degrees Celsius at an hour of the test; the mean if drift is disabled."""
         return _cached_temperature_c(self, hour_h) if self.drift.enabled else self.drift.mean_temperature_c
 
 
 @lru_cache(maxsize=256)
 def _cached_temperature_c(room: Temperature, hour_h: float) -> float:
-    """Compute the temperature of a drifting room, cached, because all shots of an hour need it."""
+    """Compute the temperature of a drifting room in degrees Celsius, cached: all shots of an hour need it."""
     drift = room.drift
     day = drift.diurnal_amplitude_k * np.cos(2.0 * np.pi * (hour_h - drift.warmest_hour_h) / 24.0)
     wander_k = drift.wander_sd_k * evaluate_slow_drift(hour_h, room.drawn)[0]
@@ -71,10 +71,10 @@ def draw_scattered_strike(
 ) -> Strike:
     """Draw drop height, tilt and sensitivity of one shot with its random scatter.
 
-    The logarithm of the drop height is normal: it stays positive, and time of flight and amplitude,
-    powers of it, scatter evenly to both sides. The tilt is uniform: the disk lies somewhere in the play
-    of its guide, and there is nothing beyond. The set's part is drawn from the set alone, so all its
-    shots share it.
+    The logarithm of the drop height is normal: it stays positive, and time of flight and amplitude, powers of
+    it, scatter evenly to both sides. The tilt is uniform: the disk is somewhere in the play of its guide, and
+    nowhere beyond. The set's part is drawn from the set alone, so all its shots share it. The drop height is
+    limited to 0.01 times the nominal one and 1 m, the tilt to 0.2 rad.
     """
     set_part = _draw_set_numbers(seed, ShotKey.in_set(key.set_key, key.position, 0))
     shot_part = _draw_unit_numbers(keyed_generator(seed, Purpose.SHOT_SCATTER, key=key))
@@ -108,7 +108,7 @@ def draw_scattered_strike(
 
 @lru_cache(maxsize=256)
 def _draw_set_numbers(seed: int, set_key: ShotKey) -> tuple[float, float]:
-    """Draw the two numbers that all shots of a set share."""
+    """Draw the two numbers of variance 1 that all shots of a set share, for drop height and tilt."""
     return _draw_unit_numbers(keyed_generator(seed, Purpose.SET_SCATTER, key=set_key))
 
 

@@ -47,26 +47,26 @@ class Climate:
         return self.parameters.day_amplitude_k * day + self.parameters.season_amplitude_k * season
 
     def process_k(self, hour_h: float) -> float:
-        """Return the temperature of the plate relative to the room at an hour, in K."""
+        """Return the temperature of the plate relative to the room at an hour, in K; drawn once per test."""
         return self.parameters.process_sd_k * float(evaluate_slow_drift(hour_h, self.process)[0])
 
     def liquid_factor(self, hour_h: float) -> float:
-        """Return the liquid's depth at an hour relative to the full one.
+        """Return the depth of the liquid at an hour, as a fraction of the full depth.
 
-        It falls step by step and is refilled at once.
+        It falls through four values between two refills.
         """
         part = (hour_h / self.parameters.refill_h + self.refilled) % 1.0
         return list_liquid_factors(self.parameters)[int(LIQUID_LEVELS * part)]
 
 
 def list_liquid_factors(parameters: NuisanceParameters) -> tuple[float, ...]:
-    """List all depths that the liquid can have, relative to the full one."""
+    """List the four depths that the liquid can have, as fractions of the full depth, falling."""
     steps = [level / (LIQUID_LEVELS - 1) for level in range(LIQUID_LEVELS)]
     return tuple(1.0 - parameters.liquid_loss_fraction * step for step in steps)
 
 
 def draw_climate(level: str, *, seed: int, warmest_hour_h: float) -> Climate:
-    """Draw season, process temperature and refill times of a test."""
+    """Draw season, process temperature and refill times of a test from the seed."""
     parameters = NUISANCE[level]
     return Climate(
         parameters=parameters,
@@ -107,7 +107,7 @@ class _Sources:
 
 @lru_cache(maxsize=64)
 def _effects_of_sources(level: str, chain: ChainParameters) -> _Sources:
-    """Compute the effects of each source of variation on the parameters of a chain, cached."""
+    """Return sizes and effects of all sources of variability on a chain, cached by level and chain."""
     n = chain.bodies
     of_stiffness, of_damping, last = np.eye(n), np.zeros((n, n)), np.eye(2 * n + 3)[:, 2 * n :]
     curvature = _contact_radius_exponent(chain)
@@ -141,9 +141,9 @@ def _effects_of_sources(level: str, chain: ChainParameters) -> _Sources:
 
 
 def _contact_radius_exponent(chain: ChainParameters) -> FloatArray:
-    """Compute how each radius of curvature changes the contact stiffness A, in logarithms.
+    """Compute d ln A / d ln R of each contact's stiffness for each body's radius, shape (n, n).
 
-    A goes with the root of the joint radius.
+    A is proportional to the root of the joint radius of curvature.
     """
     bent = np.array([1.0 / chain.body(index).radius_m for index in range(chain.bodies)] + [0.0])
     change = np.zeros((chain.bodies, chain.bodies + 1))

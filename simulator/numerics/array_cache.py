@@ -54,6 +54,8 @@ def read_or_compute_arrays(
 ) -> dict[str, FloatArray]:
     """Read the arrays stored in `folder` under `key`, or compute and store them.
 
+    Unfinished files of killed writers are removed; a file that cannot be written is only logged.
+
     Parameters
     ----------
     folder
@@ -75,12 +77,12 @@ def read_or_compute_arrays(
 
 
 def hash_content(described: Mapping[str, object]) -> str:
-    """Hash a description together with the simulator's code and the numerical libraries.
+    """Return the SHA-256 (hex) of a description, the simulator's code and the numerical libraries.
 
     Parameters
     ----------
     described
-        The name of the computation and everything that goes in, for `json.dumps`.
+        The name of the computation and all its inputs, for `json.dumps`.
     """
     text = json.dumps({"described": described, "made_with": _describe_environment()}, sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()
@@ -88,13 +90,16 @@ def hash_content(described: Mapping[str, object]) -> str:
 
 @cache
 def _describe_environment() -> dict[str, object]:
-    """Describe the code, libraries and BLAS kernels that determine the last digits of results."""
+    """Return the code hash, library versions and BLAS kernels that determine the last digits; cached."""
     libraries = {name: version(name) for name in ("numpy", "scipy", "numba")}
     return {"code": hash_source(), "libraries": libraries, "blas": describe_blas_libraries()}
 
 
 def read_arrays(path: Path) -> dict[str, FloatArray] | None:
-    """Read arrays written by `write_arrays`; None if there is no complete and readable file."""
+    """Read arrays written by `write_arrays`; None if there is no complete and readable file.
+
+    A damaged or unreadable file is logged; its arrays must be computed again.
+    """
     try:
         stored = path.read_bytes()
     except FileNotFoundError:
@@ -121,7 +126,7 @@ def read_arrays(path: Path) -> dict[str, FloatArray] | None:
 def write_arrays(
     path: Path, arrays: Mapping[str, FloatArray], *, limit_bytes: int = FOLDER_LIMIT_BYTES
 ) -> None:
-    """Write `arrays` to `path`; if the folder cannot be written, log that and store nothing.
+    """Write `arrays` to `path` atomically; if the folder cannot be written, log that and store nothing.
 
     Beyond `limit_bytes` the folder loses its oldest files.
     """
@@ -145,12 +150,12 @@ def write_arrays(
 
 
 def _as_float64(arrays: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
-    """Convert arrays to C-contiguous float64."""
+    """Convert arrays to C-contiguous float64; copy only those that are not."""
     return {name: np.asarray(values, dtype=np.float64, order="C") for name, values in arrays.items()}
 
 
 def _encode_arrays(arrays: Mapping[str, FloatArray]) -> bytes:
-    """Encode arrays as bytes, after a header of names and shapes."""
+    """Encode arrays as little-endian float64 after a header (length, JSON names and shapes)."""
     header = json.dumps([[name, values.shape] for name, values in arrays.items()]).encode()
     before = len(MAGIC) + DIGEST_BYTES + 4
     header += b" " * (-(before + len(header)) % ALIGNMENT)
@@ -159,7 +164,7 @@ def _encode_arrays(arrays: Mapping[str, FloatArray]) -> bytes:
 
 
 def _remove_unfinished_files(folder: Path) -> None:
-    """Remove stale unfinished files of killed writers; on Windows a file still open stays."""
+    """Remove unfinished files older than 600 s, left by killed writers; on Windows an open file stays."""
     now = time.time()
     for entry in _list_cache_files(folder):
         if entry.name.endswith(UNFINISHED_SUFFIX):
@@ -169,7 +174,7 @@ def _remove_unfinished_files(folder: Path) -> None:
 
 
 def _limit_folder_size(folder: Path, limit_bytes: int) -> None:
-    """Remove the oldest cache files until the folder is within the limit in bytes."""
+    """Remove the oldest cache files until the folder is within the limit in bytes; the newest stays."""
     files = [
         (entry, _file_status(entry)) for entry in _list_cache_files(folder) if entry.name.endswith(SUFFIX)
     ]
@@ -182,7 +187,7 @@ def _limit_folder_size(folder: Path, limit_bytes: int) -> None:
 
 
 def _list_cache_files(folder: Path) -> list[os.DirEntry[str]]:
-    """List the files of a cache folder; return an empty list if it cannot be read."""
+    """List the directory entries of a cache folder; return an empty list if it cannot be read."""
     try:
         with os.scandir(folder) as found:
             return list(found)

@@ -31,7 +31,7 @@ def factorize_band(band: FloatArray) -> FloatArray:
 
 
 def solve_band(factor: FloatArray, right: FloatArray) -> FloatArray:
-    """Solve a linear system with a factor of `band_factor`; `right` has the shape (n,)."""
+    """Solve a linear system with a factor of `factorize_band`; `right` and result have the shape (n,)."""
     solution, _ = lapack.dpbtrs(factor, right, lower=1)
     return np.asarray(solution)
 
@@ -54,7 +54,7 @@ class _LowerEntries:
 
     @classmethod
     def of(cls, matrix: sparse.spmatrix, place: IntArray) -> _LowerEntries:
-        """Create the entries of a matrix's lower triangle in the new order of unknowns."""
+        """Create the lower-triangle entries of a matrix whose unknown k moves to ``place[k]``."""
         entries = matrix.tocoo()
         row, column = place[entries.row], place[entries.col]
         lower = row >= column
@@ -81,6 +81,7 @@ class FactorFamily:
     """
 
     def __init__(self, coefficients: tuple[sparse.spmatrix, ...], order: IntArray) -> None:
+        """Factorize what is the same for all s; raise LinAlgError if that part is not positive definite."""
         n = len(order)
         self._order = order
         self._place = np.empty(n, dtype=np.int64)
@@ -114,14 +115,14 @@ class FactorFamily:
         return self._factor
 
     def solve(self, factor: FloatArray, right: FloatArray) -> FloatArray:
-        """Solve a linear system with a factor of `factor`.
+        """Solve a linear system for one right-hand side, shape (n,), with a result of `factor`.
 
         `right` and the result have the matrices' own order.
         """
         return np.asarray(solve_band(factor, right[self._order])[self._place])
 
     def _band_at_parameter(self, entries: list[_LowerEntries], s: float, size: int) -> FloatArray:
-        """Assemble the band matrix at parameter s from the entries of each power of s."""
+        """Assemble the lower band storage of A(s), shape (bandwidth + 1, size)."""
         band = np.zeros((self._bandwidth + 1, size), order="F")
         for power, one in enumerate(entries):
             band[one.below, one.column] += s**power * one.value
@@ -129,7 +130,7 @@ class FactorFamily:
 
 
 def _extract_lower_corner(band: FloatArray) -> FloatArray:
-    """Return the lower triangle of a band matrix's last columns as a square matrix."""
+    """Return the lower triangle of a band matrix's columns as a square matrix; zeros above."""
     size = band.shape[1]
     corner = np.zeros((size, size))
     for column in range(size):

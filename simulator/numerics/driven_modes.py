@@ -85,17 +85,17 @@ def _solve_tridiagonal_ql(d: FloatArray, e: FloatArray, z: FloatArray) -> bool:
     """Compute eigenvalues of a symmetric tridiagonal matrix in place, and one row of eigenvectors.
 
     Implicit QL with Wilkinson's shift (Bowdler, Martin, Reinsch and Wilkinson 1968,
-    doi:10.1007/BF02166692). It is exact for small eigenvalues where they stand first.
+    doi:10.1007/BF02166692). It is exact for small eigenvalues if they come first.
 
     Parameters
     ----------
     d, e, z
-        float64, shape (n,): diagonal, what stands next to it (the last is zero) and a row vector; they
-        become the eigenvalues, zeros, and the row times the eigenvectors.
+        float64, shape (n,): diagonal, off-diagonal (the last is zero) and a row vector; they become the
+        eigenvalues, zeros, and the row times the eigenvectors.
 
     Returns
     -------
-    Whether all eigenvalues were found.
+    False if an eigenvalue needs more than 60 sweeps, otherwise True.
     """
     n = d.shape[0]
     epsilon = np.finfo(np.float64).eps

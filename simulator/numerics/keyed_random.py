@@ -73,6 +73,6 @@ def keyed_generator(
 
 @lru_cache(maxsize=256)
 def _words_of_name(name: str) -> tuple[int, int]:
-    """Hash a name to two 32-bit words of a seed."""
+    """Hash a name to two 32-bit words of a seed (BLAKE2b), the same in every process."""
     digest = hashlib.blake2b(name.encode(), digest_size=8).digest()
     return int.from_bytes(digest[:4], "little"), int.from_bytes(digest[4:], "little")

@@ -49,12 +49,12 @@ register_model(Lanes)(_LanesModel)
 
 
 def _vector_type(lanes: Lanes) -> ir.VectorType:
-    """Return the LLVM type of a vector of double lanes."""
+    """Return the LLVM type of a vector of ``lanes.width`` doubles."""
     return ir.VectorType(ir.DoubleType(), lanes.width)
 
 
 def _make_intrinsic(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Turn a function into a Numba intrinsic that prefers literal arguments."""
+    """Turn a typing function into a Numba intrinsic that prefers literal arguments."""
     intrinsic: Callable[..., Any] = numba_intrinsic(prefer_literal=True)(function)
     return intrinsic
 
@@ -62,14 +62,14 @@ def _make_intrinsic(function: Callable[..., Any]) -> Callable[..., Any]:
 def _address_of_lanes(
     context: Any, builder: Any, array_type: Any, array: Any, start: Any, lanes: Lanes
 ) -> Any:
-    """Emit the address of the lanes that begin at ``start`` in an array."""
+    """Emit the address of the lanes that begin at index ``start`` in an array, without a bounds check."""
     data = context.make_array(array_type)(context, builder, array).data
     return builder.bitcast(cgutils.gep_inbounds(builder, data, start), _vector_type(lanes).as_pointer())
 
 
 @_make_intrinsic
 def load(typing: Any, array: Any, start: Any, width: Any) -> Any:
-    """Load a vector of `width` numbers from a contiguous array, from index `start` on."""
+    """Load a vector of `width` (constant) numbers from a contiguous float64 array, from index `start` on."""
     lanes = Lanes(width.literal_value)
 
     def codegen(context: Any, builder: Any, signature: Any, values: Any) -> Any:
@@ -96,7 +96,7 @@ def store(typing: Any, array: Any, start: Any, lanes: Any) -> Any:
 
 @_make_intrinsic
 def broadcast(typing: Any, number: Any, width: Any) -> Any:
-    """Copy a number into every lane of a vector of `width` lanes."""
+    """Build a vector of `width` lanes, each holding the same number; the width is a constant."""
     lanes = Lanes(width.literal_value)
 
     def codegen(context: Any, builder: Any, signature: Any, values: Any) -> Any:
@@ -107,7 +107,7 @@ def broadcast(typing: Any, number: Any, width: Any) -> Any:
 
 
 def _splat(builder: Any, number: Any, lanes: Lanes) -> Any:
-    """Emit a vector with the number in each lane."""
+    """Emit a vector with the number in each lane (an LLVM shuffle)."""
     vector = builder.insert_element(ir.Constant(_vector_type(lanes), ir.Undefined), number, ir.IntType(32)(0))
     mask = ir.Constant(ir.VectorType(ir.IntType(32), lanes.width), [0] * lanes.width)
     return builder.shuffle_vector(vector, ir.Constant(_vector_type(lanes), ir.Undefined), mask)
@@ -120,7 +120,7 @@ def _common_vector_type(given: Sequence[Any]) -> Lanes | None:
 
 
 def _make_lane_intrinsic(operands: int, emit: Callable[[Any, Any], Any]) -> Callable[..., Any]:
-    """Create an intrinsic of vectors and numbers, at least one a vector; numbers are broadcast."""
+    """Create an intrinsic of one to four vectors or numbers, at least one a vector; numbers are broadcast."""
 
     def typed(*given: Any) -> Any:
         """Return signature and code generator for the given types; None if they do not match."""
@@ -150,7 +150,7 @@ def _make_lane_intrinsic(operands: int, emit: Callable[[Any, Any], Any]) -> Call
 
 
 def _make_call_emitter(name: str) -> Callable[[Any, Any], Any]:
-    """Create a function that emits the call of an LLVM vector function."""
+    """Return a function that emits the call of an LLVM vector function, such as ``llvm.fma``."""
 
     def emit(builder: Any, values: Any) -> Any:
         """Declare the vector function for these operands and emit its call."""
@@ -169,13 +169,13 @@ absolute = _make_lane_intrinsic(1, _make_call_emitter("llvm.fabs"))
 
 
 def _positive(builder: Any, values: Any) -> Any:
-    """Emit max(x, 0) of each lane."""
+    """Emit max(x, 0) of each lane; NaN gives 0."""
     zero = ir.Constant(values[0].type, [0.0] * values[0].type.count)
     return builder.select(builder.fcmp_ordered(">", values[0], zero), values[0], zero)
 
 
 def _where_greater(builder: Any, values: Any) -> Any:
-    """Emit ``c if a > b else d`` for each lane."""
+    """Emit ``c if a > b else d`` for each lane; NaN gives d."""
     return builder.select(builder.fcmp_ordered(">", values[0], values[1]), values[2], values[3])
 
 
@@ -194,7 +194,7 @@ unless_within = _make_lane_intrinsic(4, _where_not_less_or_equal)
 
 @_make_intrinsic
 def all_positive(typing: Any, lanes: Any) -> Any:
-    """Check whether every lane of a vector is greater than zero."""
+    """Return whether every lane of a vector is greater than zero; NaN is not."""
 
     def codegen(context: Any, builder: Any, signature: Any, values: Any) -> Any:
         """Emit the comparison of all lanes with zero."""
@@ -208,7 +208,7 @@ def all_positive(typing: Any, lanes: Any) -> Any:
 
 @_make_intrinsic
 def lane(typing: Any, lanes: Any, index: Any) -> Any:
-    """Extract one lane of a vector; its index is a constant."""
+    """Return one lane of a vector as a number; its index is a constant."""
 
     def codegen(context: Any, builder: Any, signature: Any, values: Any) -> Any:
         """Emit the extraction of the lane."""

@@ -29,7 +29,7 @@ class Front:
     children
         Numbers of the two fronts that are merged.
     places
-        Where their remaining unknowns stand among the unknowns of this front.
+        Positions of their remaining unknowns among the unknowns of this front.
     eliminated, remaining
         Unknowns eliminated here, and those left to later fronts.
     own
@@ -45,7 +45,7 @@ class Front:
 
 
 def order_elimination(cells: IntArray, unknowns: Sequence[IntArray]) -> list[Front]:
-    """Order the elimination of unknowns by nested dissection; each front comes after its children.
+    """Return the fronts that eliminate all unknowns by nested dissection; each comes after its children.
 
     Parameters
     ----------
@@ -58,7 +58,7 @@ def order_elimination(cells: IntArray, unknowns: Sequence[IntArray]) -> list[Fro
     fronts: list[Front] = []
 
     def order(chosen: IntArray) -> tuple[int, IntArray, IntArray]:
-        """Append the fronts of some cells, children first; return the number of the last front."""
+        """Append the fronts of some cells; return the last front, its remaining unknowns and counts."""
         children: tuple[int, ...] = ()
         places: tuple[IntArray, ...] = ()
         if len(chosen) == 1:
@@ -90,7 +90,7 @@ def order_elimination(cells: IntArray, unknowns: Sequence[IntArray]) -> list[Fro
 
 
 def _cut_in_halves(cells: IntArray, chosen: IntArray) -> tuple[IntArray, IntArray]:
-    """Split cells across their longer side into the most equal halves."""
+    """Split cells across their longer side into the most equal halves; return the cells of each."""
     places = cells[chosen]
     extent = places.max(axis=0) - places.min(axis=0)
     along = places[:, int(extent[1] > extent[0])]
@@ -107,7 +107,7 @@ class DissectedCholesky:
     factors: list[tuple[FloatArray, FloatArray]]
 
     def solve(self, right: FloatArray) -> FloatArray:
-        """Solve the linear system for one right-hand side, shape (unknowns,)."""
+        """Solve the linear system for one right-hand side, shape (unknowns,), which is not changed."""
         x = right.copy()
         for front, (own, below) in zip(self.fronts, self.factors, strict=True):
             if len(front.eliminated):
@@ -153,7 +153,7 @@ def factorize(fronts: list[Front], cell_matrix: Callable[[int], FloatArray]) -> 
 def _eliminate(
     matrix: FloatArray, done: IntArray, rest: IntArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Eliminate unknowns: return their Cholesky factor, its continuation below, Schur complement."""
+    """Eliminate unknowns; return their Cholesky factor, its continuation below, and the Schur complement."""
     below = np.asfortranarray(matrix[np.ix_(rest, done)])
     schur = matrix[np.ix_(rest, rest)]
     if not len(done):

@@ -43,9 +43,10 @@ def draw_standard_normals(random: np.random.Generator, n: int) -> Table:
 
 @cache
 def _ziggurat_layers() -> tuple[NDArray[np.uint32], Table, Table]:
-    """Compute the ziggurat's tables, one row per layer.
+    """Compute the ziggurat's three tables for 256 layers, the lowest layer first.
 
-    Steps fully under the curve, a step's signed width, and the curve's height.
+    Steps fully under the curve, shape (256,); a step's signed width, positive then negative, shape (512,);
+    the curve's height, shape (256,).
     """
     area = LAST_EDGE * math.exp(-0.5 * LAST_EDGE**2) + math.sqrt(0.5 * math.pi) * math.erfc(
         LAST_EDGE / math.sqrt(2.0)
@@ -65,7 +66,7 @@ def _ziggurat_layers() -> tuple[NDArray[np.uint32], Table, Table]:
 
 @jit_compile(error_model="numpy")
 def _next_uint32(words: Words) -> Any:
-    """Return the next 32 bits of an SFC64: the lower half first, the upper one is kept."""
+    """Return the next 32 bits of an SFC64 and advance its state in ``words``."""
     if words[4]:
         words[4] = np.uint64(0)
         return np.uint32(words[5])
@@ -80,7 +81,7 @@ def _next_uint32(words: Words) -> Any:
 
 @jit_compile(error_model="numpy")
 def _draw_from_tail(words: Words, bits: np.uint32) -> Any:
-    """Draw a normal number beyond the last edge (Marsaglia 1964); one of the bits is the sign."""
+    """Draw a normal number beyond the last edge (Marsaglia 1964); bit 17 of ``bits`` is the sign."""
     while True:
         first = np.float32(_next_uint32(words) >> np.uint32(8)) * np.float32(2.0**-24)
         second = np.float32(_next_uint32(words) >> np.uint32(8)) * np.float32(2.0**-24)
@@ -95,9 +96,9 @@ def _draw_from_tail(words: Words, bits: np.uint32) -> Any:
 def _fill_with_normals(
     words: Words, inside: NDArray[np.uint32], widths: Table, heights: Table, drawn: Table
 ) -> None:
-    """Fill `drawn` with normal numbers.
+    """Fill `drawn`, shape (n,), with standard normal numbers and advance the state in ``words``.
 
-    `words` holds SFC64's four, whether half of a fifth is kept, and that half.
+    ``words`` holds SFC64's four state words, whether half of a fifth is kept, and that half.
     """
     size = drawn.shape[0]
     done = 0
@@ -139,7 +140,7 @@ def _fill_with_normals(
 
 @jit_compile(error_model="numpy")
 def _number_in_layer(bits: np.uint32, inside: NDArray[np.uint32], widths: Table) -> Any:
-    """Convert 32 bits to a number; return also whether it is under the curve in all of its layer."""
+    """Convert 32 bits to a number, and whether the curve is above all of its layer there (accept at once)."""
     layer = bits & np.uint32(LAYERS - 1)
     place = bits >> np.uint32(9)
     return np.float32(place) * widths[bits & np.uint32(2 * LAYERS - 1)], place < inside[layer]
@@ -149,7 +150,7 @@ def _number_in_layer(bits: np.uint32, inside: NDArray[np.uint32], widths: Table)
 def _next_number(
     words: Words, bits: np.uint32, inside: NDArray[np.uint32], widths: Table, heights: Table
 ) -> Any:
-    """Draw a normal number from 32 bits; draw further bits if it is above the curve."""
+    """Draw a standard normal number from 32 bits; draw further bits while it is rejected."""
     while True:
         x, under = _number_in_layer(bits, inside, widths)
         if under:

@@ -14,14 +14,14 @@ from threadpoolctl import ThreadpoolController
 
 @cache
 def _find_blas_libraries() -> ThreadpoolController:
-    """Find the numerical libraries once, because the search takes longer than a new depth."""
+    """Find the loaded numerical libraries, once per process because the search is slow."""
     import scipy.linalg  # noqa: F401 its library must be loaded before we look
 
     return ThreadpoolController()
 
 
 def use_one_blas_thread() -> AbstractContextManager[object]:
-    """Limit BLAS to one thread within this context."""
+    """Return a context manager that limits BLAS to one thread in the whole process."""
     limiter: AbstractContextManager[object] = _find_blas_libraries().limit(limits=1, user_api="blas")
     return limiter
 

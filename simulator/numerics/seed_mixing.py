@@ -42,14 +42,14 @@ class SeedWords(ISeedSequence):
 
 @jit_compile(error_model="numpy")
 def _mix_value(value: np.uint32, before: np.uint32, after: np.uint32) -> Any:
-    """Hash a 32-bit value as NumPy's `SeedSequence` does."""
+    """Hash a 32-bit value with two constants as NumPy's `SeedSequence` does."""
     value = np.uint32((value ^ before) * after)
     return value ^ (value >> np.uint32(16))
 
 
 @jit_compile(error_model="numpy")
 def _mix_seed_words(words: Words, n_out: int) -> Words:
-    """Mix the words of a seed as NumPy's `SeedSequence` does; return ``n_out`` words."""
+    """Mix the words of a seed, shape (n,), as NumPy's `SeedSequence` does; return ``n_out`` words."""
     n, pool = words.shape[0], np.empty(POOL, np.uint32)
     constant = FIRST_HASH
     for k in range(POOL):

@@ -9,7 +9,7 @@ from pathlib import Path
 
 @cache
 def hash_source() -> str:
-    """Compute the SHA-256 of every module of the simulator except the doubles, which compute no shot.
+    """Return the SHA-256 (hex) of every module of the simulator except the doubles, which compute no shot.
 
     Line ends do not count: an installed wheel and a checkout on Windows have the same digest.
     """

@@ -36,12 +36,12 @@ class Axis:
 
     @property
     def first(self) -> IntArray:
-        """Return the number of the first node of each interval, and of the last node of all."""
+        """Return the number of the first node of each interval, and that of the last node."""
         return np.concatenate(([0], np.cumsum(self.degrees)))
 
     @property
     def nodes_m(self) -> FloatArray:
-        """Return all nodes, rising."""
+        """Return the positions of all nodes in m, rising, shape (nodes,)."""
         pieces = [self.breaks_m[:1]]
         for start, end, degree in zip(self.breaks_m, self.breaks_m[1:], self.degrees, strict=False):
             pieces.append(start + 0.5 * (lobatto_points(degree)[1:] + 1.0) * (end - start))
@@ -49,18 +49,18 @@ class Axis:
         return np.concatenate(pieces)
 
     def nodes_of(self, interval: int) -> IntArray:
-        """Return the node numbers of one interval, both ends included."""
+        """Return the node numbers of one interval, both ends included; shape (degree + 1,)."""
         first = self.first
         return np.arange(first[interval], first[interval + 1] + 1)
 
     def interval_matrices(self, interval: int) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Compute ``int N_i N_j``, ``int N_i' N_j``, ``int N_i' N_j'`` over one interval."""
+        """Compute ``int N_i N_j``, ``int N_i' N_j``, ``int N_i' N_j'`` over one interval, row i, column j."""
         length = float(self.breaks_m[interval + 1] - self.breaks_m[interval])
         mass, slope, stiffness = _reference_element_matrices(self.degrees[interval])
         return mass * (0.5 * length), slope, stiffness * (2.0 / length)
 
     def matrices(self, intervals: Iterable[int]) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Sum the integrals of `interval_matrices` over some intervals; three arrays over all nodes."""
+        """Sum the integrals of `interval_matrices` over some intervals; three arrays, (nodes, nodes) each."""
         count = int(self.first[-1]) + 1
         sums = np.zeros((3, count, count))
         for interval in intervals:
@@ -70,7 +70,7 @@ class Axis:
         return sums[0], sums[1], sums[2]
 
     def values(self, at_m: FloatArray) -> FloatArray:
-        """Evaluate all shape functions at some points, shape (points, nodes)."""
+        """Evaluate all shape functions at points in m, shape (points, nodes); extrapolate beyond the ends."""
         found = np.zeros((len(at_m), int(self.first[-1]) + 1))
         interval = np.clip(np.searchsorted(self.breaks_m, at_m, side="right") - 1, 0, len(self.degrees) - 1)
         for k in np.unique(interval):
@@ -83,7 +83,7 @@ class Axis:
 
 @cache
 def lobatto_points(degree: int) -> FloatArray:
-    """Compute Gauss-Lobatto-Legendre points on -1..1, rising, both ends included."""
+    """Compute the degree + 1 Gauss-Lobatto-Legendre points on -1..1, rising, both ends included."""
     top = np.zeros(degree + 1)
     top[degree] = 1.0
     inner = np.sort(legendre.legroots(legendre.legder(top)).real)
@@ -91,9 +91,9 @@ def lobatto_points(degree: int) -> FloatArray:
 
 
 def lagrange(degree: int, at: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Evaluate Lagrange's polynomials on the Lobatto points, and their derivatives.
+    """Evaluate Lagrange's polynomials on the Lobatto points and their derivatives at points on -1..1.
 
-    Shape (points, degree + 1).
+    Both arrays have the shape (points, degree + 1).
     """
     inverse = np.linalg.inv(legendre.legvander(lobatto_points(degree), degree))
     slopes = [legendre.legval(at, legendre.legder(unit)) for unit in np.eye(degree + 1)]
@@ -102,7 +102,7 @@ def lagrange(degree: int, at: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 @cache
 def _reference_element_matrices(degree: int) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Compute mass, coupling and stiffness matrices of an element of this degree on [-1, 1]."""
+    """Compute mass, coupling and stiffness matrices on [-1, 1], shape (degree + 1, degree + 1) each."""
     points, weights = legendre.leggauss(degree + 1)
     value, slope = lagrange(degree, points)
     weighted_value, weighted_slope = weights[:, None] * value, weights[:, None] * slope
@@ -117,7 +117,7 @@ def make_graded_breaks_m(
     largest_m: float,
     stops_m: Sequence[float],
 ) -> FloatArray:
-    """Divide 0 to `length_m` into intervals that are small at `features` and grow away from them.
+    """Return the breaks, rising in m, of intervals on 0 to `length_m` that are small at `features`.
 
     Parameters
     ----------
@@ -128,7 +128,7 @@ def make_graded_breaks_m(
     largest_m
         No interval grows beyond this.
     stops_m
-        Places that get a line of their own; those beyond `length_m` are left out.
+        Positions in m that become breaks; those beyond `length_m` are left out.
     """
     lines = [0.0]
     inner = sorted(stop for stop in stops_m if 0.0 < stop < length_m * (1.0 - 1e-9))

@@ -37,6 +37,7 @@ class SphereParameters:
     """Poisson's ratio."""
 
     def __post_init__(self) -> None:
+        """Raise ValueError for an empty range of bodies, or for both a mass and a density."""
         if self.last_body is not None and self.last_body < self.body:
             raise ValueError(f"last_body is {self.last_body}; it must be at least body = {self.body}")
         if self.mass_kg is not None and self.density_kg_per_m3 is not None:
@@ -47,7 +48,7 @@ class SphereParameters:
 
     @property
     def bodies(self) -> range:
-        """Return the described bodies."""
+        """Return the indices of the described bodies, counted from the striker (0)."""
         return range(self.body, 1 + (self.body if self.last_body is None else self.last_body))
 
 
@@ -107,6 +108,7 @@ class ChainParameters:
     25 C, 198 at 100 C, 192 at 200 C)."""
 
     def __post_init__(self) -> None:
+        """Raise ValueError for implausible densities, a disk on the plate, or bad spheres or moduli."""
         _check_density("mass_kg", self.mass_kg, self.radius_m)
         if self.spheres_below == 0 and self.sensor == "disk":
             raise ValueError(
@@ -120,11 +122,11 @@ class ChainParameters:
 
     @property
     def bodies(self) -> int:
-        """Return the number of bodies, the striker and the sensor counted."""
+        """Return the number of bodies of the chain; the striker and the sensor count."""
         return self.spheres_above + 1 + self.spheres_below
 
     def body(self, index: int) -> Body:
-        """Return one body, 0 the striker, with Young's modulus at the chain's temperature."""
+        """Return the body with an index, 0 the striker, with Young's modulus at the chain's temperature."""
         radius, mass = self.radius_m, self.mass_kg
         modulus, poisson = self.youngs_modulus_pa, self.poisson_ratio
         is_disk = self.sensor == "disk" and index == self.spheres_above
@@ -144,7 +146,7 @@ class ChainParameters:
         )
 
     def with_worn_contacts(self, radius_factor: float) -> ChainParameters:
-        """Return the chain with all radii of curvature scaled and the same masses."""
+        """Return the chain with all radii of curvature multiplied by a factor and the same masses."""
         spheres = tuple(
             other
             if other.radius_m is None and other.density_kg_per_m3 is None
@@ -159,7 +161,7 @@ class ChainParameters:
         return replace(self, radius_m=self.radius_m * radius_factor, spheres=spheres)
 
     def _mass_kg(self, other: SphereParameters) -> float:
-        """Return the mass of a different sphere in kg: as given, by density, or by radius."""
+        """Return the mass of a differing sphere in kg: as given, by density, or by its radius cubed."""
         if other.mass_kg is not None:
             return other.mass_kg
         radius = self.radius_m if other.radius_m is None else other.radius_m
@@ -168,7 +170,7 @@ class ChainParameters:
         return self.mass_kg if other.radius_m is None else self.mass_kg * (radius / self.radius_m) ** 3
 
     def _check_spheres(self) -> None:
-        """Check the described spheres; raise an error for one that does not exist or is described twice."""
+        """Raise ValueError for a described body that does not exist, is described twice or implausible."""
         described: set[int] = set()
         for other in self.spheres:
             if other.bodies[-1] >= self.bodies:
@@ -190,7 +192,7 @@ class ChainParameters:
             _check_density(f"mass_kg of body {other.body}", self._mass_kg(other), radius)
 
     def _check_moduli(self) -> None:
-        """Check Young's moduli at the chain's temperature; raise ValueError for one that is too low."""
+        """Raise ValueError if a Young's modulus is below 1e5 Pa at the chain's temperature."""
         given = [self.youngs_modulus_pa]
         given += [other.youngs_modulus_pa for other in self.spheres if other.youngs_modulus_pa is not None]
         softest = youngs_modulus_at_pa(min(given), self.youngs_modulus_change_per_k, self.temperature_c)
@@ -207,7 +209,7 @@ def _volume_m3(radius_m: float) -> float:
 
 
 def _check_density(name: str, mass_kg: float, radius_m: float) -> None:
-    """Check that mass and radius give a plausible density; raise ValueError if they do not."""
+    """Raise ValueError if mass and radius give a density outside 1 to 100,000 kg/m3."""
     density_kg_per_m3 = mass_kg / _volume_m3(radius_m)
     if not 1.0 <= density_kg_per_m3 <= 1e5:
         raise ValueError(

@@ -77,6 +77,7 @@ class EchoParameters:
     """Resolution of the receiver (that of the usual 100 MS/s PXI digitizer)."""
 
     def __post_init__(self) -> None:
+        """Raise ValueError unless the centre frequency is below half the sample rate."""
         if self.centre_frequency_hz >= 0.5 * self.sample_rate_hz:
             raise ValueError(
                 f"centre_frequency_hz is {self.centre_frequency_hz} Hz; it must be below half of "

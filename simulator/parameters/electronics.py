@@ -64,5 +64,6 @@ class AdcParameters:
     """Rising edge that triggers: a tenth of the incident wave, ten times the noise."""
 
     def __post_init__(self) -> None:
+        """Raise ValueError unless the pre-trigger is within the record and the level within the range."""
         check_pair(self, "pretrigger_samples", "less than", "record_samples")
         check_pair(self, "trigger_level_v", "below", "range_v", " V")

@@ -29,8 +29,8 @@ LONGEST_MEMORY = 0.8
 class SourceParameters:
     """Source of scatter, in four parts that add up; the unit is the source's.
 
-    With every set the source moves on as an AR(1) process, with every shot anew; it wanders slowly; and
-    with every re-seat it takes another place, above or below the nominal one, and stays there.
+    With every set the source moves on as an AR(1) process, with every shot at random; it drifts slowly; and
+    with every re-seat it has another place, above or below the nominal one, and stays there.
     """
 
     set_sd: Annotated[float, Ge(0.0), Le(1.0)] = 0.0
@@ -135,6 +135,7 @@ class NuisanceParameters:
     """SD of its height at the digitizer's input."""
 
     def __post_init__(self) -> None:
+        """Raise ValueError if a longest period is below the shortest one."""
         check_pair(self, "longest_wander_h", "at least", "shortest_wander_h", " h")
         check_pair(self, "longest_process_h", "at least", "shortest_process_h", " h")
 

@@ -50,6 +50,7 @@ class ThinningParameters:
     before the first and after the last."""
 
     def __post_init__(self) -> None:
+        """Raise ValueError for a history that does not rise, or hours in the wrong order."""
         if self.history:
             self._check_history()
         check_pair(self, "reference_h", "later than", "onset_h", " h")
@@ -60,7 +61,7 @@ class ThinningParameters:
             )
 
     def _check_history(self) -> None:
-        """Check a history of depths; raise an error if it does not rise or a second law is given."""
+        """Raise ValueError if hours or depths do not rise, or are out of range, or a second law is given."""
         if self.depth_fraction != 0.0 or self.unevenness != 0.0:
             raise ValueError(
                 f"history is given together with depth_fraction {self.depth_fraction} and unevenness "
@@ -89,9 +90,9 @@ class ThinningParameters:
 class ScatterParameters:
     """Scatter between shots without any change.
 
-    A set-level part (the chain settles anew before each set) and a part of each shot. All figures
-    are assumptions: the paper prints none. They are sized for a baseline whose sets scatter by about
-    0.5 % in time of flight, 2.5 % in amplitude ratio and 5 % in incident amplitude.
+    A set-level part (the chain settles again before each set) and a part of each shot. All figures are
+    assumptions: the paper prints none. They are sized for a baseline whose sets scatter by about 0.5 % in
+    time of flight, 2.5 % in amplitude ratio and 5 % in incident amplitude.
     """
 
     scale: Annotated[float, Ge(0.0), Le(10.0)] = 1.0
@@ -139,6 +140,7 @@ class DriftParameters:
     """Relative change of the PZT's sensitivity a kelvin (assumption: of the order given for soft PZT)."""
 
     def __post_init__(self) -> None:
+        """Raise ValueError if the longest period of the slow drift is below the shortest."""
         check_pair(self, "longest_wander_h", "at least", "shortest_wander_h", " h")
 
 
@@ -191,6 +193,7 @@ class TwinParameters:
     """Faults of each transducer and its channel by the position's name; without an entry it has none."""
 
     def __post_init__(self) -> None:
+        """Raise ValueError for mains hum that reaches the trigger level."""
         for position, faults in self.faults.items():
             hum_v = faults.mains_hum.amplitude_v
             if hum_v >= self.adc.trigger_level_v:

@@ -53,6 +53,7 @@ class DoubleStrikeFault(_Fault):
     """Least drop height of the second impact over the first one's; drawn evenly up to 1 (assumption)."""
 
     def __post_init__(self) -> None:
+        """Raise ValueError if the longest delay is below the shortest."""
         check_pair(self, "longest_delay_s", "at least", "shortest_delay_s", " s")
 
 

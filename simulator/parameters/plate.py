@@ -94,6 +94,7 @@ class PlateParameters:
     """Mesh of `solid`, which takes Hertz's pressure over `contact_radius_m`."""
 
     def __post_init__(self) -> None:
+        """Raise ValueError for a grid, modulus, contact or liquid that the model cannot have."""
         if self.elements_per_edge % 2:
             raise ValueError(f"elements_per_edge is {self.elements_per_edge}; it must be even")
         largest = min(self.width_m, self.height_m) / self.elements_per_edge
@@ -117,13 +118,13 @@ class PlateParameters:
 
     @property
     def warm_youngs_modulus_pa(self) -> float:
-        """Return Young's modulus at the plate's temperature."""
+        """Return Young's modulus at the plate's temperature, in Pa."""
         return youngs_modulus_at_pa(
             self.youngs_modulus_pa, self.youngs_modulus_change_per_k, self.temperature_c
         )
 
     def _check_contact(self) -> None:
-        """Check that the contact fits on the plate and is resolved; raise ValueError if not."""
+        """Raise ValueError if the contact does not fit on the plate or the grid does not resolve it."""
         reach_m = self.contact_radius_m if self.contact == "patch" else self.contact_element_m
         for name, at_m, edge_m in (
             ("contact_x_m", self.contact_x_m, self.width_m),
@@ -168,6 +169,7 @@ class PatchParameters:
     """Largest depth of this patch over the depth of the position."""
 
     def __post_init__(self) -> None:
+        """Raise ValueError unless a rectangular patch, and no other, has ``size_y_m``."""
         if (self.shape == "rectangular") != (self.size_y_m is not None):
             raise ValueError(
                 f"size_y_m is {self.size_y_m} for a {self.shape} patch; a rectangular one needs it, no other "
@@ -176,7 +178,7 @@ class PatchParameters:
 
     @property
     def half_sizes_m(self) -> tuple[float, float]:
-        """Return half the patch's extent along x and y."""
+        """Return half the patch's extent along x and y, in m; the radius twice for a round one."""
         return 0.5 * self.size_m, 0.5 * (self.size_m if self.size_y_m is None else self.size_y_m)
 
 
@@ -207,6 +209,7 @@ class CorrosionParameters:
     """Lost part of the thickness: 0 pristine, at most 0.95; beyond that the position is a hole."""
 
     def __post_init__(self) -> None:
+        """Raise ValueError for more than 32 further patches, or a first patch that makes no sense."""
         if len(self.further) > MOST_FURTHER_PATCHES:
             raise ValueError(
                 f"further has {len(self.further)} patches; at most {MOST_FURTHER_PATCHES} are possible"
@@ -215,11 +218,11 @@ class CorrosionParameters:
 
     @property
     def patches(self) -> tuple[PatchParameters, ...]:
-        """Return all patches, the first one first."""
+        """Return all patches: the one of these parameters, then the further ones."""
         first = {part.name: getattr(self, part.name) for part in fields(PatchParameters)}
         return PatchParameters(**first), *self.further
 
     @property
     def half_sizes_m(self) -> tuple[float, float]:
-        """Return half the first patch's extent along x and y."""
+        """Return half the first patch's extent along x and y, in m."""
         return self.patches[0].half_sizes_m

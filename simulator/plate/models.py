@@ -26,7 +26,7 @@ class ModalPlate(Protocol):
     """Finite plate under the chain."""
 
     def modes(self, depth_fraction: float) -> PlateModes:
-        """Compute all modes of the model with the patch thinned by `depth_fraction`."""
+        """Compute all modes of the model with the patch thinned by `depth_fraction` of the thickness."""
         ...
 
 
@@ -73,6 +73,7 @@ class CachedSolid:
     """
 
     def __init__(self, plate: PlateParameters, corrosion: CorrosionParameters, folder: Path | None) -> None:
+        """Check plate and patch; nothing is computed before the first call of `modes`."""
         check_solid(plate, replace(corrosion, depth_fraction=0.0))
         self._plate = plate
         self._corrosion = corrosion
@@ -82,7 +83,10 @@ class CachedSolid:
         self._lock = threading.Lock()
 
     def modes(self, depth_fraction: float) -> PlateModes:
-        """Return the modes of the solid with the patch thinned by `depth_fraction`, from memory if known."""
+        """Return the modes of the solid with the patch thinned by `depth_fraction`, from memory if known.
+
+        A call blocks while another thread computes a depth; the last 256 depths are kept.
+        """
         with self._lock:  # two threads must not compute the same depth
             found = self._known.get(depth_fraction)
             if found is None:
@@ -93,7 +97,7 @@ class CachedSolid:
             return found
 
     def _find_modes(self, corrosion: CorrosionParameters) -> PlateModes:
-        """Compute the modes of a thinned plate, from the family of bases if that is exact enough."""
+        """Compute the modes of a thinned plate: from one basis for all depths if so set, else on its own."""
         check_solid(self._plate, corrosion)
         lost = corrosion.depth_fraction * corrosion.depth_factor
         if not self._plate.solid.one_basis or lost < SHALLOWEST_FRACTION:
@@ -117,7 +121,7 @@ class CachedSolid:
         return PlateModes(**found, residual_compliance_m_per_n=residual_m_per_n)
 
     def _cached_family(self) -> SolidFamily:
-        """Read the family of modes from the disk cache, or compute and store it."""
+        """Read the basis for all depths from the disk cache, or compute and store it."""
 
         def compute() -> dict[str, FloatArray]:
             """Compute the family in one BLAS thread; return its arrays by name."""

@@ -14,13 +14,13 @@ ANGULAR_POINTS = 48
 
 
 def gauss_rule(count: int, end: float) -> tuple[FloatArray, FloatArray]:
-    """Return Gauss-Legendre points and weights on the interval from 0 to `end`."""
+    """Return Gauss-Legendre points and weights on 0 to `end`, shape (count,) each."""
     points, weights = np.polynomial.legendre.leggauss(count)
     return 0.5 * end * (points + 1.0), 0.5 * end * weights
 
 
 def hertz_pressure_points(radius_m: float) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return quadrature points over a quarter of the circle: x, y in m, and share of the pressure.
+    """Return quadrature points over a quarter of the circle: x, y in m, and share; shape (2304,) each.
 
     With ``c = sqrt(1 - r^2 / a^2)`` the force on a ring is ``c r dr ~ c^2 dc``, smooth in c: Gauss points
     in c and in the angle carry the pressure.

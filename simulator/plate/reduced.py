@@ -41,12 +41,12 @@ class PlateModes:
 
     @property
     def static_compliance_m_per_n(self) -> float:
-        """Return the deflection under a static unit force."""
+        """Return the deflection under the chain for a static unit force, in m/N, residual included."""
         modal = np.sum((self.participation / self.omega_rad_per_s) ** 2)
         return float(modal) + self.residual_compliance_m_per_n
 
     def with_scaled_modulus(self, factor: float) -> PlateModes:
-        """Return the modes for `factor` times the Young's modulus, to which stiffness is proportional."""
+        """Return the modes for `factor` times Young's modulus; frequencies scale with its square root."""
         return PlateModes(
             omega_rad_per_s=self.omega_rad_per_s * math.sqrt(factor),
             participation=self.participation,
@@ -54,7 +54,7 @@ class PlateModes:
         )
 
     def cut_above(self, omega_rad_per_s: float, yielding_per_kg: float) -> PlateModes:
-        """Convert modes above a frequency to residual compliance; keep the lower ones.
+        """Return the modes up to a frequency; those above become residual compliance.
 
         Parameters
         ----------
@@ -94,7 +94,10 @@ class ReducedPlate:
     load: FloatArray
 
     def modes(self, depth_fraction: float) -> PlateModes:
-        """Compute the modes of the reduced plate with the patch thinned by `depth_fraction`."""
+        """Compute the modes of the reduced plate with the patch thinned by `depth_fraction`.
+
+        Raise LinAlgError if the projected matrices are not positive definite.
+        """
         size = self.stiffness.shape[1]
         powers = (1.0 - depth_fraction) ** np.arange(4.0)
         k, m = ((powers @ terms.reshape(4, -1)).reshape(size, size) for terms in (self.stiffness, self.mass))
@@ -116,8 +119,8 @@ def merge_vectors(vectors: FloatArray, weight: FloatArray, strengths: list[Float
     weight
         float64, shape (n,): the basis is orthonormal after multiplication with it.
     strengths
-        For each space the columns that make its directions of its vectors, in their relative strength;
-        all spaces get the same weight.
+        For each space the columns that make its directions of its vectors, in their relative strength; all
+        spaces have the same weight.
 
     Returns
     -------

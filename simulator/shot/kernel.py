@@ -97,7 +97,7 @@ _compiled = jit_compile(nogil=True, error_model="numpy")
 
 @_compiled
 def _power_of_overlap(overlap: Any, law: int) -> Any:
-    """Compute ``overlap^(1 + p)`` of a damping law by square roots only."""
+    """Compute ``overlap^(1 + p)``, p of index `law` in `LAWS_OF_DAMPING`, by square roots only."""
     if law == 0:
         return overlap
     root = sqrt(overlap)
@@ -110,7 +110,7 @@ def _power_of_overlap(overlap: Any, law: int) -> Any:
 
 @_compiled
 def _slope_of_power(overlap: Any, law: int) -> Any:
-    """Compute the derivative of `_power_of_overlap` by the overlap."""
+    """Compute the derivative of `_power_of_overlap` by the overlap, ``(1 + p) overlap^p``."""
     if law == 0:
         return overlap * 0.0 + 1.0
     root = sqrt(overlap)
@@ -127,7 +127,7 @@ _step = jit_compile(inline="always", nogil=True, error_model="numpy")
 
 @_step
 def _set_bodies_at_rest(chains: Chains, speed: Any, step: float, width: int) -> Bodies:
-    """Create all bodies at rest except the striker, whose past free fall is exact."""
+    """Create the state of all bodies but the last: at rest, the striker with its exact past of free fall."""
     last = chains.mass.shape[0] - 1
     row = -(-last * width // BLOCK) * BLOCK + width + BLOCK
     overlap, gap, static_overlap = np.zeros(row), np.zeros(row), np.zeros(row)
@@ -172,7 +172,7 @@ def _set_bodies_at_rest(chains: Chains, speed: Any, step: float, width: int) -> 
 def _contact_weights(
     chains: Chains, specimen: Propagator, step: float, width: int, law: int, linear: bool
 ) -> Contact:
-    """Compute the weights of everything that acts on the plate's contact within a step."""
+    """Return the constants of a step that act on the contact with the plate, one lane per shot."""
     last = chains.mass.shape[0] - 1
     bank, compliance = specimen.bank, specimen.residual_compliance_m_per_n
     w_per_i = w_per_s = specimen.mobility_m_per_n_s
@@ -230,7 +230,7 @@ def _contact_weights(
 
 @_step
 def _set_last_body_at_rest(chains: Chains, contact: Contact, zero: Any, width: int) -> LastBody:
-    """Create the last body under its static load."""
+    """Create the state of the last body at rest under its static load, with its contact's stored energy."""
     held = np.empty(width)
     row = (chains.mass.shape[0] - 1) * width
     for k in range(width):
@@ -254,7 +254,7 @@ def _set_last_body_at_rest(chains: Chains, contact: Contact, zero: Any, width: i
 
 @_step
 def _compute_initial_energy(chains: Chains, strikes: Strikes, compliance: float, width: int) -> FloatArray:
-    """Compute the initial energy of all contacts and of the striker for each shot, in J."""
+    """Compute the initial energy of all contacts and the striker in J for each shot, shape (width,)."""
     last = chains.mass.shape[0] - 1
     energy = np.empty(width)
     for k in range(width):
@@ -315,9 +315,9 @@ def _advance_mode(
 
 @_step
 def _advance_modes_of_two(y: FloatArray, sums: FloatArray, bank: FloatArray, last: LastBody) -> None:
-    """Advance the modes of a plate, eight of one shot at a time; return each shot's deflection.
+    """Advance the modes of a plate for two shots in place, eight modes of one shot at a time.
 
-    The sums lack what I and S add.
+    `sums` then holds each shot's deflection without the share of this step's I and S.
     """
     total, other = broadcast(0.0, BLOCK), broadcast(0.0, BLOCK)
     i0, s0, i1, s1 = lane(last.i[0], 0), lane(last.s[0], 0), lane(last.i[0], 1), lane(last.s[0], 1)
@@ -341,7 +341,7 @@ def _advance_modes_of_two(y: FloatArray, sums: FloatArray, bank: FloatArray, las
 
 @_step
 def _store_sums_of_two(sums: FloatArray, total: Any, other: Any) -> None:
-    """Store the sums of two shots so that `_sum_of_eight` adds nothing to them."""
+    """Store the sums of two shots in `sums` so that `_sum_of_eight` returns them unchanged."""
     n = 2 * BLOCK
     store(sums, n, total)
     store(sums, n + BLOCK, other)
@@ -355,9 +355,9 @@ def _store_sums_of_two(sums: FloatArray, total: Any, other: Any) -> None:
 def _advance_modes_of_many(
     y: FloatArray, sums: FloatArray, bank: FloatArray, last: LastBody, width: int
 ) -> None:
-    """Advance the modes of shots side by side, one mode of all at a time.
+    """Advance the modes of shots side by side in place, one mode of all shots at a time.
 
-    Write the sums of every eighth mode.
+    `sums` then holds eight vectors, each the sum of every eighth mode's deflection.
     """
     for j in range(BLOCK):
         total = broadcast(0.0, width)
@@ -382,7 +382,7 @@ def _advance_modes_of_many(
 
 @_step
 def _sum_of_eight(sums: FloatArray, width: int) -> Any:
-    """Sum eight vectors in a fixed order, so that results are reproducible to the bit."""
+    """Sum eight vectors of `sums` in a fixed order; return one vector of `width` lanes."""
     front = load(sums, 0, width) + load(sums, width, width)
     front = front + (load(sums, 2 * width, width) + load(sums, 3 * width, width))
     back = load(sums, 4 * width, width) + load(sums, 5 * width, width)
@@ -391,7 +391,7 @@ def _sum_of_eight(sums: FloatArray, width: int) -> Any:
 
 @_step
 def _predict_places(bodies: Bodies, last: LastBody, row_of_last: int, size: int, h24: float) -> None:
-    """Predict the displacements of all bodies by an Adams-Bashforth step."""
+    """Predict the displacements of all bodies by an Adams-Bashforth step of order four, into `ahead`."""
     for k in range(0, size, BLOCK):
         past = fma(load(bodies.v2, k, BLOCK), 37.0, -9.0 * load(bodies.v3, k, BLOCK))
         past = fma(load(bodies.v1, k, BLOCK), -59.0, past)
@@ -403,7 +403,7 @@ def _predict_places(bodies: Bodies, last: LastBody, row_of_last: int, size: int,
 
 @_step
 def _predict_impulses(bodies: Bodies, striker: Any, size: int, width: int, h24: float, law: int) -> None:
-    """Compute impulses on every body from the predicted overlaps.
+    """Compute the impulses on every body from the predicted overlaps, into `given`.
 
     `striker` is the impulse that moves the striker.
     """
@@ -423,7 +423,7 @@ def _predict_impulses(bodies: Bodies, striker: Any, size: int, width: int, h24: 
 
 @_step
 def _move_bodies(bodies: Bodies, size: int, width: int, h24: float) -> None:
-    """Correct velocities and displacements of all bodies but the last by an Adams-Moulton step."""
+    """Correct velocities and displacements of all bodies but the last in place (Adams-Moulton)."""
     for k in range(0, size, BLOCK):
         v = load(bodies.given, k, BLOCK) - load(bodies.given, k + width, BLOCK)
         v = v * load(bodies.per_mass, k, BLOCK)
@@ -443,6 +443,7 @@ def _solve_overlap_root(
     """Solve ``p + (..) p^q + (..) p^(3/2) = d_free`` for sqrt(p); return 0 if d_free is negative.
 
     Two steps with the slope where the last three overlaps point; that slope waits for nothing.
+    Newton's method, at most 60 steps, finishes lanes that have not converged.
     """
     soft, drag = contact.soft, contact.drag
     root = sqrt(positive(3.0 * (last.d[0] - last.d[1]) + last.d[2]))
@@ -486,7 +487,7 @@ def _solve_overlap_root(
 def _press_plate(
     last: LastBody, contact: Contact, above: Any, w_free: Any, zero: Any, law: int, linear: bool
 ) -> LastBody:
-    """Solve the plate's contact and move the last body.
+    """Solve the contact with the plate implicitly; return the last body after the step.
 
     `above` is the impulse on it from the contact above.
     """
@@ -533,7 +534,7 @@ def _press_plate(
 def _add_plate_losses(
     last: LastBody, contact: Contact, p: Any, s: Any, total: Any, stretch: Any, stored: Any, zero: Any
 ) -> Any:
-    """Add a step's losses in the plate's contact and, at its release, in the cut modes."""
+    """Return the dissipation at the plate with this step's losses added, those at a release included."""
     impulse = total - last.total
     # Touching for the part of the step in which `stretch` is positive.
     part = where_greater(stretch, zero, stretch / (stretch - last.stretch), zero + 1.0)
@@ -548,7 +549,7 @@ def _add_plate_losses(
 
 @_step
 def _correct_forces(bodies: Bodies, size: int, width: int, h24: float, law: int) -> None:
-    """Correct forces inside the chain and their impulses; add the losses of the dashpots."""
+    """Correct forces inside the chain and their impulses in place; add the losses of the dashpots."""
     for k in range(0, size, BLOCK):
         d = load(bodies.u, k, BLOCK) - load(bodies.u, k + width, BLOCK)
         d = d + load(bodies.static_overlap, k, BLOCK)
@@ -580,7 +581,7 @@ def _contact_force(
     width: int,
     law: int,
 ) -> Any:
-    """Compute the force of contact i in N.
+    """Compute the force of contact i in N, one lane per shot; 0 where the contact is open.
 
     `closing` is the rate at which the contact with the plate is pressed.
     """
@@ -599,7 +600,7 @@ def _contact_force(
 
 @_step
 def _energy_of_bodies(bodies: Bodies, last: LastBody, contact: Contact, chains: Chains, width: int) -> Any:
-    """Sum energy and losses of chain and contacts, without the modes of the plate."""
+    """Sum energy and losses of chain and contacts in J, without the modes of the plate."""
     n_last = chains.mass.shape[0] - 1
     spent = last.dissipated
     for i in range(n_last):
@@ -619,7 +620,7 @@ def _energy_of_bodies(bodies: Bodies, last: LastBody, contact: Contact, chains: 
 
 @_step
 def _energy_of_modes_of_two(y: FloatArray, sums: FloatArray, bank: FloatArray, last: LastBody) -> None:
-    """Add the energy of the plate's modes of two shots to their sums."""
+    """Sum the energy in J of the plate's modes of two shots, into `sums`."""
     total, other = broadcast(0.0, BLOCK), broadcast(0.0, BLOCK)
     i, s = last.i, last.s[0]
     of_first = lane(i[0], 0), lane(i[1], 0), lane(i[2], 0), lane(s, 0)
@@ -652,7 +653,7 @@ def _energy_of_modes_of_two(y: FloatArray, sums: FloatArray, bank: FloatArray, l
 def _energy_of_modes_of_many(
     y: FloatArray, sums: FloatArray, bank: FloatArray, last: LastBody, width: int
 ) -> None:
-    """Add the energy of the plate's modes of ``width`` shots to their sums."""
+    """Sum the energy in J of the plate's modes of ``width`` shots, into `sums`."""
     acting = last.i[0], last.i[1], last.i[2], last.s[0]
     for j in range(BLOCK):
         total = broadcast(0.0, width)
@@ -680,7 +681,7 @@ def _energy_of_modes_of_many(
 
 @_step
 def _energy_of_mode(bent: Any, gain: Any, acting: Any, bending: Any, moving: Any) -> Any:
-    """Compute the energy of a mode from I now, one and two steps ago and S now."""
+    """Compute the energy of a mode in J from I now, one and two steps ago and S now."""
     speed = fma(moving[0], gain, moving[1] * bent)
     speed = fma(moving[2], acting[0], fma(moving[3], acting[1], speed))
     speed = fma(moving[4], acting[2], fma(moving[5], acting[3], speed))
@@ -709,7 +710,7 @@ def compile_time_loop(width: int, linear: bool) -> Callable[..., None]:
 
 
 def _make_time_loop(W: int, LINEAR: bool) -> Callable[..., None]:
-    """Create the time integration of ``W`` shots at once, with or without linear contacts."""
+    """Create the time loop of ``W`` shots at once, not compiled yet, for linear or other dashpots."""
 
     def integrate(
         chains: Chains,

@@ -17,12 +17,13 @@ MANY_POINTS = 24
 def modal_weights(omega_rad_per_s: FloatArray, participation: FloatArray, step_s: float) -> FloatArray:
     """Compute weights of a plate's modes for a step, shape (n_blocks * BANK_ROWS * BLOCK,).
 
-    A step turns ``y = phi z / omega``, whose real parts add up to the deflection under the chain, by
-    ``t = exp(-i omega h)`` and adds ``a I1 + b I2 + c I3 + d S1``, I and S one, two and three steps ago; what
-    the step's own I and S add is left out of y and made up for, turned, in the next step. Instead of y
-    its sum with ``b' I1 + c' I2``, ``c' = c / t`` and ``b' = (b + c') / t``, is kept, to which I adds
-    ``(a + b') I1`` alone; and of the imaginary part, ``g = im sin(omega h) + re (1 - cos(omega h))``, so that
-    turning is ``g += m re; re += g`` with ``m = -4 sin^2(omega h / 2)``.
+    I is the impulse of the spring in the plate's contact less that of its static force, S the impulse of the
+    dashpot, both since the start (`kernel`). A step turns ``y = phi z / omega``, whose real parts add up to
+    the deflection under the chain, by ``t = exp(-i omega h)`` and adds ``a I1 + b I2 + c I3 + d S1``, I and S
+    one, two and three steps ago; what the step's own I and S add is left out of y and added, turned, in the
+    next step. Instead of y its sum with ``b' I1 + c' I2``, ``c' = c / t`` and ``b' = (b + c') / t``, is kept,
+    to which I adds ``(a + b') I1`` alone; and of the imaginary part, ``g = im sin(omega h) + re (1 -
+    cos(omega h))``, so that turning is ``g += m re; re += g`` with ``m = -4 sin^2(omega h / 2)``.
 
     The rows of a block are: m; what I and S one step ago add to re and g; omega / phi; the real parts of what
     this step's own I and S add, and of b' and c': they lead back to y; and what g, re, I now, one and two
@@ -59,7 +60,7 @@ def modal_weights(omega_rad_per_s: FloatArray, participation: FloatArray, step_s
 
 @cache
 def _gauss_rule_of_step(points: int) -> tuple[FloatArray, FloatArray]:
-    """Return each Gauss point's distance from the step's end, and its weights of the six values.
+    """Return each Gauss point's distance from the step's end, (points,), and six weights of it, (points, 6).
 
     These are of the cubic through I at tau = 1, 0, -1 and -2 and of the line through S at 1 and 0, with
     tau in steps from the step's start.

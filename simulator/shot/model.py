@@ -77,13 +77,13 @@ class Impact:
     depth_fraction, drop_height_m, tilt_rad
         Depth of the patch, height the striker falls from, tilt of the sensor disk.
     through_hole
-        Nothing stands under the chain (`ShotModel.shot_at_hole`); the depth does not matter then.
+        There is nothing under the chain (`ShotModel.shot_at_hole`); the depth does not matter then.
     second_delay_s, second_drop_height_m
         A second impact: so long after the first touch, to the nearest step, the striker, taken off meanwhile,
         touches again as from this height (None: as at first). It meets the chain as it then moves. The
         record gets no longer by it, and `ShotForce.reflection_time_s` is that of the stronger wave.
     contacts
-        How the strike finds the chain seated; None: as the parameters say.
+        How the strike finds the chain seated; None: as in the parameters.
     plate_modulus_factor
         Young's modulus of the plate over the nominal one, as its bending feels it; its contact has a factor
         of its own in `contacts`. An elastic bed under free edges goes with it, too.
@@ -99,6 +99,7 @@ class Impact:
     plate_modulus_factor: float = 1.0
 
     def __post_init__(self) -> None:
+        """Raise ValueError for a delay or factor that is not positive and finite, or a lone second height."""
         delay_s = self.second_delay_s
         if delay_s is not None and not (math.isfinite(delay_s) and delay_s > 0.0):
             raise ValueError(f"second_delay_s is {delay_s}; it must be positive and finite, or None")
@@ -229,7 +230,7 @@ class ShotModel:
         return other
 
     def with_liquid(self, depth_factor: float) -> ShotModel | None:
-        """Return a model with another depth of the liquid; None for a dry plate."""
+        """Return a model with `depth_factor` times the liquid's depth; None for a dry plate."""
         liquid = self._plate.liquid
         if liquid is None:
             return None
@@ -277,7 +278,7 @@ class ShotModel:
         tilt_rad: float | None = None,
         contact_forces: bool = False,
     ) -> ShotForce:
-        """Simulate the force at the sensor above a through hole: an incident wave without a reflected one."""
+        """Simulate the force at the sensor above a through hole, without a reflection; raises as `shot`."""
         impact = Impact(through_hole=True, drop_height_m=drop_height_m, tilt_rad=tilt_rad)
         return self.shots([impact], contact_forces=contact_forces)[0]
 
@@ -301,7 +302,7 @@ class ShotModel:
         return [forces[order] for order in range(count)]
 
     def _depth_of_wall(self, impact: Impact) -> float:
-        """Return the depth fraction of an impact; raise SpecimenError above 0 without a patch."""
+        """Return an impact's depth fraction; SpecimenError if a plate without patch is to have one."""
         if impact.depth_fraction is None:
             return self._corrosion.depth_fraction
         depth = float(impact.depth_fraction)
@@ -313,7 +314,7 @@ class ShotModel:
         return depth
 
     def _chain_as_struck(self, impact: Impact) -> Chain:
-        """Return the chain of an impact, with its drop height, tilt and contacts."""
+        """Return the chain with an impact's height, tilt, contacts and second strike, bounds checked."""
         chain, height_m, tilt_rad = self._chain, impact.drop_height_m, impact.tilt_rad
         struck = self._nominal
         if height_m is not None or tilt_rad is not None or impact.contacts is not None:
@@ -332,7 +333,7 @@ class ShotModel:
     def _integrate_over_wall(
         self, chains: list[Chain], depth: float, modulus: float, contact_forces: bool
     ) -> list[ShotForce]:
-        """Simulate chains over a wall of one depth and modulus; extend records that end too soon."""
+        """Simulate chains over a wall of one depth and modulus; repeat up to thrice with longer records."""
 
         def specimen(step: float, wide: bool) -> Propagator:
             return self._prepare_propagator(depth, step, wide, modulus)
@@ -348,7 +349,7 @@ class ShotModel:
         return forces
 
     def _integrate_over_hole(self, chains: list[Chain], contact_forces: bool) -> list[ShotForce]:
-        """Simulate chains above a through hole, where nothing is reflected."""
+        """Simulate chains above a through hole; the reflection times are None."""
         free_ends = [
             replace(
                 chain,
@@ -377,7 +378,7 @@ class ShotModel:
         retainer_force_n: float = 0.0,
         contact_forces: bool = False,
     ) -> list[ShotForce]:
-        """Integrate with smaller steps, then with more modes, until the energy balances close."""
+        """Integrate with smaller steps and more modes until energy balances; else raise IntegrationError."""
         samples = round(duration_s / self._step_s) + 1
         time_s = self._step_s * np.arange(samples, dtype=np.float64)
         forces: dict[int, ShotForce] = {}
@@ -419,7 +420,7 @@ class ShotModel:
         )
 
     def _prepare_propagator(self, depth: float, step: float, wide: bool, modulus: float) -> Propagator:
-        """Return the prepared modes of a thinned wall for a time step."""
+        """Return the modes' weights of a thinned wall for a time step; the latest 64 are kept in memory."""
         if self._modal_plate is None:
             still = _make_specimen_without_modes(self._plate)
             return still._replace(mobility_m_per_n_s=still.mobility_m_per_n_s / math.sqrt(modulus))
@@ -447,14 +448,14 @@ class ShotModel:
 
 
 def _compute_modes(plate: ModalPlate | None, depth: float) -> PlateModes:
-    """Compute the modes of a plate at a depth in one BLAS thread."""
+    """Compute the modes of a plate at a depth fraction with BLAS limited to one thread."""
     assert plate is not None, "an analytic anchor has no modes"
     with use_one_blas_thread():
         return plate.modes(depth)
 
 
 def _make_specimen_without_modes(plate: PlateParameters) -> Propagator:
-    """Return the response of a model without modes: a rigid wall or an infinite thin plate."""
+    """Return the propagator of a plate without modes: a rigid wall, or an infinite thin plate's mobility."""
     if plate.model == "rigid_wall":
         return UNMOVED
     impedance = thin_plate_impedance_n_s_per_m(
@@ -464,7 +465,7 @@ def _make_specimen_without_modes(plate: PlateParameters) -> Propagator:
 
 
 def _clear_last(values: FloatArray) -> FloatArray:
-    """Copy an array with zero as its last value."""
+    """Return a copy of an array with zero as its last value."""
     changed = values.copy()
     changed[-1] = 0.0
     return changed

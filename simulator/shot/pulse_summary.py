@@ -53,6 +53,8 @@ class PulseSummary:
 def summarise_pulses(force: ShotForce) -> PulseSummary:
     """Measure ISW, PSW, time of flight and amplitude ratio of `force`.
 
+    The fields of the PSW are None if no wave was reflected.
+
     Raises
     ------
     NoSolitaryWaveError
@@ -88,7 +90,7 @@ def summarise_pulses(force: ShotForce) -> PulseSummary:
 
 @jit_compile(error_model="numpy")
 def _find_waves(force_n: FloatArray, time_s: FloatArray, preload_n: float, turn_s: float) -> tuple[int, int]:
-    """Find the samples of ISW and PSW in a force; -1 for one that is not there.
+    """Find the sample indices of ISW and PSW in a force; -1 for one that is not there.
 
     ``turn_s`` is NaN if nothing is reflected.
     """
@@ -124,12 +126,12 @@ def _find_waves(force_n: FloatArray, time_s: FloatArray, preload_n: float, turn_
 
 @jit_compile(error_model="numpy")
 def _is_maximum(values: FloatArray, k: int) -> bool:
-    """Check whether a sample is a local maximum; of a plateau, only the first sample is one."""
+    """Check whether sample k, not an end, is a local maximum; of a plateau only the first sample is."""
     return bool(values[k] > values[k - 1] and values[k] >= values[k + 1])
 
 
 def _interpolate_maximum(force: ShotForce, index: int) -> tuple[float, float]:
-    """Interpolate a maximum by a parabola: return its time in s and height in N."""
+    """Interpolate a local maximum by a parabola; return its time in s and height in N, preload included."""
     before, at, after = force.force_n[index - 1 : index + 2].tolist()
     spacing_s = float(force.time_s[1]) - float(force.time_s[0])
     shift = 0.5 * (before - after) / (before - 2.0 * at + after)

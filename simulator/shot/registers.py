@@ -57,7 +57,7 @@ class Propagator(NamedTuple):
     Attributes
     ----------
     bank
-        float64, shape (n_blocks * BANK_ROWS * BLOCK,): `modal_weights.compute_modal_weights`.
+        float64, shape (n_blocks * BANK_ROWS * BLOCK,): `modal_weights.modal_weights`.
     residual_compliance_m_per_n
         C of the modes above the cut.
     mobility_m_per_n_s

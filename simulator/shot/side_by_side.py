@@ -38,7 +38,10 @@ def integrate_chains(
     retainer_force_n: float,
     contact_forces: bool,
 ) -> list[Record]:
-    """Integrate chains that differ in impact speed and contacts only, as many at once as fit."""
+    """Integrate chains that differ in impact speed and contacts only, up to eight at once; same order.
+
+    The energy balance is not checked.
+    """
     records: list[Record] = []
     while len(records) < len(chains):
         rest = len(chains) - len(records)
@@ -58,7 +61,7 @@ def _run_kernel(
     retainer_force_n: float,
     contact_forces: bool,
 ) -> list[Record]:
-    """Run one pass of the kernel; lanes without a shot of their own repeat the last one."""
+    """Run one pass of the kernel for at most `width` chains; return a record for each, in order."""
     lanes = chains + [chains[-1]] * (width - len(chains))
     chain = lanes[0]
 

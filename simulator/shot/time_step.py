@@ -12,7 +12,7 @@ PHASE_PER_STEP_RAD = 0.05
 
 
 def choose_step_s(chain: Chain) -> float:
-    """Choose the largest time step of 1, 2 or 5 x 10^k s that resolves `chain`.
+    """Return the largest time step of 1, 2 or 5 x 10^k s that resolves `chain`.
 
     The dashpots between the spheres must relax slowly compared with a step, too.
     """

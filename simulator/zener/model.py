@@ -126,10 +126,13 @@ def solve_impact(inelasticity: float, *, tolerance: float = TOLERANCE) -> ZenerI
 
 
 def _integrate_impact(inelasticity: float, tolerance: float) -> tuple[float, float, float]:
-    """Integrate eq. 8 at one tolerance; return restitution, contact time and energy residual."""
+    """Integrate eq. 8 at one tolerance; return restitution, contact time and energy residual.
+
+    Raise IntegrationError if sphere and plate do not separate.
+    """
 
     def slope(_: float, state: Sequence[float]) -> list[float]:
-        """Return the derivatives of root, speed, time and energy loss by s."""
+        """Return the derivatives by s of root, speed, time and energy loss."""
         x, p, _tau, _taken = state
         force = x * x * x
         return [p - inelasticity * force, -2.0 * x * force, 2.0 * x, 2.0 * inelasticity * x * force * force]
@@ -232,7 +235,10 @@ def inelasticity_parameter(
 
 
 def amplitude_ratio(restitution: float) -> float:
-    """Compute the ratio of peak forces PSW / ISW by eq. 11, ``AR = e^(6/5)``; e above 0, at most 1."""
+    """Compute the ratio of peak forces PSW / ISW by eq. 11, ``AR = e^(6/5)``.
+
+    Raise ValueError unless e is above 0 and at most 1.
+    """
     _check_restitution(restitution)
     return float(restitution**1.2)
 
@@ -375,7 +381,7 @@ def chain_time_of_flight_s(
 
 
 def _check_inelasticity(value: float, largest: float, remedy: str) -> None:
-    """Check that the inelasticity is within 0 and ``largest``; raise SpecimenError if not."""
+    """Raise SpecimenError, with the remedy, for an inelasticity outside 0 to ``largest``."""
     if not 0.0 <= value <= largest:
         raise SpecimenError(
             f"the inelasticity is {value:.6g}; it must lie between 0 and {largest:g}: {remedy}"
@@ -383,13 +389,13 @@ def _check_inelasticity(value: float, largest: float, remedy: str) -> None:
 
 
 def _check_positive(name: str, value: float) -> None:
-    """Check that a value is positive and finite; raise ValueError if not."""
+    """Raise ValueError for a value that is not positive and finite."""
     if not 0.0 < value < math.inf:
         raise ValueError(f"{name} is {value}; it must be a finite number greater than 0")
 
 
 def _check_restitution(value: float) -> None:
-    """Check that a restitution is above 0 and at most 1; raise ValueError if not."""
+    """Raise ValueError for a restitution that is not above 0 and at most 1."""
     # A numerical e of 1 may lie above it by as much as it is known.
     if not 0.0 < value <= 1.0 + AGREEMENT:
         raise ValueError(f"restitution is {value}; it must be greater than 0 and at most 1")

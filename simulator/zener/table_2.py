@@ -51,7 +51,7 @@ def table_2() -> tuple[Table2Row, ...]:
 
 
 def _compute_table_row(drop_height_m: float) -> Table2Row:
-    """Compute one row of Table 2 for a drop height in m."""
+    """Compute one row of Table 2 for a drop height in m, rounded as printed."""
     chain = ChainParameters(poisson_ratio=0.28)
     plate = PlateParameters()
     speed = round(math.sqrt(2.0 * FREE_FALL_M_PER_S2 * drop_height_m), 2)

@@ -19,7 +19,9 @@ __all__ = ["DEFAULT_CACHE_FOLDER", "hash_reduction", "load_reduced_plate"]
 def load_reduced_plate(
     plate: PlateParameters, corrosion: CorrosionParameters, folder: Path | None = DEFAULT_CACHE_FOLDER
 ) -> ReducedPlate:
-    """Return the reduced plate for this outline of the patch, from the cache if it is there.
+    """Return the reduced plate for this outline of the patch: read from the cache, or computed and stored.
+
+    The reduction runs with BLAS limited to one thread.
 
     Parameters
     ----------
@@ -38,7 +40,7 @@ def load_reduced_plate(
 
 
 def hash_reduction(plate: PlateParameters, corrosion: CorrosionParameters) -> str:
-    """Hash the specimen, the code that reduces it and the libraries that compute it."""
+    """Return the cache key of a reduction: SHA-256 of specimen (without depth), code and libraries."""
     footprint = asdict(corrosion)
     del footprint["depth_fraction"]
     return hash_content({"reduction": "mindlin", "plate": asdict(plate), "patch": footprint})

@@ -108,7 +108,7 @@ def _compute_gauss_point_matrices(
 def _strain_displacement_rows(
     xi: float, eta: float, a: FloatArray, b: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Compute rows that turn 12 nodal values into curvatures, shear strains and values, 3, 2 and 3."""
+    """Compute rows that turn 12 nodal values into curvatures, shear strains and values, (n, 3 or 2, 12)."""
     node_xi = np.array([-1.0, 1.0, 1.0, -1.0])
     node_eta = np.array([-1.0, -1.0, 1.0, 1.0])
     shape = 0.25 * (1.0 + xi * node_xi) * (1.0 + eta * node_eta)

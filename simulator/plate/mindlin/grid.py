@@ -20,6 +20,7 @@ def make_graded_half_edge(length_m: float, elements: int, first_m: float, edge_m
 
     Two geometric progressions meet at the edge of the patch, the second continuing the sizes of the
     first; their lengths are chosen so that the two growth factors differ least.
+    Raise SpecimenError if ``edge_m`` is below ``first_m``.
 
     Returns
     -------
@@ -47,7 +48,7 @@ def make_graded_half_edge(length_m: float, elements: int, first_m: float, edge_m
 
 
 def _growth_of_sum(first_m: float, elements: int, length_m: float) -> float:
-    """Find the growth r with ``first (1 + r + ... + r^(n-1)) = length``.
+    """Find the growth factor r with ``first (1 + r + ... + r^(n-1)) = length``.
 
     A single element takes the complete length.
     """
@@ -58,19 +59,19 @@ def _growth_of_sum(first_m: float, elements: int, length_m: float) -> float:
 
 
 def _continued_growth(last_m: float, elements: int, length_m: float) -> float:
-    """Find the growth r with ``last (r + r^2 + ... + r^n) = length``."""
+    """Find the growth factor r with ``last (r + r^2 + ... + r^n) = length``."""
     largest = (length_m / last_m) ** (1.0 / elements)
     return _solve_growth(lambda r: last_m * np.sum(r ** np.arange(1, elements + 1)) - length_m, largest)
 
 
 def _solve_growth(excess: Callable[[float], float], largest: float) -> float:
-    """Solve for the growth factor between neighbouring elements at which the lines fill the length."""
+    """Find the root between 0 and ``largest`` of the excess length over the growth factor."""
     # Rounding must not leave the root of a single element outside.
     return float(scipy.optimize.brentq(excess, 0.0, largest * (1.0 + 1e-9), xtol=1e-15, rtol=1e-14))
 
 
 def _growing_lines(start_m: float, end_m: float, first_m: float, growth: float, elements: int) -> FloatArray:
-    """Place grid lines whose distances grow by a constant factor."""
+    """Place grid lines from `start_m` to `end_m` whose distances grow by a constant factor."""
     lines = start_m + np.concatenate(([0.0], np.cumsum(first_m * growth ** np.arange(elements))))
     lines[-1] = end_m
     return np.asarray(lines)
@@ -117,7 +118,7 @@ def make_graded_edge(
 
 
 def _required_lines(start_m: float, end_m: float, first_m: float, lines_m: Sequence[float]) -> FloatArray:
-    """Return the required grid lines, rising and each once.
+    """Return the grid lines that contact, edges and patches require, rising and each once.
 
     Raise SpecimenError for a patch's edge within the contact's elements.
     """
@@ -154,7 +155,7 @@ def _solve_shared_growth(near: FloatArray, far: FloatArray, elements: int) -> fl
 
 
 def _distribute_elements(wanted: FloatArray, total: int) -> IntArray:
-    """Round numbers to integers of at least 1 that add up to `total`."""
+    """Round positive numbers to integers of at least 1 that add up to `total`, keeping their ratios."""
     counts = np.maximum(1, np.floor(wanted)).astype(np.int64)
     while counts.sum() < total:
         counts[np.argmax(wanted / counts)] += 1

@@ -11,9 +11,7 @@ from simulator.plate.quadrature import hertz_pressure_points
 def hertz_nodal_weights(
     x_m: FloatArray, y_m: FloatArray, radius_m: float, *, symmetric: tuple[bool, bool]
 ) -> FloatArray:
-    """Compute nodal loads of a unit force of Hertz's pressure about the origin.
-
-    The shape is (len(x), len(y)).
+    """Compute nodal loads of a unit force of Hertz's pressure about the origin, shape (len(x), len(y)).
 
     The deflection is bilinear on an element: each of the `hertz_pressure_points` gives its share to the four
     corners around it. The loads add up to one, also where symmetry leaves only the part with x >= 0 or
@@ -33,6 +31,6 @@ def hertz_nodal_weights(
 
 
 def _locate_in_elements(lines_m: FloatArray, at_m: FloatArray) -> tuple[IntArray, FloatArray]:
-    """Find the element of each coordinate and the relative position in it, 0 to 1."""
+    """Find the element of each coordinate, within the grid, and the relative position in it, 0 to 1."""
     cell = np.clip(np.searchsorted(lines_m, at_m, side="right") - 1, 0, len(lines_m) - 2)
     return cell, (at_m - lines_m[cell]) / np.diff(lines_m)[cell]

@@ -35,7 +35,7 @@ MOST_TERMS = 4096
 
 
 def choose_sine_terms(plate: PlateParameters) -> tuple[int, int]:
-    """Choose the numbers of sine terms along x and y that resolve the liquid about the contact.
+    """Choose the numbers of sine terms along x and y, 64 to 4,096, that resolve the liquid.
 
     Raises
     ------
@@ -66,7 +66,7 @@ def layer_mass(
     symmetric: tuple[bool, bool],
     terms: tuple[int, int] | None = None,
 ) -> scipy.sparse.linalg.LinearOperator:
-    """Create the operator of the liquid's mass on the free unknowns of a mesh.
+    """Build the operator of the liquid's mass on the free unknowns of a mesh, without a matrix.
 
     Parameters
     ----------
@@ -128,7 +128,7 @@ def integrate_hats_times_sines(
 ) -> FloatArray:
     """Integrate hat functions on `lines_m` times ``sqrt(2 / a) sin(m pi (x - start) / a)``.
 
-    They are exact, for any size of element against the wave.
+    The integrals are exact for elements of any size relative to the wave.
 
     Returns
     -------

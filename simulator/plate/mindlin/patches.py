@@ -22,7 +22,7 @@ TOUCHING = 1e-9
 
 
 def check_patches(plate: PlateParameters, corrosion: CorrosionParameters) -> None:
-    """Check that the patches are within the plate and do not overlap.
+    """Check that the patches are within the plate and do not overlap; raise if not.
 
     Raises
     ------
@@ -58,7 +58,7 @@ def check_patches(plate: PlateParameters, corrosion: CorrosionParameters) -> Non
 
 
 def _outlines_overlap(one: PatchParameters, other: PatchParameters) -> bool:
-    """Check whether two outlines overlap by more than their edges."""
+    """Check whether two outlines overlap by more than rounding; outlines that touch do not."""
     distances = abs(one.offset_x_m - other.offset_x_m), abs(one.offset_y_m - other.offset_y_m)
     reach = [a + b for a, b in zip(one.half_sizes_m, other.half_sizes_m, strict=True)]
     slack = TOUCHING * min(reach)
@@ -76,7 +76,7 @@ def _outlines_overlap(one: PatchParameters, other: PatchParameters) -> bool:
 def list_patch_lines(
     corrosion: CorrosionParameters, contact_element_m: float
 ) -> tuple[list[float], list[float]]:
-    """Return the coordinates x and y, in m, that need a grid line in addition to the contact's.
+    """Return the sorted coordinates x and y, in m, that need a grid line in addition to the contact's.
 
     They are the edges of all patches; a circle has those of its bounding square. A smooth profile also
     has lines half-way to its middle, except within the elements at the contact.
@@ -94,7 +94,7 @@ def list_patch_lines(
 
 
 def find_symmetric_axes(plate: PlateParameters, corrosion: CorrosionParameters) -> tuple[bool, bool]:
-    """Check whether plate, contact and patches are symmetric in x, and in y."""
+    """Return whether plate, contact and patches are symmetric in x, and in y (exactly)."""
     patches = set(corrosion.patches)
     in_x = plate.contact_x_m == 0.0 and {replace(p, offset_x_m=-p.offset_x_m) for p in patches} == patches
     in_y = plate.contact_y_m == 0.0 and {replace(p, offset_y_m=-p.offset_y_m) for p in patches} == patches
@@ -104,7 +104,7 @@ def find_symmetric_axes(plate: PlateParameters, corrosion: CorrosionParameters) 
 def patch_fraction(
     x_m: FloatArray, y_m: FloatArray, patch: PatchParameters | CorrosionParameters
 ) -> FloatArray:
-    """Compute the fraction of each element's area within one patch's outline.
+    """Compute the fraction, 0 to 1, of each element's area within one patch's outline.
 
     Returns
     -------
@@ -126,7 +126,7 @@ def patch_fraction(
 
 
 def _disk_corner_area(x_m: FloatArray, y_m: FloatArray, radius_m: float) -> FloatArray:
-    """Compute the signed area of a disk within the rectangle from the origin to (x, y)."""
+    """Compute the signed area in m2 of a disk within the rectangles from the origin to (x, y)."""
     x = np.minimum(np.abs(x_m), radius_m)
     y = np.minimum(np.abs(y_m), radius_m)
     flat = np.minimum(np.sqrt(radius_m**2 - y**2), x)  # up to here the rectangle's top is inside
@@ -141,7 +141,7 @@ def _disk_corner_area(x_m: FloatArray, y_m: FloatArray, radius_m: float) -> Floa
 
 
 def evaluate_profile_depth(x_m: FloatArray, y_m: FloatArray, patch: PatchParameters) -> FloatArray:
-    """Evaluate the depth of a smooth patch at points, relative to its middle; 0 outside."""
+    """Evaluate the depth of a smooth patch at points in m, relative to its middle; 0 outside."""
     half_x, half_y = patch.half_sizes_m
     u, v = (x_m - patch.offset_x_m) / half_x, (y_m - patch.offset_y_m) / half_y
     law = _bowl_profile if patch.profile == "bowl" else _cosine_profile
@@ -149,10 +149,10 @@ def evaluate_profile_depth(x_m: FloatArray, y_m: FloatArray, patch: PatchParamet
 
 
 def _bowl_profile(r: FloatArray) -> FloatArray:
-    """Return the depth profile of a bowl over the relative radius."""
+    """Return the depth of a bowl over the relative radius, ``1 - r^2``: 1 in the middle, 0 from r = 1 on."""
     return np.asarray(np.maximum(1.0 - r**2, 0.0))
 
 
 def _cosine_profile(r: FloatArray) -> FloatArray:
-    """Return the depth profile of a raised cosine over the relative radius."""
+    """Return the depth of a raised cosine over the relative radius: 1 in the middle, 0 from r = 1 on."""
     return np.asarray(0.5 * (1.0 + np.cos(math.pi * np.minimum(np.abs(r), 1.0))))

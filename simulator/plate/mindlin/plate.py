@@ -77,13 +77,13 @@ class AffinePlate:
     added_mass: sparse.linalg.LinearOperator | None = None
 
     def at_depth(self, depth_fraction: float) -> tuple[sparse.csc_matrix, sparse.csc_matrix]:
-        """Compute stiffness and mass with the patch thinned by `depth_fraction`, without a liquid's mass."""
+        """Compute stiffness and mass, sparse (n, n), at a depth of the patch; without a liquid's mass."""
         s = 1.0 - depth_fraction
         return _evaluate_cubic(self.stiffness, s), _evaluate_cubic(self.mass, s)
 
 
 def _evaluate_cubic(coefficients: Cubic, s: float) -> sparse.csc_matrix:
-    """Evaluate a cubic matrix polynomial at the relative thickness s."""
+    """Evaluate a cubic matrix polynomial at the relative thickness s, sparse (n, n)."""
     c0, c1, c2, c3 = coefficients
     lower = c0 + s * c1
     if c2.nnz:
@@ -110,9 +110,9 @@ class PlateThinning:
     profile: FloatArray
 
     def coefficients(self, power: int) -> FloatArray:
-        """Return coefficients of 1, s, s^2, s^3 in the relative thickness to `power`.
+        """Return coefficients of 1, s, s^2, s^3 in the relative thickness to `power` (1 to 3).
 
-        Shape (4, Gauss points, elements).
+        The shape is (4, Gauss points, elements).
         """
         rest = 1.0 - self.covered.sum(axis=0)
         total = rest * _binomial_coefficients(self.profile, power)
@@ -168,7 +168,7 @@ def build_plate(
 def _make_edge_lines(
     plate: PlateParameters, edge_m: float, contact_m: float, lines_m: list[float], half: bool
 ) -> FloatArray:
-    """Place grid lines along one edge, or along its half with positive coordinates."""
+    """Place grid lines in m along one edge, or along its half with positive coordinates if ``half``."""
     first_m, elements = plate.contact_element_m, plate.elements_per_edge
     if not half:
         return make_graded_edge(
@@ -181,7 +181,7 @@ def _make_edge_lines(
 
 
 def evaluate_thinning(x_m: FloatArray, y_m: FloatArray, corrosion: CorrosionParameters) -> PlateThinning:
-    """Evaluate the patches of `corrosion` on the elements of a grid with its origin at the contact."""
+    """Evaluate the patches on the elements of a grid with its origin at the contact."""
     flat = [patch for patch in corrosion.patches if patch.profile == "flat"]
     elements = (len(x_m) - 1) * (len(y_m) - 1)
     covered = [patch_fraction(x_m, y_m, patch).ravel() for patch in flat]
@@ -265,7 +265,7 @@ def _element_coefficients(
     pristine: tuple[FloatArray, FloatArray, FloatArray, FloatArray],
     thinning: PlateThinning,
 ) -> tuple[list[_Elements], list[_Elements]]:
-    """Compute each element's coefficients of 1, s, s^2, s^3 in stiffness and mass.
+    """Compute each element's coefficients of 1, s, s^2, s^3 in stiffness and in mass.
 
     They come with the elements where they act.
     """
@@ -296,7 +296,7 @@ def _element_coefficients(
 def _make_unit_load(
     plate: PlateParameters, x_m: FloatArray, y_m: FloatArray, symmetric: tuple[bool, bool]
 ) -> FloatArray:
-    """Return a unit force on all unknowns, at the contact's node or spread over its circle."""
+    """Return a unit force on all unknowns, shape (3 nodes,): at the contact's node or over its circle."""
     load = np.zeros((len(x_m), len(y_m), DOF_PER_NODE))
     if plate.contact == "patch":
         load[:, :, 0] = hertz_nodal_weights(x_m, y_m, plate.contact_radius_m, symmetric=symmetric)
@@ -314,9 +314,10 @@ def _number_element_nodes(n_x: int, n_y: int) -> IntArray:
 def _find_free_unknowns(
     plate: PlateParameters, x_m: FloatArray, y_m: FloatArray, symmetric: tuple[bool, bool]
 ) -> IntArray:
-    """Return the numbers of the free unknowns: w and, along an edge, the tangential rotation.
+    """Return the numbers of the unknowns that supports and symmetry leave free, ascending.
 
-    W and, along an edge, the tangential rotation.
+    Along an edge, a hard simple support holds w and the tangential rotation, a clamp all three, a free edge
+    none; on a symmetry axis the rotation across it is held.
     """
     held = np.zeros((len(x_m), len(y_m), DOF_PER_NODE), dtype=bool)
     clamped = plate.support == "clamped"

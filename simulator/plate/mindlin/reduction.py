@@ -37,7 +37,10 @@ of the liquid, so that its own space alone would stop converging at some 1e-5.""
 
 
 def reduce_plate(plate: AffinePlate, *, basis: tuple[tuple[float, int], ...] = BASIS) -> ReducedPlate:
-    """Project a plate onto merged Krylov spaces; `basis` pairs depths with numbers of vectors."""
+    """Project a plate onto merged Krylov spaces; `basis` pairs depths with numbers of vectors.
+
+    Raise LinAlgError if a matrix is not positive definite.
+    """
     order = _order_from_far_end(plate)
     shifted = tuple(k + SHIFT_RAD_PER_S**2 * m for k, m in zip(plate.stiffness, plate.mass, strict=True))
     factors, static_factors = FactorFamily(shifted, order), FactorFamily(plate.stiffness, order)
@@ -66,7 +69,7 @@ def reduce_plate(plate: AffinePlate, *, basis: tuple[tuple[float, int], ...] = B
 
 
 def _order_from_far_end(plate: AffinePlate) -> NDArray[np.int64]:
-    """Return the elimination order: line by line towards the first grid line, along the shorter lines."""
+    """Return the elimination order of the unknowns, shape (n,): line by line towards the first grid line."""
     node, kind = np.divmod(plate.free, DOF_PER_NODE)
     line, place = np.divmod(node, len(plate.y_m))
     if len(plate.y_m) > len(plate.x_m):
@@ -77,7 +80,7 @@ def _order_from_far_end(plate: AffinePlate) -> NDArray[np.int64]:
 def _fill_krylov_space(
     plate: AffinePlate, factors: FactorFamily, depth: float, vectors: FloatArray
 ) -> FloatArray:
-    """Write a Krylov space into the rows of `vectors`; return columns that make modes of them.
+    """Fill the rows of `vectors` with a Krylov space; return the columns that combine them to modes.
 
     Each mode is as strong as its part in the response.
     """
@@ -98,7 +101,7 @@ def _fill_krylov_space(
 
 
 def _turn_load_last(vectors: FloatArray, load: FloatArray) -> None:
-    """Reflect the basis in place so that the load has its last direction.
+    """Reflect the basis, shape (r, n), in place so that the load acts only along its last vector.
 
     `load` is in the basis' coordinates.
     """

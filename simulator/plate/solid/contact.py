@@ -24,7 +24,7 @@ WIDE_RADIUS = 0.02
 def half_space_indentation_m_per_n(
     youngs_modulus_pa: float, poisson_ratio: float, contact_radius_m: float
 ) -> float:
-    """Compute a half-space's mean deflection under a unit force, ``0.6 (1 - nu^2) / (E a)``.
+    """Compute a half-space's mean deflection under a unit force in m/N, ``0.6 (1 - nu^2) / (E a)``.
 
     Under ``p = p0 sqrt(1 - r^2 / a^2)``, ``p0 = 3 F / (2 pi a^2)``, the surface within the circle sinks by
     ``u(r) = pi p0 (1 - nu^2) (2 a^2 - r^2) / (4 E a)`` (Johnson 1985, Contact Mechanics, equation 3.41a,
@@ -39,7 +39,7 @@ def half_space_indentation_m_per_n(
 
 
 def surface_flexibility_m_per_pa(plate: PlateParameters, thickness_m: float, k: FloatArray) -> FloatArray:
-    """Compute the loaded face's deflection per pressure ``sin ax sin by``, ``k^2 = a^2 + b^2``.
+    """Compute the loaded face's deflection in m/Pa per pressure ``sin ax sin by``, ``k^2 = a^2 + b^2``.
 
     Exact for hard simple support: half the load presses both faces against each other, half bends,
 
@@ -57,7 +57,7 @@ def surface_flexibility_m_per_pa(plate: PlateParameters, thickness_m: float, k: 
 
 
 def transform_hertz_pressure(q: FloatArray) -> FloatArray:
-    """Return the Fourier transform of Hertz's pressure per force at q = k a.
+    """Return the Fourier transform of Hertz's pressure per force at q = k a > 0; shape as q.
 
     It is ``3 (sin q - q cos q) / q^3``.
     """
@@ -67,7 +67,7 @@ def transform_hertz_pressure(q: FloatArray) -> FloatArray:
 def exact_contact_compliance_m_per_n(
     plate: PlateParameters, width_m: float, height_m: float, thickness_m: float
 ) -> float:
-    """Return the averaged deflection of the centre circle of a simply supported plate under a unit force.
+    """Return the averaged deflection in m/N of the centre circle of a simply supported plate.
 
     A double sine series. Short waves see a half-space; they are summed in closed form: the series of the
     half-space is its indentation and the deflection by the images of the load beyond the edges, which does
@@ -94,7 +94,7 @@ def _sum_wave_series(
     highest_per_m: float,
     flexibility: Callable[[FloatArray], FloatArray],
 ) -> float:
-    """Sum the waves that move the plate's centre, each weighted by Hertz's pressure twice."""
+    """Sum the waves that move the plate's centre, each weighted by Hertz's pressure twice, in m/N."""
     alpha, beta = (
         np.arange(1.0, highest_per_m * size / math.pi + 2.0, 2.0) * (math.pi / size) for size in sizes
     )

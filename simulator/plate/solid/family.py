@@ -65,7 +65,7 @@ class SolidFamily:
     residual: FloatArray
 
     def modes(self, remaining: float) -> PlateModes:
-        """Compute modes with the fraction `remaining` of the thickness within the patch.
+        """Compute modes with the fraction `remaining` of the thickness left within the patch.
 
         They are ready for a shot: no negative residual compliance.
         """
@@ -73,12 +73,12 @@ class SolidFamily:
         return make_modes_passive(self.projected.modes(remaining, added))
 
     def arrays(self) -> dict[str, FloatArray]:
-        """Return the arrays that `restore_family` needs to restore it."""
+        """Return the arrays by name from which `restore_family` restores this family."""
         return asdict(self.projected) | {"residual": self.residual}
 
 
 def restore_family(arrays: Mapping[str, FloatArray]) -> SolidFamily:
-    """Restore the family from its `arrays`."""
+    """Restore a family from the result of `SolidFamily.arrays`; TypeError or KeyError if one is missing."""
     projected = {name: values for name, values in arrays.items() if name != "residual"}
     return SolidFamily(projected=ProjectedSolid(**projected), residual=arrays["residual"])
 
@@ -97,6 +97,8 @@ def build_solid_family(
     depths: tuple[tuple[float, int], ...] = FAMILY,
 ) -> SolidFamily:
     """Merge the Krylov spaces at `depths` and project the solid plate onto them.
+
+    Raise SpecimenError if the solid plate does not model such a plate or patch.
 
     Parameters
     ----------
@@ -125,5 +127,5 @@ def build_solid_family(
 
 
 def _patch_at_loss(corrosion: CorrosionParameters, lost: float) -> CorrosionParameters:
-    """Return the patch with this fraction of the thickness lost."""
+    """Return the patch with this fraction of the thickness lost and a depth factor of 1."""
     return replace(corrosion, depth_fraction=lost, depth_factor=1.0)

@@ -30,7 +30,7 @@ CUT_POINTS = 16
 def integrate_over_patch(
     x: Axis, y: Axis, corrosion: CorrosionParameters
 ) -> tuple[FloatArray, dict[tuple[int, int], tuple[FloatArray, ...]]]:
-    """Compute the fraction of each element within the patch, and the integrals over a circle's part."""
+    """Return the fraction of each element within the patch, and integrals of elements that a circle cuts."""
     half_x, half_y = corrosion.half_sizes_m
     near_x, near_y = (np.minimum(np.abs(a.breaks_m[1:]), np.abs(a.breaks_m[:-1])) for a in (x, y))
     far_x, far_y = (np.maximum(np.abs(a.breaks_m[1:]), np.abs(a.breaks_m[:-1])) for a in (x, y))
@@ -49,7 +49,7 @@ def integrate_over_patch(
 
 
 def integrate_in_plane(x: Axis, y: Axis, ex: int, ey: int) -> tuple[FloatArray, ...]:
-    """Integrate over one element, numbered (x, y), with N_,x for a derivative.
+    """Integrate products of shape functions over one element; six arrays, shape (nodes, nodes).
 
     ``N N``, ``N_,x N_,x``, ``N_,y N_,y``, ``N_,x N``, ``N_,y N`` and ``N_,x N_,y``, the first factor by row.
     """
@@ -67,7 +67,7 @@ def integrate_in_plane(x: Axis, y: Axis, ex: int, ey: int) -> tuple[FloatArray, 
 
 
 def _integrate_within_circle(x: Axis, y: Axis, ex: int, ey: int, radius_m: float) -> tuple[FloatArray, ...]:
-    """Integrate over the part of an element within a circle about the origin."""
+    """Integrate over the part of an element within a circle about the origin; as `integrate_in_plane`."""
     left, right = np.sort(np.abs(x.breaks_m[ex : ex + 2]))
     bottom, top = np.sort(np.abs(y.breaks_m[ey : ey + 2]))
     crossings = [math.sqrt(radius_m**2 - side**2) for side in (bottom, top) if side < radius_m]
@@ -100,16 +100,14 @@ def _integrate_within_circle(x: Axis, y: Axis, ex: int, ey: int, radius_m: float
 
 
 def _evaluate_shape_functions(axis: Axis, interval: int, at_m: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Evaluate the shape functions of an element, and their slopes per m, at some coordinates."""
+    """Evaluate an element's shape functions and their slopes per m, (points, degree + 1) each."""
     start, end = axis.breaks_m[interval], axis.breaks_m[interval + 1]
     value, slope = lagrange(axis.degrees[interval], 2.0 * (at_m - start) / (end - start) - 1.0)
     return value, slope * (2.0 / (end - start))
 
 
 def hertz_nodal_weights(x: Axis, y: Axis, radius_m: float, *, whole: bool) -> FloatArray:
-    """Compute nodal loads of a unit force of Hertz's pressure about the origin.
-
-    The shape is (nodes of x, nodes of y).
+    """Compute nodal loads of a unit force of Hertz's pressure about the origin, (nodes of x, nodes of y).
 
     The loads add up to one, for a quarter of the plate, too.
     """
@@ -123,7 +121,7 @@ def hertz_nodal_weights(x: Axis, y: Axis, radius_m: float, *, whole: bool) -> Fl
 def compute_in_plane_elasticity(
     plate: PlateParameters, integrals: tuple[FloatArray, ...]
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Compute isotropic elasticity of one element, dependence on z split off.
+    """Compute the in-plane factors of stiffness and mass of one isotropic element.
 
     Unknowns are numbered (node, component).
 

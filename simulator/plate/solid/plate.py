@@ -102,11 +102,11 @@ class SolidPlate:
 
     @property
     def upper_nodes(self) -> int:
-        """Return nodes of z in the upper layer, those on its lower face included."""
+        """Return the number of nodes of z in the upper layer, those on its lower face included."""
         return int(self.z.first[self.upper]) + 1
 
     def displacements_of(self, ex: int, ey: int) -> IntArray:
-        """Return the displacement numbers of one column.
+        """Return the displacement numbers of one column of elements.
 
         The shape is (nodes in the plane, 3, nodes of z).
         """
@@ -116,7 +116,7 @@ class SolidPlate:
         return np.asarray(components[:, :, None] * nodes_z + np.arange(nodes_z))
 
     def layer_matrices(self, kind: int, *, upper: bool) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Integrate over z of one layer for nodes of `kind`; see `tensor_basis.Axis.matrices`."""
+        """Integrate over z of one layer for nodes of `kind`: mass, slope, stiffness, as `Axis.matrices`."""
         layer = range(self.upper) if upper else range(self.upper, len(self.z.degrees))
         integrals = self.z.matrices(layer)
         if kind == 0:
@@ -167,7 +167,7 @@ def build_solid_plate(
 
 
 def cut_out_remaining_wall(plate: SolidPlate, corrosion: CorrosionParameters) -> SolidPlate:
-    """Cut the remaining wall within the patch out of `plate`: same elements, simply supported edges."""
+    """Cut the remaining wall within the patch out of `plate`: same elements, edges simply supported."""
     half_x, half_y = corrosion.half_sizes_m
     x, y = (
         Axis(breaks_m=a.breaks_m[: count + 1], degrees=a.degrees[:count])
@@ -182,7 +182,7 @@ def cut_out_remaining_wall(plate: SolidPlate, corrosion: CorrosionParameters) ->
 
 
 def check_solid(plate: PlateParameters, corrosion: CorrosionParameters) -> None:
-    """Check that the solid model covers the parameters; raise an error for one that it does not."""
+    """Raise SpecimenError for a plate or patch that the solid model does not cover."""
     remedy = "use plate.model = 'mindlin'"
     if plate.support == "free":
         raise SpecimenError(f"plate.support is 'free'; the solid plate is held at its edges: {remedy}")
@@ -229,7 +229,7 @@ def check_solid(plate: PlateParameters, corrosion: CorrosionParameters) -> None:
 def _mesh_in_plane_axis(
     length_m: float, half_m: float, mesh: SolidMesh, h: float, *, round_patch: bool
 ) -> Axis:
-    """Mesh an axis in the plane, refined at contact and patch."""
+    """Mesh an axis in the plane from 0 to `length_m`, refined at the contact and at the patch's edge."""
     features = [(0.0, mesh.contact_element * h), (half_m, mesh.edge_element * h)]
     if round_patch:  # the circle crosses every line up to half_m
         features += [(half_m * t, max(mesh.edge_element, 0.25) * h) for t in np.linspace(0.5, 1.0, 9)]
@@ -244,9 +244,9 @@ def _mesh_in_plane_axis(
 
 
 def _mesh_thickness_axis(lost: float, mesh: SolidMesh, h: float) -> Axis:
-    """Mesh the thickness, with grid lines at the same fractions of both layers at any depth.
+    """Mesh the thickness in m, with grid lines at fixed fractions of the remaining and the lost layer.
 
-    So shots change smoothly with the depth.
+    So results change smoothly with the depth.
     """
     graded = mesh.degree - 2
     breaks = (1.0 - lost) * h * np.array(UPPER_LINES)
@@ -270,6 +270,7 @@ def assemble_solid(
     """Assemble the plate on any axes from the contact on, the first three intervals of z above the patch.
 
     `support` replaces that of `plate`; see `build_solid_plate` for the rest.
+    Raise SpecimenError for more than 3,000,000 displacements.
     """
     count = COMPONENTS * math.prod(int(axis.first[-1]) + 1 for axis in (x, y, z))
     if count > MOST_DISPLACEMENTS:
@@ -323,7 +324,7 @@ def assemble_solid(
 def _kinds_of_nodes(
     x: Axis, y: Axis, inside: FloatArray, corrosion: CorrosionParameters, strip_m: float
 ) -> IntArray:
-    """Classify the unknowns of each node (`SolidPlate.kinds`); where a circle cuts, all layers stay."""
+    """Classify the unknowns of each node as `SolidPlate.kinds`, shape (nodes of x, nodes of y)."""
     half_x, half_y = corrosion.half_sizes_m
     at_x, at_y = np.abs(x.nodes_m)[:, None], np.abs(y.nodes_m)[None, :]
     if corrosion.shape == "round":
@@ -341,7 +342,7 @@ def _kinds_of_nodes(
 def _find_existing_nodes(
     x: Axis, y: Axis, z_nodes: int, upper_nodes: int, inside: FloatArray
 ) -> NDArray[np.bool_]:
-    """Mark the nodes that belong to an element, shape (nodes of x, of y, of z)."""
+    """Mark the nodes that belong to an element; Boolean, shape (nodes of x, of y, of z)."""
     existing = np.zeros((int(x.first[-1]) + 1, int(y.first[-1]) + 1, z_nodes), dtype=bool)
     existing[:, :, :upper_nodes] = True
     for ex, ey in np.argwhere(inside < 1.0):
@@ -350,7 +351,7 @@ def _find_existing_nodes(
 
 
 def _find_fixed_displacements(support: str, shape: tuple[int, ...], symmetry: Symmetry) -> NDArray[np.bool_]:
-    """Mark the displacements that the supports and the symmetry planes fix."""
+    """Mark the displacements that the supports and the symmetry planes fix; Boolean, shape (*shape, 3)."""
     fixed = np.zeros((*shape, COMPONENTS), dtype=bool)
     clamped = support == "clamped"
     fixed[-1, :, :, 0] = clamped
@@ -367,7 +368,7 @@ def _find_fixed_displacements(support: str, shape: tuple[int, ...], symmetry: Sy
 
 
 def _number_free_displacements(free: NDArray[np.bool_], symmetry: Symmetry) -> IntArray:
-    """Assign numbers to the free displacements; -1 marks a fixed one.
+    """Return a number for each free displacement, shape as `free`; -1 for a fixed one.
 
     Across the diagonal of an eighth u and v change places.
     """
@@ -389,7 +390,7 @@ def _number_free_displacements(free: NDArray[np.bool_], symmetry: Symmetry) -> I
 def _build_lift_matrix(
     numbers: IntArray, kinds: IntArray, shapes: tuple[FloatArray, FloatArray]
 ) -> sparse.csr_matrix:
-    """Build the sparse map from the unknowns to the displacements of all nodes."""
+    """Build the sparse map, shape (displacements, unknowns), from unknowns to displacements of all nodes."""
     z_nodes = numbers.shape[2]
     flat = numbers.reshape(-1, z_nodes, COMPONENTS)
     rows, columns, values = [], [], []

@@ -60,7 +60,7 @@ Fold = tuple[IntArray, sparse.csr_matrix]
 
 
 def list_column_folds(plate: SolidPlate) -> list[Fold]:
-    """Return the sorted unknowns of each column, and the map from them to its displacements."""
+    """Return for each column its sorted unknowns, and the map from them to its displacements."""
     return [_fold_column(plate, int(ex), int(ey)) for ex, ey in plate.columns]
 
 
@@ -81,7 +81,7 @@ def _fold_column(plate: SolidPlate, ex: int, ey: int) -> Fold:
 
 
 def _find_column_kind(plate: SolidPlate, ex: int, ey: int) -> tuple[int, int]:
-    """Return the kind of a column's nodes, 0 if they differ, and the unknowns or nodes along z."""
+    """Return the kind of a column's nodes, 0 if they differ, and the number of unknowns or nodes along z."""
     kinds = plate.kinds[np.ix_(plate.x.nodes_of(ex), plate.y.nodes_of(ey))]
     if kinds.flat[0] and np.all(kinds == kinds.flat[0]):
         kind = int(kinds.flat[0])
@@ -90,7 +90,7 @@ def _find_column_kind(plate: SolidPlate, ex: int, ey: int) -> tuple[int, int]:
 
 
 def column_matrices(plate: SolidPlate, column: int, fold: sparse.csr_matrix) -> tuple[FloatArray, FloatArray]:
-    """Compute stiffness and mass of one column over its unknowns, times its symmetric copies."""
+    """Compute stiffness and mass of one column over its unknowns, times the number of symmetric copies."""
     ex, ey = (int(e) for e in plate.columns[column])
     kind, nodes = _find_column_kind(plate, ex, ey)
     whole = integrate_in_plane(plate.x, plate.y, ex, ey)
@@ -114,12 +114,12 @@ def column_matrices(plate: SolidPlate, column: int, fold: sparse.csr_matrix) -> 
 
 
 def _fold_matrix(matrix: FloatArray, fold: sparse.csr_matrix) -> FloatArray:
-    """Reduce a symmetric matrix to the degrees of freedom that symmetry leaves."""
+    """Reduce a symmetric matrix to the unknowns of a column, ``fold matrix fold^T``."""
     return np.asarray(fold @ np.ascontiguousarray((fold @ matrix).T))
 
 
 def make_shifted_solver(plate: SolidPlate, shift_rad_per_s: float) -> Callable[[FloatArray], FloatArray]:
-    """Factorize ``K + sigma^2 M`` and return its solver."""
+    """Factorize ``K + sigma^2 M``; return a function that solves it for one vector, shape (unknowns,)."""
     folds = list_column_folds(plate)
 
     def cell(column: int) -> FloatArray:
@@ -131,7 +131,7 @@ def make_shifted_solver(plate: SolidPlate, shift_rad_per_s: float) -> Callable[[
 
 
 def make_mass_product(plate: SolidPlate) -> Callable[[FloatArray], FloatArray]:
-    """Return a function that multiplies by the mass matrix without assembling it.
+    """Return a function that multiplies a vector of the unknowns by the mass matrix, never assembled.
 
     Each layer has an in-plane matrix and one through the thickness.
     """
@@ -204,7 +204,10 @@ class ProjectedSolid:
     load: FloatArray
 
     def modes(self, remaining: float, residual_compliance_m_per_n: float) -> PlateModes:
-        """Compute modes with the fraction `remaining` of the thickness left within the patch."""
+        """Compute modes with the fraction `remaining` of the thickness left within the patch.
+
+        The given residual compliance becomes that of the result, and may be negative.
+        """
         s, lost = remaining, 1.0 - remaining
         factors = np.array([s, 1.0 / s, 1.0, lost, 1.0 / lost if lost else 0.0, 1.0 if lost else 0.0])
         stiffness = np.tensordot(factors, self.stiffness, 1)
@@ -218,7 +221,7 @@ class ProjectedSolid:
 
 
 def project_layers(plate: SolidPlate, fields: FloatArray) -> ProjectedSolid:
-    """Project each layer onto `fields` (Galerkin), displacements of all nodes, shape (n, r)."""
+    """Project each layer onto `fields` (Galerkin): displacements of all nodes, shape (n, r)."""
     count = fields.shape[1]
     stiffness, mass = np.zeros((6, count, count)), np.zeros((2, count, count))
     h = plate.parameters.thickness_m
@@ -246,12 +249,12 @@ def project_layers(plate: SolidPlate, fields: FloatArray) -> ProjectedSolid:
 
 
 def _multiply_field(matrix: FloatArray, field: FloatArray) -> FloatArray:
-    """Multiply a field by a matrix through the thickness."""
+    """Multiply a field, shape (..., nodes of z, r), by a matrix through the thickness; same shape."""
     return np.asarray(np.matmul(matrix, field))
 
 
 def _energy_products(field: FloatArray, in_plane: FloatArray, through: FloatArray) -> FloatArray:
-    """Compute energy products of fields from an in-plane and a through-thickness factor."""
+    """Compute the energy products of r fields, shape (r, r), from in-plane and through-thickness factors."""
     count = field.shape[-1]
     product = in_plane @ through.reshape(len(in_plane), -1)
     return np.asarray(field.reshape(-1, count).T @ product.reshape(-1, count))
@@ -260,7 +263,7 @@ def _energy_products(field: FloatArray, in_plane: FloatArray, through: FloatArra
 def solid_modes(
     plate: PlateParameters, corrosion: CorrosionParameters, vectors: int = SOLID_VECTORS
 ) -> PlateModes:
-    """Compute modes of the solid plate at the depth of `corrosion`, ready for a shot.
+    """Compute modes of the solid plate at the depth of `corrosion`; the residual compliance is not negative.
 
     Raises
     ------
@@ -275,7 +278,7 @@ def solid_modes(
 
 
 def contact_residual_m_per_n(plate: SolidPlate, corrosion: CorrosionParameters) -> float:
-    """Return the mesh's missing compliance under the contact in m/N, less the half-space's part."""
+    """Return the compliance to add to the modes in m/N: the mesh's missing part less the half-space's."""
     indentation = half_space_indentation_m_per_n(
         plate.parameters.warm_youngs_modulus_pa,
         plate.parameters.poisson_ratio,
@@ -285,7 +288,7 @@ def contact_residual_m_per_n(plate: SolidPlate, corrosion: CorrosionParameters) 
 
 
 def _remove_shallow_patch(corrosion: CorrosionParameters) -> CorrosionParameters:
-    """Remove a patch that is too shallow to matter; return other patches as they are."""
+    """Return the patch with depth 0 if it is shallower than 1e-4 of the thickness; others as they are."""
     if corrosion.depth_fraction * corrosion.depth_factor < SHALLOWEST_FRACTION:
         return replace(corrosion, depth_fraction=0.0)
     return corrosion
