@@ -89,9 +89,10 @@ def end_expired_shelf(row: AlarmRow, moment: Moment, wall_utc_ns: int) -> Change
 
 
 def shelve(row: AlarmRow, author: str, reason: str, for_h: float, moment: Moment, wall_utc_ns: int) -> Change:
-    """Return the change that shelves an alarm for ``for_h`` hours of the test or of real time, whichever ends first.
+    """Return the change that shelves an alarm for ``for_h`` hours of the test or of real time.
 
-    A shelf that runs is replaced. The caller checks the limit `LONGEST_SHELF_H`.
+    The shelf ends with whichever of them is over first. A running shelf is replaced. The caller checks the
+    limit `LONGEST_SHELF_H`.
 
     Raises
     ------

@@ -216,7 +216,7 @@ def _build_new_row(condition: Condition, moment: Moment) -> AlarmRow:
 
 
 def _compute_updated_columns(row: AlarmRow, condition: Condition) -> dict[str, Any]:
-    """Return the columns of an active alarm that its condition updates: higher priority, message, evidence."""
+    """Return priority (never lower), message and evidence of an alarm, updated with its condition."""
     priority = max(row.priority, condition.priority, key=PRIORITIES.index)
     return {"priority": priority, "message": condition.message, "evidence": _build_evidence(condition)}
 

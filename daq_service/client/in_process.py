@@ -60,11 +60,11 @@ class InProcess(httpx.BaseTransport):
         self._portal = self._portal_context.__enter__()
 
     def handle_request(self, request: httpx.Request) -> httpx.Response:
-        """Return the complete response of one request."""
+        """Return the complete response to one request; block until it is there."""
         return self._portal.call(self._answer, request)
 
     async def _answer(self, request: httpx.Request) -> httpx.Response:
-        """Return the response of the application to a request."""
+        """Call the application with a request and return its complete response, read into memory."""
         asgi_request = httpx.Request(
             request.method, request.url, headers=request.headers, content=request.read()
         )
@@ -75,6 +75,6 @@ class InProcess(httpx.BaseTransport):
         )
 
     def close(self) -> None:
-        """End the event loop, and close the catalogue."""
+        """End the event loop, then close the catalogue."""
         self._portal_context.__exit__(None, None, None)
         find_app_context(self._app).catalogue_access.close()
