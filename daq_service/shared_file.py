@@ -107,6 +107,7 @@ def read_shared(path: Path, first: int = 0, last: int | None = None) -> bytes:
     """
 
     def read() -> bytes:
+        """Read the requested bytes once; a file above `LARGEST_BYTES` raises OSError (EFBIG)."""
         with path.open("rb") as file:
             if last is None and file.seek(0, os.SEEK_END) - first > LARGEST_BYTES:
                 raise OSError(errno.EFBIG, f"{os.strerror(errno.EFBIG)}: more than {LARGEST_BYTES} bytes")

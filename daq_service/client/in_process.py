@@ -37,6 +37,10 @@ def folder_connection(folder: Path) -> Connection:
     closed = threading.Event()
 
     def follow_events(after: int, topics: str | None) -> Iterator[dict[str, object]]:
+        """Yield the stored events after an id, of these topics, until the connection closes.
+
+        Poll every `POLL_S`.
+        """
         selected_topics = None if topics is None else set(topics.split(","))
         while not closed.is_set():
             new_events = events.after(after, PAGE_EVENTS)

@@ -76,7 +76,7 @@ def proxy_note(url: httpx.URL) -> str:
 
 
 def _matches_host(entry: str, host: str) -> bool:
-    """Return whether an entry of NO_PROXY matches a host, as an IP network or as a pattern of names (``*``)."""
+    """Return whether an entry of NO_PROXY matches a host, as an IP network or as a pattern of names."""
     try:
         return ip_address(host) in ip_network(entry.strip("[]"), strict=False)
     except ValueError:
