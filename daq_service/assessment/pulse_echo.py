@@ -195,9 +195,6 @@ class PulseEchoAssessor:
 
 
 def _find_echo_flags(reading: EchoReading, echo: PulseEchoRecord) -> tuple[str, ...]:
-    """Return the flags ``no_echo`` (bad reading) and ``clipped`` of an echo; empty if it has neither.
-
-    Only the instrument knows whether averaged records were clipped (``clipped_records`` of its settings).
-    """
+    """Return the flags of an echo; only the instrument knows whether averaged records were clipped."""
     clipped = echo.waveform.clipped or float(echo.settings.get("clipped_records", 0.0)) > 0.0
     return (("no_echo",) if reading.quality == "bad" else ()) + (("clipped",) if clipped else ())

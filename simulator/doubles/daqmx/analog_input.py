@@ -145,7 +145,7 @@ class AnalogInput:
             self.triggered(bench, task, now_ns)
 
     def triggered(self, bench: Bench, task: Task, at_ns: int) -> None:
-        """Start sampling after the delay from ``at_ns``, and start the tasks that wait for this board's start."""
+        """Start sampling after the delay; also start the tasks that wait for this board's start trigger."""
         task.run.begin_ns = at_ns + round(start_delay_s(task) * NS_PER_S)
         fire_edge(bench, f"/{task.device.name}/ai/StartTrigger", at_ns)
 
@@ -421,7 +421,7 @@ def search_again(bench: Bench, strike: Strike, now_ns: int) -> None:
 def correct_started_tasks(bench: Bench, terminal: str, pulse: Pulse, now_ns: int) -> None:
     """Correct the start of tasks that an edge of a pulse has started, when the pulse ends early.
 
-    Tasks wait again if the pulse had not begun; those on its falling edge start now. Their records are
+    Tasks wait again if the pulse had not started; those on its falling edge start now. Their records are
     discarded.
     """
     for task in bench.tasks.values():

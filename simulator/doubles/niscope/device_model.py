@@ -209,7 +209,7 @@ class NiscopeBrain:
     # Acquisition
 
     def _initiate(self, session: Session, _: Arguments) -> None:
-        """Start an acquisition; raise ScopeStatus if one runs, no channel is enabled, or the board is gone."""
+        """Start an acquisition; raise ScopeStatus if one runs, no channel is enabled or the board is gone."""
         require_idle(session)
         self._require_present(session)
         if not any(channel.enabled for channel in session.channels.values()):
