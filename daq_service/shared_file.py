@@ -98,12 +98,14 @@ def retry(
 
 
 def read_shared(path: Path, first: int = 0, last: int | None = None) -> bytes:
-    """Read a file that another process may be replacing, or the bytes of it from `first` up to `last`.
+    """Read a file that another process may be replacing, or the bytes of it from ``first`` up to ``last``.
+
+    Bytes after the end of the file are left out.
 
     Raises
     ------
     OSError
-        It cannot be read, also after a while, or is too large to be held in memory.
+        It cannot be read, also after `PATIENCE_S`; or ``last`` is None and it has more than `LARGEST_BYTES`.
     """
 
     def read() -> bytes:

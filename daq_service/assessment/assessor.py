@@ -113,7 +113,13 @@ class Assessor(Protocol):
         ...
 
     def assess_empty_set(self, due: DueSet, n_tried: int) -> PositionResult:
-        """Assess a set without any record; ``n_tried`` shots were tried, repetitions not counted."""
+        """Assess a scheduled set without any record and update the state.
+
+        Parameters
+        ----------
+        n_tried
+            Shots that were tried, repetitions not counted.
+        """
         ...
 
     def enable(self) -> None:

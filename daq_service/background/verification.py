@@ -116,10 +116,10 @@ class IdleVerification(BackgroundTask):
                     del self._to_come[0]
 
     def _take_result(self, file: str, is_noted: bool, future: Future[tuple[str, str]]) -> None:
-        """Add a corrupt or missing file to `damaged`, or remove an intact one.
+        """Process the result for a file: update `damaged`, and report the SHA-256 of an intact file without a stored one.
 
-        Note the SHA-256 of an unknown file. After an error of the disk, the catalogue or the worker the file
-        is left for the next round; the error is logged.
+        After an error of the disk, the catalogue or the worker the file is left for the next round; the error
+        is logged.
         """
         try:
             fault, sha256 = future.result()

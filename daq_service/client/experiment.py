@@ -131,7 +131,7 @@ class Experiment:
     def annotations(
         self, position: str | None = None, *, from_h: float | None = None, to_h: float | None = None
     ) -> pd.DataFrame:
-        """Read annotations of hours of the test, including withdrawn ones."""
+        """Read annotations of hours of the test, one row each, including withdrawn ones."""
         return self._table(rows.AnnotationRow, "annotations", position=position, from_h=from_h, to_h=to_h)
 
     def waveforms(

@@ -136,7 +136,7 @@ class Faults:
             self._released.notify_all()
 
     def release(self) -> None:
-        """Release every hanging call."""
+        """Release every call that hangs now; later ones hang again."""
         with self._released:
             self._release_count += 1
             self._released.notify_all()

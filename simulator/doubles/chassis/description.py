@@ -235,7 +235,7 @@ SLOW = BoardParameters(serial_number=0x00C16021, product="PCI-6221", name="Dev1"
 
 
 def _footprint(size_m: float) -> CorrosionParameters:
-    """Create a corrosion patch of this size."""
+    """Return the parameters of a corrosion patch of this size, m."""
     return CorrosionParameters(size_m=size_m)
 
 

@@ -131,7 +131,7 @@ class AnalogInput:
         return (resource(task.device.serial_number, "ai"),)
 
     def commit(self, bench: Bench, task: Task) -> None:
-        """Program nothing: analog input drives no line."""
+        """Do nothing, because analog input drives no line."""
 
     def start(self, bench: Bench, task: Task, now_ns: int) -> None:
         """Start sampling now, or at the start trigger; a simulated board has its record at once."""

@@ -300,7 +300,7 @@ class NiscopeBrain:
         return {"year": day.year, "month": day.month, "day": day.day}
 
     def _calibration_temperature(self, session: Session, _: Arguments) -> Answer:
-        """Return the temperature of the board at its calibration in degrees Celsius."""
+        """Answer with the temperature of the board at its calibration, °C."""
         return {"temperature": session.board.calibration_temperature_c}
 
     def _self_calibrate(self, session: Session, _: Arguments) -> None:

@@ -30,7 +30,7 @@ class AimTtiSupply(Supply):
         self._events = 0
 
     def trip(self, protection: str = "CURR") -> None:
-        """Trip a protection and set its bit in the limit event register."""
+        """Trip the VOLT or CURR protection, and set its bit in the limit event register."""
         super().trip(protection)
         self._events |= {"VOLT": 4, "CURR": 8}[protection]
 

@@ -115,11 +115,12 @@ class SerialInstruments:
 def carry_out(instruments: SerialInstruments, order: Mapping[str, Any]) -> dict[str, Any]:
     """Execute the command of one JSON line from standard input; return its results, mostly none.
 
-    ``{"do": "unplug" | "plug" | "clear_faults", "instrument": "supply" | "climate"}``; ``{"do": "inject",
-    "instrument": ..., "silent": true, "slow_s": 0.5, "hold": 1, "garbage": 1}``; ``{"do": "identity",
-    "instrument": ..., "name": "OTHER,..."}``; ``{"do": "brown_out"}``; ``{"do": "trip", "protection": "CURR"
-    | "VOLT"}``; ``{"do": "output_key", "on": false}``; ``{"do": "resistance", "resistance_ohm": 4.0}`` (a
-    short circuit); ``{"do": "record"}`` returns the output's changes and the commands received by both.
+    ``{"do": "unplug" | "plug" | "clear_faults", "instrument": "supply" | "climate"}``;
+    ``{"do": "inject", "instrument": ..., "silent": true, "slow_s": 0.5, "hold": 1, "garbage": 1}``;
+    ``{"do": "identity", "instrument": ..., "name": "OTHER,..."}``; ``{"do": "brown_out"}``;
+    ``{"do": "trip", "protection": "CURR" | "VOLT"}``; ``{"do": "output_key", "on": false}``;
+    ``{"do": "resistance", "resistance_ohm": 4.0}`` (a short circuit); ``{"do": "record"}`` returns the
+    output's changes and the commands received by both.
 
     Raises
     ------

@@ -118,7 +118,10 @@ class DoublesControl:
         return bool(self._ask("wait_until_quiet", timeout_s=timeout_s))
 
     def record(self) -> dict[str, Any]:
-        """Return calls, lines, levels, tasks, reservations, leaks, strikes, boards (`Brain.record`)."""
+        """Return what the double has recorded, in JSON types (`Brain.record`).
+
+        It has calls, lines, levels, tasks, reservations, leaks, strikes and boards.
+        """
         found: dict[str, Any] = self._ask("record")
         return found
 
@@ -127,11 +130,14 @@ class DoublesControl:
         self._ask("clear_record")
 
     def unplug(self, serial_number: int) -> None:
-        """Remove a board from the chassis by serial number."""
+        """Remove a board from the chassis by serial number; raise ValueError if there is none."""
         self._ask("unplug", serial_number=serial_number)
 
     def plug(self, serial_number: int, name: str = "") -> None:
-        """Plug a removed board in again, under another name if one is given."""
+        """Plug a removed board in again, under another name if one is given.
+
+        Raise ValueError if there is none.
+        """
         self._ask("plug", serial_number=serial_number, name=name)
 
     def occupy(self, resource: str, owner: str) -> None:

@@ -112,7 +112,7 @@ class Sessions:
             return self._handles.get(name, 0)
 
     def forget(self, name: str) -> None:
-        """Remove a session's name, if it is known."""
+        """Remove the name of a session, if it is known; its task is not cleared."""
         with self._gate:
             self._handles.pop(name, None)
 

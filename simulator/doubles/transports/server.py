@@ -26,7 +26,7 @@ class LoopbackServer(socketserver.ThreadingTCPServer):
 
     @property
     def address(self) -> str:
-        """Return ``host:port``."""
+        """Return the address of the server, ``host:port``."""
         host, port = self.server_address[:2]
         return f"{host!s}:{port}"
 
