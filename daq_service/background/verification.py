@@ -116,7 +116,7 @@ class IdleVerification(BackgroundTask):
                     del self._to_come[0]
 
     def _take_result(self, file: str, is_noted: bool, future: Future[tuple[str, str]]) -> None:
-        """Process the result for a file: update `damaged`, and report the SHA-256 of an intact file without a stored one.
+        """Process the result for a file: update `damaged`, and report a SHA-256 that is not stored yet.
 
         After an error of the disk, the catalogue or the worker the file is left for the next round; the error
         is logged.

@@ -280,7 +280,7 @@ class Brain:
     def disturb(self, position: str, crosstalk: Mapping[str, Any]) -> None:
         """Set the crosstalk from the coil at a position into its sensor.
 
-        Raise TypeError for an unknown key.
+        Raise TypeError for an unknown key, ValueError for a value out of bounds.
         """
         with self.bench.changed:
             self.bench.strikes.disturb(position, Crosstalk(**crosstalk))
