@@ -46,7 +46,18 @@ O_BINARY = getattr(os, "O_BINARY", 0)
 
 
 def load_table(module: str) -> dict[str, object]:
-    """Return the TOML file beside a module of the package, which has the module's name."""
+    """Read the TOML file next to a module, with the same name and the suffix ``.toml``.
+
+    Parameters
+    ----------
+    module
+        Path of the module (``__file__``).
+
+    Raises
+    ------
+    OSError, TOMLDecodeError
+        The file cannot be read, or is no TOML.
+    """
     return tomllib.loads(Path(module).with_suffix(".toml").read_text(encoding="utf-8"))
 
 
@@ -58,7 +69,18 @@ def retry(
     report_after_s: float = REPORT_AFTER_S,
     pause: Callable[[float], None] = time.sleep,
 ) -> T:
-    """Retry a call while it is refused, with growing pauses; raise the last refusal."""
+    """Call a function again while it is refused; return its result.
+
+    The pauses grow from 1 ms to `LONGEST_PAUSE_S`. Any other error, and a refusal after ``patience_s``, is
+    raised.
+
+    Parameters
+    ----------
+    is_refusal
+        Whether an error is worth another try; default: a PermissionError.
+    report_after_s
+        A refusal that lasts longer is logged once as a warning.
+    """
     started_s = time.monotonic()
     pause_s, reported = 0.001, False
     while True:
@@ -76,15 +98,18 @@ def retry(
 
 
 def read_shared(path: Path, first: int = 0, last: int | None = None) -> bytes:
-    """Read a file that another process may be replacing, or the bytes of it from `first` up to `last`.
+    """Read a file that another process may be replacing, or the bytes of it from ``first`` up to ``last``.
+
+    Bytes after the end of the file are left out.
 
     Raises
     ------
     OSError
-        It cannot be read, also after a while, or is too large to be held in memory.
+        It cannot be read, also after `PATIENCE_S`; or ``last`` is None and it has more than `LARGEST_BYTES`.
     """
 
     def read() -> bytes:
+        """Read the requested bytes once; a file above `LARGEST_BYTES` raises OSError (EFBIG)."""
         with path.open("rb") as file:
             if last is None and file.seek(0, os.SEEK_END) - first > LARGEST_BYTES:
                 raise OSError(errno.EFBIG, f"{os.strerror(errno.EFBIG)}: more than {LARGEST_BYTES} bytes")
@@ -95,7 +120,7 @@ def read_shared(path: Path, first: int = 0, last: int | None = None) -> bytes:
 
 
 def read_hint(path: Path) -> bytes | None:
-    """Read a file; return None where it is absent, or held by another process at this moment."""
+    """Read a file without waiting; return None if it is absent or cannot be read at this moment."""
     try:
         return path.read_bytes()
     except FileNotFoundError:
@@ -106,7 +131,10 @@ def read_hint(path: Path) -> bytes | None:
 
 
 def write_hint(path: Path, content: bytes) -> OSError | None:
-    """Replace a file by rename, without waiting; return the error where it was not replaced."""
+    """Replace a file by rename, without fsync or retry; return the error if it was not replaced, else None.
+
+    The temporary file has the same name with the suffix `HINT_SUFFIX`; after an error it may remain.
+    """
     partial = path.with_suffix(HINT_SUFFIX)
     try:
         partial.write_bytes(content)
@@ -167,7 +195,7 @@ def write_durably(
 
 
 def write_output(path: Path, content: bytes | Iterator[bytes]) -> None:
-    """Write a file that a person asked for, complete or not at all.
+    """Write a file that a person asked for, complete or not at all; create missing parent folders.
 
     Raises
     ------
@@ -184,7 +212,15 @@ def write_output(path: Path, content: bytes | Iterator[bytes]) -> None:
 
 
 def sync_folder(folder: Path, *, patience_s: float = PATIENCE_S) -> None:
-    """Sync a folder, so that its names are durable; Windows has no such call and journals names itself."""
+    """Sync a folder to disk (fsync), so that new names in it survive a power cut; do nothing on Windows.
+
+    Windows has no such call and journals names itself.
+
+    Raises
+    ------
+    OSError
+        The folder cannot be opened, also after ``patience_s``, or the sync fails.
+    """
     if sys.platform == "win32":
         return
     descriptor = retry(lambda: os.open(folder, os.O_RDONLY), patience_s=patience_s)
@@ -195,7 +231,10 @@ def sync_folder(folder: Path, *, patience_s: float = PATIENCE_S) -> None:
 
 
 def remove_quietly(path: Path) -> None:
-    """Remove a file; log a disk that refuses even this."""
+    """Remove a file if it exists.
+
+    A refusal is retried for `PATIENCE_S`, then logged, and no error is raised.
+    """
     try:
         retry(lambda: os.unlink(path))  # noqa: PTH108 - the seam is os
     except FileNotFoundError:
@@ -205,7 +244,15 @@ def remove_quietly(path: Path) -> None:
 
 
 def write_all(descriptor: int, buffers: Sequence[bytes | memoryview]) -> None:
-    """Write buffers one after the other to the last byte; many at a time where the system can."""
+    """Write all buffers in order to an open file, completely.
+
+    Up to `BUFFERS_A_CALL` per call with ``writev``.
+
+    Raises
+    ------
+    OSError
+        The disk refuses; a part may be written.
+    """
     step = BUFFERS_A_CALL if hasattr(os, "writev") else 1
     for start in range(0, len(buffers), step):
         batch = buffers[start : start + step]

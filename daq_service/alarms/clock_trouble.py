@@ -8,12 +8,12 @@ CLOCK_UNVERIFIED = "clock_unverified"
 
 
 def build_clock_condition(reason: str) -> Condition:
-    """Return the condition of the alarm that is active while the recorder waits for a verified clock.
+    """Return the condition ``clock_unverified`` (priority high): the recorder waits for a verified clock.
 
     Parameters
     ----------
     reason
-        Why the system's clock is unverified; empty if it is verified.
+        Why the system's clock is unverified; empty: it is verified, and the condition is not present.
     """
     return Condition(
         kind=CLOCK_UNVERIFIED,

@@ -14,7 +14,10 @@ SHOWN = 5
 def damage_condition(
     set_aside: Sequence[str], damaged: Mapping[str, str] = MappingProxyType({})
 ) -> Condition:
-    """Return the condition of corrupt data: sets in quarantine, or stored files that are corrupt or missing.
+    """Return the condition ``data_corrupt``: sets in quarantine, or stored files that are corrupt or missing.
+
+    It is present if either argument has an entry; its priority is high with damaged files, else medium. The
+    message names at most `SHOWN` damaged files.
 
     Parameters
     ----------
@@ -38,17 +41,17 @@ def damage_condition(
 
 
 def _describe_file_problem(fault: str) -> str:
-    """Return what is wrong with a file as a predicate."""
+    """Return a file's fault as a predicate: unchanged if it starts with "is ", else "is damaged: <fault>"."""
     return fault if fault.startswith("is ") else f"is damaged: {fault}"
 
 
 def space_condition(free_space: str, *, present: bool, stops: bool) -> Condition:
-    """Return the condition of low disk space; its priority rises when storing stops.
+    """Return the condition ``disk_space``: priority medium, or high if ``stops`` (nothing more is stored).
 
     Parameters
     ----------
     free_space
-        Text with the free space.
+        Text with the free space, the start of the message.
     """
     consequence = "nothing more is stored until some is freed" if stops else "soon nothing more is stored"
     return Condition(
@@ -60,12 +63,14 @@ def space_condition(free_space: str, *, present: bool, stops: bool) -> Condition
 
 
 def storage_condition(message: str, *, present: bool, waits_in: str = "memory") -> Condition:
-    """Return the condition of failed writes: sets wait in memory, or complete ones in the journal.
+    """Return the condition ``write_failed`` (priority high): the disk refuses, and sets wait to be written.
 
     Parameters
     ----------
     message
         Error message of the disk or the operating system.
+    waits_in
+        Where they wait: ``memory``, or ``journal`` for complete sets.
     """
     return Condition(
         kind="write_failed",

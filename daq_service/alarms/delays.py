@@ -20,7 +20,10 @@ def apply_delays(
     moment: Moment,
     rule: AlarmKindSettings,
 ) -> tuple[Condition | None, int | None]:
-    """Apply delay and deadband to the condition of an alarm.
+    """Apply on-delay, off-delay and deadband (ISA-18.2) to the condition of an alarm.
+
+    If the kind has a deadband, the condition of an active alarm also counts as present within the deadband,
+    and without ``times_limit``.
 
     Parameters
     ----------

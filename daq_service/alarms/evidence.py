@@ -33,6 +33,9 @@ def evidence_sentences(
 ) -> list[str]:
     """Return the evidence of an alarm as sentences: values, limits, largest contributions, and time.
 
+    The most important come first; the time when it was raised (hours of the test) comes last and is always
+    there.
+
     Parameters
     ----------
     baselines
@@ -52,12 +55,19 @@ def evidence_sentences(
 
 
 def describe_evidence(kind: str, evidence: Evidence) -> list[str]:
-    """Return the sentences without the time, the most important first; empty without evidence."""
+    """Return the evidence of an alarm as sentences without the time, the most important first.
+
+    The list is empty if the evidence has no known value. A kind without texts of its own is described by its
+    supply values.
+    """
     return list(_OF_KIND.get(kind, _describe_supply)(evidence))
 
 
 def describe_baseline_anomalies(baseline_quality: Mapping[str, Any] | None) -> list[str]:
-    """Describe the anomalies of a baseline (`assessment.baseline_quality`)."""
+    """Describe each anomaly of a baseline (`assessment.baseline_quality`) as a clause.
+
+    The list is empty without anomalies. An unknown kind of anomaly is described by its name.
+    """
     return [
         {
             "group": f"sets {', '.join(map(str, anomaly['set_indices']))} lie together, away from the others",
@@ -72,14 +82,14 @@ class _Sentences(Formatter):
     """Fills sentences in; an unknown value raises KeyError, and units are formats."""
 
     def get_field(self, field_name: str, args: Sequence[object], kwargs: Mapping[str, object]) -> object:
-        """Return a value that is known."""
+        """Return the value of a placeholder; raise KeyError if it is missing or None."""
         name, *_ = field_name.partition("[")
         if kwargs.get(name) is None or (found := super().get_field(field_name, args, kwargs))[0] is None:
             raise KeyError(field_name)
         return found
 
     def format_field(self, value: object, format_spec: str) -> str:
-        """Return a value in its unit, or as Python formats it."""
+        """Format a number in the unit that the format names (`_UNITS`); format all else as Python does."""
         unit = _UNITS.get(format_spec)
         if unit is not None and isinstance(value, int | float):
             return unit(value)
@@ -87,7 +97,7 @@ class _Sentences(Formatter):
 
 
 def _fill_sentences(part: str, evidence: Evidence) -> Iterator[str]:
-    """Yield the sentences of a part of the table whose values are all known."""
+    """Yield the sentences of a part of the text table; one with a missing or None value is left out."""
     for sentence in _TEXTS["sentences"][part]:
         try:
             text = _Sentences().vformat(sentence, (), evidence)
@@ -133,7 +143,11 @@ def _describe_signal_change(evidence: Evidence) -> Iterator[str]:
 
 
 def describe_confirmation(confirmation: Evidence) -> str:
-    """Describe the result of a confirmation set (`assessment.confirmation.ConfirmationResult`)."""
+    """Describe the result of a confirmation set (`assessment.confirmation.ConfirmationResult`) as a sentence.
+
+    It names UTC and hour of the set; the distance and its limit only if both are known; the reason if the
+    result is undetermined.
+    """
     at = f"{format_utc(confirmation['utc_ns'], 0)} (hour {confirmation['due_h']:.2f})"
     if confirmation["confirms"] is None:
         return (
@@ -149,7 +163,10 @@ def describe_confirmation(confirmation: Evidence) -> str:
 
 
 def _list_contributions(contributions: Mapping[str, float | None]) -> str:
-    """Return the features that contribute most; empty if none is known."""
+    """Return the largest `MOST_FEATURES` contributions as text, in percent of the sum.
+
+    Empty if none is positive.
+    """
     known = {name: value for name, value in contributions.items() if value is not None}
     total = sum(known.values())
     largest = sorted(known, key=lambda name: -known[name])[:MOST_FEATURES]
@@ -161,7 +178,7 @@ def _list_contributions(contributions: Mapping[str, float | None]) -> str:
 
 
 def _describe_thickness(evidence: Evidence) -> Iterator[str]:
-    """Yield the sentences of a wall thickness and its limit."""
+    """Yield the sentences of a wall thickness and its limit; the difference only if both are known."""
     known = dict(evidence)
     if values := _collect_values(evidence, "thickness_m", "limit_m"):
         wall_m, limit_m = values
@@ -173,7 +190,7 @@ def _describe_thickness(evidence: Evidence) -> Iterator[str]:
 
 
 def _describe_rig_error(evidence: Evidence) -> Iterator[str]:
-    """Yield the sentence of an instrument error."""
+    """Yield the sentences of an instrument error in a set; without a set index, of one at opening."""
     if (set_index := evidence.get("set_index")) is None:
         yield from _fill_sentences("opening", evidence)
     else:
@@ -182,7 +199,7 @@ def _describe_rig_error(evidence: Evidence) -> Iterator[str]:
 
 
 def _describe_corrupt_files(evidence: Evidence) -> Iterator[str]:
-    """Yield the sentences of corrupt files."""
+    """Yield a sentence for each damaged file, and one for all sets in quarantine; none without any."""
     for file, fault in (evidence.get("damaged") or {}).items():
         yield f"{file}: {fault}."
     if quarantined := evidence.get("set_aside"):
@@ -190,7 +207,7 @@ def _describe_corrupt_files(evidence: Evidence) -> Iterator[str]:
 
 
 def _describe_supply(evidence: Evidence) -> Iterator[str]:
-    """Yield the sentences of the supply's newest reading."""
+    """Yield the sentences of the supply's newest reading; nothing if its values are unknown."""
     age_s = evidence.get("supply_age_s")
     yield from _fill_sentences("supply", {**evidence, "age": "" if age_s is None else f", {age_s:.0f} s old"})
 
@@ -209,13 +226,13 @@ _OF_KIND: Mapping[str, Callable[[Evidence], Iterator[str]]] = {
 
 
 def _collect_values(evidence: Evidence, *names: str) -> list[Any]:
-    """Return the values of these keys; an empty list if one is missing."""
+    """Return the values of these keys in order; an empty list if one is missing or None."""
     values = [evidence.get(name) for name in names]
     return [] if None in values else values
 
 
 def _format(value: float) -> str:
-    """Format a value with three significant digits."""
+    """Format a number with three significant digits; from 1000 on as an integer."""
     return f"{value:.3g}" if abs(value) < 1000.0 else f"{value:.0f}"
 
 

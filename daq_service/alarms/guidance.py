@@ -42,13 +42,16 @@ GUIDANCE: Mapping[str, Guidance] = {
 
 
 def join_numbered_steps(steps: Sequence[str]) -> str:
-    """Return numbered steps as one sentence."""
+    """Join steps, numbered from 1, to one text; empty for no steps.
+
+    A semicolon separates them, but none follows a question mark.
+    """
     parts = [f"{number} {step}" for number, step in enumerate(steps, start=1)]
     return "".join(part + (" " if part.endswith("?") else "; ") for part in parts).rstrip("; ")
 
 
 def format_markdown() -> str:
-    """Return the guidance as the Markdown table of the how-to."""
+    """Return the guidance on all kinds of alarm as the Markdown table of the how-to, one row per kind."""
     lines = ["| Kind | It says | It does not say | Look first | Whom to call |", "|---|---|---|---|---|"]
     for kind, guidance in GUIDANCE.items():
         cells = (

@@ -19,7 +19,7 @@ LONGEST_SHELF_H = 72.0
 
 
 def acknowledge_alarm(row: AlarmRow, author: str, note: str, moment: Moment) -> Change:
-    """Acknowledge an alarm.
+    """Return the change that acknowledges an alarm, with author, note and time.
 
     Raises
     ------
@@ -40,12 +40,15 @@ def acknowledge_alarm(row: AlarmRow, author: str, note: str, moment: Moment) -> 
 
 
 def reset_alarm(row: AlarmRow, author: str, note: str, moment: Moment) -> Change:
-    """Reset an alarm: a person has removed its cause, or ends its monitoring.
+    """Return the change that resets an alarm to normal, also a latched one.
+
+    A person has removed its cause, or ends its monitoring. An earlier acknowledgement keeps its author and
+    time; an empty note keeps the earlier note.
 
     Raises
     ------
     ValueError
-        The alarm has ended already.
+        The alarm is normal already.
     """
     if row.state == "normal":
         raise ValueError(f"alarm {row.id} has ended already: there is nothing to reset")
@@ -63,12 +66,14 @@ def reset_alarm(row: AlarmRow, author: str, note: str, moment: Moment) -> Change
 
 
 def remove_expired_shelf(row: AlarmRow, *, utc_ns: int, wall_utc_ns: int) -> AlarmRow:
-    """Return the row as it is at a moment: without its shelf if that has expired.
+    """Return the row of an alarm at a moment: without its shelf if that has expired, else the same object.
+
+    A shelf expires when either clock reaches its end.
 
     Parameters
     ----------
     utc_ns, wall_utc_ns
-        Current time on the experiment's clock, and in real time.
+        Current time on the experiment's clock, and in real time, ns of UTC.
     """
     ends_ns, ends_wall_ns = row.shelved_until_utc_ns, row.shelved_until_wall_utc_ns
     if row.suppressed != "shelved" or ends_ns is None or ends_wall_ns is None:
@@ -78,18 +83,21 @@ def remove_expired_shelf(row: AlarmRow, *, utc_ns: int, wall_utc_ns: int) -> Ala
 
 
 def end_expired_shelf(row: AlarmRow, moment: Moment, wall_utc_ns: int) -> Change | None:
-    """End an expired shelf; None if there is none."""
+    """Return the change that ends an expired shelf; None without a shelf, or while it runs."""
     current_row = remove_expired_shelf(row, utc_ns=moment.utc_ns, wall_utc_ns=wall_utc_ns)
     return None if current_row is row else change_state(current_row, row.state, moment, "alarm_shelf_expired")
 
 
 def shelve(row: AlarmRow, author: str, reason: str, for_h: float, moment: Moment, wall_utc_ns: int) -> Change:
-    """Shelve an alarm for a number of hours of the test or of real time, whichever end first.
+    """Return the change that shelves an alarm for ``for_h`` hours of the test or of real time.
+
+    The shelf ends with whichever of them is over first. A running shelf is replaced. The caller checks the
+    limit `LONGEST_SHELF_H`.
 
     Raises
     ------
     ValueError
-        The alarm has ended, or is out of service.
+        The alarm is normal, or out of service.
     """
     if row.state == "normal":
         raise ValueError(f"alarm {row.id} has ended: there is nothing to shelve")
@@ -110,7 +118,7 @@ def shelve(row: AlarmRow, author: str, reason: str, for_h: float, moment: Moment
 
 
 def take_out_of_service(row: AlarmRow, author: str, reason: str, moment: Moment) -> Change:
-    """Take an alarm out of service until a person returns it.
+    """Return the change that takes an alarm out of service until a person returns it; a shelf is removed.
 
     Raises
     ------
@@ -129,12 +137,17 @@ def take_out_of_service(row: AlarmRow, author: str, reason: str, moment: Moment)
 
 
 def end_suppression(row: AlarmRow, wanted: Suppression, author: str, note: str, moment: Moment) -> Change:
-    """Unshelve an alarm, or return it to service.
+    """Return the change that unshelves an alarm, or returns it to service; the author stays in the row.
+
+    Parameters
+    ----------
+    wanted
+        The suppression to end: ``shelved`` or ``out_of_service``.
 
     Raises
     ------
     ValueError
-        It is not suppressed in that way.
+        The alarm is not suppressed in that way.
     """
     if row.suppressed != wanted:
         raise ValueError(f"alarm {row.id} is not {wanted.replace('_', ' ')}")

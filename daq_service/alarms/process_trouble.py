@@ -9,14 +9,14 @@ WEB_NOT_RESPONDING = "web_not_responding"
 
 
 def build_recorder_condition(finding: str, hour: float) -> Condition:
-    """Return the condition of a missing recorder; it ends when a scheduled set is stored.
+    """Return the condition ``recorder_not_running`` (priority high); absent when a scheduled set is stored.
 
     Parameters
     ----------
     finding
-        Evidence that it is missing; empty when a set is stored.
+        Evidence that the recorder is missing, a sentence of the message; empty: not present.
     hour
-        Of the test, h.
+        Hour of the test, for the message.
     """
     message = f"Recorder not running, sets are missed. {finding} (hour {hour:.1f})."
     action = "Read `logs/`, then run `solimon run`."
@@ -29,12 +29,14 @@ def build_recorder_condition(finding: str, hour: float) -> Condition:
 
 
 def build_web_condition(hour: float, *, present: bool) -> Condition:
-    """Return the condition of a web service of this test that stalls, or has ended without notice.
+    """Return the condition ``web_not_responding`` (priority medium).
+
+    The web service of this test stalls, or has ended without notice.
 
     Parameters
     ----------
     hour
-        Of the test, h.
+        Hour of the test, for the message.
     """
     message = f"Dashboard not responding. No heartbeat (hour {hour:.1f})."
     action = "Read `logs/`, then restart `solimon serve`."

@@ -14,7 +14,7 @@ PASSING = (BusyError.__name__, ConnectionLostError.__name__)
 
 
 def find_connection_loss(missed: Sequence[MissedShot]) -> str:
-    """Return the last cause if all these attempts lost the connection; else an empty text.
+    """Return the cause of the last attempt if all attempts lost the connection; else, or without any, empty.
 
     Parameters
     ----------
@@ -27,7 +27,9 @@ def find_connection_loss(missed: Sequence[MissedShot]) -> str:
 
 
 def build_rig_condition(due: DueSet, trouble: str, unanswered: str, *, proven: bool) -> Condition:
-    """Return the condition of instruments that do not respond, are busy, or report an error.
+    """Return the condition ``instruments_unavailable`` (priority high) after a set.
+
+    The instruments do not respond, are busy, or report an error.
 
     Parameters
     ----------
@@ -59,7 +61,10 @@ def build_rig_condition(due: DueSet, trouble: str, unanswered: str, *, proven: b
 
 
 def build_opening_condition(trouble: InstrumentError | None) -> Condition:
-    """Return the condition of a started test that waits for its rig to open; its evidence has no set."""
+    """Return the condition ``instruments_unavailable`` of a test that waits for its rig to open.
+
+    Its evidence has no set. It is not present if ``trouble`` is None.
+    """
     return Condition(
         kind=RIG_UNAVAILABLE,
         priority="high",

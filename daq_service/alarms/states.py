@@ -88,7 +88,10 @@ class Change:
     author: str | None = None
 
     def event(self, moment: Moment) -> EventRow:
-        """Return the event of the change, to which the commit adds the row (`SetCommit.add_alarm`)."""
+        """Return the event of the change (topic ``alarms``).
+
+        The commit adds the row (`SetCommit.add_alarm`).
+        """
         author = {} if self.author is None else {"author": self.author}
         return moment.event("alarms", self.event_kind, author, position=self.row.position)
 
@@ -104,7 +107,7 @@ class Moment:
 
     @classmethod
     def of_set(cls, due: DueSet, utc_ns: int) -> Moment:
-        """Return a moment that belongs to a set."""
+        """Return the moment of a set: its indices and scheduled hour, with a time in ns of UTC."""
         return cls(
             utc_ns=utc_ns,
             due_h=due.due_h,
@@ -115,7 +118,7 @@ class Moment:
     def event(
         self, topic: str, kind: str, payload: Mapping[str, Any], *, position: str | None = None
     ) -> EventRow:
-        """Return an event of this moment."""
+        """Return an event row of this moment and its set; the payload is copied."""
         return EventRow(
             utc_ns=self.utc_ns,
             topic=topic,
@@ -128,7 +131,7 @@ class Moment:
 
 
 def find_disabled(alarms: Iterable[AlarmRow]) -> dict[str, str]:
-    """Return the disabled transducers, each with the message of its alarm.
+    """Return the disabled transducers by position, each with the message of its alarm.
 
     Parameters
     ----------
@@ -143,13 +146,16 @@ def find_disabled(alarms: Iterable[AlarmRow]) -> dict[str, str]:
 
 
 def update_alarm(row: AlarmRow | None, condition: Condition, moment: Moment) -> Change | None:
-    """Update an alarm with the condition of one assessment; None if nothing changes.
+    """Update an alarm with the condition of one assessment; return None if nothing changes.
+
+    It is raised, becomes active again, rises in priority or diagnosis (then it is unacknowledged again and no
+    longer shelved), or is cleared. A latched alarm is never cleared.
 
     Parameters
     ----------
     row
-        The latest alarm of this position and kind, or None. After a return to normal the next alarm has a
-        new row.
+        The latest alarm of this position and kind, or None. After a return to normal the next alarm has a new
+        row.
     """
     if condition.present and (row is None or row.state == "normal"):
         # Suppression applies to position and kind, so it continues for the next alarm.
@@ -182,14 +188,17 @@ def update_alarm(row: AlarmRow | None, condition: Condition, moment: Moment) -> 
 
 
 def add_evidence(row: AlarmRow, evidence: Mapping[str, object], moment: Moment) -> Change:
-    """Add later results to the evidence of an alarm; its state does not change."""
+    """Return the change that adds later results to the evidence of an alarm, replacing keys of the same name.
+
+    State, priority and message do not change.
+    """
     return change_state(
         row, row.state, moment, "alarm_evidence_added", evidence=row.evidence | dict(evidence)
     )
 
 
 def _build_new_row(condition: Condition, moment: Moment) -> AlarmRow:
-    """Return the row of an alarm that a condition raises."""
+    """Return the row of a new, unacknowledged alarm that a condition raises at a moment."""
     return AlarmRow(
         position=condition.position,
         kind=condition.kind,
@@ -207,18 +216,21 @@ def _build_new_row(condition: Condition, moment: Moment) -> AlarmRow:
 
 
 def _compute_updated_columns(row: AlarmRow, condition: Condition) -> dict[str, Any]:
-    """Return priority, message and evidence of an existing alarm, updated with its condition."""
+    """Return priority (never lower), message and evidence of an alarm, updated with its condition."""
     priority = max(row.priority, condition.priority, key=PRIORITIES.index)
     return {"priority": priority, "message": condition.message, "evidence": _build_evidence(condition)}
 
 
 def _build_evidence(condition: Condition) -> dict[str, Any]:
-    """Return the evidence of a condition, with what is known of its cause."""
+    """Return the evidence of a condition; with a confirmed diagnosis also as the key ``known``."""
     return dict(condition.evidence) | ({"known": condition.known} if condition.known else {})
 
 
 def change_state(row: AlarmRow, state: AlarmState, moment: Moment, event_kind: str, **changed: Any) -> Change:
-    """Return the change of an alarm to a state, with further changed columns."""
+    """Return the change of an alarm to a state at a moment, with further changed columns.
+
+    The transition is not checked.
+    """
     return Change(
         row=replace(row, **changed, state=state, changed_utc_ns=moment.utc_ns), event_kind=event_kind
     )

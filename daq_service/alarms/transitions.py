@@ -20,7 +20,11 @@ _BY_THEMSELVES = ("alarm_raised", "alarm_reactivated", "alarm_priority_raised")
 
 
 def build_transition(event: EventRow) -> dict[str, Any]:
-    """Convert an event of the topic ``alarms`` to a transition; times in ns of UTC."""
+    """Convert an event of the topic ``alarms`` to a transition for the API; times in ns of UTC.
+
+    The reason is that of the person, or the message where the alarm was raised, became active again or rose
+    in priority. Missing values are None.
+    """
     payload = event.payload
     author, reason = _AUTHOR_AND_REASON.get(event.kind, ("", ""))
     return {

@@ -86,13 +86,25 @@ class Assessor(Protocol):
     def assess_set(
         self, due: DueSet, record: SetRecord, features: Mapping[int, ShotFeatures]
     ) -> PositionResult:
-        """Assess the records of a set at this position; ``features`` of its shots by their sequence."""
+        """Assess the records of a scheduled set at this position and update the state.
+
+        Parameters
+        ----------
+        features
+            Features of the set's shots by their sequence.
+        """
         ...
 
     def assess_unscheduled(
         self, due: DueSet, record: SetRecord, features: Mapping[int, ShotFeatures]
     ) -> PositionResult:
-        """Assess an unscheduled set; control chart and baseline never use it."""
+        """Assess an unscheduled set; control chart and baseline never use it.
+
+        Raises
+        ------
+        AssertionError
+            The method takes no unscheduled sets.
+        """
         ...
 
     @property
@@ -101,7 +113,13 @@ class Assessor(Protocol):
         ...
 
     def assess_empty_set(self, due: DueSet, n_tried: int) -> PositionResult:
-        """Assess a set without any record; ``n_tried`` shots were tried, repetitions not counted."""
+        """Assess a scheduled set without any record and update the state.
+
+        Parameters
+        ----------
+        n_tried
+            Shots that were tried, repetitions not counted.
+        """
         ...
 
     def enable(self) -> None:

@@ -38,12 +38,19 @@ class BaselineRange:
 
 
 def baseline_range(position: str, settings: Settings, present: BaselineRow | None) -> BaselineRange:
-    """Return the range of sets of the current baseline.
+    """Return the number, row id and range of sets of a position's current baseline.
+
+    The number of sets is that of the complete schedule up to `baseline.hours`.
 
     Parameters
     ----------
     present
         The newest row of the position; None: the first baseline is being recorded.
+
+    Raises
+    ------
+    ValueError
+        There is no such position.
     """
     # The whole schedule, not one cut by end_h: a test that is carried on later has the same baseline.
     n_sets = len(list_due_hours(settings.schedule.phases, end_h=settings.baseline.hours))
@@ -60,7 +67,10 @@ def baseline_range(position: str, settings: Settings, present: BaselineRow | Non
 
 
 def build_first_baseline(position: str, settings: Settings, epoch_utc_ns: int) -> BaselineRow:
-    """Return the first baseline of a position while it collects: it has no row until it is frozen."""
+    """Return the row of a position's first baseline while it collects; it is not stored before it is frozen.
+
+    Its creation time is the epoch of the test, ns of UTC.
+    """
     row = _build_collecting_row(
         position, settings.baseline.approval, baseline_range(position, settings, None)
     )
@@ -68,7 +78,7 @@ def build_first_baseline(position: str, settings: Settings, epoch_utc_ns: int) -
 
 
 def format_baseline_name(position: str, number: int) -> str:
-    """Return the name of a position's baseline by its number."""
+    """Return the name of a position's baseline, such as ``B-baseline-1``."""
     return f"{position}-baseline-{number}"
 
 
@@ -131,12 +141,12 @@ def renew(
 
 
 def approve(row: BaselineRow, author: str, utc_ns: int) -> BaselineRow:
-    """Approve a proposed baseline in a person's name."""
+    """Return the row of a baseline as approved by a person at a time, ns of UTC; its state is not checked."""
     return replace(row, state="approved", approval=author, approved_utc_ns=utc_ns)
 
 
 def _build_collecting_row(position: str, approval: str, sets: BaselineRange) -> BaselineRow:
-    """Return the row of a baseline that is being collected."""
+    """Return the row of a baseline that is being collected: its range of sets, without statistics."""
     return BaselineRow(
         id=sets.row_id,
         name=format_baseline_name(position, sets.number),

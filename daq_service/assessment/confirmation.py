@@ -39,7 +39,7 @@ class Confirmation:
     author: str = ""
 
     def payload(self) -> dict[str, Any]:
-        """Return the payload of its event, without the position."""
+        """Return the payload of its event `CONFIRMATION_ASKED`, without the position."""
         due = self.due
         return {
             "confirmation_set_index": due.set_index,
@@ -52,7 +52,13 @@ class Confirmation:
 
 
 def parse_confirmation_payload(position: str, payload: Mapping[str, Any]) -> Confirmation:
-    """Read a request from the payload of a position's event `CONFIRMATION_ASKED`."""
+    """Convert the payload of an event `CONFIRMATION_ASKED` to a request at a position.
+
+    Raises
+    ------
+    KeyError
+        A value is missing.
+    """
     due = DueSet(
         set_index=payload["confirmation_set_index"],
         unscheduled_index=payload["confirmation_unscheduled_index"],
@@ -74,14 +80,18 @@ def find_rejection_reason(
 ) -> str:
     """Return why a requested confirmation set is rejected; empty if it is accepted.
 
+    The limit per day is checked first, then the overlap with the next scheduled set.
+
     Parameters
     ----------
     requests
         Earlier requests of every position.
     at_h
         Hour of the test.
+    maximum_per_day
+        Sets that solimon may request at this position in `BUDGET_H`.
     available_ns, set_ns
-        Time until the next scheduled set, and duration of the confirmation set.
+        Time until the next scheduled set, and duration of the confirmation set, ns.
     """
     n_recent = count_recent(position, requests, at_h)
     if n_recent >= maximum_per_day:
@@ -93,13 +103,13 @@ def find_rejection_reason(
 
 
 def count_recent(position: str, requests: Iterable[Confirmation], at_h: float) -> int:
-    """Count the sets that solimon itself requested at a transducer in the last `BUDGET_H`."""
+    """Count the automatic requests (without an author) at a transducer in the last `BUDGET_H` hours."""
     recent = [request for request in requests if request.due.position == position and not request.author]
     return sum(request.due.due_h > at_h - BUDGET_H for request in recent)
 
 
 def find_overlap(available_ns: float, set_ns: int) -> str:
-    """Return why a set would overlap the next scheduled one; empty if it does not."""
+    """Return why a set that takes ``set_ns`` would overlap the next scheduled one; empty if it does not."""
     if set_ns <= available_ns:
         return ""
     available_s, set_s = available_ns / NS_PER_S, set_ns / NS_PER_S
@@ -107,13 +117,16 @@ def find_overlap(available_ns: float, set_ns: int) -> str:
 
 
 def compute_longest_set_ns(schedule: ScheduleSettings, restrikes: int, read_timeout_s: float) -> int:
-    """Return the maximum duration of a transducer's set, with its repeated strikes and one lost record."""
+    """Return the maximum duration of a transducer's set, ns: all strikes, repeated ones, one read timeout."""
     strikes = schedule.shots_per_set + restrikes
     return round((strikes * schedule.shot_interval_s + read_timeout_s) * NS_PER_S)
 
 
 def find_next_unscheduled_number(requests: Iterable[Confirmation], planned_set: int) -> int | None:
-    """Return the number of the next unscheduled set after a scheduled one; None if there are too many."""
+    """Return the index, from 1, of the next unscheduled set after a scheduled one.
+
+    None if there are `MOST_UNSCHEDULED` already.
+    """
     numbers = (
         due.unscheduled_index for due in (request.due for request in requests) if due.set_index == planned_set
     )
@@ -144,7 +157,10 @@ class ConfirmationResult:
 
 
 def summarize_confirmation(its_set: SetRow, assessment: AssessmentRow | None) -> ConfirmationResult:
-    """Summarize the rows of a confirmation set; ``assessment`` is None if it has no record."""
+    """Summarize the rows of a confirmation set for the evidence of an alarm.
+
+    Without an assessment (no record) the result is undetermined, with the set's own reason.
+    """
     facts: dict[str, Any] = {
         **its_set.set_key._asdict(),
         "utc_ns": its_set.due_utc_ns,
@@ -160,7 +176,7 @@ def summarize_confirmation(its_set: SetRow, assessment: AssessmentRow | None) ->
 
 
 def read_confirmations(catalogue: Catalogue) -> list[Confirmation]:
-    """Read all requests for confirmation sets, in their order."""
+    """Read all requests for confirmation sets from the catalogue, in the order of their events."""
     events = catalogue.rows(EventRow, topic="service", kind=CONFIRMATION_ASKED)
     return [
         parse_confirmation_payload(event.position, event.payload)
@@ -170,7 +186,7 @@ def read_confirmations(catalogue: Catalogue) -> list[Confirmation]:
 
 
 def read_newest_confirmation(catalogue: Catalogue, position: str) -> ConfirmationResult | None:
-    """Read the newest confirmation set of a position; None if none."""
+    """Read and summarize the newest confirmation set of a position; return None if it has none."""
     rows = catalogue.read_last_rows(SetRow, position, 1, purpose="confirmation")
     if not rows:
         return None

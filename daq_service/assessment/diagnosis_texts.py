@@ -40,12 +40,26 @@ ABRUPT = (
 
 
 def build_operator_texts(cause: str, abrupt: float) -> tuple[str, str]:
-    """Return observation and action of a diagnosis, for operators."""
+    """Return observation and action of a diagnosis, for operators.
+
+    Parameters
+    ----------
+    abrupt
+        Probability of a step; above 0.5, an undetermined diagnosis has texts of its own.
+
+    Raises
+    ------
+    KeyError
+        There is no such diagnosis.
+    """
     return ABRUPT if cause == UNDETERMINED and abrupt > 0.5 else SENTENCES[cause]
 
 
 def build_diagnosis_details(assessment: Diagnosis) -> dict[str, Any]:
-    """Return the details of a diagnosis for an assessment row, besides cause and probability."""
+    """Return the details of a diagnosis for an assessment row: texts, probabilities, changes.
+
+    Cause and its probability have columns of their own.
+    """
     sentence, action = build_operator_texts(assessment.cause, assessment.abrupt)
     return {
         "sentence": sentence,
@@ -60,7 +74,10 @@ def build_diagnosis_details(assessment: Diagnosis) -> dict[str, Any]:
 def format_diagnosis(
     row_cause: str | None, probability: float | None, details: Mapping[str, Any] | None
 ) -> str:
-    """Return cause, probability, observation and action as one text; empty if there is no diagnosis."""
+    """Return cause, probability in percent, observation and action as one text; empty if a part is missing.
+
+    An undetermined diagnosis has no percentage.
+    """
     if row_cause is None or details is None or probability is None:
         return ""
     # If undetermined, the probability is that of the likeliest cause, which is not shown.

@@ -19,7 +19,10 @@ log = logging.getLogger(__name__)
 
 
 def follow_rows(assessor: Assessor, stored: StoredResult) -> Sequence[AssessmentRow]:
-    """Update the state with a set by its rows; return the assessments of a baseline that it completes."""
+    """Update an assessor's state with a set by its stored rows.
+
+    Return the assessments of a baseline that the set completes; empty otherwise, and for a probe.
+    """
     if isinstance(assessor, SolitaryWaveAssessor):
         return _update_from_shots(assessor, stored)
     assert isinstance(assessor, PulseEchoAssessor)
@@ -31,7 +34,10 @@ def follow_rows(assessor: Assessor, stored: StoredResult) -> Sequence[Assessment
 
 
 def _update_from_shots(assessor: SolitaryWaveAssessor, stored: StoredResult) -> Sequence[AssessmentRow]:
-    """Update the state of a transducer's assessor with a stored set."""
+    """Update a transducer's state with a stored set; return the assessments of a baseline that it completes.
+
+    An unscheduled set changes only the diagnosis state.
+    """
     row, result, before = stored.its_set, stored.result, assessor.state
     set_of_shots = SetOfShots(
         set_index=row.set_index,
@@ -52,7 +58,11 @@ def _update_from_shots(assessor: SolitaryWaveAssessor, stored: StoredResult) -> 
 
 
 def _restore_reference(assessor: PulseEchoAssessor, stored: StoredResult, reading: ThicknessRow) -> None:
-    """Restore the reference from its stored record; if that is lost, from the next good reading."""
+    """Restore a probe's reference echo from its stored record; if that is lost, from the next good reading.
+
+    A first record that cannot be read is kept in ``lost`` with its error; one without an echo changes
+    nothing. A substitute is logged.
+    """
     if assessor.lost is not None and (reading.quality != "good" or reading.thickness_m is None):
         return
     try:

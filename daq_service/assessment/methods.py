@@ -45,7 +45,7 @@ class MeasuringMethod:
 
     @property
     def values(self) -> tuple[str, ...]:
-        """Return the names of the measured values, with units in the names."""
+        """Return the names of the measured values of a row, with units in the names."""
         return MEASURED[self.row]
 
 

@@ -57,7 +57,10 @@ def find_status(last: LatestRows) -> PositionStatus:
 
 
 def find_data_age_h(last: LatestRows, fresh: Freshness) -> float | None:
-    """Return the age of the newest measured set of a position on the test clock, h; None without one."""
+    """Return the age of the newest measured set of a position, h of the test, not negative.
+
+    None without one.
+    """
     data_h = find_data_hour(last)
     return None if data_h is None else fresh.age_h(data_h)
 
@@ -65,7 +68,10 @@ def find_data_age_h(last: LatestRows, fresh: Freshness) -> float | None:
 def read_latest_rows(
     catalogue: Catalogue, fresh: Freshness, positions: Mapping[str, PositionSettings]
 ) -> dict[str, LatestRows]:
-    """Return the newest rows of each position with its alarms in their present state."""
+    """Read the newest rows of each configured position, with its alarms in their present state.
+
+    A position without rows gets empty ones.
+    """
     stored = catalogue.read_latest_rows()
     return {
         name: fresh.with_present_alarms(stored.get(name) or LatestRows(position=name, method=place.method))
@@ -77,6 +83,11 @@ def find_limit(last: LatestRows, thinnest_m: float) -> float | None:
     """Return the limit of a position: minimum thickness in m of a probe, outlier limit of a transducer.
 
     None if there is no limit yet.
+
+    Parameters
+    ----------
+    thinnest_m
+        Minimum thickness of the configuration, m.
     """
     if not METHODS[last.method].has_baseline:
         return thinnest_m
@@ -97,14 +108,20 @@ def find_data_hour(last: LatestRows) -> float | None:
 
 
 def is_stale(schedule: ScheduleSettings, fresh: Freshness, age_h: float | None) -> bool:
-    """Return whether the newest set is older than the schedule explains, or no recorder runs."""
+    """Return whether the newest set is older than `STALE_INTERVALS` intervals, or no recorder runs.
+
+    True also if there is no set (``age_h`` None).
+    """
     if age_h is None or fresh.recorder.status in {"not_responding", "not_started", "stopped"}:
         return True
     return age_h > STALE_INTERVALS * find_set_interval_h(schedule, fresh.now_h)
 
 
 def find_set_interval_h(schedule: ScheduleSettings, hour: float) -> float:
-    """Return the hours between two sets at an hour of the test; after the end, those of the last phase."""
+    """Return the hours between two sets of the phase at an hour of the test.
+
+    After the end, of the last phase.
+    """
     for phase in schedule.phases:
         if hour <= phase.until_h:
             return phase.interval_h

@@ -49,11 +49,11 @@ class PulseEchoAssessor:
         self.lost: tuple[ThicknessRow, ArchiveError] | None = None
 
     def set_reference(self, reference: EchoReference) -> None:
-        """Measure from this echo."""
+        """Set the reference echo that later records are compared with; the alarm state stays."""
         self.state = replace(self.state, reference=reference)
 
     def add(self, row: ThicknessRow) -> None:
-        """Update the alarm state with a reading."""
+        """Update the k-of-n state of the thickness alarm with one reading."""
         alarm = next_alarm_state(self.state.alarm, self.is_thin(row), self._rule)
         self.state = replace(self.state, alarm=alarm)
 
@@ -63,7 +63,7 @@ class PulseEchoAssessor:
     def assess_set(
         self, due: DueSet, record: SetRecord, features: Mapping[int, ShotFeatures]
     ) -> PositionResult:
-        """Assess the record of this probe, if there is one."""
+        """Assess the record of this probe; return an empty result if the set has none."""
         del features
         echoes = [echo for echo in record.echoes if echo.key.position == self.position]
         return self.assess(due, echoes[0]) if echoes else PositionResult()
@@ -71,12 +71,12 @@ class PulseEchoAssessor:
     def assess_unscheduled(
         self, due: DueSet, record: SetRecord, features: Mapping[int, ShotFeatures]
     ) -> PositionResult:
-        """Raise an error, because a probe takes no confirmation sets."""
+        """Raise AssertionError, because a probe takes no confirmation sets."""
         raise AssertionError(f"{due} is no set of a striker")
 
     @property
     def not_assessed_reason(self) -> str:
-        """Return why no confirmation set is possible."""
+        """Return why no confirmation set is possible: a probe has no baseline."""
         return "a probe has no baseline"
 
     def assess_empty_set(self, due: DueSet, n_tried: int) -> PositionResult:
@@ -85,7 +85,11 @@ class PulseEchoAssessor:
         return PositionResult()
 
     def assess(self, due: DueSet, echo: PulseEchoRecord) -> PositionResult:
-        """Compute the thickness of one record and the condition of its alarm."""
+        """Compute the thickness of one record and the condition of its alarm; update the state.
+
+        The first record with an echo becomes the reference. A record without an echo gives a reading of
+        quality ``bad``; a clipped one is ``suspect``.
+        """
         settings = self._settings.ultrasound
         try:
             reference = self.state.reference
@@ -128,7 +132,13 @@ class PulseEchoAssessor:
         )
 
     def build_reference_echo(self, waveform: Waveform, thickness_m: float) -> EchoReference:
-        """Build the reference echo of a wall of known thickness."""
+        """Return the reference echo of a record of a wall of known thickness, m.
+
+        Raises
+        ------
+        AnalysisError
+            The record has no such echo.
+        """
         settings = self._settings.ultrasound
         return find_reference_echo(
             waveform,
@@ -138,7 +148,7 @@ class PulseEchoAssessor:
         )
 
     def is_thin(self, row: ThicknessRow) -> bool | None:
-        """Return whether the wall loss of a reading exceeds the limit; None for a bad reading."""
+        """Return whether the wall loss of a reading exceeds the limit; None for a bad or missing value."""
         loss_m = row.thickness_loss_m
         if row.quality == "bad" or loss_m is None or not math.isfinite(loss_m):
             return None
@@ -150,7 +160,7 @@ class PulseEchoAssessor:
         return self._settings.alarms.thickness_loss_fraction * self._settings.ultrasound.initial_thickness_m
 
     def _build_condition(self, due: DueSet, row: ThicknessRow, reading: EchoReading) -> Condition:
-        """Return the condition of the thickness alarm after a reading."""
+        """Return the condition ``thickness_low`` (priority high) after a reading; the k-of-n rule decides."""
         fraction = self._settings.alarms.thickness_loss_fraction
         initial_m = self._settings.ultrasound.initial_thickness_m
         remaining_m, loss_m = row.thickness_m, row.thickness_loss_m

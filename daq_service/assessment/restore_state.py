@@ -34,7 +34,13 @@ STATE_FORMAT = 1
 def restore_solitary_wave(
     position: str, settings: Settings, catalogue: Catalogue, archive: SetReader, rehearsal: bool
 ) -> SolitaryWaveAssessor:
-    """Restore the assessor of a transducer."""
+    """Restore the assessor of a transducer from the catalogue, or from all stored sets (`_restore_assessor`).
+
+    Parameters
+    ----------
+    rehearsal
+        Its waveforms are noise: no alarm of wall or transducer.
+    """
     from daq_service.assessment.solitary_wave import SolitaryWaveAssessor
 
     stored = catalogue.baseline(position)
@@ -70,7 +76,11 @@ def restore_pulse_echo(
 
 
 def _restore_assessor(assessor: A, configuration_hash: str, catalogue: Catalogue, archive: SetReader) -> A:
-    """Set the state of a new assessor: the stored one, none after a renewal, or that of all stored sets."""
+    """Restore the state of a new assessor and return the assessor.
+
+    The stored state is used if this version and configuration wrote all of it; otherwise all stored sets are
+    replayed. A state of an earlier baseline is ignored: the new baseline starts empty.
+    """
     from analysis.assessment.exact_json import from_json
 
     rows = catalogue.rows(AssessorStateRow, position=assessor.position)
@@ -83,7 +93,10 @@ def _restore_assessor(assessor: A, configuration_hash: str, catalogue: Catalogue
 
 
 def follow_stored_sets(assessor: Assessor, catalogue: Catalogue, archive: SetReader) -> None:
-    """Update the state of a new assessor with all stored sets in the order of their commits."""
+    """Update the state of a new assessor with all stored sets in the order of their commits.
+
+    The faults of a transducer are cleared where a person enabled it.
+    """
     from daq_service.assessment.follow_rows import follow_rows
 
     position = assessor.position
@@ -114,19 +127,30 @@ def follow_stored_sets(assessor: Assessor, catalogue: Catalogue, archive: SetRea
 
 
 def is_assessed(row: SetRow) -> bool:
-    """Return whether a set changes the state: a scheduled one that was tried, or an unscheduled record."""
+    """Return whether a set changes the state of an assessor.
+
+    It does if it has a record, or if it is scheduled and all its shots were missed.
+    """
     return row.n_taken > 0 or (row.n_missed > 0 and row.purpose is None)
 
 
 def read_first_waveform(archive: SetReader, row: SetRow) -> Waveform:
-    """Read the record of the first shot of a set."""
+    """Read the waveform of the first shot of a set at its position.
+
+    Raises
+    ------
+    SetNotFoundError
+        The set has no file.
+    CorruptArchiveError
+        The record cannot be read.
+    """
     if row.file is None:
         raise SetNotFoundError(f"set {row.set_key} has a reading of {row.position!r} and no file")
     return archive.read_waveform(SetReference(row.file), row.position, 0)
 
 
 def _read_accepted_flags(catalogue: Catalogue, row: SetRow) -> list[list[str]]:
-    """Read the flags of the accepted shots of a set; a valid shot has none that a rule counts."""
+    """Read the flags of each accepted shot of a set; empty lists, without reading, if all shots are valid."""
     if row.n_valid == row.n_taken:
         return [[]] * row.n_taken
     shots = catalogue.rows(ShotRow, position=row.position, **row.set_key._asdict())
@@ -134,7 +158,10 @@ def _read_accepted_flags(catalogue: Catalogue, row: SetRow) -> list[list[str]]:
 
 
 def _find_sets_after_enabling(position: str, catalogue: Catalogue) -> set[SetKey]:
-    """Return the sets that were committed first after a transducer was enabled; `NEVER`: none was."""
+    """Return the first set that was committed after each time the transducer was enabled.
+
+    `NEVER` is among them if no set was committed after one of them.
+    """
     found = set[SetKey]()
     for event in catalogue.rows(EventRow, topic="alarms", kind="alarm_reset", position=position):
         if event.payload["kind"] in RETIRING:

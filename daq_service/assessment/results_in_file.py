@@ -16,7 +16,7 @@ MADE_BY = "extractor_version"
 
 
 def read_set_results(catalogue: Catalogue, set_key: SetKey) -> Results:
-    """Read the results of a set from the catalogue, as columns of each table."""
+    """Read the results of a set from the catalogue, as columns of each table; empty if it has no results."""
     of_set = set_key._asdict()
     positions = [row.position for row in catalogue.rows(SetRow, **of_set)]
     return build_result_tables(
@@ -27,7 +27,10 @@ def read_set_results(catalogue: Catalogue, set_key: SetKey) -> Results:
 
 
 def read_newest_results(catalogue: RecorderCatalogue, set_key: SetKey) -> Results:
-    """Return the results of a set; those that this process stored last are not read again."""
+    """Return the results of a set as columns of each table.
+
+    The set that this process stored last is not read again; others are read from the catalogue.
+    """
     newest = catalogue.newest
     if all(row.set_key != set_key for row in newest.sets):
         return read_set_results(catalogue, set_key)
@@ -37,7 +40,11 @@ def read_newest_results(catalogue: RecorderCatalogue, set_key: SetKey) -> Result
 def build_result_tables(
     features: Sequence[FeatureRow], thickness: Sequence[ThicknessRow], shots: Sequence[ShotRow]
 ) -> Results:
-    """Convert the rows of one set to columns of each table."""
+    """Convert the rows of one set to columns of the tables ``features``, ``set_features`` and ``thickness``.
+
+    A row whose record is lost is left out, and so is a table without rows. A missing or infinite value is
+    NaN.
+    """
     shot_of: dict[int | None, ShotRow] = {row.sequence: row for row in shots}
     tables: dict[str, list[dict[str, Any]]] = {"features": [], "set_features": [], "thickness": []}
     rows: list[FeatureRow | ThicknessRow] = [*features, *thickness]
@@ -62,12 +69,15 @@ def build_result_tables(
 
 
 def _to_columns(rows: Sequence[Mapping[str, Any]]) -> dict[str, list[Any]]:
-    """Return a table as columns by name."""
+    """Convert the rows of a table, at least one and with equal keys, to a list of values per column."""
     return {name: [row[name] for row in rows] for name in rows[0]}
 
 
 def find_differences(copy: Results, rows: Results) -> Iterator[str]:
-    """Yield the differences between a copy and the rows; results of another extractor version are skipped."""
+    """Yield a text for each difference between a file's copy of the results and the rows of the catalogue.
+
+    Rows of another extractor version, and columns that only one of them has, are not compared.
+    """
     for table, key in RESULTS.items():
         copied, expected = _index_by_key(key, copy.get(table, {})), _index_by_key(key, rows.get(table, {}))
         for name in sorted({*copied, *expected}, key=str):
@@ -82,7 +92,7 @@ def find_differences(copy: Results, rows: Results) -> Iterator[str]:
 
 
 def _index_by_key(key: str, columns: Mapping[str, Sequence[Any]]) -> dict[Any, dict[str, Any]]:
-    """Return the rows of a table by their key."""
+    """Convert the columns of a table to rows, indexed by their key column; empty without columns."""
     rows = (dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True))
     return {row[key]: row for row in rows}
 
@@ -93,5 +103,5 @@ def _is_equal(left: Any, right: Any) -> bool:
 
 
 def _none_to_nan(value: float | None) -> float:
-    """Return the value, or NaN if it is missing or infinite."""
+    """Return the value, or NaN if it is None or infinite."""
     return math.nan if value is None or math.isinf(value) else value

@@ -15,7 +15,13 @@ HOURS_PER_DAY = 24.0
 def build_rules(
     settings: Settings, *, baseline: BaselineRange, position: str, has_chart: bool = True
 ) -> Rules:
-    """Return the rules of a transducer's assessment from the configuration; see `Rules` about the chart."""
+    """Return the rules of a transducer's assessment from the configuration.
+
+    Parameters
+    ----------
+    has_chart
+        False: no control chart (``run_length`` is None), as for a baseline of a version without charts.
+    """
     alarms_per_year = settings.false_alarms_per_sensor_year()
     sets_per_alarm = compute_run_length(settings.schedule, settings.baseline.hours, alarms_per_year)
     return Rules(
@@ -36,7 +42,7 @@ def build_rules(
 
 
 def compute_run_length(schedule: ScheduleSettings, baseline_end_h: float, alarms_per_year: float) -> float:
-    """Compute the mean number of sets between two false alarms of a healthy sensor.
+    """Compute the mean number of sets between two false alarms of a healthy transducer.
 
     It is the design false-alarm rate at the mean interval of the complete schedule after the baseline. A test
     that ends early keeps its rate.

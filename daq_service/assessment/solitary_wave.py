@@ -103,7 +103,10 @@ class SolitaryWaveAssessor:
     def assess_set(
         self, due: DueSet, record: SetRecord, features: Mapping[int, ShotFeatures]
     ) -> PositionResult:
-        """Assess the records of a set at this position; only accepted shots count, all have rows."""
+        """Assess the records of a scheduled set at this position and update the state.
+
+        All shots have rows, but only accepted ones count. In a rehearsal the result has no conditions.
+        """
         shots = [shot for shot in record.shots if shot.key.position == self.position]
         position_result = self.assess(
             due,
@@ -115,7 +118,10 @@ class SolitaryWaveAssessor:
         return replace(position_result, conditions=(), suspicion="") if self._rehearsal else position_result
 
     def assess_empty_set(self, due: DueSet, n_tried: int) -> PositionResult:
-        """Assess a set without any record."""
+        """Assess a scheduled set without any record.
+
+        If all its shots were tried, it counts as too few valid shots.
+        """
         return self.assess(due, [], [], n_tried=n_tried)
 
     def assess(
@@ -127,7 +133,9 @@ class SolitaryWaveAssessor:
         outcomes: Mapping[int, str] | None = None,
         n_tried: int | None = None,
     ) -> PositionResult:
-        """Assess one set from its shots and their features.
+        """Assess one scheduled set from its shots and their features, and update the state.
+
+        A set without a record has neither rows nor an assessment, only conditions.
 
         Parameters
         ----------
@@ -172,7 +180,10 @@ class SolitaryWaveAssessor:
     def assess_unscheduled(
         self, due: DueSet, record: SetRecord, features: Mapping[int, ShotFeatures]
     ) -> PositionResult:
-        """Assess an unscheduled set; control chart and baseline never use it."""
+        """Assess an unscheduled set; control chart and baseline never use it.
+
+        Before the baseline is complete the result has features, but no assessment.
+        """
         shots = [shot for shot in record.shots if shot.key.position == self.position]
         combined = self._average_shots(shots, [features[shot.sequence] for shot in shots], record.outcomes)
         result = self._build_shot_results(due, combined)
@@ -188,7 +199,11 @@ class SolitaryWaveAssessor:
         return replace(result, assessments=[row])
 
     def diagnose_unscheduled(self, set_of_shots: SetOfShots) -> Diagnosis | None:
-        """Diagnose an unscheduled set; the diagnosis state keeps it."""
+        """Diagnose an unscheduled set and add it to the diagnosis state.
+
+        Return None, with the state unchanged, if the baseline has no diagnosis model or the set lacks a
+        feature.
+        """
         parameters = None if self.state.baseline is None else self.state.baseline.causes
         if parameters is None or set_of_shots.vector() is None:
             return None
@@ -208,7 +223,12 @@ class SolitaryWaveAssessor:
     def _average_shots(
         self, shots: Sequence[Shot], features: Sequence[ShotFeatures], outcomes: Mapping[int, str]
     ) -> CombinedShots:
-        """Combine the shots of a set to the mean of its features."""
+        """Flag the shots of a set by comparison, and average each feature over its valid accepted shots.
+
+        Instead, `features.of_set` can take the features of their mean waveform. Missing, invalid and rejected
+        shots do not enter the mean; with too few valid shots it is NaN and its quality ``bad``
+        (`combine_shots`).
+        """
         return combine_shots(
             shots,
             features,
@@ -219,7 +239,7 @@ class SolitaryWaveAssessor:
         )
 
     def _build_shot_results(self, due: DueSet, combined: CombinedShots) -> PositionResult:
-        """Return the rows and flags of a set that depend on no other set."""
+        """Return the feature rows of the shots and of their mean, with flags, without an assessment."""
         of_shots = list(zip(combined.shots, combined.features, strict=True))
         rows = [_build_feature_row(due, shot, features) for shot, features in of_shots]
         return PositionResult(
@@ -233,7 +253,10 @@ class SolitaryWaveAssessor:
     # Rows ----------------------------------------------------------------------------------------
 
     def _build_baseline_row(self) -> BaselineRow:
-        """Return the row of the baseline that was just frozen."""
+        """Return the row of the baseline that this set has completed.
+
+        Without enough usable sets its mean and covariance consist of None, and it cannot be approved.
+        """
         state, rules = self.state, self.rules
         assert state.baseline is not None, "just closed"
         fitted = state.baseline.fitted
@@ -268,7 +291,10 @@ class SolitaryWaveAssessor:
         )
 
     def build_baseline_assessments(self) -> list[AssessmentRow]:
-        """Return the assessment rows of the baseline's sets with their distances."""
+        """Return the assessment rows of the sets of the completed baseline, in order.
+
+        They have the squared distances from the baseline. These are None if the baseline has no limits.
+        """
         state = self.state
         assert state.baseline is not None, "just closed"
         fitted = state.baseline.fitted
@@ -285,7 +311,10 @@ class SolitaryWaveAssessor:
     def _build_assessment_row(
         self, set_index: int, due_h: float, assessment: SetAssessment, unscheduled_index: int = 0
     ) -> AssessmentRow:
-        """Return the row of an assessment."""
+        """Return the row of an assessment with the limits of the baseline.
+
+        Columns without a value are None.
+        """
         baseline = self.state.baseline
         limits = {} if baseline is None else baseline.limits
         other_statistics = {
@@ -320,12 +349,12 @@ class SolitaryWaveAssessor:
 
 
 def has_completed_baseline(before: State, after: State) -> bool:
-    """Return whether a set completed the baseline."""
+    """Return whether the set between two states completed the baseline."""
     return before.baseline is None and after.baseline is not None
 
 
 def _build_feature_row(due: DueSet, shot: Shot, features: ShotFeatures) -> FeatureRow:
-    """Return the row of the features of a shot."""
+    """Return the row of the features of one shot; ``n_valid`` is 1 if the shot is valid, else 0."""
     return FeatureRow(
         id=None,
         set_index=due.set_index,
@@ -342,7 +371,7 @@ def _build_feature_row(due: DueSet, shot: Shot, features: ShotFeatures) -> Featu
 
 
 def _build_set_feature_row(position: str, due: DueSet, mean: SetFeatures) -> FeatureRow:
-    """Return the row of the mean features of a set."""
+    """Return the row of the mean features of a set; it has no shot index and no sequence."""
     return FeatureRow(
         id=None,
         set_index=due.set_index,
@@ -362,10 +391,15 @@ def _build_set_feature_row(position: str, due: DueSet, mean: SetFeatures) -> Fea
 
 
 def wall_conditions(position: str, state: State, rules: Rules, assessment: AssessmentRow) -> list[Condition]:
-    """Return the conditions of both alarms after a set; ``assessment`` is the row of that set.
+    """Return the conditions ``wall_change`` and ``transducer_change`` after a set; at most one is present.
 
     A change with a diagnosis other than the wall raises the transducer alarm; an undetermined one raises the
     wall alarm (`diagnosis.update_origin`).
+
+    Parameters
+    ----------
+    assessment
+        Row of that set.
     """
     design = None if state.baseline is None else state.baseline.design
     if rules.decides_by == "chart" and design is not None and state.memory is not None:
@@ -404,7 +438,15 @@ def wall_conditions(position: str, state: State, rules: Rules, assessment: Asses
 
 
 def describe_rate(design: Design, budget: float) -> str:
-    """Describe the design false-alarm rate of the chart for a healthy sensor."""
+    """Describe the design false-alarm rate of the chart for a healthy transducer.
+
+    If it is not verified, the text has the reason.
+
+    Parameters
+    ----------
+    budget
+        False alarms per year.
+    """
     rate = f"{budget:g} false alarms a year"
     return (
         f"{rate}, not promised: {design.rate_not_verified_reason}"
@@ -420,7 +462,7 @@ AlarmBasis = tuple[bool, float | None, str, dict[str, Any]]
 def _describe_chart(
     position: str, design: Design, state: State, rules: Rules, assessment: AssessmentRow
 ) -> AlarmBasis:
-    """Return the basis of the wall alarm if the control chart decides."""
+    """Return the basis of the wall alarm if the control chart decides: statistic, limit and contributions."""
     memory = state.memory
     assert memory is not None, "checked by the caller"
     limit, average = design.limits[MEWMA], np.array(memory.averages[MEWMA])
@@ -449,7 +491,10 @@ def _describe_chart(
 
 
 def _describe_k_of_n(position: str, state: State, rules: Rules, assessment: AssessmentRow) -> AlarmBasis:
-    """Return the basis of the wall alarm if k outliers of n sets decide."""
+    """Return the basis of the wall alarm if k outliers of n sets decide.
+
+    The multiple of the limit is None if statistic or limit is missing.
+    """
     alarm, rule = state.alarm, rules.alarm
     statistics = {
         DISTANCE: assessment.distance_squared,
@@ -476,7 +521,15 @@ def _describe_k_of_n(position: str, state: State, rules: Rules, assessment: Asse
 def build_no_reflection_condition(
     position: str, due: DueSet, state: State, rule: HoleRule, flags: Sequence[Sequence[str]]
 ) -> Condition:
-    """Return the condition of a wall without reflected wave; ``flags`` of each accepted shot."""
+    """Return the condition ``no_reflection`` (priority critical, latched).
+
+    The wall has a hole, or the chain lost contact.
+
+    Parameters
+    ----------
+    flags
+        Flags of each accepted shot.
+    """
     n_without_psw = sum("no_psw" in of_shot for of_shot in flags)
     return Condition(
         position=position,
@@ -502,7 +555,9 @@ def build_no_reflection_condition(
 def device_conditions(
     position: str, due: DueSet, state: State, rules: Rules, quality: QualitySettings, reason: str
 ) -> list[Condition]:
-    """Return the conditions of too few valid shots: first an alarm, later the transducer is disabled.
+    """Return the conditions ``few_valid_shots`` and, latched after more sets, ``transducer_disabled``.
+
+    `quality.retire_after_sets` = 0 never disables a transducer.
 
     Parameters
     ----------
@@ -538,7 +593,13 @@ def device_conditions(
 def not_assessed_condition(
     position: str, due: DueSet, state: State, baseline_id: int, reason: str
 ) -> Condition:
-    """Return the condition of a frozen baseline without limits."""
+    """Return the condition ``not_assessed``: present if the baseline is complete, but has no limits.
+
+    Parameters
+    ----------
+    reason
+        Why it has none (`SolitaryWaveAssessor.not_assessed_reason`).
+    """
     return Condition(
         position=position,
         kind="not_assessed",

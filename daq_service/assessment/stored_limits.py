@@ -10,7 +10,10 @@ from daq_service.settings.tree import AlarmSettings
 
 
 def limits_by_name(row: BaselineRow | AssessmentRow) -> dict[str, float]:
-    """Return the limits of a row by name; rows of earlier versions have two, in columns."""
+    """Return the limits of a stored row by name; empty if it has none.
+
+    Rows of earlier versions have two limits, in columns.
+    """
     if row.limits is not None:
         return dict(row.limits)
     from analysis.statistics.limits import F_PREDICTIVE, PAPER_MEAN_3SD
@@ -20,7 +23,13 @@ def limits_by_name(row: BaselineRow | AssessmentRow) -> dict[str, float]:
 
 
 def find_limit_statistic(row: AssessmentRow, limit_name: str) -> float | None:
-    """Return the statistic that a limit applies to; None if the set was not assessed by it."""
+    """Return the statistic that a named limit applies to; None if the row does not have it.
+
+    Raises
+    ------
+    KeyError
+        There is no limit of this name.
+    """
     from analysis.statistics.named_limits import DISTANCE, LIMITS, MEWMA
 
     name = LIMITS[limit_name].of
@@ -29,7 +38,10 @@ def find_limit_statistic(row: AssessmentRow, limit_name: str) -> float | None:
 
 
 def find_chart(row: AssessmentRow | None, alarms: AlarmSettings) -> tuple[float, float] | None:
-    """Return statistic and limit of the chart if it raises the wall alarm; None if it does not."""
+    """Return statistic and limit of the MEWMA control chart; None if it does not decide the wall alarm.
+
+    None also without an assessment, a statistic or a limit.
+    """
     if row is None or row.mewma_statistic is None or alarms.decides_by != "chart":
         return None
     from analysis.statistics.named_limits import MEWMA

@@ -51,16 +51,23 @@ class DiskWatch(BackgroundTask):
         self.on_change: Callable[[DiskSpace], None] = lambda space: None
 
     def run_for(self, seconds: float) -> None:
-        """Measure if it is due, and report a change of level; takes no time, so also between shots."""
+        """Measure the free space if it is due, and call `on_change` if its level has changed.
+
+        It takes no noticeable time, so it may also run between shots; ``seconds`` is ignored.
+        """
         if (space := self.check()) is not None:
             self.on_change(space)
 
     def close(self) -> None:
-        """Remove the reserve file."""
+        """Remove the reserve file; a refusal is logged."""
         self.free_reserve()
 
     def check(self) -> DiskSpace | None:
-        """Measure if it is due; return the space where its level has changed, else None."""
+        """Measure the free space, at most every `LOOK_EVERY_S`.
+
+        Return it if its level has changed, else None. The reserve file is allocated while more than twice its
+        size is free, and deleted below a quarter of it. None also if the volume cannot be measured.
+        """
         if self._machine.mono_s() < self._next_s:
             return None
         self._next_s, before = self._machine.mono_s() + LOOK_EVERY_S, self.space.level
@@ -77,15 +84,21 @@ class DiskWatch(BackgroundTask):
 
     @property
     def refusal(self) -> str:
-        """Return the reason why nothing is stored now; empty if there is room."""
+        """Return the reason why nothing can be stored at present; empty if there is room."""
         return refusal(self.space, self._settings)
 
     def free_reserve(self) -> None:
-        """Delete the reserve file, so that the data waiting in memory fit on the disk."""
+        """Delete the reserve file, so that the data waiting in memory fit on the disk.
+
+        A refusal is logged.
+        """
         remove_quietly(self._path)
 
     def _allocate_reserve(self) -> None:
-        """Allocate the reserve file, if it does not exist."""
+        """Allocate the reserve file with its full size, unless it exists with that size or the size is 0.
+
+        If the disk refuses, the file is removed and the error is logged.
+        """
         try:
             if not self._reserve_bytes or self._path.stat().st_size == self._reserve_bytes:
                 return

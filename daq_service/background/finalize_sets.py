@@ -74,7 +74,11 @@ class SetFinalizer(BackgroundTask):
         self.damaged: dict[str, str] = {}
 
     def after_set(self, set_key: SetKey) -> None:
-        """Submit a complete set of the journal to the worker, which writes its file."""
+        """Submit a complete set of the journal to the worker, which writes its file.
+
+        Start the worker if needed. If the worker has died, or the results cannot be read, the set is retried
+        later.
+        """
         if self._executor is None:
             self._executor = self._start()
         try:
@@ -94,7 +98,10 @@ class SetFinalizer(BackgroundTask):
             self._keep_in_journal(set_key, error)
 
     def submit(self, work: Callable[..., T], *arguments: Any) -> Future[T] | None:
-        """Submit other work to the worker; None if it has sets to write, or has just died."""
+        """Submit other work to the worker.
+
+        Return None if sets wait for their files, or the worker has just died.
+        """
         if self.waits:
             return None
         if self._executor is None:
@@ -106,7 +113,10 @@ class SetFinalizer(BackgroundTask):
             return None
 
     def run_for(self, seconds: float = 0.0) -> None:
-        """Process finished files and retry failed ones; called while no set is due."""
+        """Process the results of the worker, and submit failed sets again after `AGAIN_AFTER_S`.
+
+        Never block.
+        """
         for set_key in [key for key, future in self._running.items() if future.done()]:
             self._take_result(set_key, self._running.pop(set_key))
         now_s = self._machine.mono_s()
@@ -115,7 +125,11 @@ class SetFinalizer(BackgroundTask):
             self.after_set(set_key)
 
     def _take_result(self, set_key: SetKey, future: Future[tuple[SetReference, str, str]]) -> None:
-        """Process the result of the worker that finalized a set; schedule a retry after a disk error."""
+        """Process the result of the worker for a set: report its file, then remove the set from the journal.
+
+        After an error of disk or worker it is retried later; a corrupt set stays in the journal and is listed
+        in `damaged`.
+        """
         try:
             file, sha256, message = future.result()
             self._filed(set_key, file, sha256)
@@ -138,7 +152,7 @@ class SetFinalizer(BackgroundTask):
         self.trouble = self.trouble if self._again_s else ""
 
     def _keep_in_journal(self, set_key: SetKey, error: Exception) -> None:
-        """Keep a set in the journal, and try to give it a file again later."""
+        """Keep a set in the journal after an error, log it, and schedule a retry after `AGAIN_AFTER_S`."""
         log.error("set %s has no file yet and stays in the journal: %s", set_key, error)
         self.trouble = f"{error}"
         self._again_s[set_key] = self._machine.mono_s() + AGAIN_AFTER_S
@@ -150,16 +164,19 @@ class SetFinalizer(BackgroundTask):
 
     @property
     def waits(self) -> bool:
-        """Return whether a set has no file yet."""
+        """Return whether a set has no file yet: submitted, or waiting for a retry."""
         return bool(self._running or self._again_s)
 
     def retry_failed_sets(self) -> None:
-        """Retry failed sets now, unless the worker is busy."""
+        """Process finished sets; submit failed ones at once, unless the worker still has sets."""
         if not self._running:
             self._again_s = dict.fromkeys(self._again_s, -math.inf)
         self.run_for()
 
     def close(self) -> None:
-        """Stop the worker; sets without a file remain for the next start."""
+        """Stop the worker, without waiting for sets that it still writes.
+
+        They remain in the journal for the next start.
+        """
         if self._executor is not None:
             self._executor.shutdown(wait=not self._running, cancel_futures=True)

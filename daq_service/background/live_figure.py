@@ -34,7 +34,16 @@ MARKS = ("isw_time_s", "isw_amplitude_v", "psw_time_s", "psw_amplitude_v", "ssw_
 
 
 def encode_live_figure(header: Mapping[str, Any], waveform: Waveform) -> bytes:
-    """Encode header and samples as the bytes of a live file and of a live message."""
+    """Encode header and ADC codes as the bytes of a live file and of a live message.
+
+    The layout is that of the module: u32 length, JSON header padded to a multiple of 8, little-endian
+    samples.
+
+    Raises
+    ------
+    ValueError
+        A number of the header is not finite.
+    """
     text = json.dumps(dict(header), separators=(",", ":"), allow_nan=False).encode()
     text += b" " * (-(4 + len(text)) % 8)
     samples = waveform.counts.astype(waveform.counts.dtype.newbyteorder("<"), copy=False)
@@ -55,7 +64,10 @@ class LiveFigure(BackgroundTask):
         self._refused: int | None = None
 
     def due(self, position: str) -> bool:
-        """Return whether the live figure of a position is due for an update."""
+        """Return whether the live figure of a position is due for an update; the first one is.
+
+        The interval is 0.1 to 1 s; it grows with the time that writing takes (`COSTS_BETWEEN`).
+        """
         last = self._written_ns.get(position)
         pause_ns = COSTS_BETWEEN * len(self._written_ns) * self._cost_ns
         pause_ns = min(max(pause_ns, SHORTEST_INTERVAL_NS), LONGEST_INTERVAL_NS)
@@ -64,7 +76,15 @@ class LiveFigure(BackgroundTask):
     def show(
         self, measurement: Shot | PulseEchoRecord, *, due_h: float, features: ShotFeatures | None
     ) -> None:
-        """Replace the live figure of a position; a disk error loses the figure, not the shot."""
+        """Replace the live figure of a position by a record.
+
+        A disk error loses the figure, not the shot; it is logged once until it changes.
+
+        Parameters
+        ----------
+        features
+            Features of a shot: their times, amplitudes and flags are marked; None: no marks.
+        """
         waveform, key = measurement.waveform, measurement.key
         started_ns = self._machine.mono_ns()
         values = {} if features is None else features.values()
@@ -96,5 +116,5 @@ class LiveFigure(BackgroundTask):
 
 
 def _none_if_not_finite(value: float | None) -> float | None:
-    """Return the value, or None if it is missing or not finite."""
+    """Return the value, or None if it is None, NaN or infinite."""
     return None if value is None or not math.isfinite(value) else value

@@ -11,7 +11,7 @@ class BackgroundTask(Protocol):
     """Work that the recorder runs in short pieces while no set is due."""
 
     def run_for(self, seconds: float) -> None:
-        """Process one piece of background work.
+        """Process one short piece of background work; called repeatedly while no set is due.
 
         Parameters
         ----------
@@ -21,9 +21,9 @@ class BackgroundTask(Protocol):
         return
 
     def after_set(self, set_key: SetKey) -> None:
-        """Handle a set with records after its rows are stored."""
+        """Handle a set with records, once its rows are stored."""
         return
 
     def close(self) -> None:
-        """Stop the task; the next recorder continues its work."""
+        """Stop the task; unfinished work is left to the next recorder."""
         return

@@ -30,7 +30,10 @@ EVERY_S, SETS_A_TURN = 10.0, 4
 def add_record_to_tiles(
     folder: Path, experiment: str, anchors: Mapping[int, float], record: SetRecord
 ) -> str:
-    """Add the records of a set to the tiles; return an error message, empty on success."""
+    """Add the records of a scheduled set to the tiles; return an error message, empty on success.
+
+    An unscheduled set is skipped. No error is raised, because the tiles are a cache.
+    """
     if record.unscheduled_index:
         return ""
     try:
@@ -41,7 +44,10 @@ def add_record_to_tiles(
 
 
 def add_files_to_tiles(folder: Path, experiment: str, sets: Sequence[tuple[str, Results]]) -> str:
-    """Add stored sets to the tiles; return the last error message, empty on success."""
+    """Add stored sets (file, results) to the tiles; return the last error message, empty on success.
+
+    After an error the next set follows; none is raised.
+    """
     message = ""
     for file, results in sets:
         try:
@@ -58,7 +64,15 @@ def rebuild_tiles(
     results: Callable[[SetKey], Results],
     progress: Callable[[int, int], None],
 ) -> list[str]:
-    """Rebuild the tiles of a folder and return the error messages."""
+    """Remove the tiles of a folder and build them from the files of all scheduled sets.
+
+    Return error messages. If the old tiles cannot be removed, nothing is built.
+
+    Parameters
+    ----------
+    progress
+        Called after each set with the number of sets done and of all files.
+    """
     try:
         remove_tiles(folder)
     except OSError as error:
@@ -72,7 +86,7 @@ def rebuild_tiles(
 
 
 def _select_scheduled_files(files: Mapping[SetKey, str]) -> dict[SetKey, str]:
-    """Return the files of the scheduled sets, because the waterfall shows no others."""
+    """Return the files of the scheduled sets in the given order; the waterfall shows no others."""
     return {key: file for key, file in files.items() if not key.unscheduled_index}
 
 
@@ -108,7 +122,11 @@ class TileMaker(BackgroundTask):
         self._last_message = ""
 
     def run_for(self, seconds: float) -> None:
-        """Process the finished sets and submit the next ones."""
+        """Process the result of the worker, and submit up to `SETS_A_TURN` sets, at most every `EVERY_S`.
+
+        None is submitted within `QUIET_S` of the next set, while sets wait for their files, or without disk
+        space.
+        """
         if self._running is not None:
             if not self._running.done():
                 return
@@ -120,14 +138,20 @@ class TileMaker(BackgroundTask):
             self._submit_sets(self._select_next_sets())
 
     def _select_next_sets(self) -> list[tuple[SetKey, str]]:
-        """Return the next sets to check in this round, the newest first."""
+        """Return up to `SETS_A_TURN` next sets of this round, the newest sets first.
+
+        List all files at its start. The list is empty if the test has no files.
+        """
         if not self._round:
             self._round = sorted(_select_scheduled_files(self._files()).items())
         next_sets, self._round = self._round[-SETS_A_TURN:], self._round[:-SETS_A_TURN]
         return next_sets
 
     def _submit_sets(self, sets: Sequence[tuple[SetKey, str]]) -> None:
-        """Start the worker with the files and results of some sets."""
+        """Submit files and results of some sets to the worker.
+
+        If the catalogue cannot be read, log it and skip them.
+        """
         try:
             files_and_results = [(file, self._results(set_key)) for set_key, file in sets]
         except (StorageError, OSError) as error:
@@ -139,7 +163,7 @@ class TileMaker(BackgroundTask):
             )
 
     def _take_result(self, future: Future[str]) -> None:
-        """Process the result of the worker; log a new message."""
+        """Process the result of the worker; log its message once until it changes."""
         try:
             message = future.result()
         except Exception as error:  # noqa: BLE001 - a worker that died; the round comes again

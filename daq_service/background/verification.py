@@ -68,7 +68,9 @@ class IdleVerification(BackgroundTask):
         self.files_read = 0
 
     def begin(self, known: Mapping[str, str] = MappingProxyType({})) -> None:
-        """Start a round: list the files and those that are missing.
+        """Start a round: list all files of sets, corrupt ones first, and the missing ones as damaged.
+
+        If the catalogue cannot be read, the previous round is kept and the error logged.
 
         Parameters
         ----------
@@ -87,7 +89,11 @@ class IdleVerification(BackgroundTask):
         self.damaged = {**{file: suspects[file] for file in self._to_come if file in suspects}, **lost}
 
     def run_for(self, seconds: float) -> None:
-        """Process a verified file, and submit the next one if there is time."""
+        """Process the result of a verified file, else submit the next one, at most every `EVERY_S`.
+
+        None is submitted within `QUIET_S` of the next set, or while the worker writes files. The last file of
+        a round is followed by the first of a new one.
+        """
         if self._running is not None:
             file, is_noted, future = self._running
             if future.done():
@@ -110,7 +116,11 @@ class IdleVerification(BackgroundTask):
                     del self._to_come[0]
 
     def _take_result(self, file: str, is_noted: bool, future: Future[tuple[str, str]]) -> None:
-        """Process the result of a verified file."""
+        """Process the result for a file: update `damaged`, and report a SHA-256 that is not stored yet.
+
+        After an error of the disk, the catalogue or the worker the file is left for the next round; the error
+        is logged.
+        """
         try:
             fault, sha256 = future.result()
             if not (fault or is_noted):
@@ -131,6 +141,12 @@ class IdleVerification(BackgroundTask):
 
 
 def _read_set_key(file: str) -> SetKey:
-    """Return the key of the set in a file."""
+    """Return the key of a set from the name of its file.
+
+    Raises
+    ------
+    ValueError
+        It is no name of a set.
+    """
     (set_key,) = parse_set_keys([Path(file).name])
     return set_key

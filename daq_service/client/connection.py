@@ -59,10 +59,17 @@ class Connection:
     def get(self, path: str, **parameters: Parameter) -> Json:
         """Return the JSON answer of a path below ``/api/v1/``.
 
+        Parameters
+        ----------
+        **parameters
+            Of the query; None: left out.
+
         Raises
         ------
-        RefusedError, UnreachableError
-            The service refuses the request, with its reason; or does not answer.
+        RefusedError
+            The service refuses the request, with its reason; or it is no service of solimon.
+        UnreachableError
+            It does not answer.
         """
         response = self.response(path, **parameters)
         try:
@@ -72,7 +79,13 @@ class Connection:
         return answer
 
     def response(self, path: str, **parameters: Parameter) -> httpx.Response:
-        """Return the response of a path below ``/api/v1/``; parameters that are None are left out."""
+        """Return the HTTP response of a path below ``/api/v1/``; parameters that are None are left out.
+
+        Raises
+        ------
+        RefusedError, UnreachableError
+            As for `get`.
+        """
         parameters_given = {name: value for name, value in parameters.items() if value is not None}
         try:
             response = self.http.get(API + path, params=parameters_given)
@@ -84,7 +97,20 @@ class Connection:
         return response
 
     def pages(self, resource: str, **parameters: Parameter) -> tuple[list[Json], Json]:
-        """Read all pages of a listing; return its rows, and ``as_of`` of the last page."""
+        """Read all pages of a listing, `LARGEST_PAGE` rows each.
+
+        Returns
+        -------
+        list of dict
+            Rows, in the order of the service.
+        dict
+            ``as_of`` of the last page.
+
+        Raises
+        ------
+        RefusedError, UnreachableError
+            As for `get`.
+        """
         items: list[Json] = []
         cursor = None
         while True:
@@ -95,11 +121,23 @@ class Connection:
                 return items, page["as_of"]
 
     def events(self, after: int, topics: str | None) -> Iterator[Json]:
-        """Yield events after an id endlessly, with ``gap`` and ``topic`` as in the stream."""
+        """Yield events after an id endlessly, in order, with ``gap`` and ``topic`` as in the stream.
+
+        It blocks while there is none, and ends only after `close`.
+
+        Parameters
+        ----------
+        topics
+            Comma-separated; None: all.
+        """
         return (self._events or self._stream_events)(after, topics)
 
     def _stream_events(self, after: int, topics: str | None) -> Iterator[Json]:
-        """Yield events after an id; reconnect after the last one while the service restarts."""
+        """Yield events after an id.
+
+        Reconnect after the last one, `RETRY_S` later, while the service is unreachable. Each new reason is
+        logged. RefusedError is raised for a client error that a retry cannot cure.
+        """
         parameters: Mapping[str, str] = {} if topics is None else {"topics": topics}
         url, last_reason = self.http.base_url, ""
         while not self._closed.is_set():
@@ -124,7 +162,10 @@ class Connection:
 
 
 def raise_refusal(response: httpx.Response) -> None:
-    """Raise RefusedError where a response is an error."""
+    """Raise RefusedError with status, type and reason if a response is no success; else return None.
+
+    A response without a problem of RFC 9457 names a service that is not solimon.
+    """
     if response.is_success:
         return
     try:
@@ -136,14 +177,18 @@ def raise_refusal(response: httpx.Response) -> None:
 
 
 def _foreign_service_error(response: httpx.Response) -> RefusedError:
-    """Return the error for an answer that no service of solimon gives."""
+    """Return the error for an answer that no service of solimon gives, with the address and its proxy."""
     status = f"{response.url} answers {response.status_code}{proxy_note(response.url)}"
     reason = f"{status}; give the address of a service of solimon"
     return RefusedError(response.status_code, "about:blank", reason)
 
 
 def lines_of(chunks: Iterable[bytes]) -> Iterator[str]:
-    """Yield the complete lines of a stream of events: they end by CR, LF or both, and by nothing else."""
+    """Yield the complete lines of a stream of events, without their ends (CR, LF or both).
+
+    Invalid UTF-8 is replaced. Of a line without an end at most `LONGEST_LINE_BYTES` are kept; at the end of
+    the stream an incomplete line is dropped.
+    """
     pending, after_cr = b"", False
     for chunk in chunks:
         pending += chunk[1:] if after_cr and chunk.startswith(b"\n") else chunk
@@ -154,9 +199,9 @@ def lines_of(chunks: Iterable[bytes]) -> Iterator[str]:
 
 
 def parse_events(lines: Iterator[str]) -> Iterator[Json]:
-    """Yield the events of server-sent lines, without heartbeats and the final `bye`.
+    """Yield the events of server-sent lines (WHATWG HTML), without heartbeats and the final `bye`.
 
-    An unreadable frame is logged and skipped.
+    An unreadable frame, or one with an id outside 0 to 10**18, is logged and skipped.
     """
     fields: dict[str, str] = {}
     for line in lines:

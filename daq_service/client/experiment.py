@@ -58,7 +58,7 @@ class Experiment:
         self.close()
 
     def close(self) -> None:
-        """Close files and connections."""
+        """Close files and connections; `follow` ends."""
         self._connection.close()
 
     def info(self) -> Json:
@@ -74,7 +74,7 @@ class Experiment:
         state: str | None = None,
         purpose: Purposes = "planned",
     ) -> pd.DataFrame:
-        """Read sets and their results."""
+        """Read one row per set and position: due time, state, numbers of shots, reason, and file."""
         filters = {"position": position, "from_h": from_h, "to_h": to_h, "state": state, "purpose": purpose}
         return self._table(rows.SetRow, "sets", **filters)
 
@@ -87,7 +87,7 @@ class Experiment:
         scope: Literal["set", "shot"] = "set",
         purpose: Purposes = "planned",
     ) -> pd.DataFrame:
-        """Read features of the solitary waves: means of sets, or of single shots."""
+        """Read features of the solitary waves, one row per set (mean of its valid shots) or per shot."""
         filters = {"position": position, "from_h": from_h, "to_h": to_h, "scope": scope, "purpose": purpose}
         return self._table(rows.FeatureRow, "features", **filters)
 
@@ -99,33 +99,39 @@ class Experiment:
         to_h: float | None = None,
         purpose: Purposes = "planned",
     ) -> pd.DataFrame:
-        """Read squared distances, limits and outliers, with the quality of the assessed values."""
+        """Read squared distances, limits, outliers and diagnoses, one row per set and transducer."""
         filters = {"position": position, "from_h": from_h, "to_h": to_h, "purpose": purpose}
         return self._table(rows.AssessmentRow, "assessments", **filters)
 
     def baselines(self, position: str | None = None) -> pd.DataFrame:
-        """Read the baselines of each position, the newest last: lifecycle, statistics and limits."""
+        """Read the baselines of each position, the newest last: lifecycle, mean, covariance and limits."""
         answer = self._connection.get("baselines", position=position)
         return frame(rows.BaselineRow, answer["items"], answer["as_of"])
 
     def thickness(
         self, position: str | None = None, *, from_h: float | None = None, to_h: float | None = None
     ) -> pd.DataFrame:
-        """Read wall thickness from pulse echo."""
+        """Read wall thickness from pulse echo, m, with its 95 % interval, one row per set and probe."""
         return self._table(rows.ThicknessRow, "thickness", position=position, from_h=from_h, to_h=to_h)
 
     def environment(self, *, from_h: float | None = None, to_h: float | None = None) -> pd.DataFrame:
-        """Read supply and climate around each set; empty where neither is configured."""
+        """Read supply and climate around each set, one row per set; empty where neither is configured."""
         return self._table(rows.EnvironmentRow, "environment", from_h=from_h, to_h=to_h)
 
     def alarms(self, position: str | None = None, *, active: bool | None = None) -> pd.DataFrame:
-        """Read alarms with their evidence; ``active`` True: active ones, False: ended ones."""
+        """Read alarms with their evidence, one row per alarm.
+
+        Parameters
+        ----------
+        active
+            True: only active ones; False: only those that have returned to normal; None: all.
+        """
         return self._table(rows.AlarmRow, "alarms", position=position, active=active)
 
     def annotations(
         self, position: str | None = None, *, from_h: float | None = None, to_h: float | None = None
     ) -> pd.DataFrame:
-        """Read annotations of hours of the test, including withdrawn ones."""
+        """Read annotations of hours of the test, one row each, including withdrawn ones."""
         return self._table(rows.AnnotationRow, "annotations", position=position, from_h=from_h, to_h=to_h)
 
     def waveforms(
@@ -173,6 +179,8 @@ class Experiment:
     def follow(self, *topics: str, after: int | None = None) -> Iterator[Event]:
         """Yield new events, also over restarts of recorder and service, until `close`.
 
+        It blocks while there is none.
+
         Parameters
         ----------
         topics
@@ -199,6 +207,6 @@ class Experiment:
             )
 
     def _table(self, kind: type[Row], resource: str, **filters: Parameter) -> pd.DataFrame:
-        """Return all pages of a listing as a data frame."""
+        """Read all pages of a listing as a data frame with the columns of a kind of row."""
         items, as_of = self._connection.pages(resource, **filters)
         return frame(kind, items, as_of)

@@ -14,7 +14,9 @@ DTYPES: dict[Form, str] = {"number": "float64", "integer": "Int64", "truth": "bo
 
 
 def frame(kind: type[Row], items: Sequence[Json], as_of: Json) -> pd.DataFrame:
-    """Return a table of rows; a missing value is NaN, NaT or NA.
+    """Build a data frame of the rows of a listing; a missing value is NaN, NaT or NA.
+
+    Without rows it has all columns, too, with their types. Rows with an hour have a column ``age_h``.
 
     Returns
     -------
@@ -33,7 +35,13 @@ def frame(kind: type[Row], items: Sequence[Json], as_of: Json) -> pd.DataFrame:
 
 
 def _series(column: PublishedColumn, items: Sequence[dict[str, object]]) -> pd.Series[object]:
-    """Return a column of answers as a pandas series of the right type."""
+    """Build the pandas series of a column, with the type of its form; times are UTC with ns resolution.
+
+    Raises
+    ------
+    KeyError
+        A row lacks the column.
+    """
     values = [item[column.name] for item in items]
     if column.form == "time":
         return pd.to_datetime(pd.Series(values, dtype="object"), utc=True, format="ISO8601").astype(

@@ -37,6 +37,10 @@ def folder_connection(folder: Path) -> Connection:
     closed = threading.Event()
 
     def follow_events(after: int, topics: str | None) -> Iterator[dict[str, object]]:
+        """Yield the stored events after an id, of these topics, until the connection closes.
+
+        Poll every `POLL_S`.
+        """
         selected_topics = None if topics is None else set(topics.split(","))
         while not closed.is_set():
             new_events = events.after(after, PAGE_EVENTS)
@@ -60,11 +64,11 @@ class InProcess(httpx.BaseTransport):
         self._portal = self._portal_context.__enter__()
 
     def handle_request(self, request: httpx.Request) -> httpx.Response:
-        """Return the complete response of one request."""
+        """Return the complete response to one request; block until it is there."""
         return self._portal.call(self._answer, request)
 
     async def _answer(self, request: httpx.Request) -> httpx.Response:
-        """Return the response of the application to a request."""
+        """Call the application with a request and return its complete response, read into memory."""
         asgi_request = httpx.Request(
             request.method, request.url, headers=request.headers, content=request.read()
         )
@@ -75,6 +79,6 @@ class InProcess(httpx.BaseTransport):
         )
 
     def close(self) -> None:
-        """End the event loop, and close the catalogue."""
+        """End the event loop, then close the catalogue."""
         self._portal_context.__exit__(None, None, None)
         find_app_context(self._app).catalogue_access.close()

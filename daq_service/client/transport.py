@@ -22,7 +22,7 @@ LOOPBACK = ("localhost", "*.localhost", "127.0.0.0/8", "::1", "::ffff:127.0.0.0/
 
 
 def http_client(address: str, *, headers: dict[str, str], timeout_s: float) -> httpx.Client:
-    """Return a client of an address.
+    """Create an HTTP client of an address, without opening a connection.
 
     The environment sets only proxies and certificates: passwords of a ``.netrc`` are not used.
 
@@ -53,7 +53,11 @@ def http_client(address: str, *, headers: dict[str, str], timeout_s: float) -> h
 
 
 def proxy_of(url: httpx.URL) -> tuple[str, str | None]:
-    """Return the variable that names the proxy of an address, and the proxy; empty and None: no proxy."""
+    """Return the environment variable that names the proxy of an address, and the proxy's URL.
+
+    Empty and None: no proxy, as for loopback addresses and those in ``NO_PROXY``. A proxy that no variable
+    names is one of the operating system; then the first text names it so.
+    """
     proxies, host = getproxies(), url.host.lower()
     scheme = next(filter(proxies.get, (url.scheme, "all")), None)
     exceptions = (*LOOPBACK, *proxies.get("no", "").lower().split(","))
@@ -66,13 +70,13 @@ def proxy_of(url: httpx.URL) -> tuple[str, str | None]:
 
 
 def proxy_note(url: httpx.URL) -> str:
-    """Return the proxy of an address as part of a message; empty: none."""
+    """Return " through the proxy of <variable>" for an error message; empty without a proxy."""
     variable, _ = proxy_of(url)
     return variable and f" through the proxy of {variable}"
 
 
 def _matches_host(entry: str, host: str) -> bool:
-    """Return whether an entry of NO_PROXY matches a host, as a network or as a pattern of names."""
+    """Return whether an entry of NO_PROXY matches a host, as an IP network or as a pattern of names."""
     try:
         return ip_address(host) in ip_network(entry.strip("[]"), strict=False)
     except ValueError:
@@ -83,7 +87,15 @@ CERTIFICATES = ("SSL_CERT_FILE", "SSL_CERT_DIR")
 
 
 def _certificates(scheme: str) -> ssl.SSLContext:
-    """Return the TLS context; for plain HTTP one without certificates."""
+    """Create the TLS context with the certificates of the environment or of certifi.
+
+    For plain HTTP an empty one.
+
+    Raises
+    ------
+    OSError
+        A file or folder that the environment names cannot be read.
+    """
     if scheme != "https":  # nothing is encrypted: to read all certificates would take longer than the answer
         return ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
     if next(filter(os.environ.get, CERTIFICATES), "") == "SSL_CERT_DIR":

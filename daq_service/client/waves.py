@@ -18,7 +18,15 @@ PER_SHOT = ("set_index", "unscheduled_index", "shot_index", "sequence", "valid")
 def read_waveforms(
     connection: Connection, position: str, method: str, indices: Sequence[int | str]
 ) -> xarray.DataArray:
-    """Read the accepted waveforms of sets (`Experiment.waveforms`)."""
+    """Read the accepted waveforms of sets in volts, shape (shots, samples); see `Experiment.waveforms`.
+
+    Raises
+    ------
+    ClientError
+        No record is stored in these sets, or they differ in length or rate.
+    RefusedError, UnreachableError
+        The service refuses a request, or does not answer.
+    """
     shots: list[Json] = []
     for index in indices:
         scope = {} if method == "pulse_echo" else {"scope": "shot"}

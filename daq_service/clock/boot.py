@@ -15,7 +15,15 @@ _PROCESS_FRAME = f"process-{uuid.uuid4()}"
 
 
 def _read_sysctl_text(name: str) -> str:
-    """Return the text of a kernel variable of macOS."""
+    """Return the text of a kernel variable of macOS, at most 63 characters.
+
+    Raises
+    ------
+    OSError
+        There is no such variable, or its text is longer.
+    AttributeError
+        The system has no ``sysctlbyname``.
+    """
     import ctypes
 
     size = ctypes.c_size_t(64)
@@ -26,7 +34,10 @@ def _read_sysctl_text(name: str) -> str:
 
 
 def _read_memory_word(address: int) -> int:
-    """Read an unsigned 32-bit word of this process's memory."""
+    """Read an unsigned 32-bit word of this process's memory.
+
+    An address that is not mapped ends the process.
+    """
     import ctypes
 
     return ctypes.c_uint32.from_address(address).value
@@ -64,5 +75,8 @@ def boot_name(
 
 
 def read_boot_id() -> str:
-    """Return the frame of comparable monotonic times: this boot, or this process if it has no name."""
+    """Return an identifier of this boot; if the kernel names none, an identifier of this process.
+
+    Monotonic times of equal identifiers can be compared.
+    """
     return boot_name() or _PROCESS_FRAME

@@ -38,9 +38,9 @@ class TimeLine:
     ahead_ns: int = 0
 
     def at(self, system_ns: int, elapsed_ns: int) -> TimeLine:
-        """Return the line at a later moment of the same boot.
+        """Return the line at a later moment of the same boot, from the system's UTC and the elapsed time, ns.
 
-        Between two looks the line runs 500 ppm faster or slower than elapsed time at most, towards the
+        Between two readings the line runs 500 ppm faster or slower than elapsed time at most, towards the
         system's UTC; it never runs back. A step changes nothing but ``ahead_ns``.
         """
         passed_ns = elapsed_ns - self.elapsed_ns
@@ -94,7 +94,11 @@ class Before:
     doubt_after_h: float = 72.0
 
     def find_clock_doubt(self, system_ns: int, *, synchronised: bool) -> str:
-        """Return why the system's UTC is unverified after a reboot; empty if it is verified."""
+        """Return why the system's UTC (ns) is unverified after a reboot; empty if it is verified.
+
+        It is unverified if it is before the last stored time, or more than ``doubt_after_h`` after it and not
+        synchronised.
+        """
         says = f"the system's clock says {format_utc(system_ns, 0)}"
         last = f"what was stored last ({format_utc(self.last_utc_ns, 0)})"
         gap_h = (system_ns - self.last_utc_ns) / NS_PER_H

@@ -40,7 +40,10 @@ class WallClock:
             self._doubted = before
 
     def utc_ns(self) -> int:
-        """Return the experiment time in ns of UTC."""
+        """Return the experiment time in ns of UTC; detected steps of the system's clock are kept for `steps`.
+
+        While the system's UTC is unverified, it is the last stored time.
+        """
         if self._doubted is not None:
             return self._doubted.last_utc_ns
         system, elapsed = self._read_both()
@@ -56,7 +59,11 @@ class WallClock:
         return self._machine.elapsed_ns()
 
     def wait_until(self, utc_ns: int, idle: Callable[[], bool]) -> bool:
-        """Wait in short steps; a laptop's sleep only changes the steps left."""
+        """Wait until an experiment time, ns of UTC, in steps of at most `IDLE_INTERVAL_S`.
+
+        ``idle`` is called before each step and at the end. Return False as soon as it returns False, else
+        True.
+        """
         while (left_ns := utc_ns - self.utc_ns()) > 0:
             if not idle():
                 return False
@@ -64,19 +71,22 @@ class WallClock:
         return idle()
 
     def line(self) -> TimeLine | None:
-        """Return experiment and elapsed time of one moment for a later recorder; None if unverified."""
+        """Return experiment and elapsed time of one moment for a later recorder.
+
+        None while UTC is unverified.
+        """
         self.utc_ns()
         return None if self._doubted is not None else self._line
 
     def steps(self) -> list[Step]:
-        """Return the clock steps detected since the last call."""
+        """Return the steps of the system's clock detected since the last call, in order, and forget them."""
         found, self._steps = self._steps, []
         return found
 
     # While the system's UTC is doubted ---------------------------------------------------------------
 
     def wait_while_doubted(self, idle: Callable[[str], bool]) -> Step | None:
-        """Wait until the system's UTC is verified, or a person trusts it.
+        """Wait until the system's UTC is verified, or a person accepts it (`accept_system_clock`).
 
         Parameters
         ----------
@@ -86,7 +96,7 @@ class WallClock:
         Returns
         -------
         Step or None
-            How time goes on; None where nothing was doubted, or still is.
+            How time continues; None if nothing was unverified, or ``idle`` ended the wait.
         """
         waited = self._doubted is not None
         while self._doubted is not None:
@@ -101,7 +111,9 @@ class WallClock:
         return self._build_step(0, "the system's clock is believed") if waited else None
 
     def accept_system_clock(self) -> str:
-        """Accept the system's UTC at a person's request, not before the last stored time; return a message.
+        """Accept the system's UTC at a person's request and return a message for the log.
+
+        Experiment time continues at the system's UTC, but not before the last stored time.
 
         Raises
         ------
@@ -114,7 +126,7 @@ class WallClock:
         return self._build_step(0, "the system's clock is trusted").message
 
     def _resume_test_time(self, system_ns: int, elapsed_ns: int) -> None:
-        """Continue the test time after the clock was verified."""
+        """Continue experiment time at the system's UTC, but not before the last stored time; times in ns."""
         assert self._doubted is not None, "only a doubted clock is believed anew"
         utc_ns = max(system_ns, self._doubted.last_utc_ns)
         self._line = TimeLine(utc_ns=utc_ns, elapsed_ns=elapsed_ns, ahead_ns=system_ns - utc_ns)
@@ -123,7 +135,10 @@ class WallClock:
     # -------------------------------------------------------------------------------------------------
 
     def _read_both(self) -> tuple[int, int]:
-        """Read the system's UTC and the elapsed time of one moment, in ns."""
+        """Read the system's UTC and the elapsed time of one moment, in ns.
+
+        They are read again if the machine slept or stalled between them, up to `LOOKS` times in all.
+        """
         for _ in range(LOOKS):
             elapsed, system = self._machine.elapsed_ns(), self._machine.utc_ns()
             if self._machine.elapsed_ns() - elapsed < TORN_NS:
@@ -131,7 +146,7 @@ class WallClock:
         return system, elapsed
 
     def _build_step(self, step_ns: int, what: str) -> Step:
-        """Return a step of the system's clock, with its message."""
+        """Return a step of the system's clock (ns, 0: none) with its message, which starts with ``what``."""
         step_s, ahead_s = step_ns / NS_PER_S, self._line.ahead_ns / NS_PER_S
         utc_ns, system_ns = self._line.utc_ns, self._line.utc_ns + self._line.ahead_ns
         by = f" by {step_s:+.3f} s" if step_ns else ""

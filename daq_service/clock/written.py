@@ -8,12 +8,12 @@ from hardware_drivers.nanoseconds import NS_PER_S
 
 
 def parse_utc(text: str) -> int:
-    """Convert an RFC 3339 time to integer nanoseconds of UTC.
+    """Convert an RFC 3339 time to integer nanoseconds of UTC, with a resolution of 1 µs.
 
     Raises
     ------
     ValueError
-        Not a time, or a time without an offset.
+        It is not a time, or has no offset.
     """
     moment = datetime.fromisoformat(text)
     if moment.tzinfo is None:
@@ -23,7 +23,10 @@ def parse_utc(text: str) -> int:
 
 
 def format_utc(utc_ns: int, decimals: int = 9) -> str:
-    """Format integer nanoseconds of UTC as RFC 3339 (ISO 8601), truncated to ``decimals`` (0 to 9)."""
+    """Format integer nanoseconds of UTC as RFC 3339 (ISO 8601) with the suffix ``Z``.
+
+    The seconds are truncated to ``decimals`` digits (0 to 9), not rounded.
+    """
     whole, rest = divmod(utc_ns, NS_PER_S)
     stamp = datetime.fromtimestamp(whole, tz=UTC).strftime("%Y-%m-%dT%H:%M:%S")
     return stamp + (f".{rest:09d}"[: decimals + 1] if decimals else "") + "Z"

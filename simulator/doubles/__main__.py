@@ -23,7 +23,11 @@ from simulator.doubles.transports.server import WireServer
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the doubles until standard input closes; return the exit code."""
+    """Run the doubles until standard input closes, then end the process with exit code 0.
+
+    It prints one JSON line with the addresses when it is ready. Unless ``--no-warm-up`` is given, one shot
+    per position is computed before.
+    """
     parser = argparse.ArgumentParser(prog="python -m simulator.doubles", description=__doc__)
     parser.add_argument("--description", type=Path, help="JSON file; absent: the four default boards")
     parser.add_argument("--no-warm-up", action="store_true", help="be ready before the physics is")
@@ -55,7 +59,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _grpc_front(brain: Brain) -> GrpcFront | None:
-    """Start the gRPC server; return None with a logged reason if gRPC is not installed."""
+    """Start the gRPC server and return it; return None, with a logged reason, if gRPC is not installed."""
     reason = why_unavailable()
     if reason:
         logging.getLogger(__name__).warning("no gRPC front: %s", reason)

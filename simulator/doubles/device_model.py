@@ -76,10 +76,10 @@ TASK_HANDLERS: Mapping[str, TaskHandler] = {
 
 
 def _niscope(description: Description, bench: Bench) -> NiscopeBrain:
-    """Create the NI-SCOPE boards of the described probes, on the same specimen."""
+    """Create the NI-SCOPE boards of the described probes, on the specimen of the bench."""
 
     def next_echo(position: str) -> tuple[ShotKey, float]:
-        """Return key and hour of the next pulse-echo record under the lock of the bench."""
+        """Return key and hour of the next pulse-echo record at a position, under the lock of the bench."""
         with bench.changed:
             return bench.strikes.next_echo(position)
 
@@ -162,7 +162,7 @@ class Brain:
     # Clients
 
     def open_client(self, kind: ClientKind, label: str) -> str:
-        """Register a new client and return its unique name; tasks belong to it."""
+        """Register a client and return its unique name ``<kind>:<label>:<number>``; tasks belong to it."""
         with self.bench.changed:
             self._client_count += 1
             client = f"{kind}:{label}:{self._client_count}"
@@ -170,9 +170,10 @@ class Brain:
             return client
 
     def close_client(self, client: str) -> None:
-        """Remove a client.
+        """Remove a client and record what it left behind; do nothing if it is unknown.
 
-        The tasks of a library end with its process; those of a gRPC server stay.
+        The tasks of a library end with its process; those of a gRPC server stay. NI-SCOPE sessions are
+        closed.
         """
         with self.bench.changed:
             kind = self._clients.pop(client, None)
@@ -200,19 +201,21 @@ class Brain:
             self._leaked.append(leak)
 
     def is_open(self, client: str) -> bool:
-        """Check whether a client is still connected."""
+        """Return whether a client is still registered."""
         with self.bench.changed:
             return client in self._clients
 
     # Calls
 
     def call(self, client: str, function: str, arguments: Mapping[str, Any]) -> dict[str, Any]:
-        """Execute one API call of a client and record it.
+        """Execute one API call of a client and record it with its status and times.
 
         Raises
         ------
         Status
             An error, or a warning that brings its values along.
+        KeyError
+            There is no such function.
         """
         entry = ENTRY_POINTS[function]
         attribute = ATTRIBUTES.get(arguments.get("attribute", 0))
@@ -240,7 +243,7 @@ class Brain:
     def _obeying_faults(
         self, client: str, entry: EntryPoint, attribute: str, arguments: Arguments
     ) -> dict[str, Any]:
-        """Answer a call, unless an injected fault makes it hang, fail or answer wrongly."""
+        """Answer a call, unless an injected fault makes it hang, fail, answer wrongly or end the process."""
         fault = self.faults.due(entry.name, attribute)
         if fault is not None and fault.kind == "death":
             self._die()
@@ -255,7 +258,7 @@ class Brain:
         return self._answer(client, entry, arguments)
 
     def _answer(self, client: str, entry: EntryPoint, arguments: Arguments) -> dict[str, Any]:
-        """Answer a call by the handler of its function."""
+        """Answer a call by the handler of its function, under the lock of the bench for NI-DAQmx."""
         if entry.library == "niScope":
             return dict(self.niscope.call(client, entry.name, arguments))
         with self.bench.changed:
@@ -267,17 +270,26 @@ class Brain:
     # Control
 
     def announce(self, key: ShotKey, hour_h: float) -> None:
-        """Set set, shot and hour of the next strike at the key's position."""
+        """Set set, shot and hour of the next strike at the key's position.
+
+        Raise ValueError if nothing is wired there.
+        """
         with self.bench.changed:
             self.bench.strikes.announce(key, hour_h)
 
     def disturb(self, position: str, crosstalk: Mapping[str, Any]) -> None:
-        """Set the crosstalk from the coil at a position into its sensor."""
+        """Set the crosstalk from the coil at a position into its sensor.
+
+        Raise TypeError for an unknown key, ValueError for a value out of bounds.
+        """
         with self.bench.changed:
             self.bench.strikes.disturb(position, Crosstalk(**crosstalk))
 
     def unplug(self, serial_number: int) -> None:
-        """Remove a board from the chassis by serial number."""
+        """Remove a board from the chassis: its tasks are lost, its sessions fail.
+
+        Raise KeyError if there is none.
+        """
         if self.niscope.has(serial_number):
             self.niscope.unplug(serial_number)
             return
@@ -285,7 +297,10 @@ class Brain:
             device_calls.unplug(self.bench, serial_number)
 
     def plug(self, serial_number: int, name: str = "") -> None:
-        """Plug a removed board in again, under another name if one is given."""
+        """Plug a removed board in again, under another name if one is given.
+
+        Raise KeyError if there is none.
+        """
         if self.niscope.has(serial_number):
             self.niscope.plug(serial_number, name)
             return
@@ -316,7 +331,10 @@ class Brain:
             return self.bench.changed.wait_for(lambda: not self.bench.tasks, timeout_s)
 
     def wait_until_quiet(self, timeout_s: float) -> bool:
-        """Wait until no striker falls and no wave continues; return False after ``timeout_s``."""
+        """Wait until no striker falls and `RINGING_NS` have passed since the last contact.
+
+        Return False if that takes longer than ``timeout_s``.
+        """
         clock = self.bench.clock
         deadline_ns = clock.now_ns() + round(timeout_s * NS_PER_S)
         with self.bench.changed:
@@ -329,7 +347,10 @@ class Brain:
                 clock.wait(self.bench.changed, min(quiet_ns, deadline_ns))
 
     def record(self) -> dict[str, Any]:
-        """Return everything that the double recorded, in JSON types."""
+        """Return everything that the double recorded, in JSON types, with times in monotonic ns.
+
+        Of the calls, level changes and strikes only the newest are kept.
+        """
         sessions = self.niscope.open_sessions()
         with self.bench.changed:
             now_ns = self.bench.settle()
@@ -382,7 +403,7 @@ class Brain:
             }
 
     def _line(self, serial_number: int, counter: int) -> str:
-        """Return the name of the line that a counter drives."""
+        """Return the name of the line that a counter drives, ``<serial number>/<terminal>``."""
         kind = self.bench.devices.by_serial(serial_number).kind
         return f"{serial_number}/{kind.counter_terminals[counter]}"
 

@@ -55,7 +55,7 @@ class Faults:
 
     @property
     def hanging(self) -> int:
-        """Return the calls that hang now."""
+        """Return the number of calls that hang now."""
         with self._lock:
             return self._hanging
 
@@ -69,12 +69,21 @@ class Faults:
         times: int = 1,
         seconds: float | None = None,
     ) -> None:
-        """Request a fault for the nth call of a function from now on.
+        """Request a fault for ``times`` calls of a function, from the nth call from now on.
+
+        Parameters
+        ----------
+        function
+            C name, or ``<C name>:<attribute>``.
+        kind
+            ``error``, ``hang``, ``lie`` or ``death``.
+        times
+            0: every call from then on.
 
         Raises
         ------
         ValueError
-            No such function or kind, or an ``error`` without its code.
+            No such function or kind, an ``error`` without its code, or a number that is too small.
         """
         name, _, attribute = function.partition(":")
         if name not in ENTRY_POINTS:
@@ -97,7 +106,10 @@ class Faults:
             self._orders.clear()
 
     def due(self, function: str, attribute: str) -> Fault | None:
-        """Count a call and return the fault that it gets; None if none is due."""
+        """Count a call and return the fault that it gets.
+
+        None if none is due. Of several, the oldest acts.
+        """
         with self._lock:
             struck: Fault | None = None
             for order in tuple(self._orders):
@@ -124,13 +136,13 @@ class Faults:
             self._released.notify_all()
 
     def release(self) -> None:
-        """Release every hanging call."""
+        """Release every call that hangs now; later ones hang again."""
         with self._released:
             self._release_count += 1
             self._released.notify_all()
 
     def wait_until_hanging(self, timeout_s: float) -> bool:
-        """Wait until at least one call hangs; return False after ``timeout_s``."""
+        """Wait until at least one call hangs; return False if none does within ``timeout_s``."""
         with self._released:
             return self._released.wait_for(lambda: self._hanging > 0, timeout=timeout_s)
 
@@ -140,8 +152,8 @@ def wrong_answer(
 ) -> dict[str, Any]:
     """Return a plausible wrong answer: success without the effect, or slightly changed values.
 
-    A read hands out half of its samples, a rate is one per cent off, a flag is turned round, a text is
-    empty, a handle belongs to no task.
+    A function without outputs is not executed. A read returns half of its samples, a rate is one per cent
+    off, a flag is inverted, a text is empty, an array is doubled, a handle belongs to no task.
     """
     parameters = outputs(entry, arguments.get("attribute", 0))
     if not parameters:
@@ -161,7 +173,7 @@ def wrong_answer(
 
 
 def _distorted(parameter: Parameter, value: Any) -> Any:
-    """Change a value slightly, by the type of its parameter."""
+    """Return a value changed slightly, by the type of its parameter; the rule is that of `wrong_answer`."""
     if parameter.role is Role.OUT_TEXT:
         return ""
     if parameter.role is Role.OUT_ARRAY:

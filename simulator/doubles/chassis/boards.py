@@ -54,7 +54,7 @@ class BoardType:
 
     @property
     def raw_sample_bits(self) -> int:
-        """Return the width of a sample as the board delivers it."""
+        """Return the width of a raw sample in bits, 16 or 32."""
         return 16 if self.resolution_bits <= 16 else 32
 
     def coerced_rate_hz(self, rate_hz: float) -> float:
@@ -63,7 +63,7 @@ class BoardType:
         return self.timebase_hz / divisor
 
     def coerced_range_v(self, reach_v: float) -> float | None:
-        """Return the smallest input range that includes a voltage; None if none does."""
+        """Return the smallest input range (-r to +r) that includes a voltage, V; None if none does."""
         return next((limit for limit in self.ranges_v if limit >= reach_v * (1.0 - 1e-12)), None)
 
 
@@ -89,7 +89,7 @@ def terminal_of_line(line: str) -> str:
 
 
 def terminals(kind: BoardType, name: str) -> tuple[str, ...]:
-    """List the terminals of a board of this name, as `Dev.Terminals` does."""
+    """Return the full names of all terminals of a board, as `Dev.Terminals` lists them."""
     counters = [
         f"Ctr{index}{part}"
         for index in range(len(kind.counter_terminals))
@@ -104,7 +104,10 @@ def terminals(kind: BoardType, name: str) -> tuple[str, ...]:
 def board_calibration(adc: AdcParameters, offset_shift_v: float = 0.0) -> Calibration:
     """Return the scaling polynomial of a board in one input range.
 
-    `offset_shift_v` is the effect of self-calibration.
+    Parameters
+    ----------
+    offset_shift_v
+        Shift of the constant term by self-calibration.
     """
     calibration = make_adc_calibration(adc)
     coefficients_v = calibration.coefficients_v.copy()

@@ -47,12 +47,12 @@ class Crosstalk:
 
     @property
     def silent(self) -> bool:
-        """Return whether nothing is coupled at all."""
+        """Return whether nothing is coupled: neither spikes, nor flyback, nor hum."""
         return not (self.on_v or self.off_v or self.flyback_v or self.hum_v)
 
     @property
     def reach_s(self) -> float:
-        """Return the longest time after an edge at which the voltage is still visible."""
+        """Return the longest time after an edge at which its voltage still exceeds `FADED_V`, s."""
         tallest_v = max(abs(self.on_v), abs(self.off_v))
         fading_s = self.decay_s * math.log(max(tallest_v / FADED_V, 1.0))
         return max(self.bounces * self.bounce_s + fading_s, self.flyback_s if self.flyback_v else 0.0)
@@ -60,7 +60,7 @@ class Crosstalk:
     def volts(
         self, pulses: Iterable[tuple[int, int]], first_ns: float, rate_hz: float, samples: int
     ) -> FloatArray:
-        """Compute the crosstalk voltage at the input, shape (samples,).
+        """Compute the crosstalk voltage at the input in V, shape (samples,).
 
         Parameters
         ----------
@@ -86,7 +86,7 @@ class Crosstalk:
         return volts
 
     def _add(self, volts: FloatArray, since_s: float, rate_hz: float, height_v: float) -> None:
-        """Add the decaying pulse of one edge to volts in place."""
+        """Add the decaying spike of one edge to ``volts`` in place, ``since_s`` after the first sample."""
         fading_s = self.decay_s * math.log(max(abs(height_v) / FADED_V, 1.0))
         after, t = _after(volts, since_s, fading_s, rate_hz)
         spike = height_v * np.exp(-t / self.decay_s)
@@ -96,7 +96,10 @@ class Crosstalk:
 def _after(
     volts: FloatArray, since_s: float, length_s: float, rate_hz: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Return a view of the samples within a time after an edge, and each one's time since it in s."""
+    """Return a view of the samples within ``length_s`` after an edge, and the time of each since the edge, s.
+
+    Both are empty if the edge is outside the record.
+    """
     first = min(max(math.ceil(since_s * rate_hz), 0), volts.size)
     last = min(max(math.ceil((since_s + length_s) * rate_hz), first), volts.size)
     return volts[first:last], np.arange(first, last) / rate_hz - since_s

@@ -58,11 +58,17 @@ class BoardParameters:
 
     @property
     def kind(self) -> BoardType:
-        """Return the product's figures."""
+        """Return the board type of the product, with the figures of its data sheet."""
         return BOARD_TYPES[self.product]
 
     def adc(self, record: AdcParameters) -> AdcParameters:
-        """Return the converter of this board for a record; ValueError if the twin has no such converter."""
+        """Return the converter of this board for a record, with this board's resolution and errors.
+
+        Raises
+        ------
+        ValueError
+            The twin has no such converter.
+        """
         return replace(
             record,
             resolution_bits=self.kind.resolution_bits,
@@ -152,7 +158,7 @@ class Description:
 
     @property
     def all_scopes(self) -> tuple[ScopeParameters, ...]:
-        """Return the NI-SCOPE boards, the default ones included."""
+        """Return all NI-SCOPE boards: `scopes`, then a default one for each further resource of a probe."""
         named = {scope.name for scope in self.scopes}
         missing = dict.fromkeys(
             probe.resource for probe in self.probes.values() if probe.resource not in named
@@ -196,17 +202,29 @@ _ADAPTER = TypeAdapter(Description)
 
 
 def to_json(description: Description) -> str:
-    """Serialize the description of a chassis as JSON."""
+    """Serialize a description as JSON text, for `from_json`."""
     return _ADAPTER.dump_json(description, indent=1).decode()
 
 
 def from_json(text: str) -> Description:
-    """Parse the JSON description of a chassis; pydantic's ValidationError names a wrong key."""
+    """Parse a description from JSON text.
+
+    Raises
+    ------
+    pydantic.ValidationError
+        It is no JSON, a key is unknown or missing, or a value is out of bounds.
+    """
     return _ADAPTER.validate_json(text)
 
 
 def read_description(path: Path) -> Description:
-    """Read the JSON description of a chassis from a file; errors as of `from_json` and the file."""
+    """Read a description from a JSON file in UTF-8.
+
+    Raises
+    ------
+    OSError, pydantic.ValidationError
+        The file cannot be read, or is no valid description (`from_json`).
+    """
     return from_json(path.read_text(encoding="utf-8"))
 
 
@@ -217,14 +235,14 @@ SLOW = BoardParameters(serial_number=0x00C16021, product="PCI-6221", name="Dev1"
 
 
 def _footprint(size_m: float) -> CorrosionParameters:
-    """Create a corrosion patch of this size."""
+    """Return the parameters of a corrosion patch of this size, m."""
     return CorrosionParameters(size_m=size_m)
 
 
 def default_description(twin: TwinParameters | None = None) -> Description:
-    """Describe a chassis with four boards of different kinds.
+    """Return the description of a chassis with four boards of different kinds.
 
-    The paper's B, C and D each on another one, probe A next to them.
+    The paper's transducers B, C and D each have another board; probe A has a digitizer.
     """
     boards = (SIMULTANEOUS_18_BIT, SIMULTANEOUS_16_BIT, SIMULTANEOUS_12_BIT, SLOW)
     wide, usual, narrow, _ = (board.serial_number for board in boards)

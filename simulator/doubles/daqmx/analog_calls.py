@@ -27,7 +27,10 @@ from simulator.doubles.vendor_api.statuses import Status
 
 
 def create_voltage_channel(bench: Bench, task: Task, arguments: Arguments) -> None:
-    """Answer `DAQmxCreateAIVoltageChan`: make an empty task an input task."""
+    """Answer `DAQmxCreateAIVoltageChan`: make an empty task an input task.
+
+    Raise Status if it has a channel, or for limits, input or terminal configuration that the board lacks.
+    """
     task.require_empty()
     minimum_v, maximum_v = arguments["min_val"], arguments["max_val"]
     if not minimum_v < maximum_v:
@@ -53,7 +56,7 @@ def create_voltage_channel(bench: Bench, task: Task, arguments: Arguments) -> No
 
 
 def _change(task: Task, settings: Mapping[str, Any]) -> None:
-    """Change settings of an input task; raise Status if it is none or runs."""
+    """Change settings of an input task; raise Status if it is no input task, or runs."""
     if task.kind != "ai":
         raise Status(
             statuses.NO_CHANNELS if not task.kind else statuses.ATTRIBUTE_NOT_IN_THIS_TASK, task=task.name
@@ -63,7 +66,10 @@ def _change(task: Task, settings: Mapping[str, Any]) -> None:
 
 
 def configure_sample_clock(bench: Bench, task: Task, arguments: Arguments) -> None:
-    """Answer `DAQmxCfgSampClkTiming`; reject clocks other than the board's own."""
+    """Answer `DAQmxCfgSampClkTiming`: set rate, mode and length of the record.
+
+    Raise Status for another clock than the board's own; the rate is checked when the task is verified.
+    """
     if short_name(arguments["source"]) not in ("", "onboardclock"):
         detail = "The double samples by the board's own clock only."
         raise statuses.rejected_property(task.name, "SampClk.Src", detail, requested=arguments["source"])
@@ -79,7 +85,10 @@ def configure_sample_clock(bench: Bench, task: Task, arguments: Arguments) -> No
 
 
 def configure_reference_trigger(bench: Bench, task: Task, arguments: Arguments) -> None:
-    """Answer `DAQmxCfgAnlgEdgeRefTrig`: trigger on an analog edge."""
+    """Answer `DAQmxCfgAnlgEdgeRefTrig`: trigger on an analog edge.
+
+    The settings are checked at verification.
+    """
     _change(
         task,
         {
@@ -98,7 +107,11 @@ def disable_reference_trigger(bench: Bench, task: Task, arguments: Arguments) ->
 
 
 def _samples(bench: Bench, task: Task, count: int, room: int, timeout_s: float) -> NDArray[Any]:
-    """Wait for samples and return them, shape (count,); a task that does not run is started."""
+    """Wait for raw samples and return the next ``count`` of them, shape (count,); a negative count means all.
+
+    A task that does not run is started. Raise Status if the record has fewer left, the caller's buffer
+    (``room``) is too small, or they are not there within ``timeout_s`` (negative: no limit).
+    """
     if task.state is not TaskState.RUNNING:
         tasks.start(bench, task)
     run: Acquisition = task.run
@@ -130,7 +143,10 @@ def _samples(bench: Bench, task: Task, count: int, room: int, timeout_s: float) 
 
 
 def _read(dtype: type[np.integer[Any]], bench: Bench, task: Task, arguments: Arguments) -> Answer:
-    """Answer `DAQmxReadBinary..` with raw codes; raise Status if the type is too narrow for them."""
+    """Answer `DAQmxReadBinary..` with raw codes of type ``dtype``, as `_samples` returns them.
+
+    Raise Status if the task is no input task, or the type is too narrow for the board's codes.
+    """
     if task.kind != "ai":
         raise Status(statuses.NOT_AN_INPUT_TASK, task=task.name)
     bits, raw_bits = np.dtype(dtype).itemsize * 8, task.device.kind.raw_sample_bits

@@ -56,12 +56,12 @@ class InputChannel:
 
     @property
     def physical_name(self) -> str:
-        """Return board and input."""
+        """Return board and input, such as ``Dev1/ai0``."""
         return f"{self.device.name}/ai{self.number}"
 
     @property
     def range_v(self) -> float:
-        """Return the range that the board takes for these limits.
+        """Return the smallest range of the board (-r to +r) that includes the channel's limits, V.
 
         Raises
         ------
@@ -80,7 +80,7 @@ class InputChannel:
 
     @property
     def calibration(self) -> Calibration:
-        """Return the board's present scaling polynomial."""
+        """Return the board's present polynomial from codes to V in this range; raise Status as `range_v`."""
         return self.device.calibration(self.range_v)
 
 
@@ -117,7 +117,7 @@ class AnalogInput:
     """Analog input as a `tasks.TaskKind`."""
 
     def verify(self, bench: Bench, task: Task) -> None:
-        """Check limits, rate, record and trigger against the board; raise Status if they do not fit."""
+        """Check limits, rate, record and start trigger against the board; raise Status if they do not fit."""
         _ = task.channel.range_v
         rate_hz(task)
         if task.settings.get("SampTimingType") != SAMPLE_CLOCK:
@@ -127,14 +127,14 @@ class AnalogInput:
         _verify_start(bench, task)
 
     def resources(self, bench: Bench, task: Task) -> tuple[str, ...]:
-        """Name the resource that the task needs: the analog input of its board, one task at a time."""
+        """Return the resource that the task needs: the analog input of its board, for one task at a time."""
         return (resource(task.device.serial_number, "ai"),)
 
     def commit(self, bench: Bench, task: Task) -> None:
-        """Program nothing: analog input drives no line."""
+        """Do nothing, because analog input drives no line."""
 
     def start(self, bench: Bench, task: Task, now_ns: int) -> None:
-        """Start sampling now, or at the start trigger."""
+        """Start sampling now, or at the start trigger; a simulated board has its record at once."""
         task.n_starts += 1
         if task.device.parameters.simulated:
             codes = quantise_volts(_simulated_volts(task), task.channel.calibration)
@@ -145,7 +145,7 @@ class AnalogInput:
             self.triggered(bench, task, now_ns)
 
     def triggered(self, bench: Bench, task: Task, at_ns: int) -> None:
-        """Start sampling after the delay, and fire this board's start trigger for all waiting tasks."""
+        """Start sampling after the delay; also start the tasks that wait for this board's start trigger."""
         task.run.begin_ns = at_ns + round(start_delay_s(task) * NS_PER_S)
         fire_edge(bench, f"/{task.device.name}/ai/StartTrigger", at_ns)
 
@@ -155,7 +155,10 @@ class AnalogInput:
             task.run.ended = True
 
     def done_ns(self, bench: Bench, task: Task) -> int | None:
-        """Return the time in ns when the record is complete; None while the strikes do not determine it."""
+        """Return the time in ns when the record is complete.
+
+        None while no strike or start trigger determines it.
+        """
         run: Acquisition = task.run
         if run.done_ns is None and run.begin_ns is not None:
             if _has_reference_trigger(task):
@@ -197,23 +200,26 @@ def rate_hz(task: Task) -> float:
 
 
 def start_delay_s(task: Task) -> float:
-    """Return the time in s from start trigger to first sample, in whole ticks of the timebase."""
+    """Return the time in s from start trigger to first sample, rounded to ticks of the timebase.
+
+    Default 0.
+    """
     timebase_hz = task.device.kind.timebase_hz
     return round(float(task.settings.get("StartTrig.Delay", 0.0)) * timebase_hz) / timebase_hz
 
 
 def record_samples(task: Task) -> int:
-    """Return the length of the record, in samples per channel."""
+    """Return the length of the record in samples per channel; default 1000."""
     return int(task.settings.get("SampQuant.SampPerChan", 1000))
 
 
 def _has_reference_trigger(task: Task) -> bool:
-    """Check whether the task records around an analog edge."""
+    """Return whether the task records around an analog edge, rather than from its start."""
     return bool(task.settings.get("RefTrig.Type", NO_TRIGGER) == ANALOG_EDGE)
 
 
 def _verify_start(bench: Bench, task: Task) -> None:
-    """Check that the start trigger can reach the board, and its delay; raise Status if not."""
+    """Raise Status if the start trigger cannot reach the board, or its delay is outside the limits."""
     if start_trigger_of(task):
         require_start_route(bench, task)
     if "StartTrig.Delay" not in task.settings:
@@ -231,7 +237,10 @@ def _verify_start(bench: Bench, task: Task) -> None:
 
 
 def _verify_record(task: Task) -> None:
-    """Check that the record is finite, holds the pre-trigger and triggers on its channel."""
+    """Raise Status if the record is not finite, too short for its pre-trigger, or triggers elsewhere.
+
+    The double triggers on a rising edge of the task's own channel, between 0 V and the range.
+    """
     settings = task.settings
     if settings.get("SampQuant.SampMode", FINITE) != FINITE:
         raise statuses.rejected_property(
@@ -273,7 +282,10 @@ def _adc(task: Task, pretrigger_samples: int, trigger_level_v: float) -> AdcPara
 
 
 def _look_for_trigger(bench: Bench, task: Task, run: Acquisition) -> None:
-    """Find the first trigger and store its record; edges before the pre-trigger is full are ignored."""
+    """Find the first trigger of a record, and store its codes and end in ``run``.
+
+    Edges in the pre-trigger are ignored. Without one nothing is stored.
+    """
     assert run.begin_ns is not None
     filled_ns = run.begin_ns + round(_pretrigger(task) / rate_hz(task) * NS_PER_S)
     found = _first_wave(bench, task, run, filled_ns)
@@ -293,16 +305,17 @@ def _pretrigger(task: Task) -> int:
 
 
 def _after_trigger_ns(task: Task) -> int:
-    """Return the time from the trigger to the end of the record in ns."""
+    """Return the time from the trigger to the end of the record, ns."""
     return round((record_samples(task) - _pretrigger(task)) / rate_hz(task) * NS_PER_S)
 
 
 def _first_wave(
     bench: Bench, task: Task, run: Acquisition, filled_ns: int
 ) -> tuple[Strike, Acquired, int] | None:
-    """Find the first strike whose wave crosses the level; None if there is none.
+    """Find the first strike whose wave crosses the level after ``filled_ns``; None if there is none.
 
-    Return the strike, its record and the time of the crossing in ns.
+    Return the strike, its record and the time of the crossing in ns. Raise Status if the twin cannot compute
+    it.
     """
     position = _position(bench, task.channel)
     for strike in bench.strikes.planned:
@@ -330,6 +343,11 @@ def _false_trigger(bench: Bench, task: Task, run: Acquisition, position: str, wa
     """Store a record that crosstalk or hum triggers before the wave; return whether there is one.
 
     The comparator sees the same noise as the record that follows.
+
+    Parameters
+    ----------
+    wave_ns
+        Time of the wave's trigger; None: there is no wave.
     """
     assert run.begin_ns is not None
     crosstalk, pulses = bench.strikes.crosstalk(position), bench.strikes.coil_pulses(position)
@@ -365,9 +383,9 @@ def _false_trigger(bench: Bench, task: Task, run: Acquisition, position: str, wa
 
 
 def recorded_codes(bench: Bench, task: Task) -> Counts | None:
-    """Return the codes of a finished record; None if there is none.
+    """Return the raw codes of a record, shape (samples,); None while its reference trigger is missing.
 
-    Without a reference trigger, they are those of the present input.
+    Without a reference trigger they are simulated at the first call, from the start of sampling.
     """
     run: Acquisition = task.run
     if run.codes is not None or run.begin_ns is None or _has_reference_trigger(task):
@@ -382,7 +400,7 @@ def recorded_codes(bench: Bench, task: Task) -> Counts | None:
 
 
 def _position(bench: Bench, channel: InputChannel) -> str | None:
-    """Return the position whose sensor is wired to this input; None if none is."""
+    """Return the position whose sensor is wired to an input; None if none is."""
     wanted = (channel.device.serial_number, channel.number)
     for position, wiring in bench.description.transducers.items():
         if (wiring.ai_serial, wiring.ai_channel) == wanted:
@@ -391,7 +409,7 @@ def _position(bench: Bench, channel: InputChannel) -> str | None:
 
 
 def search_again(bench: Bench, strike: Strike, now_ns: int) -> None:
-    """Discard the trigger of records whose strike was cut short or cancelled, to find another."""
+    """Discard the trigger of unfinished records whose strike was cut short or cancelled, to find another."""
     for task in bench.tasks.values():
         run = task.run
         if isinstance(run, Acquisition):
@@ -401,7 +419,11 @@ def search_again(bench: Bench, strike: Strike, now_ns: int) -> None:
 
 
 def correct_started_tasks(bench: Bench, terminal: str, pulse: Pulse, now_ns: int) -> None:
-    """Correct tasks that were started by an edge of a pulse that ends early."""
+    """Correct the start of tasks that an edge of a pulse has started, when the pulse ends early.
+
+    Tasks wait again if the pulse had not started; those on its falling edge start now. Their records are
+    discarded.
+    """
     for task in bench.tasks.values():
         run = task.run
         if not isinstance(run, Acquisition) or run.ended or start_trigger_of(task) != short_name(terminal):

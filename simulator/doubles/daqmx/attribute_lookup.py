@@ -26,7 +26,13 @@ def _attribute_of(arguments: Arguments, family: str) -> Attribute:
 def look_up(
     values: Mapping[str, Callable[[Subject], object]], arguments: Arguments, family: str, subject: Subject
 ) -> Answer:
-    """Answer a call with the value of an attribute; raise Status if the subject has none."""
+    """Answer a call with the value of an attribute; raise Status if the family or the subject lacks it.
+
+    Parameters
+    ----------
+    values
+        Attribute name to the function that returns its value.
+    """
     name = _attribute_of(arguments, family).name
     if name not in values:
         raise Status(statuses.ATTRIBUTE_NOT_SUPPORTED, f"Property: {name}")
@@ -41,7 +47,7 @@ def listed(items: Iterable[str]) -> str:
 def settable(task: Task, arguments: Arguments, family: str) -> str:
     """Return the name of the attribute that a call sets.
 
-    Raise Status if it is read-only or the task runs.
+    Raise Status if it is unknown or read-only, or the task runs.
     """
     attribute = _attribute_of(arguments, family)
     if not attribute.settable:

@@ -37,7 +37,7 @@ _PULSE_CHANNEL: Mapping[str, Callable[[PulseChannel], object]] = {
 
 
 def _named_channel(task: Task, name: str) -> InputChannel | PulseChannel:
-    """Return the task's channel if ``name`` is it or empty; raise Status if not."""
+    """Return the task's channel if ``name`` is its virtual or physical name, or empty; else raise Status."""
     channel = task.channel
     if not isinstance(channel, InputChannel | PulseChannel):
         raise Status(statuses.ATTRIBUTE_NOT_IN_THIS_TASK, "The task has no channel.", task=task.name)
@@ -48,13 +48,19 @@ def _named_channel(task: Task, name: str) -> InputChannel | PulseChannel:
 
 
 def _terminal(device: Device, name: str) -> str:
-    """Return a board's terminal by name, with or without the board's; empty if there is none."""
+    """Return a terminal of a board by its name, with or without the board's in front.
+
+    Empty if there is none.
+    """
     known = {short_name(end): end.split("/", 2)[2] for end in terminals(device.kind, device.name)}
     return known.get(short_name(name if "/" in name.strip("/") else f"{device.name}/{name}"), "")
 
 
 def get_channel(bench: Bench, task: Task, arguments: Arguments) -> Answer:
-    """Answer `DAQmxGetChanAttribute` with an attribute of an input or pulse channel."""
+    """Answer `DAQmxGetChanAttribute` with an attribute of an input or pulse channel.
+
+    Raise Status for another channel, or an attribute that it lacks.
+    """
     channel = _named_channel(task, arguments["channel"])
     if isinstance(channel, InputChannel):
         return look_up(_INPUT_CHANNEL, arguments, "Chan", channel)
@@ -62,7 +68,10 @@ def get_channel(bench: Bench, task: Task, arguments: Arguments) -> Answer:
 
 
 def set_channel(bench: Bench, task: Task, arguments: Arguments) -> None:
-    """Answer `DAQmxSetChanAttribute` for an input's coupling or a pulse's output terminal."""
+    """Answer `DAQmxSetChanAttribute` for an input's coupling (DC only) or a pulse's output terminal.
+
+    Raise Status for other attributes or values, or while the task runs.
+    """
     name, value = settable(task, arguments, "Chan"), arguments["value"]
     channel = _named_channel(task, arguments["channel"])
     if (name == "AI.Coupling") != isinstance(channel, InputChannel):

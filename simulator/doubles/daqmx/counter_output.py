@@ -35,7 +35,7 @@ class PulseChannel:
 
     @property
     def physical_name(self) -> str:
-        """Return board and counter."""
+        """Return board and counter, such as ``Dev1/ctr0``."""
         return f"{self.device.name}/ctr{self.number}"
 
     @property
@@ -50,7 +50,7 @@ class PulseChannel:
 
     @property
     def line(self) -> str:
-        """Return the physical line in the record."""
+        """Return the name of its line in the record, ``<serial number>/<terminal>``."""
         return f"{self.device.serial_number}/{self.pin}"
 
 
@@ -67,7 +67,7 @@ class CounterOutput:
     """Pulse generation as a `tasks.TaskKind`."""
 
     def verify(self, bench: Bench, task: Task) -> None:
-        """Check the pulse times against the counter: at least two ticks, at most its width."""
+        """Raise Status if a pulse time does not fit the counter: at least two ticks high, at most 32 bits."""
         longest_s = (2**COUNTER_BITS - 1) / TIMEBASE_HZ
         for name, time_s, shortest_s in (
             ("CO.Pulse.Time.InitialDelay", task.channel.initial_delay_s, 0.0),
@@ -79,7 +79,7 @@ class CounterOutput:
                 )
 
     def resources(self, bench: Bench, task: Task) -> tuple[str, ...]:
-        """Name the resources that the task needs: the counter and the pin that it drives."""
+        """Return the resources that the task needs: the counter and the pin that it drives."""
         channel: PulseChannel = task.channel
         parts = (f"ctr{channel.number}", channel.pin)
         return tuple(resource(channel.device.serial_number, part) for part in parts)
@@ -89,7 +89,10 @@ class CounterOutput:
         bench.lines.drive(task.channel.line, 0, bench.settle(), "idle")
 
     def start(self, bench: Bench, task: Task, now_ns: int) -> None:
-        """Start counting now or at the start trigger; raise Status after the watchdog has expired."""
+        """Start counting now, or at the start trigger.
+
+        Raise Status after the board's watchdog has expired.
+        """
         for watch in bench.tasks.values():
             mine = watch.kind == "watchdog" and watch.is_on(task.device.serial_number)
             if mine and watch.run is not None and watch.run.expired_ns is not None:
@@ -100,7 +103,10 @@ class CounterOutput:
             self.triggered(bench, task, now_ns)
 
     def triggered(self, bench: Bench, task: Task, at_ns: int) -> None:
-        """Plan the pulse that follows a trigger, and the strike that it causes."""
+        """Schedule the pulse that follows a trigger, the strike that it causes, and the tasks that it starts.
+
+        A simulated board is done at once, and no line moves.
+        """
         run: Generation = task.run
         channel: PulseChannel = task.channel
         if channel.device.parameters.simulated:  # done at once, and no line moves
@@ -116,7 +122,10 @@ class CounterOutput:
         bench.changed.notify_all()
 
     def stop(self, bench: Bench, task: Task, now_ns: int, cause: str) -> None:
-        """Set the line low, end the pulse, and drop a lifted striker now."""
+        """Set the line low, end the pulse now, and let a lifted striker fall.
+
+        Do nothing before the first start.
+        """
         run: Generation | None = task.run
         if run is None:
             return
@@ -127,12 +136,15 @@ class CounterOutput:
             run.pulse = replace(run.pulse, end_ns=now_ns)
 
     def done_ns(self, bench: Bench, task: Task) -> int | None:
-        """Return the time in ns when the pulse ends; None before its trigger."""
+        """Return the time in ns when the pulse ends; None before its start trigger."""
         return None if task.run.pulse is None else int(task.run.pulse.end_ns)
 
 
 def cut(bench: Bench, task: Task, level: int, now_ns: int, cause: str) -> None:
-    """Disconnect a pin from its counter, which continues to count; a lifted striker falls now."""
+    """Disconnect a pin from its counter, which continues to count, and drive it to a level.
+
+    A lifted striker falls now.
+    """
     run: Generation = task.run
     bench.lines.cut(task.channel.line, level, now_ns, cause)
     strike, run.strike = run.strike, None
@@ -149,7 +161,7 @@ def _ns(time_s: float) -> int:
 
 
 def _strike(bench: Bench, channel: PulseChannel, pulse: Pulse) -> Strike | None:
-    """Plan the strike of a pulse, which holds the striker; None if no coil is wired to the pin."""
+    """Plan the strike of a coil's pulse; None if no coil is wired to the pin, or the pulse is too short."""
     if channel.pin != channel.device.kind.counter_terminals[channel.number]:
         # The coil hangs at the counter's own pin; a pulse sent elsewhere moves nothing.
         return None
@@ -160,7 +172,10 @@ def _strike(bench: Bench, channel: PulseChannel, pulse: Pulse) -> Strike | None:
 
 
 def create_pulse_channel(bench: Bench, task: Task, arguments: Arguments) -> None:
-    """Answer `DAQmxCreateCOPulseChanTime`: make an empty task a pulse task."""
+    """Answer `DAQmxCreateCOPulseChanTime`: make an empty task a pulse task.
+
+    Raise Status if it has a channel, or for an unknown counter or a high idle state.
+    """
     task.require_empty()
     device, number = bench.devices.channel(arguments["counter"], "ctr")
     if arguments["idle_state"] != LOW:

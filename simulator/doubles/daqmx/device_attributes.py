@@ -43,17 +43,23 @@ _CALIBRATION: Mapping[str, Callable[[Device], object]] = {
 
 
 def get_system(bench: Bench, client: str, arguments: Arguments) -> Answer:
-    """Answer `DAQmxGetSystemInfoAttribute` with an attribute of driver or chassis."""
+    """Answer `DAQmxGetSystemInfoAttribute` with an attribute of driver or chassis.
+
+    Raise Status if unknown.
+    """
     return look_up(_SYSTEM, arguments, "SystemInfo", bench)
 
 
 def get_device(bench: Bench, client: str, arguments: Arguments) -> Answer:
-    """Answer `DAQmxGetDeviceAttribute` with an attribute of the named board."""
+    """Answer `DAQmxGetDeviceAttribute` with an attribute of a board; raise Status if either is unknown."""
     return look_up(_DEVICE, arguments, "Device", bench.devices.find(arguments["device_name"]))
 
 
 def get_calibration(bench: Bench, client: str, arguments: Arguments) -> Answer:
-    """Answer `DAQmxGetCalInfoAttribute` with calibration data of the named board."""
+    """Answer `DAQmxGetCalInfoAttribute` with calibration data of a board.
+
+    Raise Status if either is unknown.
+    """
     return look_up(_CALIBRATION, arguments, "CalInfo", bench.devices.find(arguments["device_name"]))
 
 

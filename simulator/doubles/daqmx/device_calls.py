@@ -16,7 +16,7 @@ POWER_UP_HIGH, POWER_UP_LOW, POWER_UP_TRISTATE = 10192, 10214, 10310
 
 
 def _require_present(bench: Bench, name: str) -> Device:
-    """Return a board by name; raise Status -200324 if it has been removed."""
+    """Return a board by name; raise Status -200324 if it has been removed, -200220 if it is unknown."""
     try:
         return bench.devices.find(name)
     except Status as status:
@@ -26,7 +26,10 @@ def _require_present(bench: Bench, name: str) -> Device:
 
 
 def _take_from_tasks(bench: Bench, device: Device, status: int, cause: str) -> None:
-    """Remove a board from all its tasks with a status; release it and set its lines low."""
+    """Remove a board from all its tasks: later calls of them answer ``status``.
+
+    All its reservations are released, and its lines go low.
+    """
     for task in tuple(bench.tasks.values()):
         if task.is_on(device.serial_number) and not task.lost:
             tasks.lose(bench, task, status, cause)
@@ -46,7 +49,7 @@ def reset(bench: Bench, client: str, arguments: Arguments) -> None:
 
 
 def self_calibrate(bench: Bench, client: str, arguments: Arguments) -> None:
-    """Answer `DAQmxSelfCal`; raise Status while a task holds the board."""
+    """Answer `DAQmxSelfCal`: shift the board's offset; raise Status while a task holds part of the board."""
     device = _require_present(bench, arguments["device_name"])
     for holder in bench.reservations.holders_of_board(device.serial_number):
         raise Status(
@@ -57,7 +60,10 @@ def self_calibrate(bench: Bench, client: str, arguments: Arguments) -> None:
 
 
 def last_self_calibration(bench: Bench, client: str, arguments: Arguments) -> Answer:
-    """Answer `DAQmxGetSelfCalLastDateAndTime`; raise Status for a simulated device, as NI does."""
+    """Answer `DAQmxGetSelfCalLastDateAndTime`, to the minute.
+
+    Raise Status for a simulated device, as NI does.
+    """
     device = bench.devices.find(arguments["device_name"])
     if device.parameters.simulated:
         raise Status(statuses.INVALID_VALUE, f"Device: {device.name} is simulated and has no calibration.")
@@ -77,7 +83,7 @@ def _power_up_lines(bench: Bench, device: Device, names: str) -> list[str]:
 
 
 def set_power_up_states(bench: Bench, client: str, arguments: Arguments) -> None:
-    """Answer `DAQmxSetDigitalPowerUpStates`; raise Status for an unknown line or state."""
+    """Answer `DAQmxSetDigitalPowerUpStates`; raise Status, and set none, for an unknown line or state."""
     device = bench.devices.find(arguments["device_name"])
     lines = _power_up_lines(bench, device, arguments["channel_names"])
     states = [int(state) for state in arguments["state"]]
@@ -95,7 +101,10 @@ def get_power_up_states(bench: Bench, client: str, arguments: Arguments) -> Answ
 
 
 def unplug(bench: Bench, serial_number: int) -> None:
-    """Remove a board from the chassis: its tasks are lost, its lines go low."""
+    """Remove a board from the chassis: its tasks are lost, its lines go low.
+
+    Raise KeyError if there is none.
+    """
     _take_from_tasks(bench, bench.devices.by_serial(serial_number), statuses.DEVICE_REMOVED, "unplug")
     bench.devices.unplug(serial_number)
     bench.changed.notify_all()

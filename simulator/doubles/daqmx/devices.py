@@ -37,21 +37,21 @@ class Device:
 
     @property
     def kind(self) -> BoardType:
-        """Return the product's figures."""
+        """Return the board type of the product, with the figures of its data sheet."""
         return self.parameters.kind
 
     @property
     def temperature_c(self) -> float:
-        """Return the temperature of its own sensor; a simulated board has none and returns 0."""
+        """Return the temperature of its own sensor, °C; a simulated board has none and returns 0."""
         return 0.0 if self.parameters.simulated else self.parameters.temperature_c
 
     def calibration(self, range_v: float) -> Calibration:
-        """Return the board's present scaling polynomial in one input range."""
+        """Return the board's present polynomial from codes to V in an input range, -range_v to +range_v."""
         adc = self.parameters.adc(AdcParameters(range_v=range_v, trigger_level_v=0.5 * range_v))
         return board_calibration(adc, self.offset_shift_v)
 
     def self_calibrate(self, now: datetime) -> None:
-        """Calibrate at the board's present temperature, which shifts the offset slightly."""
+        """Record time and temperature of a self-calibration, and shift the offset by the described step."""
         self.calibrated = now
         self.calibration_temperature_c = self.temperature_c
         self.offset_shift_v += self.parameters.self_calibration_shift_v
@@ -68,7 +68,7 @@ class Devices:
         return iter(self._devices.values())
 
     def present(self) -> tuple[Device, ...]:
-        """Return the boards that are plugged in."""
+        """Return the boards that are plugged in, in the order of the description."""
         return tuple(device for device in self if device.plugged)
 
     def by_serial(self, serial_number: int) -> Device:
@@ -92,11 +92,11 @@ class Devices:
         raise Status(code, f"Device Specified: {name}")
 
     def unplug(self, serial_number: int) -> None:
-        """Mark a board as removed; its name stays in NI MAX."""
+        """Mark a board as removed; its name stays in NI MAX. Raise KeyError if there is none."""
         self.by_serial(serial_number).plugged = False
 
     def plug(self, serial_number: int, name: str = "") -> None:
-        """Plug a removed board in again, under another name if one is given."""
+        """Plug a board in again, under another name if one is given; raise KeyError if there is none."""
         device = self.by_serial(serial_number)
         self._former_names.add(device.name.casefold())
         device.name = name or device.name
@@ -124,6 +124,8 @@ class Devices:
 
     def lines(self, text: str) -> list[tuple[Device, str]]:
         """Parse names of digital lines like ``Dev1/port2/line4:6, Dev1/port1/line0``.
+
+        Return each with its board, in order.
 
         Raises
         ------

@@ -52,7 +52,7 @@ class LineRecord:
 
     @property
     def events(self) -> tuple[LineEvent, ...]:
-        """Return all level changes, in order of recording."""
+        """Return the newest `EDGES_KEPT` level changes, in the order of recording."""
         return tuple(self._events)
 
     def clear_events(self) -> None:
@@ -64,13 +64,19 @@ class LineRecord:
         return self._levels.get(line, 0)
 
     def drive(self, line: str, level: int, ns: int, cause: str) -> None:
-        """Drive a line to a level at once, and record a change with its cause."""
+        """Drive a line to a level (0 or 1) at a time.
+
+        Record a change with its cause. Scheduled edges stay.
+        """
         if self.level(line) != level:
             self._levels[line] = level
             self._events.append(LineEvent(line=line, level=level, ns=ns, cause=cause))
 
     def start(self, pulse: Pulse) -> None:
-        """Schedule both edges of a pulse, which replaces an earlier pulse of its line."""
+        """Schedule both edges of a pulse.
+
+        Those of an earlier pulse of its line that are still due are dropped.
+        """
         self._edges[pulse.line] = [(pulse.start_ns, 1), (pulse.end_ns, 0)]
 
     def settle(self, now_ns: int) -> None:

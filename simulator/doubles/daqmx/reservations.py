@@ -25,7 +25,7 @@ class Reservations:
 
     @property
     def held(self) -> dict[str, Holder]:
-        """Return all reservations."""
+        """Return a copy of all reservations: resource name to holder."""
         return dict(self._held)
 
     def take(self, resources: Iterable[str], holder: Holder) -> None:
@@ -55,7 +55,7 @@ class Reservations:
         self._held[resource] = Holder(client="another process", task=owner)
 
     def release(self, holder: Holder) -> None:
-        """Release all resources of one holder."""
+        """Release all resources of one holder; do nothing if it has none."""
         self._held = {resource: other for resource, other in self._held.items() if other != holder}
 
     def release_board(self, serial_number: int) -> None:
@@ -64,7 +64,7 @@ class Reservations:
         self._held = {name: holder for name, holder in held if board_of(name) != serial_number}
 
     def holders_of_board(self, serial_number: int) -> tuple[Holder, ...]:
-        """Return the holder of each reserved resource of one board."""
+        """Return the holder of each reserved resource of one board; one holder may occur more than once."""
         return tuple(holder for name, holder in self._held.items() if board_of(name) == serial_number)
 
 
@@ -74,5 +74,11 @@ def resource(serial_number: int, part: str) -> str:
 
 
 def board_of(name: str) -> int:
-    """Parse the board's serial number from the name of a resource or line."""
+    """Parse the board's serial number from the name of a resource or line, ``<serial number>/<part>``.
+
+    Raises
+    ------
+    ValueError
+        The name does not start with a number.
+    """
     return int(name.partition("/")[0])

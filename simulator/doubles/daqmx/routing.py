@@ -25,14 +25,20 @@ def short_name(terminal: str) -> str:
 
 
 def start_trigger_of(task: Task) -> str:
-    """Return the terminal whose edge starts the task; empty if it starts at once."""
+    """Return the normalized terminal whose edge starts the task; empty if it starts at once."""
     if task.settings.get("StartTrig.Type", NO_TRIGGER) != DIGITAL_EDGE:
         return ""
     return short_name(str(task.settings["DigEdge.StartTrig.Src"]))
 
 
 def fire_edge(bench: Bench, terminal: str, at_ns: int, edge: int = RISING) -> None:
-    """Start all tasks that wait for this edge at a terminal, also across routes and the backplane."""
+    """Start all running tasks that wait for this edge at a terminal, also across routes and the backplane.
+
+    Parameters
+    ----------
+    edge
+        `RISING` or `FALLING`.
+    """
     reached = {short_name(terminal)}
     while True:
         onward = {destination for destination, source in bench.routes.items() if _same(source, reached)}
@@ -50,7 +56,7 @@ def fire_edge(bench: Bench, terminal: str, at_ns: int, edge: int = RISING) -> No
 
 
 def _same(terminal: str, reached: set[str]) -> bool:
-    """Check whether a terminal is among those reached; backplane lines are shared by all boards."""
+    """Return whether a terminal is among those reached; a backplane line is the same at all boards."""
     if terminal in reached:
         return True
     # The lines of the backplane are common to all boards of a chassis.
@@ -59,7 +65,7 @@ def _same(terminal: str, reached: set[str]) -> bool:
 
 
 def _known(bench: Bench, terminal: str) -> bool:
-    """Check whether any board that is plugged in has the terminal."""
+    """Return whether any board that is plugged in has the terminal."""
     name = short_name(terminal)
     return any(
         name == short_name(known)
@@ -69,7 +75,10 @@ def _known(bench: Bench, terminal: str) -> bool:
 
 
 def configure_start_trigger(bench: Bench, task: Task, arguments: Arguments) -> None:
-    """Answer `DAQmxCfgDigEdgeStartTrig`: start the task at a digital edge."""
+    """Answer `DAQmxCfgDigEdgeStartTrig`: start the task at a digital edge.
+
+    Raise Status for an unknown board or terminal, or while the task runs.
+    """
     tasks.changed(task)
     source = arguments["trigger_source"]
     device = source.strip().lstrip("/").partition("/")[0]
@@ -89,7 +98,7 @@ def configure_start_trigger(bench: Bench, task: Task, arguments: Arguments) -> N
 
 
 def require_start_route(bench: Bench, task: Task) -> None:
-    """Check that the edge which starts an input task can reach its board.
+    """Check that the counter's edge which starts an input task can reach its board; others are not checked.
 
     Raises
     ------
@@ -111,18 +120,21 @@ def require_start_route(bench: Bench, task: Task) -> None:
 
 
 def _chassis(name: str) -> str:
-    """Return the chassis in a board's usual name: `pxi1` for `PXI1Slot3`."""
+    """Return the chassis in a board's usual name, `pxi1` for `PXI1Slot3`; a name without slot as it is."""
     return name.casefold().partition("slot")[0]
 
 
 def disable_start_trigger(bench: Bench, task: Task, arguments: Arguments) -> None:
-    """Answer `DAQmxDisableStartTrig`: start the task at once."""
+    """Answer `DAQmxDisableStartTrig`: start the task at once; raise Status while it runs."""
     tasks.changed(task)
     task.settings["StartTrig.Type"] = NO_TRIGGER
 
 
 def connect(bench: Bench, client: str, arguments: Arguments) -> None:
-    """Answer `DAQmxConnectTerms`; raise Status for an unknown or connected terminal."""
+    """Answer `DAQmxConnectTerms`: add a route between two terminals.
+
+    Raise Status if one is unknown, or another route ends at the destination.
+    """
     source, destination = arguments["source_terminal"], arguments["destination_terminal"]
     if not _known(bench, source):
         raise Status(statuses.INVALID_SOURCE_TERMINAL, f"Source Terminal: {source}")
@@ -137,14 +149,17 @@ def connect(bench: Bench, client: str, arguments: Arguments) -> None:
 
 
 def disconnect(bench: Bench, client: str, arguments: Arguments) -> None:
-    """Answer `DAQmxDisconnectTerms`; do nothing if there is no such route."""
+    """Answer `DAQmxDisconnectTerms`: remove the route between two terminals; do nothing if there is none."""
     destination = short_name(arguments["destination_terminal"])
     if bench.routes.get(destination) == short_name(arguments["source_terminal"]):
         del bench.routes[destination]
 
 
 def tristate(bench: Bench, client: str, arguments: Arguments) -> None:
-    """Answer `DAQmxTristateOutputTerm`: stop driving a terminal; raise Status if a route uses it."""
+    """Answer `DAQmxTristateOutputTerm`: stop driving a terminal, which goes low.
+
+    Raise Status if it is unknown, or a route uses it.
+    """
     terminal = short_name(arguments["output_terminal"])
     if not _known(bench, terminal):
         raise Status(statuses.INVALID_DESTINATION_TERMINAL, f"Terminal: {arguments['output_terminal']}")
@@ -158,7 +173,11 @@ def tristate(bench: Bench, client: str, arguments: Arguments) -> None:
 
 
 def export(bench: Bench, task: Task, arguments: Arguments) -> None:
-    """Answer `DAQmxExportSignal`: connect an input task's start or reference trigger to a terminal."""
+    """Answer `DAQmxExportSignal`: connect an input task's start or reference trigger to a terminal.
+
+    An earlier route to the terminal is replaced. Raise Status for another signal, task or terminal, or while
+    the task runs.
+    """
     tasks.changed(task)
     ends = {START_TRIGGER_SIGNAL: "StartTrigger", REFERENCE_TRIGGER_SIGNAL: "ReferenceTrigger"}
     signal = arguments["signal_id"]

@@ -71,7 +71,7 @@ class Strikes:
 
     @property
     def planned(self) -> tuple[Strike, ...]:
-        """Return the newest strikes, without cancelled ones."""
+        """Return the newest strikes, at most `STRIKES_KEPT`, in order, without cancelled ones."""
         return tuple(strike for strike in self._planned if not strike.cancelled)
 
     def announce(self, key: ShotKey, hour_h: float) -> None:
@@ -89,7 +89,10 @@ class Strikes:
         self._hour_h = hour_h
 
     def next_echo(self, position: str) -> tuple[ShotKey, float]:
-        """Return key and hour of the next pulse-echo record: announced, or the next in the count."""
+        """Return key and hour of the next pulse-echo record at a position, and use them up.
+
+        They are the announced ones, or the next in the count of sets.
+        """
         announced = self._announced.pop(position, None)
         if announced is not None:
             return announced
@@ -98,7 +101,10 @@ class Strikes:
         return ShotKey(position=position, set_index=index, shot_index=0), self._hour_h
 
     def plan(self, position: str, lifted_ns: int, released_ns: int) -> Strike | None:
-        """Plan a strike from the coil's pulse; None if the pulse is too short to lift the striker."""
+        """Plan the strike of a coil's pulse (ns); None if the pulse is too short to lift the striker.
+
+        Its key is the announced one, or the next in the count of shots.
+        """
         lift_s = self._description.transducers[position].lift_s
         if released_ns - lifted_ns < round(lift_s * NS_PER_S):
             # Nothing falls, but the coil was switched, which its sensor hears.
@@ -129,9 +135,9 @@ class Strikes:
         return strike
 
     def cut(self, strike: Strike, ns: int) -> None:
-        """Switch the coil off early at `ns`: the striker falls now, or the strike is cancelled.
+        """Switch the coil off early, at ``ns``; do nothing if it is off already.
 
-        It is cancelled if the striker had not been lifted yet.
+        The striker falls now; if it had not been lifted, the strike is cancelled and its key is used again.
         """
         if strike.released_ns <= ns:
             return
@@ -148,14 +154,14 @@ class Strikes:
             self._counted[position] -= 1
 
     def _counted_key(self, position: str) -> ShotKey:
-        """Return the key of the next strike at a position that was not announced, by counting."""
+        """Return the key of the next strike at a position that was not announced, and increase the count."""
         index = self._counted.get(position, 0)
         self._counted[position] = index + 1
         set_index, shot_index = divmod(index, self._description.shots_per_set)
         return ShotKey(position=position, set_index=set_index, shot_index=shot_index)
 
     def _fall_ns(self, key: ShotKey, hour_h: float) -> int:
-        """Return how long the striker of a shot falls, in ns."""
+        """Return how long the striker of a shot falls freely from its drop height, ns."""
         height_m = self.specimen.strike(key, hour_h).drop_height_m
         return round(math.sqrt(2.0 * height_m / FALL_ACCELERATION_M_PER_S2) * NS_PER_S)
 
@@ -170,7 +176,7 @@ class Strikes:
         crosstalk, pulses = self.crosstalk(strike.key.position), self.coil_pulses(strike.key.position)
 
         def stray(first_s: float, rate_hz: float, samples: int) -> FloatArray:
-            """Compute the coil's crosstalk in volts, with times from the striker's contact."""
+            """Compute the crosstalk in V, shape (samples,); ``first_s`` counts from the striker's contact."""
             return crosstalk.volts(pulses, strike.contact_ns + first_s * NS_PER_S, rate_hz, samples)
 
         disturbed = replace(self.specimen, stray=None if crosstalk.silent else stray)
@@ -179,7 +185,7 @@ class Strikes:
     def _through_board(
         self, specimen: Specimen, strike: Strike, adc: AdcParameters, calibration: Calibration
     ) -> Acquired | None:
-        """Simulate a strike's record with the converter of a board; None without a trigger."""
+        """Simulate a strike's record with the converter of a board; None if the wave does not trigger it."""
         twin = replace(specimen.twin, adc=adc)
         through_board = replace(specimen, twin=twin, adc_calibration=calibration)
         return through_board.solitary_wave(strike.key, strike.hour_h)
@@ -187,9 +193,16 @@ class Strikes:
     def free_volts(
         self, key: ShotKey, first_ns: int, adc: AdcParameters, calibration: Calibration
     ) -> FloatArray:
-        """Simulate the untriggered voltage at a sensor's input, shape (record_samples,).
+        """Simulate the untriggered voltage at a sensor's input in V, shape (record_samples,).
 
-        Noise if it is on, the waves of strikes as far as a usual record shows them, and crosstalk.
+        It has noise if that is on, the waves of strikes as far as a usual record shows them, and crosstalk.
+
+        Parameters
+        ----------
+        key
+            Position, and the key of the noise.
+        first_ns
+            Time of the first sample.
         """
         twin, rate_hz = self.specimen.twin, adc.sample_rate_hz
         volts = np.zeros(adc.record_samples)
@@ -225,7 +238,7 @@ class Strikes:
         self._crosstalk[position] = crosstalk
 
     def coil_pulses(self, position: str) -> list[tuple[int, int]]:
-        """Return when the coil at a position is switched on and off, in ns."""
+        """Return when the coil at a position was switched on and off, ns; only the newest pulses are kept."""
         return [
             (strike.lifted_ns, strike.released_ns)
             for strike in self._planned
@@ -247,14 +260,14 @@ class Strikes:
 
 
 def _insert_wave(volts: FloatArray, wave: FloatArray, at: int) -> None:
-    """Write a wave, with its own noise, over part of a longer record, as far as it fits."""
+    """Overwrite part of a longer record in place with a wave from index ``at`` on, as far as it fits."""
     first, last = max(at, 0), min(at + wave.size, volts.size)
     if first < last:
         volts[first:last] = wave[first - at : last - at]
 
 
 def _specimen(description: Description) -> Specimen:
-    """Build the specimen of a described chassis."""
+    """Build the specimen of a described chassis: one model per transducer, one wall per probe."""
     transducers = {
         position: Transducer(
             chain=wiring.chain,

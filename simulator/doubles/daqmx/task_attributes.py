@@ -18,12 +18,12 @@ Values = Mapping[str, Callable[[Task], object]]
 
 
 def _setting(name: str, default: float | str) -> Callable[[Task], object]:
-    """Create a function that returns a task's setting, or the driver's default."""
+    """Create a function that returns a task's setting, or ``default`` if it was not set."""
     return lambda task: task.settings.get(name, default)
 
 
 def _terminal(name: str) -> Callable[[Task], object]:
-    """Create a function that returns the full name of an input terminal of a task's board."""
+    """Create a function that returns a task's input terminal with its board, ``/Dev1/ai/<name>``."""
     return lambda task: f"/{task.device.name}/ai/{name}"
 
 
@@ -56,7 +56,7 @@ _TRIGGER: Values = {
 
 
 def _get(family: str, values: Values, bench: Bench, task: Task, arguments: Arguments) -> Answer:
-    """Answer `DAQmxGet<family>Attribute`; raise Status if the task has no such attribute."""
+    """Answer `DAQmxGet<family>Attribute`; raise Status if the task has no channel or no such attribute."""
     if family != "Task":
         _require_channels(task)
     if family == "Timing" and task.kind == "co":
@@ -67,7 +67,10 @@ def _get(family: str, values: Values, bench: Bench, task: Task, arguments: Argum
 
 
 def _set(family: str, bench: Bench, task: Task, arguments: Arguments) -> None:
-    """Answer `DAQmxSet<family>Attribute`; raise Status while the task runs."""
+    """Answer `DAQmxSet<family>Attribute`; the value is checked when the task is verified.
+
+    Raise Status for a task without channel, a read-only attribute, or while the task runs.
+    """
     _require_channels(task)
     name = settable(task, arguments, family)
     tasks.changed(task)
@@ -75,7 +78,7 @@ def _set(family: str, bench: Bench, task: Task, arguments: Arguments) -> None:
 
 
 def _require_channels(task: Task) -> None:
-    """Check that the task can have channels; raise Status for a watchdog or an empty task."""
+    """Raise Status if the task is a watchdog or has no channel."""
     if task.kind not in ("ai", "co"):
         raise Status(statuses.ATTRIBUTE_NOT_IN_THIS_TASK, "The task has no channels.", task=task.name)
 

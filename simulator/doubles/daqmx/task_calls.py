@@ -15,18 +15,24 @@ def _set_runtime_environment(bench: Bench, client: str, arguments: Arguments) ->
 
 
 def _error_string(bench: Bench, client: str, arguments: Arguments) -> Answer:
-    """Answer `DAQmxGetErrorString` with the text of a status code."""
+    """Answer `DAQmxGetErrorString` with the text of a status code; an unknown code has a text, too."""
     code = arguments["error_code"]
     return {"error_string": statuses.TEXTS.get(code, f"Status {code} is not one of the double's own.")}
 
 
 def _create_task(bench: Bench, client: str, arguments: Arguments) -> Answer:
-    """Create a task for a client and return its handle."""
+    """Answer `DAQmxCreateTask` with the handle of a new task.
+
+    Raise Status if the client has one of that name.
+    """
     return {"task": tasks.create(bench, client, arguments["session_name"]).handle}
 
 
 def _clear_task(bench: Bench, client: str, arguments: Arguments) -> None:
-    """Stop and remove a task; one that lost its board is removed without an error."""
+    """Answer `DAQmxClearTask`: stop and remove a task; one that lost its board is removed without an error.
+
+    Raise Status if the client has no such task.
+    """
     task = bench.tasks.get(arguments["task"])
     if task is not None and task.client == client and task.lost:
         # Clearing is how a lost task is got rid of: it never fails for the loss.
@@ -36,12 +42,15 @@ def _clear_task(bench: Bench, client: str, arguments: Arguments) -> None:
 
 
 def _last_created_channel(bench: Bench, client: str, arguments: Arguments) -> Answer:
-    """Return the name of the channel that the client created last; empty if there is none."""
+    """Answer with the name of the channel that the client created last; empty if there is none."""
     return {"value": bench.last_channel.get(client, "")}
 
 
 def _control(bench: Bench, task: Task, arguments: Arguments) -> None:
-    """Answer `DAQmxTaskControl`: move a task to the requested state."""
+    """Answer `DAQmxTaskControl`: move a task to the requested state.
+
+    Raise Status if that fails (`tasks.control`).
+    """
     tasks.control(bench, task, arguments["action"])
 
 
@@ -51,12 +60,12 @@ def _start(bench: Bench, task: Task, arguments: Arguments) -> None:
 
 
 def _stop(bench: Bench, task: Task, arguments: Arguments) -> None:
-    """Answer `DAQmxStopTask`; a task that was not done causes a warning."""
+    """Answer `DAQmxStopTask`; a task that was not done raises the warning 200010."""
     tasks.stop(bench, task)
 
 
 def _wait_until_done(bench: Bench, task: Task, arguments: Arguments) -> None:
-    """Answer `DAQmxWaitUntilTaskDone`; raise Status after the timeout."""
+    """Answer `DAQmxWaitUntilTaskDone`; raise Status after the timeout in s (negative: no limit)."""
     timeout_s = arguments["time_to_wait"]
     late = Status(statuses.NOT_DONE_IN_TIME, f"Time to wait: {timeout_s} s", task=task.name)
     tasks.wait(bench, task, timeout_s, late)

@@ -53,7 +53,10 @@ class Clock(Protocol):
         ...
 
     def wait(self, changed: threading.Condition, until_ns: int | None) -> None:
-        """Wait on a condition, which the caller holds, at most until a monotonic time in ns."""
+        """Wait on a condition, which the caller holds, at most until a monotonic time in ns.
+
+        None: no limit.
+        """
         ...
 
 
@@ -106,24 +109,21 @@ class Task:
 
     @property
     def holder(self) -> Holder:
-        """Return the holder for its reservations."""
+        """Return the holder in whose name the task reserves resources."""
         return Holder(client=self.client, task=self.name)
 
     @property
     def device(self) -> Device:
-        """Return the board of its channel."""
+        """Return the board of its channel; the task must have one."""
         device: Device = self.channel.device
         return device
 
     def is_on(self, serial_number: int) -> bool:
-        """Check whether the task uses the board with this serial number."""
+        """Return whether the task uses the board with this serial number; False without a channel."""
         return self.channel is not None and self.device.serial_number == serial_number
 
     def require_empty(self) -> None:
-        """Check that the task has no channel yet; raise Status if it has, or runs.
-
-        A task of the double has one channel.
-        """
+        """Raise Status if the task has a channel, or runs; a task of the double has one channel."""
         self.require_not_running()
         if self.channel is not None:
             raise Status(
@@ -137,7 +137,7 @@ class Task:
         self.kind, self.channel, self.state, self.verified = kind, channel, TaskState.UNVERIFIED, False
 
     def require_not_running(self) -> None:
-        """Check that the task does not run; raise Status -200479 if it does."""
+        """Raise Status -200479 if the task runs."""
         if self.state is TaskState.RUNNING:
             raise Status(statuses.RUNNING, task=self.name)
 
@@ -150,11 +150,11 @@ class TaskKind(Protocol):
         ...
 
     def resources(self, bench: Bench, task: Task) -> tuple[str, ...]:
-        """Name the parts of boards that the task must reserve."""
+        """Return the names of the parts of boards that the task must reserve."""
         ...
 
     def commit(self, bench: Bench, task: Task) -> None:
-        """Program the board with the task's settings."""
+        """Program the board with the task's settings, once its resources are reserved."""
         ...
 
     def start(self, bench: Bench, task: Task, now_ns: int) -> None:
@@ -162,11 +162,11 @@ class TaskKind(Protocol):
         ...
 
     def triggered(self, bench: Bench, task: Task, at_ns: int) -> None:
-        """Continue a started task at its start trigger."""
+        """Continue a started task at its start trigger, at a time in ns."""
         ...
 
     def stop(self, bench: Bench, task: Task, now_ns: int, cause: str) -> None:
-        """Stop the task's running hardware."""
+        """Stop the task's running hardware at a time in ns; ``cause`` is recorded with its level changes."""
         ...
 
     def done_ns(self, bench: Bench, task: Task) -> int | None:
@@ -192,7 +192,7 @@ class Bench:
     next_handle: int = 0x10001
 
     def settle(self) -> int:
-        """Process every edge and watchdog that is due; return the time now in ns."""
+        """Process every edge and watchdog that is due; return the monotonic time now in ns."""
         now_ns = self.clock.now_ns()
         for task in tuple(self.tasks.values()):
             if task.kind == "watchdog" and task.state is TaskState.RUNNING:
@@ -212,7 +212,10 @@ TaskHandler = Callable[[Bench, Task, Arguments], Answer]
 
 
 def create(bench: Bench, client: str, name: str) -> Task:
-    """Create a task of a client; raise Status if the client has one of that name."""
+    """Create a task of a client, with a generated name for an empty one.
+
+    Raise Status if the client has a task of that name.
+    """
     taken = {task.name for task in bench.tasks.values() if task.client == client}
     if name in taken:
         raise Status(statuses.DUPLICATE_TASK, task=name)
@@ -240,14 +243,20 @@ def find(bench: Bench, client: str, handle: int) -> Task:
 
 
 def raise_lost(task: Task) -> None:
-    """Raise the status of a task that lost its board, the first time with the cause."""
+    """Raise the status of a task that lost its board: the first time with the cause, then -88709."""
     code = task.lost
     task.lost = -88709
     raise Status(code, task=task.name)
 
 
 def lose(bench: Bench, task: Task, code: int, cause: str) -> None:
-    """Remove the board from a task: stop it, release its resources, and let later calls fail."""
+    """Stop a task whose board is gone, release its resources, and let later calls fail with ``code``.
+
+    Parameters
+    ----------
+    cause
+        Of the level changes, in their record.
+    """
     if task.kind:
         bench.kinds[task.kind].stop(bench, task, bench.settle(), cause)
     bench.reservations.release(task.holder)
@@ -279,7 +288,7 @@ def advance(bench: Bench, task: Task, target: TaskState) -> None:
 def changed(task: Task) -> None:
     """Mark a task as changed, so that its next start verifies and programs it again.
 
-    Raise Status if it runs.
+    Raise Status -200479 if it runs.
     """
     task.require_not_running()
     if task.state is TaskState.COMMITTED:
@@ -288,7 +297,10 @@ def changed(task: Task) -> None:
 
 
 def start(bench: Bench, task: Task) -> None:
-    """Start a task; raise Status and release new reservations if that fails."""
+    """Start a task, through the states that are missing.
+
+    Raise Status if it runs already or a step fails; then what was reserved for this start is released.
+    """
     task.require_not_running()
     task.resume = max(task.state, TaskState.VERIFIED)
     before = task.state
@@ -305,7 +317,7 @@ def start(bench: Bench, task: Task) -> None:
 
 
 def is_done(bench: Bench, task: Task) -> bool:
-    """Check whether a task is not running or has completed."""
+    """Return whether a task is not running, or its record or pulse is complete."""
     if task.state is not TaskState.RUNNING:
         return True
     now_ns = bench.settle()
@@ -334,7 +346,7 @@ def stop(bench: Bench, task: Task) -> None:
 
 
 def _halt(bench: Bench, task: Task) -> None:
-    """Stop the hardware of a task and restore the state before its start."""
+    """Stop the hardware of a task and restore the state before its start, with its reservations."""
     bench.kinds[task.kind].stop(bench, task, bench.settle(), "stop")
     task.state = task.resume
     if task.state < TaskState.RESERVED:
@@ -343,7 +355,11 @@ def _halt(bench: Bench, task: Task) -> None:
 
 
 def control(bench: Bench, task: Task, action: int) -> None:
-    """Execute an action of `DAQmxTaskControl` on a task."""
+    """Execute an action of `DAQmxTaskControl` on a task.
+
+    Verifying, reserving and committing a running task do nothing. Raise Status for an unknown action, or if
+    the step fails.
+    """
     match action:
         case Action.START:
             start(bench, task)
@@ -370,7 +386,7 @@ def control(bench: Bench, task: Task, action: int) -> None:
 
 
 def _unreserve(bench: Bench, task: Task) -> None:
-    """Release the resources of a task; it stays verified."""
+    """Release the resources of a task and set it to verified; do nothing if it has none."""
     if task.state >= TaskState.RESERVED:
         bench.reservations.release(task.holder)
         task.state = TaskState.VERIFIED
@@ -378,7 +394,7 @@ def _unreserve(bench: Bench, task: Task) -> None:
 
 
 def clear(bench: Bench, task: Task) -> None:
-    """Stop a task, release its resources and remove it."""
+    """Stop a task without a warning, release its resources and remove it."""
     if task.state is TaskState.RUNNING:
         _halt(bench, task)
     _unreserve(bench, task)

@@ -45,9 +45,9 @@ class Countdown:
     expired_ns: int | None = None
 
     def settle(self, bench: Bench, task: Task, now_ns: int) -> None:
-        """Expire the watchdog if its timeout has passed, at its own time.
+        """Expire the watchdog at its own time, if its timeout has passed; its lines take their safe levels.
 
-        The time does not depend on when calls come.
+        The recorded time does not depend on when calls come. A pulse on a watched line is cut.
         """
         if self.expired_ns is not None or self.begin_ns is None or self.timeout_s == NEVER:
             return
@@ -76,14 +76,14 @@ class Watchdog:
         """Do nothing: the timeout was checked when it was set."""
 
     def resources(self, bench: Bench, task: Task) -> tuple[str, ...]:
-        """Name the resource that the task needs: the one watchdog timer of its board."""
+        """Return the resource that the task needs: the one watchdog timer of its board."""
         return (resource(task.device.serial_number, "watchdog"),)
 
     def commit(self, bench: Bench, task: Task) -> None:
         """Do nothing: no line is driven before the timer expires."""
 
     def start(self, bench: Bench, task: Task, now_ns: int) -> None:
-        """Arm the timer with the configured timeout."""
+        """Start the countdown with the configured timeout."""
         task.n_starts += 1
         task.run = Countdown(begin_ns=now_ns, timeout_s=task.settings["Watchdog.Timeout"])
 
@@ -91,17 +91,20 @@ class Watchdog:
         """Do nothing: a watchdog waits for no trigger."""
 
     def stop(self, bench: Bench, task: Task, now_ns: int, cause: str) -> None:
-        """Disarm the timer; an expired one stays expired until it is cleared."""
+        """End the countdown; an expired watchdog stays expired until it is cleared."""
         if task.run is not None and task.run.expired_ns is None:
             task.run = None
 
     def done_ns(self, bench: Bench, task: Task) -> int | None:
-        """Return None: a watchdog is never done."""
+        """Return None, because a watchdog is never done."""
         return None
 
 
 def create_watchdog(bench: Bench, client: str, arguments: Arguments) -> Answer:
-    """Answer `DAQmxCreateWatchdogTimerTaskEx`; raise Status for a board without a watchdog."""
+    """Answer `DAQmxCreateWatchdogTimerTaskEx` with the handle of a new watchdog task.
+
+    Raise Status for an unknown board, one without a watchdog, or a timeout outside its limits (-1: never).
+    """
     device = bench.devices.find(arguments["device_name"])
     if not device.kind.watchdog:
         raise Status(statuses.WATCHDOG_NOT_SUPPORTED, f"Device: {device.name} ({device.kind.product})")
@@ -119,7 +122,7 @@ def create_watchdog(bench: Bench, client: str, arguments: Arguments) -> Answer:
 
 
 def _require_watchdog(task: Task) -> None:
-    """Check that the task is a watchdog; raise Status if it is not."""
+    """Raise Status if the task is no watchdog."""
     if task.kind != "watchdog":
         raise Status(statuses.NOT_A_WATCHDOG_TASK, task=task.name)
 
@@ -127,7 +130,8 @@ def _require_watchdog(task: Task) -> None:
 def configure_expiration(bench: Bench, task: Task, arguments: Arguments) -> None:
     """Answer `DAQmxCfgWatchdogDOExpirStates`: set the level that each line takes on expiration.
 
-    A counter is watched by the line of its terminal.
+    A counter is watched by the line of its terminal. Raise Status for unknown lines, lines of another board
+    or unknown states, or while the watchdog runs.
     """
     _require_watchdog(task)
     tasks.changed(task)
@@ -146,7 +150,10 @@ def configure_expiration(bench: Bench, task: Task, arguments: Arguments) -> None
 
 
 def control_watchdog(bench: Bench, task: Task, arguments: Arguments) -> None:
-    """Answer `DAQmxControlWatchdogTask`: reset the timer or clear an expiration."""
+    """Answer `DAQmxControlWatchdogTask`: reset the timer or clear an expiration.
+
+    Raise Status if it was not started, for an unknown action, or for a reset after the expiration.
+    """
     _require_watchdog(task)
     now_ns = bench.settle()
     run: Countdown | None = task.run

@@ -72,12 +72,15 @@ class NiscopeBrain:
     # What a test or the control channel asks for
 
     def has(self, serial_number: int) -> bool:
-        """Check whether a board with this serial number is described, plugged in or not."""
+        """Return whether a board with this serial number is described, plugged in or not."""
         known = {board.serial_number for board in self._boards.values()}
         return serial_number in known | set(self._unplugged)
 
     def unplug(self, serial_number: int) -> None:
-        """Remove a board: its sessions stay open, but their calls fail."""
+        """Remove a board: its sessions stay open, but their calls fail.
+
+        Do nothing if it is not plugged in.
+        """
         with self._changed:
             for name, board in tuple(self._boards.items()):
                 if board.serial_number == serial_number:
@@ -85,7 +88,10 @@ class NiscopeBrain:
             self._changed.notify_all()
 
     def plug(self, serial_number: int, name: str = "") -> None:
-        """Plug a removed board in again, under another name if one is given."""
+        """Plug a removed board in again, under another name if one is given.
+
+        Raise KeyError if it was not removed.
+        """
         with self._changed:
             board = self._unplugged.pop(serial_number)
             board = dataclasses.replace(board, name=name or board.name)
@@ -97,23 +103,23 @@ class NiscopeBrain:
             return frozenset(self._boards)
 
     def occupy(self, resource: str, owner: str) -> None:
-        """Reserve a board for another process, whose owner then blocks new sessions."""
+        """Reserve a board for another process; new sessions on it fail, open ones continue."""
         with self._changed:
             self._foreign_owners[resource] = owner
 
     def vacate(self, owner: str) -> None:
-        """Release all boards that another process has reserved."""
+        """Release all boards that `occupy` has reserved for another process."""
         with self._changed:
             owners = self._foreign_owners.items()
             self._foreign_owners = {name: other for name, other in owners if other != owner}
 
     def open_sessions(self) -> list[tuple[str, str]]:
-        """List client and resource of each open session."""
+        """Return client and resource name of each open session, in the order of opening."""
         with self._changed:
             return [(session.client, session.board.name) for session in self._sessions.values()]
 
     def client_gone(self, client: str) -> list[str]:
-        """Close a dead client's sessions, as the driver does; return their resources."""
+        """Close the sessions of a client that has died, as the driver does; return their resource names."""
         with self._changed:
             left = [session for session in self._sessions.values() if session.client == client]
             for session in left:
@@ -155,7 +161,10 @@ class NiscopeBrain:
             raise
 
     def _open(self, client: str, resource: str) -> Answer:
-        """Open a session on a board; raise ScopeStatus if it is unknown or owned by another client."""
+        """Open a session on a board and answer with its handle.
+
+        Raise ScopeStatus if the board is unknown, or open in another session or process.
+        """
         with self._changed:
             board = self._boards.get(resource)
             if board is None:
@@ -170,7 +179,7 @@ class NiscopeBrain:
             return {"vi": handle}
 
     def _close(self, session: Session, _: Arguments) -> None:
-        """Close a session, which ends its acquisition."""
+        """Close a session; its acquisition ends, and a fetch that waits fails."""
         with self._changed:
             del self._sessions[session.handle]
             self._changed.notify_all()
@@ -179,12 +188,12 @@ class NiscopeBrain:
         """Accept a lock without effect, because it concerns the caller's own threads."""
 
     def _commit(self, session: Session, _: Arguments) -> None:
-        """Commit the settings of a session; raise ScopeStatus while it acquires or without its board."""
+        """Check that the session can commit; raise ScopeStatus while it acquires, or without its board."""
         require_idle(session)
         self._require_present(session)
 
     def _restore_defaults(self, session: Session, _: Arguments) -> None:
-        """Reset all settings of a session and abort its acquisition."""
+        """Reset all settings of a session and abort its acquisition; raise ScopeStatus without its board."""
         self._require_present(session)
         fresh = Session(
             handle=session.handle,
@@ -200,7 +209,7 @@ class NiscopeBrain:
     # Acquisition
 
     def _initiate(self, session: Session, _: Arguments) -> None:
-        """Start an acquisition; raise ScopeStatus if no channel is enabled."""
+        """Start an acquisition; raise ScopeStatus if one runs, no channel is enabled or the board is gone."""
         require_idle(session)
         self._require_present(session)
         if not any(channel.enabled for channel in session.channels.values()):
@@ -208,21 +217,29 @@ class NiscopeBrain:
         session.acquisition = self._pulsers.begin(session, self._monotonic_s())
 
     def _abort(self, session: Session, _: Arguments) -> None:
-        """Abort the acquisition of a session, if there is one."""
+        """Abort the acquisition of a session, if there is one.
+
+        Then raise ScopeStatus if its board is gone.
+        """
         with self._changed:
             session.acquisition = None
             self._changed.notify_all()
         self._require_present(session)
 
     def _waveform_count(self, session: Session, arguments: Arguments) -> Answer:
-        """Count the waveforms that a fetch would return: records times channels."""
+        """Answer with the number of waveforms that a fetch would return: remaining records times channels."""
         requested = session.fetch[FETCH_RECORDS]
         left = max(session.records - session.fetch[FETCH_RECORD], 0)
         records = left if requested < 0 else min(requested, left)
         return {"num_wfms": records * len(channels_of(session, arguments))}
 
     def _fetch(self, session: Session, arguments: Arguments) -> Answer:
-        """Wait for the records and return them, one channel after the other within a record."""
+        """Wait for the records and answer with their codes, record by record, one channel after the other.
+
+        ``waveform`` has ``num_samples`` codes per waveform, a shorter record is filled with 0. ScopeStatus is
+        raised at the timeout, without an acquisition, for a disabled channel or fetch settings that the
+        double lacks; a code at an end of the range gives the overload warning with the data.
+        """
         running = session.acquisition
         if running is None:
             raise ScopeStatus(statuses.SCOPE_INITIATE_NOT_CALLED)
@@ -253,7 +270,11 @@ class NiscopeBrain:
         return answer
 
     def _wait_until_done(self, session: Session, running: Acquisition, timeout_s: float) -> None:
-        """Wait until an acquisition is done; raise the status of a timeout or an abort."""
+        """Wait until an acquisition is complete; a negative ``timeout_s`` waits without limit.
+
+        Raise ScopeStatus at the timeout, or if the acquisition is aborted, the session closed or the board
+        removed.
+        """
         deadline_s = math.inf if timeout_s < 0.0 else self._monotonic_s() + timeout_s
         with self._changed:
             while True:
@@ -272,25 +293,28 @@ class NiscopeBrain:
     # Calibration
 
     def _calibration_date(self, session: Session, arguments: Arguments) -> Answer:
-        """Return the date of the board's external or self-calibration."""
+        """Answer with year, month and day of the board's external or self-calibration."""
         day = datetime.date.fromisoformat(session.board.calibration_date)
         if arguments["which_one"] == SELF_CALIBRATION:
             day = self._self_calibrated.get(session.board.serial_number, day)
         return {"year": day.year, "month": day.month, "day": day.day}
 
     def _calibration_temperature(self, session: Session, _: Arguments) -> Answer:
-        """Return the temperature of the board at its calibration in degrees Celsius."""
+        """Answer with the temperature of the board at its calibration, °C."""
         return {"temperature": session.board.calibration_temperature_c}
 
     def _self_calibrate(self, session: Session, _: Arguments) -> None:
-        """Record today as the date of the board's self-calibration."""
+        """Record today (UTC) as the date of the board's self-calibration.
+
+        Raise ScopeStatus while it acquires.
+        """
         require_idle(session)
         self._require_present(session)
         today = datetime.datetime.now(tz=datetime.UTC).date()
         self._self_calibrated[session.board.serial_number] = today
 
     def _require_present(self, session: Session) -> None:
-        """Check that the session's board is plugged in; raise ScopeStatus if not."""
+        """Raise ScopeStatus if the session's board is not plugged in."""
         if session.board not in self._boards.values():
             raise ScopeStatus(
                 statuses.SCOPE_HARDWARE_FAILURE, f"{session.board.name} is not in the system any more"

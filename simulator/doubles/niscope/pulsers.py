@@ -64,7 +64,10 @@ class Pulsers:
         self._next_echo = next_echo
 
     def begin(self, session: Session, now_s: float) -> Acquisition:
-        """Start an acquisition; its records follow the next firings, if these trigger the board."""
+        """Start an acquisition at a monotonic time in s; its records follow the next firings of the pulser.
+
+        Without a probe that triggers the board it is never done (infinite times).
+        """
         shape = RecordShape(
             sample_rate_hz=session.rate_hz,
             samples=session.samples,
@@ -99,7 +102,15 @@ class Pulsers:
     def waveform(
         self, session: Session, running: Acquisition, record: int, channel: tuple[str, Channel], wanted: int
     ) -> FetchedWaveform:
-        """Return up to `wanted` samples of one record of a channel."""
+        """Return one record of a channel, at most ``wanted`` samples, as padded codes with their scaling.
+
+        Parameters
+        ----------
+        record
+            Index of the record in the acquisition.
+        channel
+            Name and settings.
+        """
         name, settings = channel
         calibration = session.board.calibration(0.5 * settings.range_pp_v, settings.offset_v)
         codes = self._codes(running, name, calibration)[record, :wanted]
@@ -124,7 +135,10 @@ class Pulsers:
         )
 
     def _codes(self, running: Acquisition, channel: str, calibration: Calibration) -> NDArray[np.int32]:
-        """Return the codes of all records of a channel; one without a probe is a grounded input."""
+        """Return the unpadded codes of all records of a channel, shape (records, samples).
+
+        They are simulated once per acquisition. A channel without a probe is a grounded input.
+        """
         probe = self._probes[running.position]
         if probe.channel != channel:
             quiet = quantise_volts(np.zeros((running.shape.records, running.shape.samples)), calibration)

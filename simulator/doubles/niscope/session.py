@@ -84,13 +84,16 @@ _CHANNEL_VALUES: Mapping[int, str] = {
 
 
 def require_idle(session: Session) -> None:
-    """Check that no acquisition runs in the session; raise ScopeStatus if one does."""
+    """Raise ScopeStatus if an acquisition runs in the session."""
     if session.acquisition is not None:
         raise ScopeStatus(statuses.SCOPE_ACQUISITION_IN_PROGRESS)
 
 
 def get_attribute(session: Session, arguments: Arguments) -> Answer:
-    """Answer with the value of an attribute; raise ScopeStatus if the channels differ in it."""
+    """Answer with the value of an attribute of session or channels.
+
+    Raise ScopeStatus if the channels differ in it, or the double does not have it.
+    """
     number = arguments["attribute_id"]
     if number in _SESSION_VALUES:
         return {"value": _SESSION_VALUES[number](session)}
@@ -107,7 +110,8 @@ def get_attribute(session: Session, arguments: Arguments) -> Answer:
 def set_attribute(session: Session, arguments: Arguments) -> None:
     """Set an attribute of the session or its channels.
 
-    Fetch attributes can be set while an acquisition runs; for others raise ScopeStatus.
+    Fetch attributes can be set while an acquisition runs; others raise ScopeStatus then, as does one that the
+    double does not have or that is read-only.
     """
     number, value = arguments["attribute_id"], arguments["value"]
     if number in session.fetch:
@@ -123,7 +127,10 @@ def set_attribute(session: Session, arguments: Arguments) -> None:
 
 
 def channels_of(session: Session, arguments: Arguments) -> list[tuple[str, Channel]]:
-    """Return the channels in a list by name, all for an empty one; raise ScopeStatus if unknown."""
+    """Return the channels of a comma-separated list by name, all for an empty one.
+
+    Raise ScopeStatus if one is unknown.
+    """
     wanted = [name.strip() for name in arguments["channel_list"].split(",") if name.strip()]
     for name in wanted:
         if name not in session.channels:
@@ -132,7 +139,10 @@ def channels_of(session: Session, arguments: Arguments) -> list[tuple[str, Chann
 
 
 def channel_names(session: Session, arguments: Arguments) -> Answer:
-    """Answer with the names of channels by their indices; raise ScopeStatus for a wrong index."""
+    """Answer with the comma-separated names of channels by their indices.
+
+    Raise ScopeStatus for a wrong index.
+    """
     names = list(session.channels)
     try:
         return {"names": ",".join(names[int(index)] for index in arguments["indices"].split(","))}
@@ -141,7 +151,10 @@ def channel_names(session: Session, arguments: Arguments) -> Answer:
 
 
 def configure_vertical(session: Session, arguments: Arguments) -> None:
-    """Set range (coerced up) and offset of channels; raise ScopeStatus for too large a range."""
+    """Set range (peak to peak, coerced up), offset in V and enabling of channels.
+
+    Raise ScopeStatus for too large a range, or while an acquisition runs.
+    """
     require_idle(session)
     range_v = session.board.next_range_v(0.5 * arguments["range"])
     if range_v is None:
@@ -153,7 +166,10 @@ def configure_vertical(session: Session, arguments: Arguments) -> None:
 
 
 def configure_input(session: Session, arguments: Arguments) -> None:
-    """Set the input impedance of channels, 50 ohm or 1 Mohm; raise ScopeStatus for others."""
+    """Set the input impedance of channels, 50 ohm or 1 Mohm.
+
+    Raise ScopeStatus for others, or while an acquisition runs.
+    """
     require_idle(session)
     if arguments["input_impedance"] not in (50.0, 1e6):
         raise ScopeStatus(statuses.SCOPE_INVALID_VALUE, f"input impedance {arguments['input_impedance']} ohm")
@@ -162,7 +178,10 @@ def configure_input(session: Session, arguments: Arguments) -> None:
 
 
 def configure_horizontal_timing(session: Session, arguments: Arguments) -> None:
-    """Set rate (coerced up), length and number of records; raise ScopeStatus for invalid ones."""
+    """Set sample rate (coerced up), length and number of records.
+
+    Raise ScopeStatus for invalid ones, too many samples for the memory, or while an acquisition runs.
+    """
     require_idle(session)
     rate_hz = session.board.next_rate_hz(arguments["min_sample_rate"])
     samples, records = arguments["min_num_pts"], arguments["num_records"]
@@ -174,7 +193,10 @@ def configure_horizontal_timing(session: Session, arguments: Arguments) -> None:
 
 
 def configure_trigger(session: Session, arguments: Arguments) -> None:
-    """Set an analog or digital edge as the reference trigger of the session."""
+    """Set an analog or digital edge as the reference trigger: source, delay in s and, if given, level in V.
+
+    The source is not checked. Raise ScopeStatus while an acquisition runs.
+    """
     require_idle(session)
     session.trigger_source = arguments["trigger_source"]
     session.trigger_delay_s = arguments["delay"]

@@ -30,12 +30,15 @@ class AimTtiSupply(Supply):
         self._events = 0
 
     def trip(self, protection: str = "CURR") -> None:
-        """Trip a protection and set its bit in the limit event register."""
+        """Trip the VOLT or CURR protection, and set its bit in the limit event register."""
         super().trip(protection)
         self._events |= {"VOLT": 4, "CURR": 8}[protection]
 
     def _answer(self, question: str) -> str | None:
-        """Return the answer to a query; None if the query is unknown."""
+        """Return the answer to a query in Aim-TTi's syntax.
+
+        None if it is unknown. Reading LSR1 clears its trip bits.
+        """
         if question == "*IDN?":
             return self.identity
         if question == "EER?":
@@ -56,7 +59,15 @@ class AimTtiSupply(Supply):
         return None
 
     def _obey(self, header: str, argument: str) -> str | None:
-        """Execute a command; return its error, None if there is none."""
+        """Execute a command in Aim-TTi's syntax.
+
+        Return its execution error, None if there is none or it is unknown.
+
+        Raises
+        ------
+        ValueError
+            The level of a protection is no number.
+        """
         if header in {"V1", "I1"}:
             return self._set_level(QUANTITY[header[0]], argument)
         if header in {"OVP1", "OCP1"}:
@@ -80,7 +91,10 @@ class KoradSupply(Supply):
     )
 
     def answer(self, command: str) -> str | None:
-        """Execute one command in Korad's syntax; return the response to a query, else None."""
+        """Execute one command in Korad's syntax; return the response to a query, else None.
+
+        Invalid values are ignored without an error, as the instrument does.
+        """
         if command == "*IDN?":
             return self.identity
         if command == "STATUS?":
@@ -110,7 +124,10 @@ class RigolSupply(Supply):
         self._guarded = {"VOLT": False, "CURR": False}
 
     def answer(self, command: str) -> str | None:
-        """Execute one SCPI command; return the response to a query, else None."""
+        """Execute one SCPI command; return the response to a query, else None.
+
+        Errors enter the error queue.
+        """
         header, _, argument = command.upper().partition(" ")
         if not header.endswith("?"):
             error = self._obey(header, argument)
@@ -122,7 +139,7 @@ class RigolSupply(Supply):
         return response
 
     def _answer_question(self, question: str, channel: str) -> str | None:
-        """Return the answer to a query about a channel; None if the query is unknown."""
+        """Return the answer to a query about channel CH1; None if query or channel is unknown."""
         if question == "*IDN?":
             return self.identity
         if question == ":SYST:ERR?":
@@ -145,7 +162,7 @@ class RigolSupply(Supply):
         return None
 
     def _obey(self, header: str, argument: str) -> str | None:
-        """Execute a command; return its error, None if there is none."""
+        """Execute a command for channel CH1; return its SCPI error, None if there is none."""
         if found := re.fullmatch(r":SOUR1:(VOLT|CURR)", header):
             return self._set_level(found[1], argument)
         channel, _, value = argument.partition(",")

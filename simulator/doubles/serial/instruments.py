@@ -43,7 +43,10 @@ class ClimateProbe:
         self._seconds, self._start_s = seconds, seconds()
 
     def answer(self, command: str) -> str | None:
-        """Answer queries of identity, temperature and humidity; None for any other command."""
+        """Answer queries of identity, temperature (°C) and relative humidity (%); None for any other command.
+
+        The swing has a period of one day from the start of the double.
+        """
         phase = 2.0 * math.pi * (self._seconds() - self._start_s) / 86_400.0
         match command.upper():
             case "*IDN?":
@@ -91,7 +94,10 @@ class SerialInstruments:
         self.close()
 
     def brown_out(self) -> None:
-        """Interrupt mains and USB of the supply for a moment; its output and settings are lost."""
+        """Unplug the supply, restore its power-on state and plug it in again.
+
+        Output and settings are lost.
+        """
         self.supply_link.unplug()
         self.supply_link.do(self.supply.brown_out)
         self.supply_link.plug()
@@ -107,19 +113,21 @@ class SerialInstruments:
 
 
 def carry_out(instruments: SerialInstruments, order: Mapping[str, Any]) -> dict[str, Any]:
-    """Execute the command of one JSON line from standard input.
+    """Execute the command of one JSON line from standard input; return its results, mostly none.
 
     ``{"do": "unplug" | "plug" | "clear_faults", "instrument": "supply" | "climate"}``;
     ``{"do": "inject", "instrument": ..., "silent": true, "slow_s": 0.5, "hold": 1, "garbage": 1}``;
     ``{"do": "identity", "instrument": ..., "name": "OTHER,..."}``; ``{"do": "brown_out"}``;
     ``{"do": "trip", "protection": "CURR" | "VOLT"}``; ``{"do": "output_key", "on": false}``;
     ``{"do": "resistance", "resistance_ohm": 4.0}`` (a short circuit); ``{"do": "record"}`` returns the
-    output's changes and the commands heard by both.
+    output's changes and the commands received by both.
 
     Raises
     ------
     SimulatorError
-        There is no such order.
+        There is no such command, instrument or fault.
+    KeyError, ValueError
+        An argument is missing, or invalid.
     """
     supply = instruments.supply
     name = order.get("instrument", "supply")
@@ -193,7 +201,10 @@ def main() -> int:
 
 
 def _answer_line(instruments: SerialInstruments, line: str) -> dict[str, Any]:
-    """Execute the JSON command in a line; return its result, or an error if it is rejected."""
+    """Execute the JSON command in a line.
+
+    Return its result as an event ``done``, or its error as ``refused``.
+    """
     try:
         order = json.loads(line)
         if not isinstance(order, dict):

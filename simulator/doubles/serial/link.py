@@ -55,7 +55,10 @@ class Framing:
     reply_end: bytes = b"\n"
 
     def split(self, received: bytes) -> tuple[list[bytes], bytes]:
-        """Split received bytes into complete commands and the start of the next one."""
+        """Split received bytes into the complete commands, in order, and the start of the next one.
+
+        With a pattern, bytes between two matches are dropped.
+        """
         if self.commands is None:
             *lines, rest = received.split(b"\n")
             return lines, rest
@@ -138,13 +141,16 @@ class SerialLink:
 
     @property
     def port(self) -> str:
-        """Return the port for a line's parameters."""
+        """Return the path of the port, as the configuration of a line takes it."""
         return str(self.path)
 
     # Orders, carried out by the owning thread ------------------------------------------------------
 
     def plug(self) -> None:
-        """Open a terminal behind the link's path; do nothing if it is plugged in."""
+        """Open a terminal behind the link's path and wait until it is there.
+
+        Do nothing if it is plugged in.
+        """
         self._order(self._plug)
 
     def unplug(self) -> None:
@@ -152,24 +158,30 @@ class SerialLink:
         self._order(self._unplug)
 
     def inject(self, **faults: Any) -> None:
-        """Set some of the `LineFaults`; the others stay."""
+        """Set some of the `LineFaults`; the others stay; raise TypeError for an unknown one."""
         changed = replace(self._faults, **faults)
         self._order(lambda: self._set_faults(changed))
 
     def clear_faults(self) -> None:
-        """Clear all faults of the line; delayed responses are lost."""
+        """Clear all faults of the line; responses that are delayed or held back are lost."""
         self._order(lambda: self._set_faults(LineFaults()))
 
     def chatter(self, text: bytes) -> None:
-        """Send text to the client that it did not request."""
+        """Send bytes that the client did not request."""
         self._order(lambda: self._transmit(text))
 
     def do(self, work: Callable[[], T]) -> T:
-        """Run a function on the link's thread, between two commands; return its result."""
+        """Run a function on the link's thread, between two commands; return its result or raise its error.
+
+        Raises
+        ------
+        TimeoutError
+            It takes longer than `ORDER_TIMEOUT_S`.
+        """
         return self._order(work)
 
     def heard(self) -> list[tuple[int, str]]:
-        """Return every command received, with its monotonic time in ns."""
+        """Return every command received, in order, with its monotonic time in ns."""
         return self._order(lambda: list(self._heard))
 
     def close(self) -> None:
@@ -183,7 +195,15 @@ class SerialLink:
         os.close(self._wake_write)
 
     def _order(self, work: Callable[[], T]) -> T:
-        """Run a function on the link's thread; return its result or raise its error."""
+        """Run a function on the link's thread and wait; return its result or raise its error.
+
+        On that thread itself it is called at once.
+
+        Raises
+        ------
+        TimeoutError
+            It takes longer than `ORDER_TIMEOUT_S`.
+        """
         if threading.current_thread() is self._thread:  # the instrument itself pulls the plug
             return work()
         future: Future[T] = Future()
@@ -202,7 +222,7 @@ class SerialLink:
     # The owning thread -----------------------------------------------------------------------------
 
     def _run(self) -> None:
-        """Serve the link's clients and due responses until it is closed."""
+        """Serve the link's client, due responses and functions of other threads until the link is closed."""
         while not self._ended:
             watched = [self._wake_read, *(self._terminal or ())[:1]]
             watched += [] if self._listener is None else [self._listener.fileno()]
@@ -220,7 +240,10 @@ class SerialLink:
                 self._orders.popleft()()
 
     def _hear(self) -> None:
-        """Read received bytes and answer each complete command."""
+        """Read received bytes and answer each complete command.
+
+        Hang up if the client has closed the socket.
+        """
         assert self._terminal is not None, "only heard while plugged in"
         try:
             data = os.read(self._terminal[0], 4096)
@@ -245,7 +268,7 @@ class SerialLink:
                 self.withheld()
 
     def _reply(self, answer: bytes) -> None:
-        """Send an answer, delayed, dropped or garbled by injected faults."""
+        """Send an answer, or drop, replace, hold back or delay it by injected faults."""
         faults = self._faults
         if faults.silent:
             self.withheld()
@@ -265,7 +288,7 @@ class SerialLink:
                 self.withheld()
 
     def _transmit(self, text: bytes) -> None:
-        """Send bytes to the client, if one is connected."""
+        """Send bytes to the client at once, if one is connected; hang up if it has closed."""
         if self._terminal is not None:
             try:
                 os.write(self._terminal[0], text)
@@ -273,14 +296,14 @@ class SerialLink:
                 self._hang_up()
 
     def _set_faults(self, faults: LineFaults) -> None:
-        """Set the faults of the line; if there are none, drop the responses held back."""
+        """Set the faults of the line; if there are none, drop the responses delayed or held back."""
         self._faults = faults
         if faults == LineFaults():
             self._held.clear()
             self._due.clear()
 
     def _plug(self) -> None:
-        """Open a pseudo terminal and link the path to it."""
+        """Open a pseudo terminal and let the link's path point to it; do nothing if one is open."""
         if self._terminal is not None:
             return
         import tty  # not on Windows
@@ -293,14 +316,14 @@ class SerialLink:
         fresh.replace(self.path)
 
     def _unplug(self) -> None:
-        """Remove the device and hang up."""
+        """Remove the path and close the terminal; do nothing if none is open."""
         if self._terminal is None:
             return
         self.path.unlink(missing_ok=True)
         self._hang_up()
 
     def _hang_up(self) -> None:
-        """Close the connection to the client and drop its pending responses."""
+        """Close the connection to the client; drop its pending responses and incomplete command."""
         for end in self._terminal or ():
             with contextlib.suppress(OSError):
                 os.close(end)
@@ -324,16 +347,16 @@ class SocketLink(SerialLink):
 
     @property
     def port(self) -> str:
-        """Return the port for a line's parameters."""
+        """Return the port ``tcp:<host>:<number>``, as the configuration of a line takes it."""
         return f"tcp:127.0.0.1:{self._number}"
 
     @property
     def visa_port(self) -> str:
-        """Return the same as a VISA resource."""
+        """Return the port as a VISA resource, ``visa:TCPIP0::<host>::<number>::SOCKET``."""
         return f"visa:TCPIP0::127.0.0.1::{self._number}::SOCKET"
 
     def _plug(self) -> None:
-        """Listen for TCP connections, on the same port as before."""
+        """Listen for TCP connections, on the same port as before; do nothing if it listens."""
         if self._listener is None:
             self._listener = socket.create_server(("127.0.0.1", self._number))
             self._number = self._listener.getsockname()[1]

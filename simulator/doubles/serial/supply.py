@@ -40,7 +40,13 @@ class Cell:
     rise_per_h: float = 1e-3
 
     def operating_point(self, set_v: float, limit_a: float, hours_h: float) -> tuple[float, float]:
-        """Return voltage and current at this load, in constant voltage or in current limit."""
+        """Return voltage in V and current in A at this load, in constant voltage or in current limit.
+
+        Parameters
+        ----------
+        hours_h
+            Time since the start of the test, which raises the resistance.
+        """
         resistance_ohm = self.resistance_ohm * (1.0 + self.rise_per_h * hours_h)
         current_a = max(0.0, (set_v - self.counter_voltage_v) / resistance_ohm)
         if current_a <= limit_a:
@@ -112,16 +118,22 @@ class Supply:
         self._power_on_state()
 
     def trip(self, protection: str = "CURR") -> None:
-        """Trip the over-voltage (VOLT) or over-current (CURR) protection, which switches off."""
+        """Trip the over-voltage (VOLT) or over-current (CURR) protection, which switches the output off.
+
+        The output stays off until the protection is cleared.
+        """
         self._tripped[protection] = True
         self._switch(False, f"protection {protection}")
 
     def press_output_key(self, on: bool) -> None:
-        """Switch the output at the front panel, without a command."""
+        """Switch the output at the front panel, without a command.
+
+        A tripped protection does not prevent it.
+        """
         self._switch(on, "front panel")
 
     def _switch(self, on: bool, cause: str) -> None:
-        """Switch the output on or off and record a change with its cause."""
+        """Switch the output on or off, and record a change of state with time and cause."""
         if on != self._on:
             self._on = on
             self.output.append(OutputChange(mono_ns=time.monotonic_ns(), on=on, cause=cause))
@@ -129,7 +141,10 @@ class Supply:
     # Commands ------------------------------------------------------------------------------------
 
     def answer(self, command: str) -> str | None:
-        """Execute one SCPI command; return the response to a query, else None."""
+        """Execute one SCPI command; return the response to a query, else None.
+
+        Errors enter the error queue.
+        """
         header, _, argument = command.upper().partition(" ")
         if header.endswith("?"):
             return self._answer(header)
@@ -139,7 +154,7 @@ class Supply:
         return None
 
     def _answer(self, question: str) -> str | None:
-        """Return the answer to a query; None if the query is unknown."""
+        """Return the answer to an SCPI query; None, with an error in the queue, if it is unknown."""
         match question:
             case "*IDN?":
                 return self.identity
@@ -161,7 +176,13 @@ class Supply:
         return None  # an instrument does not answer what it does not know
 
     def _obey(self, header: str, argument: str) -> str | None:
-        """Execute a command; return its error, None if there is none."""
+        """Execute an SCPI command; return its error, None if there is none.
+
+        Raises
+        ------
+        ValueError
+            The level of a protection is no number.
+        """
         match header, argument:
             case "OUTP", "ON" | "1":
                 if any(self._tripped.values()):
@@ -184,7 +205,10 @@ class Supply:
         return None
 
     def _set_level(self, header: str, number: str) -> str | None:
-        """Set voltage or current; return the SCPI error of an invalid value, else None."""
+        """Set voltage (VOLT, V) or current (CURR, A).
+
+        Return the SCPI error of an invalid value, else None.
+        """
         try:
             value = float(number)
         except ValueError:
@@ -198,7 +222,10 @@ class Supply:
         return None
 
     def _protect(self, quantity: str, value: float) -> str | None:
-        """Set the level of a protection; return an SCPI error if it is below the setpoint."""
+        """Set the level of a protection, V or A.
+
+        Return an SCPI error if it is below the setpoint, else None.
+        """
         if value < self._set[quantity]:
             return CONFLICT
         if self.obeys_set_commands:
@@ -213,6 +240,6 @@ class Supply:
         return self.cell.operating_point(self._set["VOLT"], self._set["CURR"], hours_h)
 
     def _scatter(self, unit: str) -> float:
-        """Draw the noise of the next reading in a unit."""
+        """Draw the normal noise of the next reading, V or A, by seed and number of the reading."""
         self._readings += 1
         return float(np.random.default_rng([self._seed, self._readings]).normal(0.0, self._noise[unit]))

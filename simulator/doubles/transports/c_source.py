@@ -18,21 +18,24 @@ from simulator.doubles.vendor_api.entry_points import (
 
 
 def library_source(library: str) -> str:
-    """Generate the C source of one shared library: the common part and a function per entry."""
+    """Generate the C source of one shared library: the common part and a function for each entry point."""
     shared = files("simulator.doubles.transports").joinpath("transport.c").read_text(encoding="utf-8")
     functions = [_function(entry) for entry in ENTRY_POINTS.values() if entry.library == library]
     return "\n".join([shared, _attribute_kinds(), *functions])
 
 
 def _attribute_kinds() -> str:
-    """Generate the C function that returns the type of each attribute."""
+    """Generate the C function that maps an attribute's number to the type of its value."""
     cases = [f"    case {entry.number}: return {_kind(entry)};" for entry in ATTRIBUTES.values()]
     head = "static int attribute_kind(int32_t attribute) {\n    switch (attribute) {"
     return "\n".join([head, *cases, "    default: return KIND_UNKNOWN;", "    }", "}", ""])
 
 
 def _kind(attribute: Attribute) -> str:
-    """Return the C constant for an attribute's type."""
+    """Return the C expression for an attribute's type.
+
+    It is a constant, or the width of a number in bytes, negative for arrays.
+    """
     if attribute.c_type == "char":
         return "KIND_TEXT"
     width = struct.calcsize(PACKED[attribute.c_type])
@@ -42,7 +45,7 @@ def _kind(attribute: Attribute) -> str:
 
 
 def _function(entry: EntryPoint) -> str:
-    """Generate the C function of an entry point."""
+    """Generate the C function of an entry point: send the inputs, wait for the answer, write the outputs."""
     lines = [f"int32_t {entry.name}({entry.declared}) {{", "struct message message;", "int32_t status;"]
     variadic = entry.tail is not Tail.NONE
     if variadic:

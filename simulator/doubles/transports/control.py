@@ -51,7 +51,17 @@ class DoublesControl:
         self._socket.close()
 
     def _ask(self, command: str, **arguments: Any) -> Any:
-        """Send a command to the doubles and return its result; DoublesProcessError if they are gone."""
+        """Send a command to the double, wait for its answer, and return the result.
+
+        A command with ``timeout_s`` is given that much longer.
+
+        Raises
+        ------
+        DoublesProcessError
+            The double is gone, or does not answer in time.
+        ValueError
+            It rejects the command.
+        """
         # A question that waits is answered only then.
         self._socket.settimeout(self._timeout_s + arguments.get("timeout_s", 0.0))
         try:
@@ -67,27 +77,36 @@ class DoublesControl:
         return answer["ok"]
 
     def announce(self, key: ShotKey, hour_h: float) -> None:
-        """Set set, shot and hour of the next strike at the key's position."""
+        """Set set, shot and hour of the next strike at the key's position.
+
+        Raise ValueError if nothing is wired there.
+        """
         self._ask("announce", key=asdict(key), hour_h=hour_h)
 
     def disturb(self, position: str, crosstalk: Crosstalk) -> None:
-        """Set the crosstalk from the coil at a position into its sensor from now on."""
+        """Set the crosstalk from the coil at a position into its sensor from now on.
+
+        `Crosstalk()` removes it.
+        """
         self._ask("disturb", position=position, crosstalk=asdict(crosstalk))
 
     def inject(self, function: str, kind: str, **how: float | None) -> None:
-        """Request a fault (`faults.Faults.inject`); kind is error, hang, lie or death."""
+        """Request a fault (`faults.Faults.inject`): kind error, hang, lie or death.
+
+        Raise ValueError if it is invalid.
+        """
         self._ask("inject", function=function, kind=kind, **how)
 
     def clear_faults(self) -> None:
-        """Discard every pending fault."""
+        """Discard every pending fault; calls that hang continue to hang."""
         self._ask("clear_faults")
 
     def release_hangs(self) -> None:
-        """Release all calls that hang."""
+        """Release all calls that hang; they are then executed."""
         self._ask("release_hangs")
 
     def wait_until_hanging(self, timeout_s: float) -> bool:
-        """Wait until a call hangs; return False after ``timeout_s``."""
+        """Wait until a call hangs; return False if none does within ``timeout_s``."""
         return bool(self._ask("wait_until_hanging", timeout_s=timeout_s))
 
     def wait_until_no_tasks(self, timeout_s: float) -> bool:
@@ -99,20 +118,26 @@ class DoublesControl:
         return bool(self._ask("wait_until_quiet", timeout_s=timeout_s))
 
     def record(self) -> dict[str, Any]:
-        """Return calls, lines, levels, tasks, reservations, leaks, strikes, boards (`Brain.record`)."""
+        """Return what the double has recorded, in JSON types (`Brain.record`).
+
+        It has calls, lines, levels, tasks, reservations, leaks, strikes and boards.
+        """
         found: dict[str, Any] = self._ask("record")
         return found
 
     def clear_record(self) -> None:
-        """Discard recorded calls, line events and leaks."""
+        """Discard recorded calls, line events and leaks; levels, tasks and strikes stay."""
         self._ask("clear_record")
 
     def unplug(self, serial_number: int) -> None:
-        """Remove a board from the chassis by serial number."""
+        """Remove a board from the chassis by serial number; raise ValueError if there is none."""
         self._ask("unplug", serial_number=serial_number)
 
     def plug(self, serial_number: int, name: str = "") -> None:
-        """Plug a removed board in again, under another name if one is given."""
+        """Plug a removed board in again, under another name if one is given.
+
+        Raise ValueError if there is none.
+        """
         self._ask("plug", serial_number=serial_number, name=name)
 
     def occupy(self, resource: str, owner: str) -> None:
@@ -120,7 +145,7 @@ class DoublesControl:
         self._ask("occupy", resource=resource, owner=owner)
 
     def vacate(self, owner: str) -> None:
-        """Release everything that `occupy` has reserved for the other process."""
+        """Release everything that `occupy` has reserved for this owner."""
         self._ask("vacate", owner=owner)
 
 
@@ -147,12 +172,27 @@ class RunningDoubles:
         cache: Path = DEFAULT_CACHE_FOLDER,
         environment: Mapping[str, str] | None = None,
     ) -> dict[str, str]:
-        """Return the environment of a child process that uses this double; build libraries if needed."""
+        """Return the environment of a child process that uses this double.
+
+        Build missing libraries in ``cache``.
+
+        Parameters
+        ----------
+        libraries
+            `library.SONAMES`; none: ``nidaqmx``.
+        environment
+            Start from this one; None: that of this process.
+
+        Raises
+        ------
+        LibraryBuildError
+            A library cannot be built here.
+        """
         folders = [build_library(library, cache) for library in libraries or ("nidaqmx",)]
         return client_environment(self.wire, *folders, environment=environment)
 
     def kill(self) -> None:
-        """Kill the process at once, as a crash of the driver does."""
+        """Kill the process, as a crash of the driver does, and wait for its end."""
         self.process.kill()
         self.process.wait(EXIT_TIMEOUT_S)
 
@@ -163,10 +203,12 @@ def running_doubles(
 ) -> Iterator[RunningDoubles]:
     """Run ``python -m simulator.doubles`` within the context; wait until it is ready.
 
+    At exit its standard input closes; it is killed if it does not end within `EXIT_TIMEOUT_S`.
+
     Raises
     ------
     DoublesProcessError
-        It ended or said nothing within `timeout_s`.
+        It ended, or was not ready within ``timeout_s``.
     """
     with tempfile.TemporaryDirectory(prefix="solimon-doubles-") as folder:
         file = Path(folder) / "description.json"
@@ -196,7 +238,13 @@ def running_doubles(
 
 
 def _ready(process: subprocess.Popen[bytes], timeout_s: float) -> dict[str, str]:
-    """Read the ready line of a started process; DoublesProcessError if none comes in time."""
+    """Read the ready line of a started process; kill the process after ``timeout_s``.
+
+    Raises
+    ------
+    DoublesProcessError
+        It ended before, or no line came in time.
+    """
     assert process.stdout is not None
     # A pipe has no deadline of its own on every platform; ending the process ends the wait.
     watch = threading.Timer(timeout_s, process.kill)

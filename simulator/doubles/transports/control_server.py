@@ -24,6 +24,8 @@ class ControlServer(LoopbackServer):
 
 
 class _Connection(socketserver.StreamRequestHandler):
+    """Connection of one controlling process."""
+
     server: ControlServer
 
     def handle(self) -> None:
@@ -38,12 +40,12 @@ class _Connection(socketserver.StreamRequestHandler):
 
 
 def obey(brain: Brain, request: Mapping[str, Any]) -> Any:
-    """Execute one control request on the doubles; return the result.
+    """Execute one control request on the doubles; return the result in JSON types, None for most commands.
 
     Raises
     ------
-    ValueError
-        No such command, or arguments that make no sense.
+    ValueError, TypeError, KeyError, Status
+        No such command, or invalid arguments.
     """
     arguments = dict(request)
     command = arguments.pop("command", None)

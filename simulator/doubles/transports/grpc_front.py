@@ -49,7 +49,7 @@ BrainCall = Callable[[str, Mapping[str, Any]], Mapping[str, Any]]
 
 
 def why_unavailable() -> str:
-    """Return the reason why gRPC cannot be served here; empty if it can."""
+    """Return why gRPC cannot be served here, with the command that installs it; empty if it can."""
     missing = [name for name in ("grpc", "nidaqmx", "google.protobuf") if not _is_installed(name)]
     if not missing:
         return ""
@@ -57,7 +57,7 @@ def why_unavailable() -> str:
 
 
 def _is_installed(name: str) -> bool:
-    """Check whether a Python module is installed."""
+    """Return whether a Python module is installed; its parent package is imported for that."""
     try:
         return find_spec(name) is not None
     except ModuleNotFoundError:
@@ -81,9 +81,14 @@ class Sessions:
         self._gate = threading.Lock()
 
     def open(self, name: str, behavior: int, create: Callable[[], int]) -> tuple[str, bool]:
-        """Attach to a session or create its task; return its name and whether it is new.
+        """Attach to a session by name, or create its task; return its name and whether it is new.
 
-        Raise SessionError if ``behavior`` forbids what would be done.
+        An empty name creates a session with a unique name.
+
+        Raises
+        ------
+        SessionError
+            ``behavior`` forbids it: the session to create exists, or that to attach to does not.
         """
         with self._gate:
             if name in self._handles:
@@ -107,7 +112,7 @@ class Sessions:
             return self._handles.get(name, 0)
 
     def forget(self, name: str) -> None:
-        """Remove a session's name, if it is known."""
+        """Remove the name of a session, if it is known; its task is not cleared."""
         with self._gate:
             self._handles.pop(name, None)
 
@@ -123,7 +128,10 @@ def entry_of(method: str) -> EntryPoint | None:
 
 
 def arguments_of(entry: EntryPoint, request: Any, sessions: Sessions) -> dict[str, Any]:
-    """Convert the fields of a gRPC request to the arguments of a call."""
+    """Convert the fields of a gRPC request to the arguments of a call by name.
+
+    A session becomes the handle of its task; text buffers have the size `TEXT_ROOM`.
+    """
     arguments: dict[str, Any] = {}
     for parameter in entry.parameters:
         if not parameter.goes_in:
@@ -149,7 +157,7 @@ def arguments_of(entry: EntryPoint, request: Any, sessions: Sessions) -> dict[st
 
 
 def _is_room(parameter: Parameter, entry: EntryPoint, request: Any) -> bool:
-    """Check whether a parameter is the size of a text buffer, which gRPC requests lack."""
+    """Return whether a parameter is the size of a text buffer that the gRPC request lacks."""
     sizes = {other.size for other in entry.parameters if other.role is Role.OUT_TEXT}
     return parameter.name in sizes and parameter.name not in request.DESCRIPTOR.fields_by_name
 
@@ -165,7 +173,10 @@ def _field(request: Any, name: str) -> Any:
 
 
 def fill_response(entry: EntryPoint, response: Any, values: Mapping[str, Any], status: int) -> None:
-    """Write status and output parameters into the fields of a gRPC response."""
+    """Write status and output parameters into the fields of a gRPC response.
+
+    Missing values are left unset.
+    """
     response.status = status
     fields = response.DESCRIPTOR.fields_by_name
     names = [parameter.name for parameter in entry.parameters if parameter.goes_out]
@@ -182,7 +193,7 @@ def fill_response(entry: EntryPoint, response: Any, values: Mapping[str, Any], s
 
 
 def _assign(response: Any, field: Any, value: Any) -> None:
-    """Set a response's field, converted to the type of the field."""
+    """Set a field of a response, converted to the type of the field; a message field is skipped."""
     if field.type == field.TYPE_MESSAGE:
         return
     if field.is_repeated:
@@ -256,11 +267,14 @@ class GrpcFront:
         self._workers.shutdown(wait=False, cancel_futures=True)
 
     def _answer(self, entry: EntryPoint, response_type: Any) -> Callable[[Any, Any], Any]:
-        """Create the handler of one remote procedure."""
+        """Create the handler of one remote procedure for an entry point and its type of response."""
         opens_session = any(p.goes_out and p.c_type == HANDLE for p in entry.parameters)
 
         def answer(request: Any, context: Any) -> Any:
-            """Execute the call of a request; abort the procedure with the error of driver or session."""
+            """Execute the call of a request and return the response.
+
+            An error of driver or session aborts the procedure; a partial read and a warning are responses.
+            """
             response = response_type()
             try:
                 if opens_session:
@@ -284,7 +298,15 @@ class GrpcFront:
         return answer
 
     def _open_session(self, entry: EntryPoint, request: Any, response: Any) -> None:
-        """Create the task of a session, or attach to the session of that name."""
+        """Create the task of a session, or attach to the session of that name.
+
+        Write its name into the response.
+
+        Raises
+        ------
+        SessionError, Status
+            The session contradicts the request, or the driver refuses the task.
+        """
 
         def create() -> int:
             """Create the task by the driver's call and return its handle."""

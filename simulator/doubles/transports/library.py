@@ -40,7 +40,10 @@ COMPILE_TIMEOUT_S = 120.0
 
 
 def why_unavailable() -> str:
-    """Return the reason why no library can be built on this machine; empty if one can."""
+    """Return why no library can be built or found on this machine, with a remedy; empty if one can.
+
+    It needs Linux, a C compiler, and ``ld`` and ``objdump`` on the PATH.
+    """
     if not sys.platform.startswith("linux"):
         return f"the double of NI's C library runs on Linux only, this is {sys.platform}"
     if _compiler() is None:
@@ -112,12 +115,20 @@ def client_environment(
 
 
 def _compiler() -> str | None:
-    """Find the C compiler (cc, gcc or clang); None if there is none."""
+    """Return the path of the C compiler (cc, gcc or clang, in this order); None if there is none."""
     return next((found for name in ("cc", "gcc", "clang") if (found := shutil.which(name))), None)
 
 
 def _compile(source: str, flags: tuple[str, ...], target: Path) -> None:
-    """Compile a shared library; raise LibraryBuildError with the compiler's message."""
+    """Compile a C source to a shared library with its file name as the soname; the source stays next to it.
+
+    Raises
+    ------
+    LibraryBuildError
+        There is no compiler, or it fails; the message has its output.
+    subprocess.TimeoutExpired
+        It takes longer than `COMPILE_TIMEOUT_S`.
+    """
     compiler = _compiler()
     if compiler is None:
         raise LibraryBuildError(f"cannot build {target.name}: no C compiler found")

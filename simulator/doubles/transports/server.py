@@ -26,7 +26,7 @@ class LoopbackServer(socketserver.ThreadingTCPServer):
 
     @property
     def address(self) -> str:
-        """Return ``host:port``."""
+        """Return the address of the server, ``host:port``."""
         host, port = self.server_address[:2]
         return f"{host!s}:{port}"
 
@@ -40,7 +40,10 @@ class WireServer(LoopbackServer):
         self._lock = threading.Lock()
 
     def join(self, number: int, process: int) -> tuple[int, str]:
-        """Return number and name of a client; register a new client for 0 or an unknown number."""
+        """Return number and name of the client of a process.
+
+        Register a new one for 0 or an unknown number.
+        """
         with self._lock:
             if number not in self._clients:
                 number = max(self._clients, default=0) + 1
@@ -48,7 +51,7 @@ class WireServer(LoopbackServer):
             return number, self._clients[number]
 
     def leave(self, number: int) -> None:
-        """Remove a client process; do nothing if its number is unknown."""
+        """Remove the client of a process, with its tasks; do nothing if its number is unknown."""
         with self._lock:
             client = self._clients.pop(number, None)
         if client is not None:
@@ -56,10 +59,15 @@ class WireServer(LoopbackServer):
 
 
 class _Connection(socketserver.BaseRequestHandler):
+    """Connection of one thread of a client process."""
+
     server: WireServer
 
     def handle(self) -> None:
-        """Serve one library's connection until its peer closes."""
+        """Register the client of a library's connection and answer its calls until the peer closes.
+
+        The client is removed with the first connection of its process. An invalid frame ends the connection.
+        """
         connection: socket.socket = self.request
         connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         try:
@@ -79,7 +87,10 @@ class _Connection(socketserver.BaseRequestHandler):
             log.warning("connection of %s ends: %s", self.client_address, error)
 
     def _serve(self, connection: socket.socket, client: str) -> None:
-        """Answer the calls of a client's connection until it ends."""
+        """Answer the calls of a client's connection until it ends.
+
+        A fault of the double itself is a status, too.
+        """
         while (body := wire.receive_frame(connection)) is not None:
             entry, arguments = wire.decode_call(body)
             status, text, values = 0, "", {}

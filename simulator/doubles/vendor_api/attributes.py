@@ -38,13 +38,13 @@ class Attribute:
     settable: bool
 
     def value(self, number: Role, array: Role, text: Role) -> Parameter:
-        """Return the parameter of the attribute's value, in the role for its type."""
+        """Return the parameter ``value`` of the attribute, in the role of the three that fits its type."""
         role = text if self.c_type == "char" else array if self.is_array else number
         return Parameter("value", role, self.c_type)
 
 
 def _read_table() -> Iterator[Attribute]:
-    """Yield the attributes in ``attributes.csv``."""
+    """Yield the attributes in ``attributes.csv``, in the order of its rows."""
     lines = Path(__file__).with_name("attributes.csv").read_text(encoding="utf-8").splitlines()
     for row in csv.DictReader(lines):
         c_type = row["c_type"].removesuffix("[]")

@@ -81,12 +81,12 @@ class Parameter:
 
     @property
     def goes_out(self) -> bool:
-        """Return whether the parameter is part of the answer."""
+        """Return whether the parameter is an output, part of the answer."""
         return self.role in (Role.OUT, Role.OUT_ARRAY, Role.OUT_TEXT)
 
     @property
     def goes_in(self) -> bool:
-        """Return whether the parameter is part of the call."""
+        """Return whether the parameter is an input, part of the call; a reserved pointer is neither."""
         return not self.goes_out and self.role is not Role.UNUSED
 
 
@@ -110,7 +110,7 @@ class EntryPoint:
 
 
 def _parameter(const: str, c_type: str, pointer: str, name: str, size: str) -> Parameter:
-    """Create a parameter from the parts of its C declaration, which give its role."""
+    """Create a parameter from the parts of its C declaration, which determine its role."""
     role = Role.VALUE
     if c_type == "void":
         role = Role.UNUSED
@@ -122,7 +122,7 @@ def _parameter(const: str, c_type: str, pointer: str, name: str, size: str) -> P
 
 
 def _read_header(library: str) -> Iterator[EntryPoint]:
-    """Yield the entry points that a library's C header declares."""
+    """Yield the entry points that a library's C header declares, in order; other lines are ignored."""
     header = Path(__file__).with_name(f"{library}.h").read_text(encoding="utf-8")
     for name, declared in _ENTRY.findall(header):
         tail = _TAIL.match(name) if declared.endswith("...") else None

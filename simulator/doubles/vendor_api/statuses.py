@@ -16,7 +16,7 @@ TEXTS: Mapping[int, str] = {row["code"]: row["text"] for row in _ROWS.values()}
 
 
 def __getattr__(name: str) -> int:
-    """Return the code of a status by its name."""
+    """Return the code of a status by its name in ``statuses.toml``; raise AttributeError if there is none."""
     if name not in CODES:
         raise AttributeError(f"statuses.toml has no status {name!r}")
     return CODES[name]
@@ -55,16 +55,19 @@ class ScopeStatus(Status):
     """Status of NI-SCOPE: its message has no task and no number."""
 
     def _text(self, text: str, detail: str, task: str) -> str:
-        """Format the message of an error as NI-SCOPE does."""
+        """Format the message of an error as NI-SCOPE does: text and detail, without task and code."""
         return "\n".join(filter(None, [text, detail]))
 
 
 def rejected_property(
     task: str, name: str, detail: str = "", *, code: int = CODES["INVALID_VALUE"], **values: object
 ) -> Status:
-    """Create the status for a property value that the driver rejects.
+    """Create, not raise, the status for a property value that the driver rejects.
 
-    ``requested``, ``minimum`` and ``maximum``, in NI's words.
+    Parameters
+    ----------
+    **values
+        ``requested``, ``minimum`` and ``maximum``, in NI's words; each is a line of the message.
     """
     value_lines = [f"{label.title()} Value: {value}" for label, value in values.items()]
     return Status(code, "\n".join([f"Property: {name}", *value_lines, *filter(None, [detail])]), task=task)

@@ -43,37 +43,38 @@ class Reader:
         return piece
 
     def number(self, packed: str) -> Any:
-        """Read one number in a `struct` format."""
+        """Read one number in a `struct` format; raise WireError if the frame ends before."""
         (number,) = struct.unpack(packed, self.take(struct.calcsize(packed)))
         return number
 
     def text(self) -> str:
-        """Read a UTF-8 text with its length in front."""
+        """Read a UTF-8 text with its length (u32) in front; invalid bytes are replaced."""
         return bytes(self.take(self.number("<I"))).decode("utf-8", errors="replace")
 
     def array(self, packed: str) -> NDArray[Any]:
-        """Read an array of numbers with its length in front."""
+        """Read an array of numbers with their count (u32) in front; return a copy, shape (count,)."""
         data = self.take(self.number("<I") * struct.calcsize(packed))
         return np.frombuffer(data, dtype=packed).copy()
 
 
 def _text(text: str) -> bytes:
-    """Encode a text with its length in front; characters beyond ASCII are escaped."""
+    """Encode a text as ASCII with its length (u32) in front; other characters become backslash escapes."""
     # nidaqmx decodes by the locale, which may be plain ASCII.
     encoded = text.encode("ascii", errors="backslashreplace")
     return struct.pack("<I", len(encoded)) + encoded
 
 
 def inputs(entry: EntryPoint, attribute: int = 0) -> tuple[Parameter, ...]:
-    """Return the input parameters of a call.
+    """Return the input parameters of a call, in the order of the wire.
 
-    A variadic entry adds ``value``, or ``channel_names`` and ``state``.
+    A variadic entry adds ``value``, or ``channel_names`` and ``state``; for an unknown attribute it adds
+    nothing.
     """
     return tuple(p for p in entry.parameters if p.goes_in) + _tail_inputs(entry, attribute)
 
 
 def outputs(entry: EntryPoint, attribute: int = 0) -> tuple[Parameter, ...]:
-    """Return the output parameters of a call, those of a variadic entry included."""
+    """Return the output parameters of a call in the order of the wire, those of a variadic entry included."""
     tail: tuple[Parameter, ...] = ()
     if entry.tail is Tail.GET_STATES:
         tail = (Parameter("state", Role.OUT_ARRAY, "int32_t"),)
@@ -83,7 +84,10 @@ def outputs(entry: EntryPoint, attribute: int = 0) -> tuple[Parameter, ...]:
 
 
 def _tail_inputs(entry: EntryPoint, attribute: int) -> tuple[Parameter, ...]:
-    """Return the variable input parameters of a variadic call."""
+    """Return the variable input parameters of a variadic call.
+
+    None for other calls or an unknown attribute.
+    """
     if entry.tail is Tail.SET_ATTRIBUTE and attribute in ATTRIBUTES:
         return (ATTRIBUTES[attribute].value(Role.VALUE, Role.ARRAY, Role.TEXT),)
     names = Parameter("channel_names", Role.TEXT, "char")
@@ -93,7 +97,7 @@ def _tail_inputs(entry: EntryPoint, attribute: int) -> tuple[Parameter, ...]:
 
 
 def decode_call(body: bytes) -> tuple[EntryPoint, dict[str, Any]]:
-    """Decode the body of a call to its entry point and arguments.
+    """Decode the body of a call to its entry point and its arguments by name.
 
     Raises
     ------
@@ -114,7 +118,10 @@ def decode_call(body: bytes) -> tuple[EntryPoint, dict[str, Any]]:
 def encode_answer(
     entry: EntryPoint, arguments: Mapping[str, Any], status: int, text: str, values: Mapping[str, Any]
 ) -> bytes:
-    """Encode the body of an answer; an output without a value is marked as absent."""
+    """Encode the body of an answer: status, text and outputs.
+
+    Each output has a byte in front, 1 or 0; one without a value is absent.
+    """
     parts = [struct.pack("<i", status), _text(text)]
     for parameter in outputs(entry, arguments.get("attribute", 0)):
         if parameter.name in values:
@@ -125,7 +132,13 @@ def encode_answer(
 
 
 def encode_value(parameter: Parameter, content: Any) -> bytes:
-    """Encode the value of one parameter by its role and C type."""
+    """Encode the value of one parameter by its role and C type; arrays are converted to the type.
+
+    Raises
+    ------
+    struct.error
+        A number does not fit its type.
+    """
     if parameter.role in (Role.TEXT, Role.OUT_TEXT):
         return _text(content)
     packed = PACKED[parameter.c_type]
@@ -137,7 +150,13 @@ def encode_value(parameter: Parameter, content: Any) -> bytes:
 
 
 def decode_value(parameter: Parameter, reader: Reader) -> Any:
-    """Decode the value of one parameter by its role and C type."""
+    """Decode the value of one parameter by its role and C type: a str, an array or a number.
+
+    Raises
+    ------
+    WireError
+        The frame ends before.
+    """
     if parameter.role in (Role.TEXT, Role.OUT_TEXT):
         return reader.text()
     read = reader.array if parameter.role in (Role.ARRAY, Role.OUT_ARRAY) else reader.number
@@ -145,14 +164,17 @@ def decode_value(parameter: Parameter, reader: Reader) -> Any:
 
 
 def send_frame(connection: socket.socket, body: bytes) -> None:
-    """Send one frame: the body with its length in front."""
+    """Send one frame: the body with its length (u32) in front; block until all is sent."""
     connection.sendall(struct.pack("<I", len(body)) + body)
 
 
 def receive_frame(connection: socket.socket) -> bytes | None:
-    """Receive one frame; None if the peer closes before its end.
+    """Receive the body of one frame; return None if the peer closes before its end.
 
-    Raise WireError if it is larger than `FRAME_LIMIT`.
+    Raises
+    ------
+    WireError
+        It is larger than `FRAME_LIMIT`.
     """
     head = receive_exactly(connection, 4)
     if head is None:
@@ -164,7 +186,7 @@ def receive_frame(connection: socket.socket) -> bytes | None:
 
 
 def receive_exactly(connection: socket.socket, count: int) -> bytes | None:
-    """Receive exactly ``count`` bytes; None if the peer closes before."""
+    """Receive exactly ``count`` bytes; return None if the peer closes before."""
     pieces: list[bytes] = []
     while count > 0:
         piece = connection.recv(min(count, 1 << 20))
