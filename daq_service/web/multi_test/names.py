@@ -20,7 +20,10 @@ def build_url_name(text: str) -> str:
 
 
 def build_unique_url_names(texts: Iterable[str]) -> list[str]:
-    """Build unique URL names in order; a repeated name gets a number as suffix, starting with 2."""
+    """Build one URL name for each text, in order.
+
+    A repeated name gets a number as suffix, starting with 2.
+    """
     names: list[str] = []
     for text in texts:
         plain = name = build_url_name(text)

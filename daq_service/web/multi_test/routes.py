@@ -32,7 +32,7 @@ pages.add_api_route("/static/{name:path}", get_asset)
 
 
 def _find_listing(request: Request) -> Listing:
-    """Return the listing of the application."""
+    """Return the listing of tests that was set for the application."""
     listing = request.app.state.listing
     assert isinstance(listing, Listing)
     return listing
@@ -52,7 +52,7 @@ async def get_liveness(request: Request) -> JsonAnswer:
 
 @probes.get("/readyz", response_model=ServiceLiveness, responses=list_errors(503))
 def get_readiness(request: Request) -> JsonAnswer:
-    """Return whether any test can be shown."""
+    """Return the numbers of all tests and of those that can be shown; 503 if none can."""
     entries = _find_listing(request).read_entries()
     if not any(entry["state"] == "shown" for entry in entries):
         raise Problem(
@@ -89,7 +89,10 @@ def get_metrics(request: Request) -> Response:
 
 
 def _collect_test_metrics(tests: ServedTests, name: str) -> Iterator[Metric]:
-    """Yield the metrics of a test without opening it, so that scraping does not keep every test open."""
+    """Yield the metrics of a test without opening it, so that scraping does not keep every test open.
+
+    Yields none if the test cannot be shown.
+    """
     try:
         settings, folder = locate_test(tests.all[name].path, tests.access_policy)
     except AbsentError:
@@ -103,7 +106,7 @@ def _collect_test_metrics(tests: ServedTests, name: str) -> Iterator[Metric]:
 
 @pages.get("/")
 async def get_list_page(request: Request) -> Response:
-    """Serve the page of the list."""
+    """Serve the HTML page with the list of tests, or 304 if the browser has it."""
     return answer_asset("tests.html", request)
 
 
