@@ -115,7 +115,8 @@ class AccessPolicy:
     async def audit_rejection(self, scope: Scope, reason: str, *, what: str = "enter") -> None:
         """Append a rejection with reason (up to 400 characters) and request id to the audit log, in a thread.
 
-        The request itself is not logged, because it may contain a token.
+        Rejections above the rate limit are only counted. The request itself is not logged, because it may
+        contain a token.
         """
         person: Person | None = scope.get("state", {}).get("person")
         await asyncio.to_thread(

@@ -12,7 +12,9 @@ LONGEST_NAME = 60
 def build_url_name(text: str) -> str:
     """Build a URL name of lower-case letters, digits and hyphens; "test" if no such character remains.
 
-    >>> url_name("Größe: Loch Nr. 2")
+    At most 60 characters.
+
+    >>> build_url_name("Größe: Loch Nr. 2")
     'grosse-loch-nr-2'
     """
     plain = unicodedata.normalize("NFKD", text.casefold()).encode("ascii", "ignore").decode()

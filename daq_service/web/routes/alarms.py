@@ -21,7 +21,7 @@ ERRORS = models.list_errors(404, 503)
 
 @router.get("/alarms/{alarm_id}", response_model=models.AlarmRow, responses=ERRORS)
 def get_alarm(alarm_id: RowId, context: ContextOf) -> JsonAnswer:
-    """Return one alarm with its evidence."""
+    """Return one alarm with its evidence, its age in h and its state at present."""
     return JsonAnswer(context.read_freshness().row(_read_alarm(context, alarm_id)))
 
 
@@ -45,7 +45,7 @@ def list_guidance() -> JsonAnswer:
 
 
 def _read_alarm(context: Context, alarm_id: int) -> AlarmRow:
-    """Read an alarm by its id; raise 404 if there is none."""
+    """Read an alarm by its id; raise a Problem (404) if there is none."""
     row = context.catalogue().alarm(alarm_id)
     if row is None:
         raise not_found(f"There is no alarm {alarm_id}.", "/api/v1/alarms lists them.")

@@ -60,7 +60,10 @@ def get_file(
 
 
 def _find_set_of_file(context: Context, name: str) -> SetRow | None:
-    """Find the set of a file name in the catalogue, so that no path comes from the request; else None."""
+    """Find the set of a file name in the catalogue, so that no path comes from the request.
+
+    None if no set has such a file.
+    """
     match = NAME.fullmatch(name)
     if match is None:
         return None
@@ -74,7 +77,7 @@ def _find_set_of_file(context: Context, name: str) -> SetRow | None:
 
 
 def _check_byte_range(byte_range: str, n_bytes: int) -> None:
-    """Raise a problem (416) if the file does not have the requested byte range."""
+    """Raise a Problem (416) if the header is malformed or the file does not have the byte range."""
     match = RANGE.fullmatch(byte_range.replace(" ", ""))
     first, last = match.groups() if match else ("", "")
     is_valid = int(last or 0) > 0 if not first else int(first) < n_bytes and int(first) <= int(last or first)

@@ -17,13 +17,13 @@ router = APIRouter(tags=["health"])
 
 @probes.get("/healthz", response_model=Liveness)
 def get_liveness(context: ContextOf) -> JsonAnswer:
-    """Return that the web process responds, independent of the recorder."""
+    """Return that the web process responds, independent of the recorder, and whether data are stored."""
     return JsonAnswer({"status": "ok", "data": context.has_data()})
 
 
 @probes.get("/readyz", response_model=Liveness, responses=list_errors(503))
 def get_readiness(context: ContextOf) -> JsonAnswer:
-    """Return 200 where data are stored, else 503."""
+    """Return 200 if data are stored and readable, else 503."""
     context.catalogue().last_event_id()
     return JsonAnswer({"status": "ok", "data": True})
 

@@ -62,7 +62,7 @@ def list_deliveries(context: ContextOf, cursor: CursorText = None, limit: Limit 
 def test_receiver(
     receiver: Annotated[str, Path(max_length=32)], request: Request, person: PersonOf, context: ContextOf
 ) -> JsonAnswer:
-    """Send one test message, and return its result."""
+    """Send one test message at once, and return its result and duration; 409 while another one is sent."""
     queue = context.notifications.queues.get(receiver)
     if queue is None:
         names = ", ".join(context.notifications.queues) or "none"
@@ -88,7 +88,7 @@ def test_receiver(
 
 
 def _build_receiver_state(context: Context, queue: ReceiverQueue) -> dict[str, object]:
-    """Build the state of a receiver of notifications, without secrets."""
+    """Build the state of a receiver for an answer, without secrets; rules are counted from 1."""
     settings, state, now_ns = (
         context.notifications.settings.receivers[queue.name],
         queue.state,
@@ -112,14 +112,14 @@ def _build_receiver_state(context: Context, queue: ReceiverQueue) -> dict[str, o
 
 
 def _name_state(state: State, now_ns: int) -> str:
-    """Name the delivery state of a receiver in one word."""
+    """Return the state of deliveries: ``dead`` or ``failing``, else ``waiting`` or ``idle``."""
     if state.failing_since_utc_ns is not None:
         return "dead" if is_dead(state, now_ns) else "failing"
     return "waiting" if state.waiting else "idle"
 
 
 def _build_heartbeat_state(settings: ReceiverSettings, state: State) -> dict[str, object] | None:
-    """Build the state of the heartbeat of a receiver; None if it has none."""
+    """Build the state of a receiver's heartbeat for an answer; None if it has none."""
     if settings.heartbeat_s is None:
         return None
     return add_utc(

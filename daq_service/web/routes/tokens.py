@@ -47,7 +47,10 @@ def list_tokens(context: ContextOf) -> JsonAnswer:
 def create_access_token(
     token_request: TokenRequest, request: Request, person: PersonOf, context: ContextOf
 ) -> Response:
-    """Create a token; its secret text is only in this response."""
+    """Create a token; its secret text is only in this response.
+
+    Answered with 409 for a name with a valid token, and before a first token exists.
+    """
     if person.role == CLAIMED:
         raise conflict(
             "The first token decides who may come in, and is not made over the network.",
@@ -83,7 +86,7 @@ def revoke_access_token(
 
 
 def build_token_row(token: Token) -> dict[str, object]:
-    """Convert a token to its public data, without the hash of its text."""
+    """Return the public data of a token for an answer, without the hash of its text."""
     return {
         name: getattr(token, name)
         for name in ("name", "role", "state", "created_utc", "expires_utc", "revoked_utc")

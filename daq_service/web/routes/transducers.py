@@ -73,7 +73,10 @@ def get_latest_environment(context: ContextOf) -> JsonAnswer:
 
 
 def _build_state(context: Context, fresh: Freshness, last: LatestRows) -> dict[str, object]:
-    """Build the present state of a position with its newest rows and numbers of alarms."""
+    """Build the present state of a position with its newest rows and numbers of alarms.
+
+    The highest priority is that of alarms that are not suppressed.
+    """
     place = context.settings.positions[last.position]
     assessment, alarms = last.last_assessment, last.active_alarms
     visible_alarms = [row for row in alarms if row.suppressed is None]
@@ -98,7 +101,7 @@ def _build_state(context: Context, fresh: Freshness, last: LatestRows) -> dict[s
 def assess_position(
     place: PositionSettings, schedule: ScheduleSettings, fresh: freshness.Freshness, last: LatestRows
 ) -> PositionStanding:
-    """Compute the status of a position from its latest rows: state, age of the data, stale or not."""
+    """Return the status of a position from its latest rows: state, hour and age of the data, stale or not."""
     age_h = find_data_age_h(last, fresh)
     return PositionStanding(
         position=last.position,
@@ -112,5 +115,5 @@ def assess_position(
 
 
 def _to_json_row(fresh: Freshness, row: Row | None) -> dict[str, object] | None:
-    """Convert a row to JSON with times and age; None stays None."""
+    """Convert a row for an answer, with times and age; None stays None."""
     return None if row is None else fresh.row(row)
