@@ -46,7 +46,7 @@ def is_catalogue_lost(folder: Path) -> bool:
 
 
 def loss_reason(folder: Path) -> str:
-    """Describe the loss of the catalogue and the remedy; empty if it is not lost.
+    """Return a description of the loss of the catalogue and its remedy; empty if it is not lost.
 
     Raises
     ------

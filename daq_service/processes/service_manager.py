@@ -43,13 +43,13 @@ def service_manager_notifications(
 ) -> Iterator[Notifier]:
     """Yield a callback that passes recorder events to ``on_event`` and the service manager.
 
-    The event ``begun`` sends READY, each ``beat`` feeds the watchdog and extends the time limit by its
-    deadline, also while the service starts or stops. On exit sends STOPPING.
+    The start event sends READY; each ``beat`` feeds the watchdog and extends the time limit by its deadline,
+    also while the service starts or stops. On exit sends STOPPING.
     """
     is_ready = False
 
     def pass_on(event: str, **values: object) -> None:
-        """Pass an event on, and notify the service manager of start and heartbeats."""
+        """Pass an event on, and report start and heartbeats to the service manager."""
         nonlocal is_ready
         on_event(event, **values)
         if event == "begun":

@@ -89,6 +89,7 @@ class PlainStream:
         return self.stream.write(escape_controls(text))
 
     def __getattr__(self, name: str) -> object:
+        """Return any other attribute of the wrapped stream."""
         return getattr(self.stream, name)
 
 

@@ -126,7 +126,7 @@ class AssetsFirst:
         self._app = app
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Serve a file, or pass the request on."""
+        """Answer a GET of an existing dashboard file, or pass the request on."""
         answer: ASGIApp = self._app
         if scope["type"] == "http" and scope["method"] == "GET" and scope["path"].startswith(PLACE):
             name = scope["path"].removeprefix(PLACE)

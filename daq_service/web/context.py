@@ -246,7 +246,7 @@ def find_app_context(app: FastAPI) -> Context:
 
 
 def find_request_context(connection: HTTPConnection) -> Context:
-    """Return the context of the test that a request addresses, or else of its application."""
+    """Return the context of the test that a request addresses, or else that of its application."""
     context = getattr(connection.state, "test", None)
     return context if isinstance(context, Context) else find_app_context(connection.app)
 

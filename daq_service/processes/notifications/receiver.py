@@ -101,7 +101,7 @@ class ReceiverQueue:
         self._test_lock = threading.Lock()
 
     def start(self, progress: Progress | None) -> None:
-        """Continue at the logged progress, or start at the newest event: old alarms are not sent."""
+        """Continue at the logged progress, or else after the newest event: old alarms are not sent."""
         if progress is not None and self._source.written_ns(progress.cursor) == progress.cursor_wall_utc_ns:
             self._last_read_id, self._settled = progress.cursor, set(progress.settled)
             self.state.began = f"went on behind event {progress.cursor}"

@@ -45,6 +45,7 @@ class WaitingChanges:
         self._items: dict[int, _Item] = {}
 
     def __len__(self) -> int:
+        """Return the number of waiting changes."""
         return len(self._items)
 
     def event_ids(self) -> list[int]:

@@ -28,7 +28,7 @@ class Source:
         self._settings, self._folder, self._catalogue = settings, folder, catalogue
 
     def has_started(self) -> bool:
-        """Return whether there is a catalogue."""
+        """Return whether the test has a catalogue with a first record."""
         try:
             self._catalogue()
         except NoDataYetError:

@@ -74,7 +74,7 @@ class Cut:
                 _shut_connection(connection)
 
     def __call__(self) -> None:
-        """Abort the present attempt, if there is one."""
+        """Abort the present attempt by shutting down its socket; no effect without one."""
         with self._lock:
             if self._socket is not None:
                 _shut_connection(self._socket)
@@ -200,7 +200,7 @@ def _parse_retry_after_s(text: str | None, now_s: float) -> float:
 
 
 def _describe_error(error: Exception) -> str:
-    """Describe an error without a library's text, which may repeat the address."""
+    """Return a description of an error without a library's text, which may repeat the address."""
     match error:
         case ssl.SSLCertVerificationError():
             return f"its certificate is refused: {error.verify_message}"

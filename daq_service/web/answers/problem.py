@@ -169,12 +169,12 @@ def install_error_handlers(app: FastAPI) -> None:
     """
 
     async def answer_problem(request: Request, error: Exception) -> Response:
-        """Answer an error that already is a problem."""
+        """Answer a Problem with its own status and details."""
         assert isinstance(error, Problem)
         return build_problem_response(request.scope, error)
 
     async def answer_invalid_request(request: Request, error: Exception) -> Response:
-        """Answer a request that fails validation, with the invalid parameters (422)."""
+        """Answer a request that fails validation with all its invalid parts (422)."""
         assert isinstance(error, RequestValidationError)
         errors = [
             {"in": str(part["loc"][0]), "pointer": to_pointer(part["loc"][1:]), "detail": part["msg"]}
@@ -188,7 +188,7 @@ def install_error_handlers(app: FastAPI) -> None:
         return build_problem_response(request.scope, problem, errors)
 
     async def answer_http_error(request: Request, error: Exception) -> Response:
-        """Answer an error of the router: unknown path, wrong method or malformed request."""
+        """Answer an error of the router: unknown path (404), wrong method (405), malformed request (400)."""
         assert isinstance(error, HTTPException)
         names = {404: "not-found", 405: "method-not-allowed", 400: "bad-request"}
         problem = Problem(

@@ -26,7 +26,7 @@ RESOURCES = (routes, session, tokens, audit)
 
 @asynccontextmanager
 async def _run_lifespan(app: FastAPI) -> AsyncIterator[None]:
-    """Maintain the tests while the application runs, then close them."""
+    """Open and close tests as needed while the application runs; then stop that and close all tests."""
     tests: ServedTests = app.state.tests
     maintenance = asyncio.create_task(tests.maintain_tests())
     try:

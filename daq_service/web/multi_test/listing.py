@@ -82,7 +82,7 @@ class Listing:
         return sum(cached.entry.state == "shown" for cached in list(self._cached.values()))
 
     def _read_entry(self, test: ServedTest) -> ListedTest:
-        """Read the entry of a test: its present state, or the reason why it cannot be shown."""
+        """Read the entry of a test, without writing: its present state, or why it cannot be shown."""
         page = f"/tests/{test.name}/"
         standing, absence = None, None
         try:

@@ -40,13 +40,16 @@ def _find_listing(request: Request) -> Listing:
 
 @router.get("/tests", response_model=ListedTests)
 def list_tests(request: Request) -> JsonAnswer:
-    """List the tests of this service with their states, and the remedy for those that cannot be shown."""
+    """List the tests of this service with their states, and the remedy for those that cannot be shown.
+
+    In the order of the command line. An entry is at most 2 s old, or 60 s without a running recorder.
+    """
     return JsonAnswer({"items": _find_listing(request).read_entries()})
 
 
 @probes.get("/healthz", response_model=ServiceLiveness)
 async def get_liveness(request: Request) -> JsonAnswer:
-    """Return that the process of the service responds, without reading a folder."""
+    """Return that the process of the service responds, with the numbers of tests at their last read."""
     return JsonAnswer(_build_liveness(request))
 
 
@@ -71,7 +74,10 @@ def _build_liveness(request: Request) -> dict[str, object]:
 
 @probes.get("/metrics", response_class=Response, responses=OPENMETRICS)
 def get_metrics(request: Request) -> Response:
-    """Return the metrics of every test with a label `test`, and which tests can be shown."""
+    """Return the metrics of every test with a label `test`, and which tests can be shown.
+
+    A test that cannot be shown has no other metrics.
+    """
     tests: ServedTests = request.app.state.tests
     merged = {metric.name: metric for metric in collect_service()}
     shown = GaugeMetricFamily("solimon_test_shown", "1: the test can be shown", labels=["test"])

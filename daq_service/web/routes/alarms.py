@@ -27,7 +27,7 @@ def get_alarm(alarm_id: RowId, context: ContextOf) -> JsonAnswer:
 
 @router.get("/alarms/{alarm_id}/history", response_model=models.AlarmHistory, responses=ERRORS)
 def get_alarm_history(alarm_id: RowId, context: ContextOf) -> JsonAnswer:
-    """Return every transition of an alarm, the oldest first, with time, person and reason."""
+    """Return every transition of an alarm, the oldest first, with time, person and reason; 404 without it."""
     row, fresh = _read_alarm(context, alarm_id), context.read_freshness()
     events = context.catalogue().rows(EventRow, topic="alarms", position=row.position)
     items = [
@@ -40,7 +40,7 @@ def get_alarm_history(alarm_id: RowId, context: ContextOf) -> JsonAnswer:
 
 @router.get("/guidance", response_model=models.GuidanceList)
 def list_guidance() -> JsonAnswer:
-    """List for each kind of alarm its meaning, limitations, checks and contact."""
+    """List for each kind of alarm its meaning, limitations, checks and contact; needs no stored data."""
     return JsonAnswer({"items": [{"kind": kind, **asdict(guidance)} for kind, guidance in GUIDANCE.items()]})
 
 

@@ -59,7 +59,7 @@ def list_audit(
     """List commands, rejections, logins and changes of tokens, the newest first.
 
     One answer covers a limited part of the file: with filters it may have few items, or none, and a cursor
-    for earlier ones.
+    for earlier ones. An unknown operation or a reversed range is answered with 422.
     """
     kinds = _parse_operations(what)
     first_ns, end_ns = _to_utc_ns(from_utc), _to_utc_ns(to_utc)

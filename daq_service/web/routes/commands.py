@@ -70,7 +70,7 @@ def create_command(command: AnyCommand, execute: ExecuteOf) -> Response:
 
 @_accepts("/alarms/{alarm_id}/acknowledge")
 def acknowledge_alarm(alarm_id: RowId, body: Acknowledgement, execute: ExecuteOf) -> Response:
-    """Acknowledge an alarm; the same as the command `acknowledge_alarm`."""
+    """Acknowledge an alarm; the same as the command `acknowledge_alarm` (404 for an unknown alarm)."""
     arguments = kinds.AlarmArguments(alarm_id=alarm_id, note=body.note)
     return execute(kinds.AcknowledgeAlarm(kind="acknowledge_alarm", author=body.author, arguments=arguments))
 

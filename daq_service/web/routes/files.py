@@ -35,7 +35,10 @@ def get_file(
     context: ContextOf,
     name: Annotated[str, Path(max_length=80, description="As `sets` names it, without its folder")],
 ) -> Response:
-    """Send the file of a set; it never changes, so ranges of it can be requested at any time."""
+    """Send the finished file of a set, or ranges of its bytes; it never changes.
+
+    Answered with 404 while the set is only in the journal, and with 416 for a range outside of the file.
+    """
     row = _find_set_of_file(context, name)
     path = None if row is None or row.file is None else context.data_folder / row.file
     # A link may lead out of the data folder: it is not followed.

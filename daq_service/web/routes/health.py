@@ -30,7 +30,10 @@ def get_readiness(context: ContextOf) -> JsonAnswer:
 
 @router.get("/health", response_model=ServiceHealth, responses=list_errors(503))
 def get_health(context: ContextOf) -> JsonAnswer:
-    """Return the heartbeat of the recorder, counts of stored data, open streams, and free disk space."""
+    """Return status and heartbeat of the recorder, counts of stored data, open streams, and disk space.
+
+    The forecast of the disk space assumes that later sets are as large as the newest one.
+    """
     fresh = context.read_freshness()
     beat = fresh.recorder.beat
     settings, catalogue = context.settings, context.catalogue()

@@ -23,7 +23,7 @@ RIG_LABELS = {
 
 @router.get("/info", response_model=Info, responses=list_errors(503))
 def get_info(context: ContextOf) -> JsonAnswer:
-    """Return name, rig, clock, schedule, limits and positions of the test."""
+    """Return identity, rig, clock, schedule, limits and positions of the test, and any pause or request."""
     settings = context.settings
     fresh = context.read_freshness()
     catalogue = context.catalogue()

@@ -27,7 +27,10 @@ router = APIRouter(tags=["notifications"])
 
 @router.get("/notifications", response_model=NotificationsState)
 def get_notifications(context: ContextOf) -> JsonAnswer:
-    """Return the receivers without secrets: last delivery, failures, waiting changes, next heartbeat."""
+    """Return the receivers without secrets: last delivery, failures, waiting changes, next heartbeat.
+
+    Counts are since the start of the service. While another process sends, the reason is stated.
+    """
     service = context.notifications
     receivers = [_build_receiver_state(context, queue) for queue in service.queues.values()]
     return JsonAnswer(
@@ -41,7 +44,7 @@ def get_notifications(context: ContextOf) -> JsonAnswer:
 
 @router.get("/notifications/log", response_model=DeliveryPage, responses=list_errors(503))
 def list_deliveries(context: ContextOf, cursor: CursorText = None, limit: Limit = 100) -> JsonAnswer:
-    """List the delivery log (sent, failed and given-up messages), the newest first."""
+    """List the delivery log (sent, failed and given-up messages), the newest first, in pages."""
     end = cursors.decode_cursor("deliveries", cursor)
     try:
         lines, previous_end = context.notifications.deliveries.read(limit=limit, end=end)

@@ -152,7 +152,10 @@ def list_shots(context: ContextOf, position: str, set_index: listing.SetOfPath) 
     "/baselines", tags=["assessments"], response_model=models.BaselineList, responses=list_errors(404, 503)
 )
 def list_baselines(context: ContextOf, position: listing.PositionFilter = None) -> JsonAnswer:
-    """List the baselines of each position, the newest last: lifecycle, statistics, limits, provenance."""
+    """List all baselines of each position, the newest last: lifecycle, statistics, limits, provenance.
+
+    A transducer without a baseline has the planned one that is collecting.
+    """
     if position is not None:
         context.validate_position(position)
     fresh = context.read_freshness()

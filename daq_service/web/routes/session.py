@@ -30,7 +30,7 @@ class LogIn(Strict):
 
 @router.get("/session", response_model=Session)
 async def get_session(request: Request) -> JsonAnswer:
-    """Return the person of the request and their permissions, or that a token is needed."""
+    """Return the person of the request and their permissions, or that a token is needed; never 401."""
     return JsonAnswer(_build_session(request.state.person))
 
 
@@ -65,7 +65,7 @@ async def log_in(body: LogIn, request: Request, context: ContextOf) -> Response:
 
 @router.delete("/session", response_model=Session, responses=list_errors(403))
 async def log_out(request: Request, context: ContextOf) -> Response:
-    """Log the page out by deleting the cookie; the token stays valid until it is revoked."""
+    """Log the page out by deleting its cookie; the token stays valid until it is revoked."""
     person = request.state.person
     if person is not None and person.role != CLAIMED:
         await to_thread(write_audit_entry, request, person, "log_out", "done")

@@ -31,7 +31,7 @@ class TokenRequest(Strict):
 
 @router.get("/tokens", response_model=TokenList, responses=list_errors(503))
 def list_tokens(context: ContextOf) -> JsonAnswer:
-    """List all tokens, also revoked and expired ones, without their secret text."""
+    """List all tokens in the order of creation, also revoked and expired ones, without their secret text."""
     return JsonAnswer(
         {"items": [build_token_row(token) for token in read_tokens(context.access_policy.tokens_path)]}
     )
@@ -75,7 +75,7 @@ def create_access_token(
 def revoke_access_token(
     name: Annotated[str, Path(max_length=40)], request: Request, person: PersonOf, context: ContextOf
 ) -> Response:
-    """Revoke a token; its open streams end within seconds."""
+    """Revoke a token; its open streams end within seconds; 409 if there is no unrevoked one of this name."""
     try:
         token = revoke_token(context.access_policy.tokens_path, name)
     except UsageError as error:

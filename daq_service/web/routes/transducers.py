@@ -35,7 +35,7 @@ router = APIRouter()
 
 @router.get("/transducers", tags=["transducers"], response_model=PositionList, responses=list_errors(503))
 def list_transducers(context: ContextOf) -> JsonAnswer:
-    """Return state, newest values, quality and age of every position."""
+    """Return state, newest values, quality and age of every position, in the order of the configuration."""
     fresh = context.read_freshness()
     latest = read_latest_rows(context.catalogue(), fresh, context.settings.positions)
     items = [_build_state(context, fresh, last) for last in latest.values()]
@@ -49,7 +49,7 @@ def list_transducers(context: ContextOf) -> JsonAnswer:
     responses=list_errors(404, 503),
 )
 def get_transducer(position: str, context: ContextOf) -> JsonAnswer:
-    """Return state, newest values, quality and age of one position."""
+    """Return state, newest values, quality and age of one position; 404 if the test does not have it."""
     context.validate_position(position)
     fresh, place = context.read_freshness(), {position: context.settings.positions[position]}
     (last,) = read_latest_rows(context.catalogue(), fresh, place).values()
@@ -60,7 +60,10 @@ def get_transducer(position: str, context: ContextOf) -> JsonAnswer:
     "/environment/latest", tags=["environment"], response_model=EnvironmentNow, responses=list_errors(503)
 )
 def get_latest_environment(context: ContextOf) -> JsonAnswer:
-    """Return the newest row, and the present status of the supply; null where there is none."""
+    """Return the newest row of supply and climate, and the present status of the supply.
+
+    Each is null if there is none.
+    """
     fresh = context.read_freshness()
     row, drive = context.catalogue().read_last_environment(), read_supply_status(context.data_folder)
     return JsonAnswer(

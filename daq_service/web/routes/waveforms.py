@@ -43,7 +43,10 @@ ERRORS = list_errors(404, 503)
     responses=describe_files(OCTET_STREAM) | ERRORS,
 )
 def get_live_waveform(position: str, context: ContextOf) -> Response:
-    """Return the live figure: u32 header length, JSON header (volts = sum c[k] counts^k), samples."""
+    """Return the live figure: u32 header length, JSON header (volts = sum c[k] counts^k), samples.
+
+    Answered with 404 before the first record, and with 503 if the file is damaged.
+    """
     path = context.data_folder / "live" / f"{context.validate_position(position)}.bin"
     try:
         content = read_shared(path)
@@ -78,7 +81,11 @@ def get_waveform(
     form: Annotated[Literal["json", "npy", "octets"], Query(alias="format")] = "json",
     points: Annotated[int | None, Query(ge=4, le=MOST_POINTS)] = None,
 ) -> Response:
-    """Return one stored waveform, the accepted one of a repeated shot; pulse echo has shot index 0."""
+    """Return one stored waveform, the accepted one of a repeated shot; pulse echo has shot index 0.
+
+    With `points`, JSON and npy (rows: time in s, volts) hold only the extremes of equal bins, at most so
+    many samples; octets are all counts, with sampling and calibration in the headers.
+    """
     context.validate_position(position)
     catalogue, set_key = context.catalogue(), SetKey.parse(set_index)
     shots = catalogue.rows(ShotRow, position=position, **set_key._asdict())

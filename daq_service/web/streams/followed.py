@@ -40,7 +40,7 @@ class Followed:
 
     @property
     def closed(self) -> bool:
-        """Return whether clients must end."""
+        """Return whether `close` was called, so that clients must end."""
         return self._closed
 
     async def changed(self) -> None:
