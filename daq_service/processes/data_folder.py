@@ -159,11 +159,11 @@ def prepare_data_folder(folder: Path, *, may_create: bool = True) -> None:
     Raises
     ------
     FolderGoneError
-        It is missing and must not be created, or has no folder ``sets``.
+        ``may_create`` is false, and the folder is missing or has no ``sets``.
     StorageUnavailableError
         It cannot be created or written.
     StorageError
-        The folder holds only foreign files, or is on a network file system.
+        It holds only foreign files, or is on a network file system.
     """
     # The lock is no evidence: a recorder that was killed during its start has not created it.
     if not may_create and not (folder / "sets").is_dir():

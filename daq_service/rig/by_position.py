@@ -29,7 +29,7 @@ class Strikers:
         striker.strike(key)
 
     def make_safe(self) -> None:
-        """Withdraw the request to a person and de-energize every striker once, in reverse order.
+        """De-energize every striker once, the last one first, then withdraw the request to a person.
 
         All are called even if one fails; the last error is raised at the end.
         """
@@ -71,7 +71,10 @@ class Digitizers:
             self._asking.ask("")
 
     def disarm(self) -> None:
-        """Disarm every digitizer once; all are called even if one fails, and the last error is raised."""
+        """Disarm every digitizer once, also where none is armed.
+
+        All are called even if one fails; the last error is raised at the end.
+        """
         self._armed = None
         with ExitStack() as every:
             for digitizer in _list_distinct(self._digitizers):

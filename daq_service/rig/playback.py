@@ -124,7 +124,7 @@ class ArchivedShots:
     def _list_record_times(self, set_key: SetKey) -> list[int]:
         """Return the start of a set and the time stamps of its records, ns since 1970, ascending.
 
-        Empty if corrupt.
+        Empty if the set is completely corrupt.
         """
         if set_key not in self._moments:
             self._shots.records_of_set(set_key)
@@ -145,9 +145,9 @@ class ArchivedShots:
         )
 
     def _read_set_records(self, set_key: SetKey) -> Iterable[Record]:
-        """Return the intact records of a set and cache its times; empty if its file is missing or unreadable.
+        """Return the intact records of a set and cache its times.
 
-        Raises ConfigurationError if the file cannot be opened.
+        Empty if the file is missing or completely corrupt. Raises ConfigurationError if it cannot be opened.
         """
         file = self._files.get(set_key)
         if file is None:

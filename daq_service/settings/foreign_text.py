@@ -49,10 +49,7 @@ def escape_controls(text: str) -> str:
 
 
 def to_one_line(text: str) -> str:
-    """Replace control characters and line breaks by escape sequences.
-
-    Tabs and a leading carriage return stay.
-    """
+    """Replace control characters and line breaks by escape sequences; tabs stay."""
     return _CONTROL_OR_BREAK.sub(_escape_character, text)
 
 

@@ -140,7 +140,7 @@ class MixedRig(BaseModel):
         return f"rig.positions.{position}.{role}"
 
     def check_positions(self, methods: Mapping[str, str]) -> None:
-        """Require that each position names exactly the instruments of its method, and each exists.
+        """Require that each position names exactly the instruments that its method needs, and is configured.
 
         Parameters
         ----------

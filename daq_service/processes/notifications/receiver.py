@@ -374,6 +374,6 @@ class ReceiverQueue:
 
 
 def is_dead(state: State, now_ns: int) -> bool:
-    """Return whether a receiver has failed for more than 600 s since its last success; ``now_ns`` is UTC."""
+    """Return whether every attempt has failed for more than 600 s; ``now_ns`` is the present UTC in ns."""
     since = state.failing_since_utc_ns
     return since is not None and now_ns - since > DEAD_AFTER_S * NS_PER_S
