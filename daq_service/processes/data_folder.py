@@ -37,10 +37,7 @@ if sys.platform == "win32":
     import msvcrt
 
     def try_lock(file: IO[bytes]) -> None:
-        """Lock an open file for this process without waiting.
-
-        Raise OSError if another process holds the lock.
-        """
+        """Lock an open file for this process without waiting; OSError if another process holds it."""
         msvcrt.locking(file.fileno(), msvcrt.LK_NBLCK, 1)
 
     def is_locked(file: IO[bytes]) -> bool:
@@ -59,10 +56,7 @@ else:
     import fcntl
 
     def try_lock(file: IO[bytes]) -> None:
-        """Lock an open file for this process without waiting.
-
-        Raise OSError if another process holds the lock.
-        """
+        """Lock an open file for this process without waiting; OSError if another process holds it."""
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
 
     def is_locked(file: IO[bytes]) -> bool:
@@ -362,9 +356,9 @@ def is_owned(folder: Path, name: str = LOCK_FILE) -> bool | None:
 
 
 def lock_text(folder: Path, name: str) -> str:
-    """Read the owner's text from a lock file, at most 1000 bytes.
+    """Return the owner's text in a lock file, at most 1000 bytes.
 
-    A description of the error if unreadable.
+    If it is unreadable or empty, a phrase about that is returned.
     """
     # On Windows the locked byte cannot be read by others, so only the bytes after it are read.
     try:
@@ -412,10 +406,9 @@ def settings_and_folder(config: Path | None, data_dir: Path | None) -> tuple[Set
 
 
 def settings_of_folder(config: Path | None, data_dir: Path | None) -> tuple[Settings, Path]:
-    """Read the configuration for commands that only read.
+    """Read the configuration for commands that only read, and return it with the absolute data folder.
 
-    For ``data_dir`` alone, the one stored in the folder.
-    Returns it with the absolute path of the data folder.
+    If only ``data_dir`` is given, the configuration stored in that folder is read.
 
     Raises
     ------
@@ -444,11 +437,10 @@ def _stored_settings(folder: Path) -> Settings | None:
 
 
 def write_configuration(settings: Settings, folder: Path) -> Path:
-    """Write the configuration durably to the data folder, for child processes and later starts.
+    """Write the configuration durably to the data folder and return the path of the file.
 
-    Return its path.
-    It replaces an earlier file: pace and end of a test may change. Raises StorageUnavailableError if the disk
-    refuses.
+    Child processes and later starts read it. It replaces an earlier one: pace and end of a test may change.
+    Raises StorageUnavailableError if the disk refuses.
     """
     config = folder / CONFIGURATION_FILE
     content = settings.model_dump_json(indent=1).encode()

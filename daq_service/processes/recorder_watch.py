@@ -57,10 +57,9 @@ class RecorderWatch:
         self._attended_h = 0.0
 
     def check(self) -> None:
-        """Raise the alarm if the recorder is missing.
+        """Raise the alarm if the recorder is missing; clear it once a scheduled set is stored.
 
-        Clear it once a scheduled set is stored or the test ends.
-        Does nothing before the first record.
+        It is also cleared when the test has finished. Does nothing before the first record.
 
         Raises
         ------

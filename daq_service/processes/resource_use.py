@@ -24,10 +24,7 @@ if sys.platform == "win32":
         )
 
     def resident_bytes() -> int | None:
-        """Return the resident memory (working set) of this process in bytes.
-
-        None if the system reports none.
-        """
+        """Return the resident memory (working set) of this process in bytes; None if not reported."""
         counters = _MemoryCounters()
         counters.cb = ctypes.sizeof(counters)
         process = wintypes.HANDLE(ctypes.windll.kernel32.GetCurrentProcess())
@@ -44,10 +41,7 @@ if sys.platform == "win32":
 else:
 
     def resident_bytes() -> int | None:
-        """Return the resident memory (working set) of this process in bytes.
-
-        None if the system reports none.
-        """
+        """Return the resident memory (working set) of this process in bytes; None if not reported."""
         try:
             return int((_PROC / "statm").read_bytes().split()[1]) * os.sysconf("SC_PAGE_SIZE")
         except (OSError, ValueError, LookupError):  # another system, or /proc is not mounted

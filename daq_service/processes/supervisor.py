@@ -157,9 +157,8 @@ class Supervisor:
     def run(self, stop: threading.Event, *, stay: bool) -> int:
         """Supervise until ``stop``, a final exit code, or (unless ``stay``) the recorder's end.
 
-        Return the code.
-        All children are ended before it returns, and killed after ``leave_within_s``. After ``stop`` the code
-        is the highest one of the ended children, 130 excluded.
+        Returns the exit code; after ``stop`` the highest one of the ended children, 130 excluded. Before it
+        returns, all children are ended, and killed after ``leave_within_s``.
         """
         self._stay = stay
         try:
@@ -329,9 +328,9 @@ class Supervisor:
         )
 
     def _read_beat_of(self, child: _Child) -> Beat | None:
-        """Return the heartbeat in the file of a child.
+        """Return the heartbeat in the file of a child; None without one.
 
-        None without one, or if it is of another web process.
+        None, too, if the file is of another process than this web service.
         """
         if child.plan.watched:
             return self._read_beat(self._folder)

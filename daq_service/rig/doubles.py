@@ -94,9 +94,9 @@ def run_rig_doubles(rig: str, overrides: Mapping[str, object]) -> Iterator[DemoR
 
 
 def _build_library_path(folders: Sequence[Path]) -> dict[str, str]:
-    """Return the environment entry of the present ``LD_LIBRARY_PATH``.
+    """Return the variable ``LD_LIBRARY_PATH`` with its present value, to which the folders are added.
 
-    Empty if it is unset or no folder is given.
+    Empty if the variable is unset or no folder is given.
     """
     before = os.environ.get("LD_LIBRARY_PATH")
     return {"LD_LIBRARY_PATH": before} if folders and before else {}

@@ -192,7 +192,7 @@ class _Together:
     def self_calibrate(self) -> Mapping[str, str]:
         """Calibrate the instruments one after the other and merge their summaries.
 
-        The first error ends it.
+        An error of one instrument is raised at once; the later ones are not calibrated.
         """
         results: dict[str, str] = {}
         for part in self.parts:
@@ -244,9 +244,9 @@ class _AnnouncedDigitizer:
         self.digitizer.arm(key)
 
     def read(self, timeout_s: float) -> Acquired:
-        """Return the record of the armed strike, waiting at most ``timeout_s``.
+        """Wait at most ``timeout_s`` for the record of the announced strike and return it.
 
-        Errors as of the digitizer.
+        Raises the errors of the digitizer.
         """
         return self.digitizer.read(timeout_s)
 

@@ -193,9 +193,9 @@ def _find_positions(record: SetRecord) -> dict[str, str]:
 def open_recording(
     parameters: PlaybackParameters, folder: Path, wanted: Mapping[str, str] = MappingProxyType({})
 ) -> Iterator[Recorded]:
-    """Open a recording as a source of shots.
+    """Open a recording as a source of shots within a context; on exit TDMS files are closed.
 
-    A relative path counts from ``folder``. TDMS files close on exit.
+    A relative path counts from ``folder``.
 
     Parameters
     ----------

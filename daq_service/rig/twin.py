@@ -86,8 +86,8 @@ def start_twin_executor(settings: Settings, sender: Connection | None = None) ->
 def run_twin_process(settings: Settings, compiling: Callable[[bool], None]) -> Iterator[ProcessPoolExecutor]:
     """Start the twin's worker process, yield its executor, and shut it down on exit.
 
-    Pending work is cancelled.
-    A thread calls ``compiling`` with True at the start and False at the end of each compilation.
+    Pending work is canceled on exit. A thread calls ``compiling`` with True at the start and False at the end
+    of each compilation.
     """
     receiver, sender = multiprocessing.get_context("spawn").Pipe(duplex=False)
     with receiver:

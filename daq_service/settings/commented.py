@@ -62,9 +62,9 @@ def _comment_out_tables(lines: list[str], tables: Collection[KeyPath]) -> Iterat
 
 
 def _add_key_descriptions(values: Mapping[str, object], path: KeyPath, described: set[str]) -> Table:
-    """Build a TOML table with comments.
+    """Build a TOML table whose keys have their descriptions as comments; keys precede tables.
 
-    Keys precede tables, and each text not in ``described`` is added to it.
+    Texts in ``described`` are not repeated; new ones are added to it.
     """
 
     def description(*name: str) -> str:
@@ -101,10 +101,7 @@ def _add_comment(item: Item, assignment: str, description: str) -> None:
 
 
 def _wrap_comment(text: str, width: int = WIDTH) -> list[str]:
-    """Wrap a text into comment lines of at most ``width`` characters, each starting with ``# ``.
-
-    Empty for no text.
-    """
+    """Wrap a text into lines of at most ``width`` characters that start with ``# ``; none for no text."""
     return [f"# {line}" for line in textwrap.wrap(text, width - 2, break_on_hyphens=False)]
 
 

@@ -56,7 +56,7 @@ def to_one_line(text: str) -> str:
 def escape_all_to_one_line(values: Any) -> Any:
     """Copy a JSON-ready value with `to_one_line` applied to every text in it.
 
-    Keys stay, tuples become lists.
+    Keys are not changed; tuples become lists.
     """
     if isinstance(values, dict):
         return {name: escape_all_to_one_line(value) for name, value in values.items()}

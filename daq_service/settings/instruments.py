@@ -125,8 +125,7 @@ def list_instruments(settings: Settings) -> list[Instrument]:
 def fill_instrument_defaults(settings: Settings) -> Settings:
     """Return the settings with all default parameters of a mixed rig's instruments.
 
-    Other rigs stay unchanged.
-    Raises the errors of `validate_instruments`.
+    Settings of other rigs are returned unchanged. Raises the errors of `validate_instruments`.
     """
     if settings.rig.kind != "mixed":
         return settings

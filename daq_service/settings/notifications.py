@@ -140,9 +140,9 @@ class RuleSettings(_Table):
     @model_validator(mode="before")
     @classmethod
     def _convert_old_names(cls, values: object) -> object:
-        """Return the values with current names for ``severity`` and earlier alarm kinds.
+        """Return the values with the current names of the key ``severity`` and of earlier alarm kinds.
 
-        Non-tables unchanged.
+        A value that is no table is returned unchanged, for validation to reject.
         """
         if not isinstance(values, dict):
             return values

@@ -80,15 +80,12 @@ class RigSettings(MixedRig):
 
     @property
     def driven(self) -> DriveParameters | None:
-        """Return the parameters of the supply, ``[rig.supply]`` or ``[rig.drive]``.
-
-        None if neither is given.
-        """
+        """Return the table ``[rig.supply]`` or ``[rig.drive]`` of the supply; None if neither is given."""
         return self.supply or self.drive
 
     @property
     def logged(self) -> LogParameters | None:
-        """Return the parameters of the climate probe, ``[rig.climate]`` or ``[rig.air]``.
+        """Return the table ``[rig.climate]`` or ``[rig.air]`` of the climate probe.
 
         None if neither is given.
         """

@@ -31,8 +31,8 @@ def _find_classes(module: ModuleType | None) -> dict[str, ast.ClassDef]:
 def _read_attribute_docstrings(kind: type) -> dict[str, str]:
     """Return the text below each annotated attribute of a class, by attribute.
 
-    Those without text are omitted.
-    Raises KeyError if its module does not define the class at top level.
+    Attributes without a text are left out. Raises KeyError if the class is not at the top level of its
+    module.
     """
     texts = {}
     for attribute, text in pairwise(_find_classes(inspect.getmodule(kind))[kind.__name__].body):

@@ -124,7 +124,7 @@ def settings_differences(stored: Mapping[str, object], given: Settings) -> list[
 def _fill_current_defaults(settings: Settings) -> Settings:
     """Return the settings with the current defaults of plug-ins.
 
-    Unchanged if one is missing or rejects its parameters.
+    They are returned unchanged if a plug-in is missing or rejects its parameters.
     """
     try:
         return fill_instrument_defaults(settings)

@@ -219,10 +219,7 @@ class NoveltySettings(Section):
     @field_validator("limit")
     @classmethod
     def _check_limit_name(cls, limit: str) -> str:
-        """Return the current name of the limit (``chart`` becomes ``mewma``).
-
-        Raise ValueError if it is unknown.
-        """
+        """Return the current name of the limit (``chart`` becomes ``mewma``); ValueError if unknown."""
         limit = {"chart": "mewma"}.get(limit, limit)  # stored by earlier versions
         if limit == cls.model_fields["limit"].default:
             return limit  # the list comes with SciPy, which readers of a folder do not need

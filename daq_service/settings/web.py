@@ -91,9 +91,9 @@ class WebSettings(BaseModel):
 
     @property
     def names_elsewhere(self) -> frozenset[str]:
-        """Return the host names accepted in requests in addition to the loopback's.
+        """Return the host names that requests may use in addition to those of the loopback.
 
-        Unspecified addresses excluded.
+        These are ``host_names``, and ``host`` unless it means all addresses.
         """
         own = {self.host} - LOOPBACK.keys()
         return frozenset(self.host_names) | {

@@ -61,9 +61,9 @@ class Service(FastAPI):
         problem.install_error_handlers(self)
 
     def openapi(self) -> OpenApi:
-        """Return the OpenAPI 3.1 description of the interface, with roles and units.
+        """Return the OpenAPI 3.1 description of the interface, with roles, units and examples.
 
-        Built at the first call.
+        It is built at the first call.
         """
         if self.openapi_schema is None:
             document = super().openapi()
@@ -112,9 +112,9 @@ def create_app_of_test(lifespan: Lifespan[FastAPI] | None = None) -> Service:
 
 
 def build_versioned_router(resources: Iterable[ModuleType]) -> APIRouter:
-    """Build the router of `/api/v1` from modules with a ``router``.
+    """Build the router of `/api/v1` from the routers of modules.
 
-    It checks roles and unknown parameters.
+    Each route checks the role and unknown parameters first.
     """
     api = APIRouter(
         prefix="/api/v1",

@@ -51,7 +51,7 @@ class CatalogueEvents:
     def after(self, event_id: int, limit: int) -> Sequence[Mapping[str, Any]]:
         """Read at most ``limit`` events after an id, ascending, with RFC 3339 times.
 
-        None before the first record.
+        Empty before the first record.
         """
         try:
             catalogue = self._access.get()

@@ -36,10 +36,7 @@ class Source:
         return True
 
     def test(self) -> Test:
-        """Return the identity of the test.
-
-        Before its first record the configured name and no mark of its own.
-        """
+        """Return name, mark and page of the test; before its first record with the configured name."""
         page = read_page_address(self._settings.web)
         try:
             return identify_test(self._catalogue().read_experiment(), page)

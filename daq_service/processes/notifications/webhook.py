@@ -64,9 +64,9 @@ class Cut:
         self._closed = False
 
     def set_socket(self, connection: socket.socket | None) -> None:
-        """Set the socket of the present attempt, None after it.
+        """Set the socket of the present attempt; None at its end.
 
-        After `close` the socket is shut down at once.
+        After `close` a new socket is shut down at once.
         """
         with self._lock:
             self._socket = connection

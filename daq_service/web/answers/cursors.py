@@ -11,7 +11,7 @@ from daq_service.web.answers.problem import Problem
 def encode_cursor(listing: str, after: int) -> str:
     """Encode the number of the last row of a page as URL-safe text.
 
-    ``listing`` names resource and filters.
+    ``listing`` names the resource and its filters, to which the cursor is tied.
     """
     mark = hashlib.sha256(listing.encode()).hexdigest()[:8]
     return base64.urlsafe_b64encode(f"{mark}.{after}".encode()).decode().rstrip("=")

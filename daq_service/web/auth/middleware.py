@@ -59,16 +59,13 @@ class AccessPolicy:
 
     @property
     def is_open(self) -> bool:
-        """Return whether no token is required: on loopback, before the first token is created.
-
-        Also true with ``no_person``.
-        """
+        """Return whether no token is required: with ``no_person``, or on loopback without any token yet."""
         return self._no_person or (not self._web.is_reachable and not self.tokens.asked_for)
 
     def choose_cookie_name(self, scope: Scope) -> str:
-        """Return the name of the page's cookie.
+        """Return the name of the page's cookie for this service.
 
-        Over TLS with ``__Host-``, so that a browser binds it to the host.
+        Over TLS it has the prefix ``__Host-``, so that a browser binds it to the host.
         """
         return f"__Host-{self._cookie}" if is_encrypted(scope) else self._cookie
 

@@ -144,9 +144,9 @@ class ServedTests:
             await self.close_idle_tests(for_s=IDLE_S)
 
     async def open_notifying_tests(self) -> None:
-        """Open the tests with receivers of notifications.
+        """Open the tests with receivers of notifications, which then stay open.
 
-        An unreadable one is tried again at the next call.
+        A test that cannot be read is tried again at the next call.
         """
         for test in self.all.values():
             with suppress(Problem, AbsentError):

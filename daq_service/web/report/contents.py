@@ -304,7 +304,7 @@ def _was_active(row: AlarmRow, experiment: ExperimentRow, from_h: float, to_h: f
 def _read_alarm_history(catalogue: Catalogue, ids: set[int | None]) -> dict[int, list[EventRow]]:
     """Read the events of these alarms, ascending, by the id of the alarm.
 
-    Alarms without events are left out.
+    Alarms without events have no entry.
     """
     events_by_alarm: dict[int, list[EventRow]] = {}
     for event in catalogue.rows(EventRow, topic="alarms"):

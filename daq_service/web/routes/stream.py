@@ -70,9 +70,9 @@ async def stream_events(
 
 
 def _parse_topics(text: str | None) -> frozenset[str] | None:
-    """Parse the comma-separated topics.
+    """Parse the comma-separated topics; an absent parameter (None) selects all.
 
-    None selects all. Raises a Problem (422) for none or an unknown one.
+    Raises a Problem (422) for an unknown or no topic.
     """
     if text is None:
         return None
@@ -99,9 +99,9 @@ def _parse_event_id(text: str) -> int:
 
 
 def encode_gap(after: int, until: int, reason: str) -> bytes:
-    """Encode a frame that reports the skipped events after one id up to another.
+    """Encode a frame that reports skipped events: those after ``after`` up to ``until``.
 
-    It moves the client's cursor.
+    It moves the cursor of the client to ``until``.
     """
     data = orjson.dumps({"after": after, "until": until, "reason": reason})
     return b"id: %d\nevent: gap\ndata: %s\n\n" % (until, data)
