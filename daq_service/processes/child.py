@@ -36,11 +36,12 @@ def stop_on_signals() -> Iterator[threading.Event]:
     """Yield an event that Ctrl-C, SIGTERM and a closed terminal (SIGHUP; Ctrl-Break on Windows) set.
 
     A signal that is ignored at the start stays ignored: `nohup` starts a program that outlives its terminal.
+    The former handlers are restored at the end. Only the main thread of a process may call this.
 
     Raises
     ------
     EndedByLibraryError
-        A driver or a library raised what would end the process. Signals raise nothing here.
+        A driver or a library raised an exception that would end the process. Signals raise nothing here.
     """
     stop = threading.Event()
     # A signal may come while this thread holds the event's lock: a handler that sets the event would
@@ -48,12 +49,12 @@ def stop_on_signals() -> Iterator[threading.Event]:
     signals: SimpleQueue[int | None] = SimpleQueue()
 
     def set_on_signal() -> None:
-        """Set the event at each signal, until the end of the context."""
+        """Set the event at each queued signal, until None ends the queue."""
         while signals.get() is not None:
             stop.set()
 
     def on_signal(number: int, frame: FrameType | None) -> None:
-        """Pass the number of a signal to the waiting thread."""
+        """Queue the number of a signal for the waiting thread, without taking a lock."""
         del frame
         signals.put(number)
 
@@ -82,9 +83,10 @@ def stop_on_signals() -> Iterator[threading.Event]:
 
 
 def run_and_announce(run: Callable[[], int], *, supervised: bool) -> int:
-    """Run a child, announce its exit code (also after an error) to the supervisor, and return the code.
+    """Run a child, announce its exit code (also after a SolimonError) to the supervisor, and return the code.
 
-    A code without announcement counts as a crash there: a library may end the process with any code.
+    Other exceptions announce nothing. A code without announcement counts as a crash in the supervisor: a
+    library may end the process with any code. Without ``supervised`` nothing is announced.
     """
     announce = notify_supervisor if supervised else lambda event, **values: None
     try:
@@ -114,19 +116,22 @@ class LogFile(logging.handlers.RotatingFileHandler):
         self.lost = 0
 
     def doRollover(self) -> None:  # noqa: N802 - logging's name
-        """Rotate the log; continue with the present file if that fails."""
+        """Rotate the log; if the file system refuses, reopen and continue the present file."""
         try:
             super().doRollover()
         except OSError:
             self.stream = self._open()
 
     def handleError(self, record: logging.LogRecord) -> None:  # noqa: N802 - logging's name
-        """Count a line that was not written, instead of printing a traceback for each."""
+        """Count a line that could not be written, instead of printing a traceback for each."""
         del record
         self.lost += 1
 
     def emit(self, record: logging.LogRecord) -> None:
-        """Write a line, preceded by the number of lines lost since the last one."""
+        """Write a line, preceded by a warning with the number of lines lost since the last written one.
+
+        If that warning cannot be written, the line is counted as lost, too.
+        """
         lost, self.lost = self.lost, 0
         if lost:
             warning = {"name": __name__, "levelno": logging.WARNING, "levelname": "WARNING"}
@@ -138,7 +143,11 @@ class LogFile(logging.handlers.RotatingFileHandler):
 
 
 def log_to(path: Path) -> None:
-    """Log to a rotated file, and crashes below Python to a second file; print a warning where that fails."""
+    """Log to a rotated file, and crashes below Python to a file with the suffix ``.crash``.
+
+    Sets the root logger to INFO and captures Python warnings. If the folder or a file cannot be created, a
+    warning is printed and the process continues.
+    """
     handler = LogFile(path)
     handler.setFormatter(
         OneLineFormatter("%(asctime)s.%(msecs)03d %(levelname)s %(name)s: %(message)s", "%Y-%m-%dT%H:%M:%S")
@@ -160,7 +169,10 @@ def log_to(path: Path) -> None:
 
 @contextmanager
 def log_in_thread(path: Path) -> Iterator[None]:
-    """Write the log as `log_to` does, in a thread, so that a disk that hangs does not delay the caller."""
+    """Write the log as `log_to` does, but from a thread, so that a disk that hangs does not delay the caller.
+
+    On exit waits at most `FLUSHED_WITHIN_S` for queued lines; later ones are lost.
+    """
     log_to(path)
     root = logging.getLogger()
     handler, lines = root.handlers[-1], SimpleQueue[logging.LogRecord]()
@@ -181,19 +193,21 @@ FAREWELL = b"."
 
 
 def leave_when_pipe_closes(stop: threading.Event) -> threading.Event:
-    """Set ``stop`` in a child once the supervisor's pipe (standard input) closes.
+    """Start a thread that sets ``stop`` in a child once the supervisor's pipe (standard input) closes.
+
+    Returns at once.
 
     Returns
     -------
     threading.Event
-        Set before ``stop`` where the supervisor ended without `FAREWELL`.
+        Set before ``stop`` if the supervisor ended without `FAREWELL`.
     """
     pipe = sys.stdin.fileno()
     supervisor_killed = threading.Event()
 
     def wait_for_close() -> None:
         # Not through Python's buffer: a thread that waits in it holds its lock at the interpreter's shutdown.
-        """Wait until the pipe closes, then set the events."""
+        """Wait for the farewell or the end of the pipe, then set the events."""
         if os.read(pipe, 1) != FAREWELL:
             supervisor_killed.set()
         stop.set()
@@ -205,10 +219,17 @@ def leave_when_pipe_closes(stop: threading.Event) -> threading.Event:
 def start_detached(command: Sequence[str], standard_input: bytes) -> subprocess.Popen[bytes]:
     """Start a program that outlives this one and gets no signals from this one's terminal.
 
+    Its standard output and error are discarded. A program that ends before it reads its input is no error.
+
     Parameters
     ----------
     standard_input
-        Content of its standard input.
+        Content of its standard input, closed afterwards.
+
+    Raises
+    ------
+    OSError
+        The program cannot be started.
     """
     flags = 0
     if sys.platform == "win32":
@@ -228,10 +249,10 @@ def start_detached(command: Sequence[str], standard_input: bytes) -> subprocess.
 
 
 def notify_supervisor(event: str, **values: object) -> None:
-    """Send a message from a child to its supervisor as one JSON line.
+    """Send a message from a child to its supervisor as one JSON line on standard output, without blocking.
 
     A supervisor that is gone or suspended is no error here: a line that does not fit into the full pipe is
-    dropped (the kernel takes a line of this length completely or not at all).
+    dropped (the kernel takes a line of this length completely or not at all) and logged.
     """
     pipe = sys.stdout.fileno()
     if hasattr(os, "set_blocking") and sys.platform != "win32":

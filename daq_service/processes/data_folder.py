@@ -37,11 +37,14 @@ if sys.platform == "win32":
     import msvcrt
 
     def try_lock(file: IO[bytes]) -> None:
-        """Lock an open file for this process; raise OSError if another process holds it."""
+        """Lock an open file for this process without waiting; OSError if another process holds it."""
         msvcrt.locking(file.fileno(), msvcrt.LK_NBLCK, 1)
 
     def is_locked(file: IO[bytes]) -> bool:
-        """Return whether another process holds the lock; a concurrent check holds it for an instant."""
+        """Return whether another process holds the lock of an open file, after retries of 0.1 s.
+
+        The check itself holds the lock for an instant, so concurrent checks may disturb each other.
+        """
         try:
             retry(lambda: try_lock(file), patience_s=0.1)
         except OSError:
@@ -53,11 +56,15 @@ else:
     import fcntl
 
     def try_lock(file: IO[bytes]) -> None:
-        """Lock an open file for this process; raise OSError if another process holds it."""
+        """Lock an open file for this process without waiting; OSError if another process holds it."""
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
 
     def is_locked(file: IO[bytes]) -> bool:
-        """Return whether another process holds the lock; concurrent checks do not disturb each other."""
+        """Return whether another process holds the lock of an open file, without waiting.
+
+        The check takes a shared lock until the file is closed, so concurrent checks do not disturb each
+        other.
+        """
         try:
             fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
         except BlockingIOError:
@@ -108,7 +115,11 @@ WRITE_TEST = ".write-test-"
 
 
 def backup_identity(folder: Path) -> Mapping[str, object] | None:
-    """Read which test a folder is a backup of; empty where the file is invalid, None if it is no backup."""
+    """Read the identity of the test that a folder is a backup of.
+
+    Returns None if it is no backup, and an empty mapping if the file is invalid. Raises OSError if the file
+    cannot be read.
+    """
     try:
         found = orjson.loads(read_shared(folder / BACKUP_FILE))
         return to_current_row("experiment", found)  # those of earlier versions have no UUID
@@ -119,7 +130,10 @@ def backup_identity(folder: Path) -> Mapping[str, object] | None:
 
 
 def new_folder_path(purpose: str) -> Path:
-    """Return a path in the working directory that does not exist yet, named by purpose and time."""
+    """Return an unused path in the working directory, ``solimon-PURPOSE-DATE-TIME``, with a number if needed.
+
+    The folder is not created.
+    """
     base = Path.cwd() / f"solimon-{purpose}-{datetime.now().astimezone():%Y%m%d-%H%M%S}"
     folder, number = base, 1
     while folder.exists():
@@ -129,7 +143,7 @@ def new_folder_path(purpose: str) -> Path:
 
 
 def prepare_data_folder(folder: Path, *, may_create: bool = True) -> None:
-    """Create the data folder and check that it can be written.
+    """Create the data folder with its subfolders and check by a test file that it can be written.
 
     Parameters
     ----------
@@ -139,11 +153,11 @@ def prepare_data_folder(folder: Path, *, may_create: bool = True) -> None:
     Raises
     ------
     FolderGoneError
-        It is gone.
+        ``may_create`` is false, and the folder is missing or has no ``sets``.
     StorageUnavailableError
-        It cannot be written.
+        It cannot be created or written.
     StorageError
-        A file is in the way, the folder holds something else, or is on a network.
+        It holds only foreign files, or is on a network file system.
     """
     # The lock is no evidence: a recorder that was killed during its start has not created it.
     if not may_create and not (folder / "sets").is_dir():
@@ -182,7 +196,7 @@ def prepare_data_folder(folder: Path, *, may_create: bool = True) -> None:
 
 
 def _create_hint_folder(folder: Path) -> None:
-    """Create a folder that the test can do without."""
+    """Create a folder that the test can do without; an error of the disk is logged only."""
     try:
         folder.mkdir(exist_ok=True)
     except OSError as error:
@@ -190,7 +204,10 @@ def _create_hint_folder(folder: Path) -> None:
 
 
 def remove_temporary_files(folder: Path) -> None:
-    """Remove temporary files of killed writers; only the owner may call this, as only it writes hints."""
+    """Delete temporary files that killed writers left; only the owner may call this, as only it writes hints.
+
+    Files that cannot be deleted are logged.
+    """
     for directory in (folder, folder / "live"):
         for pattern in (f"*{HINT_SUFFIX}", f"{WRITE_TEST}*"):
             for path in directory.glob(pattern):
@@ -198,18 +215,21 @@ def remove_temporary_files(folder: Path) -> None:
 
 
 def _find_foreign_file(folder: Path) -> str:
-    """Find a foreign file by name; empty if the folder is a data folder of solimon or is empty."""
+    """Return the first foreign file name; empty if the folder is empty or holds any file of solimon.
+
+    Raises OSError if the folder cannot be listed.
+    """
     names = {path.name for path in folder.iterdir() if not path.name.startswith(WRITE_TEST)}
     return min(names) if names and not names & OWN_NAMES else ""
 
 
 def refuse_other_folders(folder: Path) -> None:
-    """Raise UsageError if a folder is no data folder; a mistyped folder is not created or changed.
+    """Raise UsageError unless a folder is a data folder or empty; nothing is created or changed.
 
     Raises
     ------
     UsageError
-        The folder is missing, is no folder, or holds foreign files; an empty one is accepted.
+        The folder is missing, is no folder, cannot be read, or holds only foreign files.
     """
     remedy = (
         "name the folder of the test with --data-dir, or its configuration; only `solimon run`, `record` "
@@ -226,7 +246,11 @@ def refuse_other_folders(folder: Path) -> None:
 
 
 def own_data_folder(folder: Path, *, patience_s: float = PATIENCE_S) -> AbstractContextManager[object]:
-    """Hold the recorder's lock; raise `BusyError` if another recorder holds it for ``patience_s``."""
+    """Hold the recorder's lock of a folder within a context, as `hold_lock`.
+
+    Raises `BusyError` on entry if another recorder holds it for ``patience_s`` seconds, and
+    StorageUnavailableError if the lock file cannot be opened.
+    """
     text = f"process {os.getpid()}"
     return hold_lock(folder, LOCK_FILE, text, holder="recorder", patience_s=patience_s)
 
@@ -241,7 +265,7 @@ def hold_lock(
     mode: int | None = None,
     patience_s: float = PATIENCE_S,
 ) -> Iterator[IO[bytes]]:
-    """Hold a lock of the folder and yield its open file; ``text`` in it describes the owner.
+    """Hold a lock of the folder within a context and yield its open file; ``text`` in it describes the owner.
 
     Parameters
     ----------
@@ -258,6 +282,8 @@ def hold_lock(
     ------
     BusyError
         Another process holds it.
+    StorageUnavailableError
+        The lock file cannot be opened.
     """
     path = folder / name
     with ExitStack() as stack:
@@ -293,7 +319,9 @@ def hold_lock(
 
 @contextmanager
 def one_at_a_time(path: Path) -> Iterator[None]:
-    """Serialize changes of a file by processes and threads with a lock file next to it.
+    """Hold ``NAME.lock`` next to a file within a context, so that processes change the file in turn.
+
+    Waits up to `PATIENCE_S` (5 s) for another holder.
 
     Raises
     ------
@@ -308,7 +336,9 @@ def one_at_a_time(path: Path) -> Iterator[None]:
 
 
 def is_owned(folder: Path, name: str = LOCK_FILE) -> bool | None:
-    """Return whether a recorder runs on a folder; None if its lock cannot be read.
+    """Return whether a process, such as the recorder, holds a lock of the folder; None if it cannot be read.
+
+    A missing lock file counts as not held.
 
     Parameters
     ----------
@@ -326,7 +356,10 @@ def is_owned(folder: Path, name: str = LOCK_FILE) -> bool | None:
 
 
 def lock_text(folder: Path, name: str) -> str:
-    """Read the text of the owner of a lock; return a sentence if it cannot be read."""
+    """Return the owner's text in a lock file, at most 1000 bytes.
+
+    If it is unreadable or empty, a phrase about that is returned.
+    """
     # On Windows the locked byte cannot be read by others, so only the bytes after it are read.
     try:
         with (folder / name).open("rb", buffering=0) as file:
@@ -337,7 +370,11 @@ def lock_text(folder: Path, name: str) -> str:
 
 
 def data_folder(storage: StorageSettings, config: Path | None, data_dir: Path | None) -> Path:
-    """Return ``--data-dir``, or the configuration's folder relative to its file."""
+    """Return the absolute path ``--data-dir``, or else the configured folder.
+
+    A relative configured folder counts from the configuration file, or from the working directory without
+    one.
+    """
     if data_dir is not None:
         return data_dir.absolute()
     base = Path.cwd() if config is None else config.absolute().parent
@@ -345,15 +382,15 @@ def data_folder(storage: StorageSettings, config: Path | None, data_dir: Path | 
 
 
 def settings_and_folder(config: Path | None, data_dir: Path | None) -> tuple[Settings, Path]:
-    """Read the configuration and return it with its data folder.
+    """Read the configuration and return it with the absolute path of its data folder.
 
-    The configuration file in a data folder is a hint: where it is torn, foreign or missing, the configuration
-    stored in the catalogue is used.
+    The configuration file in a data folder is a hint: if it is torn, foreign or missing, the configuration
+    stored in the catalogue is used and a warning logged.
 
     Raises
     ------
     UsageError
-        The configuration is refused, with the reason.
+        The configuration is rejected, with the reason.
     """
     try:
         settings = load_settings(config)
@@ -369,12 +406,14 @@ def settings_and_folder(config: Path | None, data_dir: Path | None) -> tuple[Set
 
 
 def settings_of_folder(config: Path | None, data_dir: Path | None) -> tuple[Settings, Path]:
-    """Read the configuration for reading commands; for a folder alone, the one in its catalogue.
+    """Read the configuration for commands that only read, and return it with the absolute data folder.
+
+    If only ``data_dir`` is given, the configuration stored in that folder is read.
 
     Raises
     ------
     UsageError
-        The configuration is refused, with the reason.
+        The configuration is rejected, with the reason.
     """
     stored = None if config is not None or data_dir is None else _stored_settings(data_dir)
     return (
@@ -385,7 +424,7 @@ def settings_of_folder(config: Path | None, data_dir: Path | None) -> tuple[Sett
 
 
 def _stored_settings(folder: Path) -> Settings | None:
-    """Read the settings stored in experiment.json, or else in the catalogue."""
+    """Read the settings from experiment.json, or else from the catalogue; None if neither has valid ones."""
     try:
         stored = read_experiment(folder)
         if stored is None:
@@ -398,7 +437,11 @@ def _stored_settings(folder: Path) -> Settings | None:
 
 
 def write_configuration(settings: Settings, folder: Path) -> Path:
-    """Write the configuration for the child processes and a later `solimon run`; pace and end may change."""
+    """Write the configuration durably to the data folder and return the path of the file.
+
+    Child processes and later starts read it. It replaces an earlier one: pace and end of a test may change.
+    Raises StorageUnavailableError if the disk refuses.
+    """
     config = folder / CONFIGURATION_FILE
     content = settings.model_dump_json(indent=1).encode()
     try:

@@ -34,13 +34,16 @@ class DiskSpace:
 
     @property
     def description(self) -> str:
-        """Free space as a sentence."""
+        """Return the free space as a phrase: GB (10^9 bytes) and share of the volume."""
         share = self.free_bytes / self.total_bytes if self.total_bytes else 0.0
         return f"{self.free_bytes / 1e9:.2f} GB ({share:.1%}) of the volume are free"
 
 
 def disk_usage(folder: Path) -> tuple[int, int]:
-    """Return the free and the total bytes; for a missing folder, those of its nearest parent."""
+    """Return the free and the total bytes of the volume of a folder, or of its nearest existing parent.
+
+    Raises OSError if the system does not report them.
+    """
     usage = shutil.disk_usage(next(path for path in (folder, *folder.parents) if path.exists()))
     return usage.free, usage.total
 
@@ -48,7 +51,11 @@ def disk_usage(folder: Path) -> tuple[int, int]:
 def disk_space(
     folder: Path, settings: StorageSettings, *, before: Level = "ample", usage: Usage = disk_usage
 ) -> DiskSpace:
-    """Measure the volume and return its level; a level reached ``before`` ends only at `LEAVES_AT`."""
+    """Measure the free space of a folder's volume and determine its level (`LEVELS`).
+
+    A level reached ``before`` ends only above 1.1 times its limit (`LEAVES_AT`). Fractions refer to the
+    volume, or to ``volume_gb`` if that is smaller. Raises the OSError of ``usage``.
+    """
     free, total = usage(folder)
     limits: dict[Level, float] = {
         "stop": settings.stop_free_fraction,
@@ -65,7 +72,7 @@ def disk_space(
 
 
 def refusal(space: DiskSpace, settings: StorageSettings) -> str:
-    """Return the reason why nothing can be stored at present; empty if there is room."""
+    """Return the reason why nothing is stored at present (level ``stop``) and the remedy; empty otherwise."""
     if space.level != "stop":
         return ""
     return (
@@ -98,7 +105,10 @@ def outlook(
     catalogue: Catalogue,
     usage: Usage = disk_usage,
 ) -> Outlook:
-    """Forecast whether the remaining sets of the test fit on the disk."""
+    """Forecast from the size of the newest set whether the remaining sets of the test fit on the disk.
+
+    Without a set file (no set yet, or still in the journal) ``needed_bytes`` and ``full_at_h`` are None.
+    """
     space, newest = disk_space(folder, storage, usage=usage), catalogue.read_newest_recorded()
     forecast = Outlook(**asdict(space))
     path = folder / ((newest and newest.file) or "")

@@ -37,14 +37,14 @@ SAME_EVERYWHERE = ("solimon", "numpy", "scipy", "numba")
 
 
 def count_usable_cores() -> int:
-    """Count the cores that this process may use."""
+    """Count the cores that this process may use, by its affinity if the system has one; at least 1."""
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
 
 
 def check_executor_name(name: str, workers: int | None) -> str:
-    """Validate the name of an executor and return it.
+    """Return the name of an executor unchanged if it is valid; nothing is connected.
 
     Raises
     ------
@@ -59,28 +59,28 @@ def check_executor_name(name: str, workers: int | None) -> str:
 
 
 def prepare_worker() -> None:
-    """Initialize a worker process: one BLAS thread, and end with the parent."""
+    """Initialize a worker process: use one BLAS thread, ignore Ctrl-C, and end with the parent."""
     use_one_blas_thread().__enter__()
     leave_with_parent()
 
 
 @contextmanager
 def open_executor(name: str, workers: int) -> Iterator[Executor]:
-    """Yield an executor; an early exit cancels pending tasks and waits for running ones.
+    """Yield an executor; on exit pending tasks are canceled and running ones awaited.
 
     Parameters
     ----------
     name
         ``processes``, ``threads`` or ``dask://HOST`` (`check_executor_name`).
     workers
-        Processes or threads; a cluster has its own (`count_workers`).
+        Processes (at most 61) or threads; a cluster has its own (`count_workers`).
 
     Raises
     ------
     UsageError
         The extra ``cluster`` is not installed, or a worker of the cluster has other versions.
     BusyError
-        No scheduler answers there, or it has no worker.
+        No scheduler answers within 10 s, or it has no worker.
     """
     if name.startswith(DASK):
         with _open_cluster(name) as on_cluster:
@@ -96,12 +96,15 @@ def open_executor(name: str, workers: int) -> Iterator[Executor]:
 
 
 def count_workers(executor: Executor, workers: int) -> int:
-    """Return the number of parallel tasks of an executor; ``workers`` if it is no cluster."""
+    """Return the number of parallel tasks: the threads of a cluster at connection, otherwise ``workers``."""
     return executor.n_workers if isinstance(executor, _ClusterExecutor) else workers
 
 
 def worker_lost_errors() -> tuple[type[Exception], ...]:
-    """Return the exceptions of a task whose workers died repeatedly."""
+    """Return the exception classes of a task whose worker processes died repeatedly, for ``except``.
+
+    The one of Dask is included only if the package ``distributed`` is loaded.
+    """
     distributed = sys.modules.get("distributed")
     return (BrokenExecutor,) if distributed is None else (BrokenExecutor, distributed.KilledWorker)
 
@@ -115,7 +118,7 @@ class _Task(Future[T]):
         self.attempt: Future[T] | None = None
 
     def cancel(self) -> bool:
-        """Cancel the task unless it runs; return whether it is canceled."""
+        """Cancel the task unless its present attempt runs or has ended; return whether it is canceled."""
         return (self.attempt is None or self.attempt.cancel()) and super().cancel()
 
 
@@ -130,24 +133,30 @@ class _ProcessExecutor(Executor):
         self._pool = self._start_pool()
 
     def submit(self, work: Callable[..., T], /, *args: object, **named: object) -> Future[T]:
-        """Submit work to the pool; repeat it if a worker process dies."""
+        """Submit work to the pool; it is tried up to `MOST_TRIES` times if worker processes die.
+
+        Raises RuntimeError after `shutdown`.
+        """
         task = _Task(partial(work, *args, **named))
         self._submit_attempt(task)
         return task
 
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
-        """End the worker processes."""
+        """Accept no further work and end the worker processes; with ``wait`` block until they have ended."""
         with self._lock:
             self._closed, pool = True, self._pool
         pool.shutdown(wait, cancel_futures=cancel_futures)
 
     def _start_pool(self) -> ProcessPoolExecutor:
-        """Create a pool of worker processes."""
+        """Create a pool of spawned worker processes; they start with their first tasks."""
         context = multiprocessing.get_context("spawn")
         return ProcessPoolExecutor(self._workers, mp_context=context, initializer=prepare_worker)
 
     def _submit_attempt(self, task: _Task[T]) -> None:
-        """Submit a task to the pool; replace a broken pool."""
+        """Submit a task to the pool; if the pool is broken, to a new one.
+
+        Raises RuntimeError after `shutdown`.
+        """
         with self._lock:
             pool = self._pool
         try:  # without our lock: a pool that breaks holds its own lock during its callback
@@ -158,14 +167,14 @@ class _ProcessExecutor(Executor):
         attempt.add_done_callback(partial(self._finish_attempt, task, pool))
 
     def _replace_pool(self, broken: ProcessPoolExecutor) -> ProcessPoolExecutor:
-        """Replace a broken pool; return the present one."""
+        """Replace a pool if it is still the present one, and return the present pool."""
         with self._lock:
             if self._pool is broken:
                 self._pool = self._start_pool()
             return self._pool
 
     def _finish_attempt(self, task: _Task[T], pool: ProcessPoolExecutor, attempt: Future[T]) -> None:
-        """Set the result of a task, or repeat it if its pool broke."""
+        """Set the result or exception of a task; submit it again if its pool broke and tries remain."""
         if attempt.cancelled():
             Future.cancel(task)
             return
@@ -187,24 +196,28 @@ class _ClusterExecutor(Executor):
         self.n_workers = sum(client.nthreads().values())
 
     def submit(self, work: Callable[..., T], /, *args: object, **named: object) -> Future[T]:
-        """Submit work to the cluster, one BLAS thread per task."""
+        """Submit work to the cluster, where it runs with one BLAS thread; return its future."""
         future: Future[T] = self._executor.submit(_run_in_one_thread, work, *args, **named)
         return future
 
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
-        """Close the connection to the cluster."""
+        """Accept no further work; wait for running tasks only if ``wait`` and not ``cancel_futures``."""
         self._executor.shutdown(wait=wait and not cancel_futures)
 
 
 def _run_in_one_thread(work: Callable[..., T], *args: object, **named: object) -> T:
-    """Run work with one BLAS thread and return its result."""
+    """Call work with its arguments while BLAS uses one thread, and return its result."""
     with use_one_blas_thread():
         return work(*args, **named)
 
 
 @contextmanager
 def _open_cluster(name: str) -> Iterator[Executor]:
-    """Yield an executor on a Dask cluster."""
+    """Connect to a Dask cluster (``dask://HOST:PORT``, default port 8786) and yield its executor.
+
+    Raises UsageError if ``distributed`` is not installed or a worker has other versions, and BusyError if no
+    scheduler answers within 10 s or it has no worker.
+    """
     try:
         from distributed import Client
     except ImportError as error:
@@ -243,5 +256,5 @@ def _open_cluster(name: str) -> Iterator[Executor]:
 
 
 def _list_versions() -> dict[str, str]:
-    """Return the versions of a process that affect the digits of results."""
+    """Return the versions of Python and of the packages in `SAME_EVERYWHERE` in this process, by name."""
     return {"python": sys.version.split()[0], **{name: version(name) for name in SAME_EVERYWHERE}}

@@ -67,13 +67,13 @@ class Freshness:
             self.wall_age_s = min((age_ns for age_ns in ages_ns if age_ns >= 0), default=0) / NS_PER_S
 
     def with_present_state(self, row: AlarmRow) -> AlarmRow:
-        """Return an alarm in its present state; an expired shelf has ended, also without a recorder."""
+        """Return an alarm without its shelf if that has expired, also while no recorder runs."""
         return remove_expired_shelf(row, utc_ns=self.now_utc_ns, wall_utc_ns=time.time_ns())
 
     def with_present_alarms(self, last: LatestRows) -> LatestRows:
-        """Return the newest values of a position with its alarms in their present state."""
+        """Return the newest rows of a position with expired shelves removed from its active alarms."""
         return replace(last, active_alarms=[self.with_present_state(row) for row in last.active_alarms])
 
     def age_h(self, due_h: float) -> float:
-        """Compute the age of an hour on the test clock, h; not negative."""
+        """Return the age in h of an hour of the test, on the test's clock; 0 for future hours."""
         return max(0.0, self.now_h - due_h)

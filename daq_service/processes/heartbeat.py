@@ -117,7 +117,11 @@ class Heartbeat:
         self._last_doing = ""
 
     def beat(self, doing: str, *, at_once: bool = False) -> None:
-        """Write a heartbeat with the present activity; ``at_once`` where a long wait starts."""
+        """Send a heartbeat with the present activity, truncated to 500 characters, to callback and file.
+
+        Skipped within 0.5 s of the last one, and for a new activity within 100 times the cost of a beat;
+        ``at_once`` sends always (a long wait starts). A file that cannot be written is logged once.
+        """
         doing = doing[:LONGEST_DOING]
         now_ns = self._machine.mono_ns()
         is_change = doing != self._last_doing
@@ -147,18 +151,21 @@ class Heartbeat:
 
 
 def encode_heartbeat(beat: Beat) -> bytes:
-    """Encode a heartbeat as the content of its file."""
+    """Encode a heartbeat as JSON with its CRC-32, padded with spaces to `FILE_BYTES` (4096) bytes."""
     values = asdict(beat)
     return json.dumps({**values, "crc32": _compute_crc32(values)}).encode().ljust(FILE_BYTES)
 
 
 def _compute_crc32(values: Mapping[str, Any]) -> int:
-    """Compute the CRC-32 of values as JSON."""
+    """Compute the CRC-32 of values as JSON, in their order."""
     return zlib.crc32(json.dumps(values).encode())
 
 
 def _overwrite_file(path: Path, content: bytes) -> None:
-    """Overwrite a file in place."""
+    """Write the content over the start of a file without truncating it; create a missing file.
+
+    Raises OSError.
+    """
     descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | O_BINARY, 0o644)
     try:
         os.write(descriptor, content)
@@ -167,7 +174,7 @@ def _overwrite_file(path: Path, content: bytes) -> None:
 
 
 def read_heartbeat(folder: Path, file: str = FILE_NAME) -> Beat | None:
-    """Read the newest heartbeat; None without a file, or (with a warning) if it is invalid."""
+    """Read the newest heartbeat; None without a readable file, or (with a warning) if 3 reads are invalid."""
     path = folder / file
     reason = ""
     for _ in range(LOOKS):
@@ -184,7 +191,10 @@ def read_heartbeat(folder: Path, file: str = FILE_NAME) -> Beat | None:
 
 
 def _decode_heartbeat(content: bytes) -> Beat:
-    """Decode the heartbeat of a file's content; raise ValueError if it is corrupt."""
+    """Decode the content of a heartbeat file.
+
+    Raises ValueError if the checksum is wrong, or as `check_beat`; older files have no checksum.
+    """
     values = json.loads(content)
     crc32 = values.pop("crc32", None)  # an older version wrote none
     if crc32 is not None and crc32 != _compute_crc32(values):
@@ -193,7 +203,7 @@ def _decode_heartbeat(content: bytes) -> Beat:
 
 
 def check_beat(values: Mapping[str, Any]) -> Beat:
-    """Validate the values of a heartbeat and return it.
+    """Convert the values of a heartbeat message to a `Beat`.
 
     Raises
     ------
@@ -219,14 +229,14 @@ def _int_or_none(value: Any) -> int | None:
 
 @lru_cache(maxsize=8)
 def _warn_once(path: Path, problem: str) -> None:
-    """Log a warning once for each problem, since the file is read many times a second."""
+    """Log a warning once for each problem (of the latest 8), since the file is read many times a second."""
     log.warning("%s %s", path, problem)
 
 
 def compute_beat_age_s(beat: Beat, *, boot: str | None, mono_ns: int) -> float | None:
-    """Return the age of a beat at a monotonic time of a boot; None where it was written in another boot.
+    """Return the age of a beat, s, at a monotonic time of a boot; None if it was written in another boot.
 
-    Where a boot name is missing (`clock.boot_name`, or a file of an older version), only a time in the future
+    If a boot name is missing (`clock.boot_name`, or a file of an older version), only a time in the future
     shows that.
     """
     other_boot = None not in (beat.boot, boot) and beat.boot != boot
@@ -234,13 +244,17 @@ def compute_beat_age_s(beat: Beat, *, boot: str | None, mono_ns: int) -> float |
 
 
 def create_web_beat() -> Beat:
-    """Create a heartbeat of the web service that runs in this process, for its supervisor."""
+    """Create a heartbeat of the web service in this process, for its supervisor; its deadline is 15 s."""
     now_ns = time.monotonic_ns()
     return Beat(process=os.getpid(), mono_ns=now_ns, deadline_s=WEB_DEADLINE_S, doing="serving")
 
 
 def read_web_state(folder: Path, *, machine: MachineClock = MACHINE) -> WebState:
-    """Return whether the web service of a folder responds, does not respond, or is not expected."""
+    """Return whether the web service of a folder responds, by its heartbeat file.
+
+    ``not_expected`` if it never ran or has ended in order; ``not_responding`` if its heartbeat is past its
+    deadline or of another boot.
+    """
     beat = read_heartbeat(folder, WEB_FILE)
     if beat is None or beat.stage == "ended":
         return "not_expected"
@@ -257,7 +271,10 @@ class WebWatch:
         self._until_ns: float | None = self._next_ns + WEB_STARTS_WITHIN_S * NS_PER_S
 
     def is_missing(self) -> bool | None:
-        """Check at most once a second whether the web service is missing; None: unchecked or unconfirmed."""
+        """Return whether the web service has not responded for 3 s (60 s after the start of the watch).
+
+        None if that is not confirmed yet, or if the last check was less than 1 s ago.
+        """
         now_ns = self._machine.mono_ns()
         if now_ns < self._next_ns:
             return None
@@ -270,7 +287,10 @@ class WebWatch:
 
 
 def read_time_line(beat: Beat | None, *, boot: str | None, elapsed_ns: int) -> TimeLine | None:
-    """Return the test time of a recorder of this boot; None if it is unknown."""
+    """Return the pair of test time and elapsed boot time in a beat.
+
+    None without a beat, without these times, or if the beat is of another boot.
+    """
     if beat is None or beat.utc_ns is None or beat.elapsed_ns is None:
         return None
     if beat.boot is None or beat.boot != boot or beat.elapsed_ns > elapsed_ns:
@@ -279,7 +299,7 @@ def read_time_line(beat: Beat | None, *, boot: str | None, elapsed_ns: int) -> T
 
 
 def compute_test_time_ns(beat: Beat | None, *, machine: MachineClock = MACHINE) -> int | None:
-    """Return the time of a test in real time, ns of UTC; None where no recorder of this boot reports it.
+    """Return the present time of a test in real time, ns of UTC; None if no recorder of this boot reports it.
 
     It may differ from the system time, which may have been set since.
     """

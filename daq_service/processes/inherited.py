@@ -14,10 +14,10 @@ from pathlib import Path
 
 
 def reset_inherited() -> None:
-    """Reset streams, encodings, file mask, signals, timers and limits inherited by this process.
+    """Reset streams, encodings, file mask, signals, timers and limits that this process inherited.
 
     Signals that are ignored stay ignored (`child.stop_on_signals`), but for SIGCHLD, without which the exit
-    code of every child would be read as 0.
+    code of every child would be read as 0. A deleted working directory is replaced by the root.
     """
     for descriptor, name in enumerate(("stdin", "stdout", "stderr")):
         try:

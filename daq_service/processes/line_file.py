@@ -26,12 +26,12 @@ Line = tuple[int, Mapping[str, Any]]
 
 
 def append_line(path: Path, table: str, row: Mapping[str, Any]) -> None:
-    """Append a line durably to a file.
+    """Append a row as a numbered line with a checksum and sync the file, one process at a time.
 
     Raises
     ------
     OSError
-        The line may not be durable.
+        The line may not be durable, or another process held the lock all the time.
     """
     with one_at_a_time(path):
         lines, _ = read_newest_lines(path, limit=1, most_lines=LOOK_BACK_LINES)
@@ -46,7 +46,7 @@ def read_newest_lines(
     wanted: Callable[[Mapping[str, Any]], bool] = lambda row: True,
     most_lines: int = MOST_LINES,
 ) -> tuple[list[Line], int | None]:
-    """Read the newest lines, the newest first, without damaged ones.
+    """Read the newest lines, the newest first, without damaged ones; none without a file.
 
     Parameters
     ----------
@@ -62,6 +62,7 @@ def read_newest_lines(
     Returns
     -------
     list of Line
+        Number and row of each selected line.
     int or None
         `end` of the earlier lines; None: there are none.
 
@@ -85,7 +86,10 @@ def read_newest_lines(
 
 
 def _yield_lines_reversed(file: BinaryIO, end: int | None) -> Iterator[tuple[int, bytes]]:
-    """Yield the lines before a byte, the last one first, each with the byte at which it starts."""
+    """Yield the lines before a byte, the last one first, each with the byte at which it starts.
+
+    Reads blocks of 64 KiB; None reads from the end of the file.
+    """
     size = file.seek(0, os.SEEK_END)
     offset, content = min(size, size if end is None else end), b""
     while offset:

@@ -17,7 +17,10 @@ log = logging.getLogger(__name__)
 
 
 def is_catalogue_lost(folder: Path) -> bool:
-    """Return whether a test was started here whose catalogue is missing or empty.
+    """Return whether a test was started here whose catalogue is missing, empty or without an experiment.
+
+    Evidence of a started test is the experiment file, the history or any set file. A catalogue that cannot be
+    opened for another reason is not lost.
 
     Raises
     ------
@@ -43,7 +46,7 @@ def is_catalogue_lost(folder: Path) -> bool:
 
 
 def loss_reason(folder: Path) -> str:
-    """Describe the loss of the catalogue and the remedy; empty if it is not lost.
+    """Return a description of the loss of the catalogue and its remedy; empty if it is not lost.
 
     Raises
     ------
@@ -62,7 +65,7 @@ def loss_reason(folder: Path) -> str:
 
 
 def read_folder_history(folder: Path) -> History:
-    """Read the history of events stored next to a catalogue.
+    """Read the history of events stored next to a catalogue; empty without a file.
 
     Raises
     ------

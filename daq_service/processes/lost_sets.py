@@ -15,12 +15,14 @@ FILED_WITHIN_S = 2.0
 
 
 def find_lost_sets(folder: Path, catalogue: Catalogue, *, newest_rows: int | None = None) -> dict[str, str]:
-    """List the set files of the catalogue that are missing or empty, with which of the two.
+    """Find the set files of the catalogue that are lost, each with ``is missing`` or ``is empty``.
+
+    Sets that are still in the journal are not lost.
 
     Parameters
     ----------
     newest_rows
-        Check the files of only this many of the newest rows, and the names of all where the folder has
+        Check the files of only this many of the newest rows, and the names of all if the folder has
         changed since: this takes the same time in every year of a test. None: check all rows.
 
     Raises
@@ -53,12 +55,15 @@ def find_lost_sets(folder: Path, catalogue: Catalogue, *, newest_rows: int | Non
 
 
 def _list_file_names(sets: Path) -> list[str]:
-    """List the names of the set files; empty without the folder."""
+    """Return the names in the folder of set files, in any order; empty without the folder."""
     return os.listdir(sets) if sets.is_dir() else []  # noqa: PTH208 - only names are needed
 
 
 def _has_changed_since(sets: Path, files: Sequence[str]) -> bool:
-    """Return whether the folder changed after the newest of these files was stored."""
+    """Return whether the folder changed more than 2 s after the last of these files was written.
+
+    True if there are no files or one is missing.
+    """
     try:
         written_s = max((sets.parent / file).stat().st_mtime for file in files[-1:])
         return sets.stat().st_mtime > written_s + FILED_WITHIN_S

@@ -21,7 +21,10 @@ HELD_AFTER_S = 2.0
 
 
 def print_line(text: str, *, err: bool = True) -> None:
-    """Print a line on standard error, or on standard output; wait for `HELD_AFTER_S` at most."""
+    """Print a line on standard error, or on standard output, from a thread; wait for it at most 2 s.
+
+    A closed stream is no error. On a held stream the thread keeps waiting (`end_process`).
+    """
 
     def write() -> None:
         """Print the text; discard it if the stream is closed."""
@@ -37,13 +40,16 @@ def print_line(text: str, *, err: bool = True) -> None:
 
 
 def print_result(result: object, lines: Iterable[str], *, as_json: bool) -> None:
-    """Print the result of a command: one JSON object, or lines for a person."""
+    """Print the result of a command on standard output: one JSON object, or lines for a person."""
     for line in [json.dumps(result)] if as_json else lines:
         click.echo(line)
 
 
 def discard_unwritten() -> None:
-    """Discard output that a stream refuses: Python's last flush of it would change the exit code to 120."""
+    """Flush the standard streams and redirect one that fails to the null device.
+
+    Otherwise Python's last flush of it would change the exit code to 120.
+    """
     for stream in (sys.stdout, sys.stderr):
         try:
             stream.flush()
@@ -53,10 +59,10 @@ def discard_unwritten() -> None:
 
 
 def end_process(code: int) -> None:
-    """End the process at once if Python would not end with this exit code.
+    """End the process at once, without cleanup, if Python would not end with this exit code; else return.
 
     A thread that prints on a held stream holds its lock, without which Python aborts the process; with
-    PYTHONINSPECT it would go on to read commands from standard input.
+    PYTHONINSPECT it would continue to read commands from standard input.
     """
     if any(thread.name == PRINTING for thread in threading.enumerate()):
         os._exit(code)

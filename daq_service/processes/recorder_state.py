@@ -52,7 +52,7 @@ class RecorderState:
 def determine_recorder_state(
     beat: Beat | None, kinds: Sequence[str], *, owned: bool | None, boot: str | None, mono_ns: int
 ) -> RecorderState:
-    """Determine the state from the newest event, the folder's lock and the heartbeat.
+    """Determine the state of a recorder from the newest event, the folder's lock and the heartbeat.
 
     Only the lock shows whether a recorder runs; the heartbeat, a hint, shows its activity and whether it
     hangs. An event in `FAREWELLS` is the last one of its recorder: a running recorder without it is another.
@@ -62,9 +62,9 @@ def determine_recorder_state(
     kinds
         Kinds of the newest events, oldest first; those not in `PROCESS_EVENTS` are ignored.
     owned
-        A process holds the folder's lock; None where that is unknown: then the heartbeat decides.
+        A process holds the folder's lock; None if that is unknown: then the heartbeat decides.
     boot, mono_ns
-        This boot and its monotonic time.
+        This boot and its monotonic time, ns.
     """
     last_kind = next((kind for kind in reversed(kinds) if kind in PROCESS_EVENTS), "")
     age = None if beat is None else compute_beat_age_s(beat, boot=boot, mono_ns=mono_ns)
@@ -96,7 +96,7 @@ def determine_recorder_state(
 def _describe_state(
     beat: Beat | None, age: float | None, *, is_running: bool, is_late: bool, has_started: bool
 ) -> str:
-    """Describe the state of the recorder in words."""
+    """Return a phrase for a person about a recorder that did not take leave; ``age`` of the beat in s."""
     if beat is None and is_running:
         return "running; no heartbeat of it can be read yet"
     if beat is None:
@@ -111,7 +111,11 @@ def _describe_state(
 
 
 def read_recorder_state(folder: Path, kinds: Sequence[str]) -> RecorderState:
-    """Read the present state of the recorder of a folder; ``kinds`` as in `recorder_state`."""
+    """Read the present state of the recorder of a folder; ``kinds`` as in `determine_recorder_state`.
+
+    ``not_responding`` if the folder is gone. A heartbeat of an earlier process than the lock's owner is
+    ignored.
+    """
     if kinds and not folder.is_dir():
         description = (
             f"nobody can tell: {folder} is gone; a recorder that runs keeps what it takes in memory and "

@@ -59,6 +59,8 @@ class RecorderWatch:
     def check(self) -> None:
         """Raise the alarm if the recorder is missing; clear it once a scheduled set is stored.
 
+        It is also cleared when the test has finished. Does nothing before the first record.
+
         Raises
         ------
         StorageError
@@ -80,7 +82,10 @@ class RecorderWatch:
             self._update_alarm("" if is_over else finding, fresh)
 
     def _count_restarts(self, fresh: Freshness) -> None:
-        """Count a restart of the recorder that was not commanded by a person."""
+        """Record a restart if the process of the heartbeat changed without an announced end.
+
+        A recorder that starts after an announced end counts as started by a person and restarts the wait.
+        """
         beat = fresh.recorder.beat
         if beat is None:
             return
@@ -93,7 +98,10 @@ class RecorderWatch:
         self._ended = beat.stage == "ended" or fresh.recorder.beat_age_s is None
 
     def _missing_reason(self, fresh: Freshness, stored_h: float, *, is_paused: bool) -> str:
-        """Return the evidence that the recorder is missing; empty without evidence."""
+        """Return the evidence that the recorder is missing; empty without evidence.
+
+        Evidence is 3 restarts within 600 s, or on a wall clock no stored set for 2 scheduled intervals.
+        """
         now_s, status = self._machine.mono_s(), fresh.recorder.status
         if is_paused or status == "finished":
             self._attended_h = fresh.now_h
@@ -116,7 +124,10 @@ class RecorderWatch:
         return ""
 
     def _update_alarm(self, finding: str, fresh: Freshness) -> None:
-        """Update the alarm `recorder_not_running` in the catalogue."""
+        """Update the alarm ``recorder_not_running`` in the catalogue; an empty finding clears it.
+
+        Writes nothing if the alarm does not change.
+        """
         moment = Moment(utc_ns=fresh.now_utc_ns, due_h=fresh.now_h, set_index=None)
         with open_for_one_command(self._folder) as catalogue:
             rows = catalogue.rows(AlarmRow, kind=RECORDER_NOT_RUNNING)

@@ -24,7 +24,7 @@ if sys.platform == "win32":
         )
 
     def resident_bytes() -> int | None:
-        """Return the resident memory (working set) of this process in bytes."""
+        """Return the resident memory (working set) of this process in bytes; None if not reported."""
         counters = _MemoryCounters()
         counters.cb = ctypes.sizeof(counters)
         process = wintypes.HANDLE(ctypes.windll.kernel32.GetCurrentProcess())
@@ -32,7 +32,7 @@ if sys.platform == "win32":
         return counters.WorkingSetSize if succeeded else None
 
     def open_handles() -> int | None:
-        """Count the handles of this process: files, sockets, threads, events."""
+        """Count the handles of this process (files, sockets, threads, events); None if not reported."""
         number = wintypes.DWORD()
         process = wintypes.HANDLE(ctypes.windll.kernel32.GetCurrentProcess())
         succeeded = ctypes.windll.kernel32.GetProcessHandleCount(process, ctypes.byref(number))
@@ -41,14 +41,14 @@ if sys.platform == "win32":
 else:
 
     def resident_bytes() -> int | None:
-        """Return the resident memory (working set) of this process in bytes."""
+        """Return the resident memory (working set) of this process in bytes; None if not reported."""
         try:
             return int((_PROC / "statm").read_bytes().split()[1]) * os.sysconf("SC_PAGE_SIZE")
         except (OSError, ValueError, LookupError):  # another system, or /proc is not mounted
             return None
 
     def open_handles() -> int | None:
-        """Count the open files and sockets of this process."""
+        """Count the open files and sockets of this process; None if the system does not report them."""
         try:
             return len(os.listdir(_PROC / "fd")) - 1  # noqa: PTH208 the descriptor of the listing is one of them
         except OSError:

@@ -18,7 +18,10 @@ Notifier = Callable[..., None]
 
 
 def notify_manager(*assignments: str) -> None:
-    """Send ``KEY=value`` lines to the service manager of this process, if any, without waiting."""
+    """Send ``KEY=value`` lines to the service manager of this process without waiting.
+
+    Nothing is sent on Windows, without a manager, or in a child of the service; errors are logged only.
+    """
     address = os.environ.get("NOTIFY_SOCKET", "")
     if not address or sys.platform == "win32":
         return
@@ -38,14 +41,15 @@ def notify_manager(*assignments: str) -> None:
 def service_manager_notifications(
     on_event: Notifier, send: Callable[..., None] = notify_manager
 ) -> Iterator[Notifier]:
-    """Yield a callback that passes events of a recorder on to the service manager; at the end, send STOPPING.
+    """Yield a callback that passes recorder events to ``on_event`` and the service manager.
 
-    Each beat is valid for its deadline, also while the service starts or stops.
+    The start event sends READY; each ``beat`` feeds the watchdog and extends the time limit by its deadline,
+    also while the service starts or stops. On exit sends STOPPING.
     """
     is_ready = False
 
     def pass_on(event: str, **values: object) -> None:
-        """Pass an event on, and notify the service manager of start and heartbeats."""
+        """Pass an event on, and report start and heartbeats to the service manager."""
         nonlocal is_ready
         on_event(event, **values)
         if event == "begun":

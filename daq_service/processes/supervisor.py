@@ -50,9 +50,10 @@ Starter = Callable[[Sequence[str], Mapping[str, str]], "subprocess.Popen[bytes]"
 
 
 def start_process(command: Sequence[str], environment: Mapping[str, str]) -> subprocess.Popen[bytes]:
-    """Start a program with pipes for its streams, and variables added to our own.
+    """Start a program with pipes for its streams, and variables added to those of this process.
 
-    Output of a driver must not wait for our terminal, which a person may hold.
+    Output of a driver must not wait for this terminal, which a person may hold. Raises OSError if the program
+    cannot be started.
     """
     pipe = subprocess.PIPE
     return subprocess.Popen(command, stdin=pipe, stdout=pipe, stderr=pipe, env={**os.environ, **environment})
@@ -154,7 +155,11 @@ class Supervisor:
         self._stay = False
 
     def run(self, stop: threading.Event, *, stay: bool) -> int:
-        """Supervise until ``stop``, a final exit code, or (unless ``stay``) the recorder's end."""
+        """Supervise until ``stop``, a final exit code, or (unless ``stay``) the recorder's end.
+
+        Returns the exit code; after ``stop`` the highest one of the ended children, 130 excluded. Before it
+        returns, all children are ended, and killed after ``leave_within_s``.
+        """
         self._stay = stay
         try:
             while not stop.is_set():
@@ -175,12 +180,15 @@ class Supervisor:
             self._deliver_messages()
 
     def _deliver_messages(self) -> None:
-        """Deliver the messages of the child processes."""
+        """Pass the queued messages of the children to ``on_message``, in order of arrival."""
         while not self._messages.empty():
             self._on_message(*self._messages.get())
 
     def _check_child(self, child: _Child, stop: threading.Event) -> int | None:
-        """Start, restart or kill one child as it needs; an exit code ends the supervision."""
+        """Start or restart one child, or kill it if its heartbeat is overdue.
+
+        Returns None, or the exit code with which the supervision ends.
+        """
         if child.finished:
             return None
         if child.process is None:
@@ -219,7 +227,10 @@ class Supervisor:
         return self._plan_restart(child, code)
 
     def _plan_restart(self, child: _Child, code: int) -> int | None:
-        """Schedule the restart of a child; return an exit code to give up, else None."""
+        """Schedule the restart of a child after the next delay and announce it; return None.
+
+        Returns exit code 1 instead if the supervisor may give up and all delays are used up.
+        """
         now_ns = self._machine.mono_ns()
         if now_ns - child.started_ns >= HEALTHY_AFTER_S * NS_PER_S:
             child.quick_failures = 0
@@ -237,7 +248,7 @@ class Supervisor:
         return None
 
     def _start_child(self, child: _Child) -> None:
-        """Start a child with the threads that read its streams."""
+        """Start the process of a child and the threads that read its standard error and output."""
         arguments = [argument.replace("{cause}", child.cause) for argument in child.plan.arguments]
         child.started_ns, child.cause = self._machine.mono_ns(), ""
         child.reported_beat = child.beat = child.announced = None
@@ -252,7 +263,7 @@ class Supervisor:
             self._readers.append(child.reader)
 
     def _read_errors(self, child: _Child, process: subprocess.Popen[bytes]) -> None:
-        """Forward the lines of a child's standard error."""
+        """Queue each line of a child's standard error as an event ``printed``, until the stream ends."""
         assert process.stderr is not None
         with process.stderr as lines:
             for line in lines:
@@ -260,7 +271,11 @@ class Supervisor:
                 self._messages.put((child.plan.name, {"event": "printed", "text": text}))
 
     def _read_messages(self, child: _Child, process: subprocess.Popen[bytes]) -> None:
-        """Read the messages of a child from its standard output until it ends."""
+        """Read the JSON lines of a child's standard output until it ends; queue or store them.
+
+        Beats and the announced exit code are stored; other lines are queued, beats only with a new activity.
+        A line that is no message is logged.
+        """
         assert process.stdout is not None
         with process.stdout as lines:
             for line in lines:
@@ -285,7 +300,10 @@ class Supervisor:
                 self._messages.put((child.plan.name, message))
 
     def _overdue_reason(self, child: _Child) -> str:
-        """Return the reason why a running child must be killed; empty while its heartbeat is in time."""
+        """Return the reason why a running child must be killed; empty while its heartbeat is in time.
+
+        Overdue is a beat past its deadline, or no beat within 60 s of the start.
+        """
         beats = (child.reported_beat, self._read_beat_of(child))
         now_ns = self._machine.mono_ns()
         # A folder has one recorder: a beat since the start is this child's. Process numbers are reused, and
@@ -310,7 +328,10 @@ class Supervisor:
         )
 
     def _read_beat_of(self, child: _Child) -> Beat | None:
-        """Return the heartbeat of a child from its file; None without one."""
+        """Return the heartbeat in the file of a child; None without one.
+
+        None, too, if the file is of another process than this web service.
+        """
         if child.plan.watched:
             return self._read_beat(self._folder)
         # A supervisor that was suspended reads its pipe late. Another service may serve the folder.
@@ -319,20 +340,20 @@ class Supervisor:
 
     @staticmethod
     def _close_pipe(child: _Child) -> None:
-        """Close the standard input of a child after a farewell."""
+        """Write the farewell to the standard input of a child and close it; a closed pipe is no error."""
         if child.process is not None and child.process.stdin is not None:
             with suppress(OSError, ValueError):  # the child is gone, or its pipe is closed already
                 child.process.stdin.write(FAREWELL)
                 child.process.stdin.close()
 
     def _end_children(self) -> None:
-        """Close all pipes at once and wait; kill children that do not end."""
+        """Close all pipes at once and wait up to ``leave_within_s``; kill children that do not end."""
         for child in self._children:
             self._close_pipe(child)
         deadline_ns = self._machine.mono_ns() + round(self._leave_within_s * NS_PER_S)
 
         def remaining_s(minimum_s: float) -> float:
-            """Return the time until the deadline, s, at least a minimum."""
+            """Return the time until the deadline, s, but at least ``minimum_s``."""
             return max(minimum_s, (deadline_ns - self._machine.mono_ns()) / NS_PER_S)
 
         for child in self._children:
@@ -350,5 +371,5 @@ class Supervisor:
 
 
 def _describe_end(code: int) -> str:
-    """Describe how a process ended, from its exit code."""
+    """Describe how a process ended from its exit code: negative is the signal that killed it."""
     return f"was killed by signal {-code}" if code < 0 else f"ended with exit code {code}"

@@ -12,9 +12,10 @@ from concurrent.futures import ProcessPoolExecutor
 
 
 def leave_with_parent() -> None:
-    """Ignore Ctrl-C in this process, and end it when its parent ends.
+    """Ignore Ctrl-C in this process, and end it with code 1, without cleanup, when its parent ends.
 
-    A parent that is killed cannot notify its workers, and the pipes of a pool do not.
+    Without a parent of `multiprocessing` only Ctrl-C is ignored. A parent that is killed cannot notify its
+    workers, and the pipes of a pool do not.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     parent = multiprocessing.parent_process()
@@ -32,7 +33,9 @@ def leave_with_parent() -> None:
 def start_one_worker(
     initializer: Callable[..., None] = leave_with_parent, *arguments: object
 ) -> ProcessPoolExecutor:
-    """Start a pool of one process, which its owner shuts down.
+    """Start a pool of one spawned process at once; the caller shuts it down.
+
+    If the process dies, its tasks raise BrokenExecutor.
 
     Parameters
     ----------

@@ -20,13 +20,19 @@ class Strikers:
         self._strikers, self._asking = strikers, asking
 
     def strike(self, key: ShotKey) -> None:
-        """Strike with the striker of the position, or ask a person to strike."""
+        """Strike with the striker of the shot's position; that striker may instead request a strike by hand.
+
+        Raises ConfigurationError if no striker serves the position.
+        """
         striker = _find_instrument(self._strikers, key, "striker")
         self._asking.about(key)
         striker.strike(key)
 
     def make_safe(self) -> None:
-        """De-energise all strikers, even if one fails; its error is raised afterwards."""
+        """De-energize every striker once, the last one first, then withdraw the request to a person.
+
+        All are called even if one fails; the last error is raised at the end.
+        """
         with ExitStack() as every:
             every.callback(self._asking.ask, "")
             for striker in _list_distinct(self._strikers):
@@ -41,7 +47,10 @@ class Digitizers:
         self._armed: ShotKey | None = None
 
     def arm(self, key: ShotKey) -> None:
-        """Arm the digitizer of the position."""
+        """Arm the digitizer of the shot's position for this shot.
+
+        Raises ConfigurationError if one is armed already or no digitizer serves the position.
+        """
         digitizer = _find_instrument(self._digitizers, key, "digitizer")
         if self._armed is not None:
             raise ConfigurationError(f"already armed for {self._armed}; read or disarm first")
@@ -49,7 +58,10 @@ class Digitizers:
         self._armed = key
 
     def read(self, timeout_s: float) -> Acquired:
-        """Read the armed digitizer, and end the request to a person."""
+        """Wait at most ``timeout_s`` for the record of the armed digitizer, return it, and disarm.
+
+        The request to a person is withdrawn, also on an error. Raises ConfigurationError if nothing is armed.
+        """
         key, self._armed = self._armed, None
         if key is None:
             raise ConfigurationError("not armed; arm before the strike, then read")
@@ -59,7 +71,10 @@ class Digitizers:
             self._asking.ask("")
 
     def disarm(self) -> None:
-        """Disarm all digitizers."""
+        """Disarm every digitizer once, also where none is armed.
+
+        All are called even if one fails; the last error is raised at the end.
+        """
         self._armed = None
         with ExitStack() as every:
             for digitizer in _list_distinct(self._digitizers):
@@ -73,12 +88,15 @@ class PulseEchoUnits:
         self._units = units
 
     def acquire(self, key: ShotKey, timeout_s: float) -> Echo:
-        """Acquire an echo with the unit of the position."""
+        """Acquire an echo with the unit of the shot's position, in at most ``timeout_s`` seconds.
+
+        Raises ConfigurationError if no unit serves the position.
+        """
         return _find_instrument(self._units, key, "pulse-echo unit").acquire(key, timeout_s)
 
 
 def _find_instrument(instruments: Mapping[str, T], key: ShotKey, what: str) -> T:
-    """Return the instrument at the position of a shot; raise an error without one."""
+    """Return the instrument that serves a shot's position; raise ConfigurationError if there is none."""
     if key.position not in instruments:
         raise ConfigurationError(
             f"no {what} at position {key.position!r}; there are: {', '.join(instruments) or 'none'}; name "
@@ -88,5 +106,5 @@ def _find_instrument(instruments: Mapping[str, T], key: ShotKey, what: str) -> T
 
 
 def _list_distinct(instruments: Mapping[str, T]) -> list[T]:
-    """Return each instrument once."""
+    """Return each instrument object once, in order of its first position."""
     return list({id(instrument): instrument for instrument in instruments.values()}.values())

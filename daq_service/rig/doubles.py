@@ -46,14 +46,17 @@ class DemoRig:
 
 @contextmanager
 def run_rig_doubles(rig: str, overrides: Mapping[str, object]) -> Iterator[DemoRig]:
-    """Start what a rig of the demonstration needs; it ends with the context.
+    """Start the doubles that a demonstration rig needs, yield its settings, and stop the doubles on exit.
+
+    The rig ``simulated`` starts nothing. Without an ultrasonic double the pulse-echo positions are left out,
+    and `DemoRig.notes` gives the reason.
 
     Parameters
     ----------
     rig
         One of `RIGS`.
     overrides
-        Tables over the shipped configuration.
+        Nested tables that replace values of the shipped configuration.
 
     Raises
     ------
@@ -91,13 +94,19 @@ def run_rig_doubles(rig: str, overrides: Mapping[str, object]) -> Iterator[DemoR
 
 
 def _build_library_path(folders: Sequence[Path]) -> dict[str, str]:
-    """Return the library path to which the folders are added; empty if no library is built."""
+    """Return the variable ``LD_LIBRARY_PATH`` with its present value, to which the folders are added.
+
+    Empty if the variable is unset or no folder is given.
+    """
     before = os.environ.get("LD_LIBRARY_PATH")
     return {"LD_LIBRARY_PATH": before} if folders and before else {}
 
 
 def _describe_boards(settings: Settings) -> Description:
-    """Wire the configuration's transducers and probes to the doubles' boards."""
+    """Describe the doubles' boards: one coil and input for each transducer, one channel for each probe.
+
+    Raises UsageError if the configuration has more transducers than the board has coils.
+    """
     from simulator.doubles.chassis.description import (
         SIMULTANEOUS_16_BIT,
         Description,
@@ -138,7 +147,10 @@ def _describe_boards(settings: Settings) -> Description:
 def _build_rig_table(
     settings: Settings, transport: str, grpc: str | None, *, has_probe: bool
 ) -> dict[str, object]:
-    """Return the table ``[rig]`` for the doubles' boards."""
+    """Build the values of the table ``[rig]`` for the doubles' boards, with the sampling of the twin.
+
+    ``[rig.niscope]`` is included only if ``has_probe``.
+    """
     from simulator.doubles.chassis.description import SIMULTANEOUS_16_BIT
 
     adc, echo = settings.twin.adc, settings.twin.echo
@@ -184,7 +196,7 @@ def _build_rig_table(
 
 
 def _set_rig(settings: Settings, tables: Mapping[str, object], dropped: Sequence[str]) -> Settings:
-    """Return the settings with other tables of the rig and without some positions."""
+    """Return a validated copy of the settings with these keys of ``[rig]`` replaced and positions removed."""
     values = settings.model_dump(mode="json")
     values["rig"] |= tables
     for name in dropped:
@@ -193,7 +205,10 @@ def _set_rig(settings: Settings, tables: Mapping[str, object], dropped: Sequence
 
 
 def _build_libraries() -> list[Path]:
-    """Build the libraries and return their folders: NI-DAQmx, and NI-SCOPE if its package is installed."""
+    """Compile the NI-DAQmx double, and the NI-SCOPE double if niscope is installed; return their folders.
+
+    Raises UsageError if this machine cannot build them.
+    """
     from simulator.doubles.transports.library import build_library, why_unavailable
 
     if reason := why_unavailable():

@@ -47,17 +47,19 @@ Preparing = Callable[[str, bool], None]
 def open_rig(
     settings: Settings, clock: Clock, epoch_utc_ns: int, *, preparing: Preparing = lambda what, begins: None
 ) -> Iterator[Rig]:
-    """Open the instruments of the configured kinds; they are made safe when the context ends.
+    """Open the configured instruments and yield them as a rig; on exit they are made safe, then closed.
 
     Parameters
     ----------
+    epoch_utc_ns
+        Hour 0 of the test, ns since 1970 (UTC).
     preparing
         Called by any thread.
 
     Raises
     ------
     UsageError
-        They cannot be had as configured: the specimen, the recording, a missing package.
+        The instruments cannot be used as configured: the specimen, the recording, a missing package.
     InstrumentError
         A real instrument is wrong, busy or not there.
     """
@@ -83,7 +85,10 @@ def open_rig(
 
 @contextmanager
 def open_supply(settings: Settings, clock: Clock) -> Iterator[PowerSupply]:
-    """Open the supply of the corrosion, without switching it."""
+    """Open the supply of the corrosion cell without switching it; it is closed on exit.
+
+    Raises ConfigurationError if the kind opens no supply; ValueError if not exactly one is configured.
+    """
     (item,) = (item for item in list_instruments(settings) if "supply" in item.serves)
     with item.kind.open(item.parameters, build_opening(item, settings, clock)) as opened:
         _require_roles(item, opened)
@@ -92,7 +97,7 @@ def open_supply(settings: Settings, clock: Clock) -> Iterator[PowerSupply]:
 
 
 def build_opening(item: Instrument, settings: Settings, clock: Clock) -> Opening:
-    """Build the opening of an instrument that is opened for a check."""
+    """Build the context in which an instrument is opened or checked; by default it forwards no requests."""
     return Opening(
         clock=clock,
         serves=item.serves,
@@ -103,7 +108,7 @@ def build_opening(item: Instrument, settings: Settings, clock: Clock) -> Opening
 
 
 def _require_roles(item: Instrument, opened: Opened) -> None:
-    """Raise an error if an instrument was opened without a role that it offers."""
+    """Raise ConfigurationError if an instrument was opened without a role that it serves."""
     for role in item.serves:
         if getattr(opened, role) is None:
             raise ConfigurationError(
@@ -119,13 +124,15 @@ def _compose_rig(
     clock: Clock,
     asking: PersonRequests,
 ) -> Rig:
-    """Compose a rig from the opened instruments, by role and position."""
+    """Build the rig from the opened instruments: in a mixed rig by position, else the first of each role."""
     pairs = list(zip(instruments, opened, strict=True))
 
     def at(role: Role) -> dict[str, Any]:
+        """Return the opened objects of a role by position."""
         return {name: getattr(its, role) for item, its in pairs for name in item.serves.get(role, ())}
 
     def first(role: Role) -> Any:
+        """Return the opened object of the first instrument with a role; None if none has it."""
         return next((getattr(its, role) for item, its in pairs if role in item.serves), None)
 
     mixed = kind == "mixed"
@@ -147,7 +154,11 @@ def _compose_rig(
 
 
 def _find_self_calibrating(opened: Sequence[Opened]) -> tuple[list[SelfCalibrating], float]:
-    """Return the self-calibrating instruments and their shortest required interval in h."""
+    """Return the instruments to self-calibrate and the interval in h.
+
+    The interval is the shortest positive one that an instrument requires, 24 h if none states one, and 0
+    (never) if all stated intervals are 0. Instruments that state 0 are left out.
+    """
     candidates = [(its.self_calibrating, its.self_calibration_interval_h) for its in opened]
     intervals_h = [
         interval_h for what, interval_h in candidates if what is not None and interval_h is not None
@@ -157,7 +168,11 @@ def _find_self_calibrating(opened: Sequence[Opened]) -> tuple[list[SelfCalibrati
 
 
 def _collect_identities(pairs: Sequence[tuple[Instrument, Opened]], *, named: bool) -> dict[str, str]:
-    """Collect the identities of the instruments; in a mixed rig with their names as prefixes."""
+    """Merge the identities (makers, serial numbers, versions) of the instruments into one dictionary.
+
+    With ``named`` (mixed rig) each key has the instrument's name as prefix, and the name itself gives its
+    kind.
+    """
     identity: dict[str, str] = {}
     for item, instrument in pairs:
         if named:
@@ -175,7 +190,10 @@ class _Together:
     parts: list[SelfCalibrating]
 
     def self_calibrate(self) -> Mapping[str, str]:
-        """Calibrate all parts; return their results."""
+        """Calibrate the instruments one after the other and merge their summaries.
+
+        An error of one instrument is raised at once; the later ones are not calibrated.
+        """
         results: dict[str, str] = {}
         for part in self.parts:
             results |= part.self_calibrate()
@@ -187,7 +205,10 @@ class _Together:
 
 @contextmanager
 def _announce_shots(rig: Rig, twin: TwinParameters, epoch_utc_ns: int) -> Iterator[Rig]:
-    """Announce each shot and its hour to the doubles, because they know no experiment."""
+    """Yield the rig with a digitizer and pulse-echo unit that announce each shot and its hour to the doubles.
+
+    Raises UsageError if the environment variable `CONTROL_VARIABLE` does not give the doubles' address.
+    """
     from simulator.doubles.transports.control import DoublesControl
     from simulator.experiment.corrosion import held_hour_h
 
@@ -200,6 +221,7 @@ def _announce_shots(rig: Rig, twin: TwinParameters, epoch_utc_ns: int) -> Iterat
     with DoublesControl(address) as control:
 
         def announce(key: ShotKey) -> None:
+            """Send the key and the test hour (held over the twin's update interval) to the doubles."""
             elapsed_ns = rig.clock.utc_ns() - epoch_utc_ns
             control.announce(key, held_hour_h(elapsed_ns, twin.update_interval_s))
 
@@ -217,16 +239,19 @@ class _AnnouncedDigitizer:
     announce: Announce
 
     def arm(self, key: ShotKey) -> None:
-        """Announce the strike, then arm."""
+        """Announce the strike to the doubles, then arm the digitizer."""
         self.announce(key)
         self.digitizer.arm(key)
 
     def read(self, timeout_s: float) -> Acquired:
-        """Return the record of the announced strike."""
+        """Wait at most ``timeout_s`` for the record of the announced strike and return it.
+
+        Raises the errors of the digitizer.
+        """
         return self.digitizer.read(timeout_s)
 
     def disarm(self) -> None:
-        """Stop waiting for the strike."""
+        """Disarm the digitizer, so that it stops waiting for a strike."""
         self.digitizer.disarm()
 
 
@@ -236,6 +261,6 @@ class _AnnouncedPulseEcho:
     announce: Announce
 
     def acquire(self, key: ShotKey, timeout_s: float) -> Echo:
-        """Announce the echo, then acquire it."""
+        """Announce the shot to the doubles, then acquire its echo in at most ``timeout_s`` seconds."""
         self.announce(key)
         return self.pulse_echo.acquire(key, timeout_s)

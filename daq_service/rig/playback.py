@@ -40,7 +40,7 @@ class Recorded(ShotSource, Protocol):
     """A source that knows when its shots were recorded."""
 
     def next_moment(self, after_utc_ns: int) -> int | None:
-        """Return the first recorded time after a time, ns of UTC; None after the last one."""
+        """Return the first recorded time after a time, ns since 1970 (UTC); None after the last one."""
         ...
 
 
@@ -79,16 +79,16 @@ class ArchivedShots:
 
     @property
     def positions(self) -> Mapping[str, str]:
-        """Return the recorded positions and their method."""
+        """Return the recorded positions and their method (``solitary_wave`` or ``pulse_echo``)."""
         return self._shots.positions
 
     def find(self, key: ShotKey) -> Acquired | None:
-        """Return the record of a shot, None if it was not recorded.
+        """Return the record of a shot, None if it was not recorded; the first request reads the complete set.
 
         Raises
         ------
         AcquisitionTimeoutError
-            Its record is damaged.
+            Its record, or the file of its set, is corrupt.
         ConfigurationError
             Its file cannot be opened.
         """
@@ -101,12 +101,18 @@ class ArchivedShots:
         return found
 
     def tried(self, key: ShotKey) -> bool:
-        """Return whether a shot was recorded or missed; of a corrupt set only recorded shots are known."""
+        """Return whether a shot was recorded or missed; of a corrupt set only recorded shots are known.
+
+        Raises ConfigurationError if the file of its set cannot be opened.
+        """
         recorded = self._shots.tried(key)
         return recorded or (key in self._missed and key.set_key not in self._damaged)
 
     def next_moment(self, after_utc_ns: int) -> int | None:
-        """Return the first recorded time after a time: the start of a set, or the stamp of a record."""
+        """Return the first recorded time after a time, ns since 1970 (UTC); None after the last one.
+
+        A recorded time is the start of a set or the time stamp of a record; sets are read as needed.
+        """
         # A set may last into the next one's time, but not into that of the one after it.
         first = max(0, bisect_right(self._due_utc_ns, after_utc_ns) - 2)
         for set_key in islice(self._files, first, None):
@@ -116,13 +122,19 @@ class ArchivedShots:
         return None
 
     def _list_record_times(self, set_key: SetKey) -> list[int]:
-        """Return the times of the records of a set, ns."""
+        """Return the start of a set and the time stamps of its records, ns since 1970, ascending.
+
+        Empty if the set is completely corrupt.
+        """
         if set_key not in self._moments:
             self._shots.records_of_set(set_key)
         return self._moments[set_key]
 
     def _find_first_readable_set(self) -> SetRecord:
-        """Return the first set that can be read."""
+        """Read and return the first set that can be read, without its corrupt records.
+
+        Raises UsageError if no set can be read.
+        """
         for file in self._files.values():
             try:
                 return self._archive.read_set(file, skip_damaged=True)
@@ -133,7 +145,10 @@ class ArchivedShots:
         )
 
     def _read_set_records(self, set_key: SetKey) -> Iterable[Record]:
-        """Return the records of a set; none if its file is missing or corrupt."""
+        """Return the intact records of a set and cache its times.
+
+        Empty if the file is missing or completely corrupt. Raises ConfigurationError if it cannot be opened.
+        """
         file = self._files.get(set_key)
         if file is None:
             return ()
@@ -152,7 +167,10 @@ class ArchivedShots:
         return record.records
 
     def _read_intact_records(self, set_key: SetKey, file: SetReference) -> SetRecord:
-        """Read a set, or what is left of it."""
+        """Read a set; of a corrupt one read the intact records and store a description of its corruption.
+
+        Raises CorruptArchiveError if not even these can be read.
+        """
         try:
             return self._archive.read_set(file)
         except CorruptArchiveError:
@@ -163,7 +181,7 @@ class ArchivedShots:
 
 
 def _find_positions(record: SetRecord) -> dict[str, str]:
-    """Return positions and methods of a test: those of its configuration, disabled or not, and of the set."""
+    """Return position to method: all positions of the stored configuration, and those of the set itself."""
     configured = record.provenance.get("configuration", {}).get("positions", {})
     return {
         **{name: place["method"] for name, place in configured.items()},
@@ -175,17 +193,19 @@ def _find_positions(record: SetRecord) -> dict[str, str]:
 def open_recording(
     parameters: PlaybackParameters, folder: Path, wanted: Mapping[str, str] = MappingProxyType({})
 ) -> Iterator[Recorded]:
-    """Open the source of a recording; a relative path counts from ``folder``.
+    """Open a recording as a source of shots within a context; on exit TDMS files are closed.
+
+    A relative path counts from ``folder``.
 
     Parameters
     ----------
     wanted
-        Positions that will be asked for and their method.
+        Positions that will be requested and their method; used for TDMS files only.
 
     Raises
     ------
     UsageError
-        It cannot be played back: the cause and the remedy.
+        The recording cannot be played back: the cause and the remedy.
     """
     source = folder / parameters.source
     if parameters.format == "archive":
@@ -210,7 +230,7 @@ def playback_instruments(
     recorded_times: bool,
     shot_interval_s: float,
 ) -> Opened:
-    """Build the instruments that play back a recording, and its clock.
+    """Build the instruments that play back a recording and, on request, the clock of its recorded times.
 
     Parameters
     ----------
@@ -220,7 +240,7 @@ def playback_instruments(
     wanted
         Positions of the experiment and their method.
     identity
-        What to store of the recording's origin.
+        Description of the recording's origin, stored with every set.
     recorded_times
         Let the clock meet the recorded times rather than the planned ones (needs a simulated clock).
     shot_interval_s
@@ -247,7 +267,10 @@ def playback_instruments(
 
 @contextmanager
 def _open_playback(parameters: PlaybackParameters, opening: Opening) -> Iterator[Opened]:
-    """Open a recording as an instrument."""
+    """Open a recording as an instrument; a relative path counts from the current folder.
+
+    Raises UsageError if it cannot be played back or lacks a served position.
+    """
     wanted = {
         **dict.fromkeys(opening.serves.get("digitizer", ()), SOLITARY_WAVE),
         **dict.fromkeys(opening.serves.get("pulse_echo", ()), PULSE_ECHO),
@@ -264,12 +287,12 @@ def _open_playback(parameters: PlaybackParameters, opening: Opening) -> Iterator
 
 
 def _check(parameters: PlaybackParameters, opening: Opening) -> Iterator[Finding]:
-    """Yield the finding that a playback has no boards to check."""
+    """Yield the only finding of a playback: state ``ok``, because there are no boards to check."""
     yield Finding(subject="rig", check="", state="ok", detail="playback: no boards to look at")
 
 
 def _list_packages(parameters: PlaybackParameters) -> tuple[str, ...]:
-    """Return the packages that the format needs."""
+    """Return the packages that reading the recording needs: npTDMS for TDMS, none for a data folder."""
     return ("npTDMS",) if parameters.format == "tdms" else ()
 
 

@@ -44,12 +44,12 @@ BUILDING = "building the twin's plates, which are kept for the next time"
 
 
 def build_transducers(settings: Settings) -> dict[str, Transducer]:
-    """Build chain and physics of each solitary-wave position.
+    """Build the bead chain and the physical model of each solitary-wave position, by position.
 
     Raises
     ------
     SimulatorError
-        One cannot be built as configured.
+        A transducer cannot be built as configured.
     """
     from simulator.experiment.corrosion import make_patch
     from simulator.shot.model import ShotModel
@@ -70,7 +70,9 @@ def build_transducers(settings: Settings) -> dict[str, Transducer]:
 
 
 def start_twin_executor(settings: Settings, sender: Connection | None = None) -> ProcessPoolExecutor:
-    """Start a worker process that computes `compute_records` of these settings; its owner shuts it down.
+    """Start a worker process that builds the specimen and then runs `compute_records`.
+
+    The caller shuts it down.
 
     Parameters
     ----------
@@ -82,7 +84,11 @@ def start_twin_executor(settings: Settings, sender: Connection | None = None) ->
 
 @contextmanager
 def run_twin_process(settings: Settings, compiling: Callable[[bool], None]) -> Iterator[ProcessPoolExecutor]:
-    """Run the worker process; a thread calls ``compiling`` at start and end of its compilations."""
+    """Start the twin's worker process, yield its executor, and shut it down on exit.
+
+    Pending work is canceled on exit. A thread calls ``compiling`` with True at the start and False at the end
+    of each compilation.
+    """
     receiver, sender = multiprocessing.get_context("spawn").Pipe(duplex=False)
     with receiver:
         with sender:  # once it has started, it alone holds this end: the pipe ends with it
@@ -99,7 +105,10 @@ def run_twin_process(settings: Settings, compiling: Callable[[bool], None]) -> I
 
 
 def _forward_messages(receiver: Connection, compiling: Callable[[bool], None]) -> None:
-    """Forward the messages of the worker about compiling until it ends."""
+    """Call ``compiling`` with each state that the worker sends, until its pipe closes.
+
+    If the worker ends during a compilation, ``compiling(False)`` is called last.
+    """
     is_compiling = False
     with suppress(EOFError, OSError):  # the worker has ended, or was killed in the midst of a word
         while True:
@@ -110,7 +119,11 @@ def _forward_messages(receiver: Connection, compiling: Callable[[bool], None]) -
 
 
 def compute_records(settings_json: str, strikes: Sequence[tuple[ShotKey, float]]) -> list[Acquired | None]:
-    """Compute records of strikes and their features in the worker (`Specimen.solitary_waves`)."""
+    """Simulate the records of strikes, each a key and its hour, with their features, in the worker process.
+
+    In the order of the strikes; None for a strike that misses the chain. If the extraction of features
+    fails, all records come without features.
+    """
     from daq_service.acquisition.shot_features import extract_record_features
 
     return extract_record_features(_build_specimen(settings_json).solitary_waves(strikes))
@@ -118,7 +131,7 @@ def compute_records(settings_json: str, strikes: Sequence[tuple[ShotKey, float]]
 
 @cache
 def _build_specimen(settings_json: str) -> Specimen:
-    """Build the specimen of the twin from settings as JSON."""
+    """Build the simulated specimen from the settings as JSON, once per process and text."""
     from simulator.specimen import build_specimen
 
     settings = Settings.model_validate_json(settings_json)
@@ -132,7 +145,7 @@ def _build_specimen(settings_json: str) -> Specimen:
 
 
 def _prepare_specimen(settings_json: str, sender: Connection | None) -> None:
-    """Build the specimen before the first strike."""
+    """Initialize the worker: tie it to its parent, report compilations, build the specimen in advance."""
     leave_with_parent()
     import daq_service.acquisition.shot_features  # noqa: F401 - while the recorder opens the test
 
@@ -155,7 +168,10 @@ class TwinOfTheExperiment:
 
 @contextmanager
 def _open_twin(parameters: TwinOfTheExperiment, opening: Opening) -> Iterator[Opened]:
-    """Open the twin as an instrument, in its own process where that is faster."""
+    """Open the twin as an instrument; long unpaced tests compute it in a separate process, else in a thread.
+
+    Raises UsageError if the specimen cannot be built as configured.
+    """
     settings = Settings.model_validate(opening.experiment)
     places, schedule, serves = settings.positions, settings.schedule, opening.serves
     served = {name: places[name] for name in opening.positions}
@@ -213,19 +229,22 @@ def _open_twin(parameters: TwinOfTheExperiment, opening: Opening) -> Iterator[Op
 
 
 def _needs_own_process(settings: Settings, n_sets: int) -> bool:
-    """Return whether the test is unpaced and long, because a process needs a second or two to start."""
+    """Return whether the test is unpaced and has at least `STRIKES_WORTH_A_PROCESS` planned strikes.
+
+    Below that, starting a process (a second or two) takes longer than it saves.
+    """
     unpaced = settings.clock.kind == "simulated" and settings.clock.pace_h_per_s is None
     strikes = n_sets * settings.schedule.shots_per_set * len(settings.list_positions(SOLITARY_WAVE))
     return unpaced and strikes >= STRIKES_WORTH_A_PROCESS
 
 
 def _check(parameters: TwinOfTheExperiment, opening: Opening) -> Iterator[Finding]:
-    """Yield the finding that the twin has no boards to check."""
+    """Yield the only finding of the twin: state ``ok``, because there are no boards to check."""
     yield Finding(subject="rig", check="", state="ok", detail="simulated: no boards to look at")
 
 
 def _require_both_roles(parameters: TwinOfTheExperiment, serves: Mapping[Role, tuple[str, ...]]) -> None:
-    """Raise an error if a position is only struck or only digitized by the twin."""
+    """Raise ValueError for the first position that the twin only strikes or only digitizes."""
     struck, digitized = (set(serves.get(role, ())) for role in ("striker", "digitizer"))
     if apart := sorted(struck ^ digitized):
         raise ValueError(

@@ -39,12 +39,12 @@ class AlarmKindSettings(BaseModel):
     thickness the limit is the loss that raises the alarm."""
 
     def require_fits(self, kind: str) -> None:
-        """Check that alarms of this kind may have these delays and this deadband.
+        """Require that alarms of this kind may have these delays and this deadband.
 
         Raises
         ------
         ValueError
-            They may not, or not for so long.
+            The kind has no delays, a delay exceeds `LONGEST_DELAY_S`, or the kind has no deadband.
         """
         if kind not in LONGEST_DELAY_S:
             raise ValueError(

@@ -24,7 +24,7 @@ _SWITCHED_OFF = re.compile(r"^#(?=[a-z\[])", re.MULTILINE)
 def format_commented_toml(
     values: Mapping[str, object], *, head: str = "", switched_off: Collection[KeyPath] = ()
 ) -> str:
-    """Return the text of a configuration file.
+    """Format a configuration as TOML text in which a comment describes each key at its first occurrence.
 
     Parameters
     ----------
@@ -44,12 +44,15 @@ def format_commented_toml(
 
 
 def uncomment_tables(text: str) -> str:
-    """Uncomment every table of a file that is switched off."""
+    """Return the file's text with every commented-out key and table header active.
+
+    Descriptions stay comments.
+    """
     return _SWITCHED_OFF.sub("", text)
 
 
 def _comment_out_tables(lines: list[str], tables: Collection[KeyPath]) -> Iterator[str]:
-    """Comment the keys and headers of these tables out; descriptions stay as they are."""
+    """Yield the lines, with ``#`` before the keys and headers of these tables and of tables inside them."""
     off = False
     for line in lines:
         if line.startswith("["):
@@ -59,9 +62,13 @@ def _comment_out_tables(lines: list[str], tables: Collection[KeyPath]) -> Iterat
 
 
 def _add_key_descriptions(values: Mapping[str, object], path: KeyPath, described: set[str]) -> Table:
-    """Return a table with the description of each key that did not appear before."""
+    """Build a TOML table whose keys have their descriptions as comments; keys precede tables.
+
+    Texts in ``described`` are not repeated; new ones are added to it.
+    """
 
     def description(*name: str) -> str:
+        """Return the description of a key below this table; empty if the same text was used before."""
         text = describe_key((*path, *name))
         new = text not in described
         described.add(text)
@@ -83,7 +90,7 @@ def _add_key_descriptions(values: Mapping[str, object], path: KeyPath, described
 
 
 def _add_comment(item: Item, assignment: str, description: str) -> None:
-    """Add a comment after the assignment, or above a long one."""
+    """Add a wrapped comment after the assignment, or above it if that exceeds `COMMENT_COLUMN`."""
     if len(assignment) > COMMENT_COLUMN - 2:
         item.trivia.indent = "".join(f"{line}\n" for line in _wrap_comment(description))
         return
@@ -94,12 +101,12 @@ def _add_comment(item: Item, assignment: str, description: str) -> None:
 
 
 def _wrap_comment(text: str, width: int = WIDTH) -> list[str]:
-    """Wrap a text as comment lines."""
+    """Wrap a text into lines of at most ``width`` characters that start with ``# ``; none for no text."""
     return [f"# {line}" for line in textwrap.wrap(text, width - 2, break_on_hyphens=False)]
 
 
 def _to_toml_item(value: object) -> Item:
-    """Return a value as TOML; a float in powers of 1000 where that is shorter."""
+    """Convert a value to a TOML item, mappings inline; a float as a power of 1000 where that is shorter."""
     match value:
         case float():
             powers = Decimal(repr(value)).normalize().to_eng_string().replace("E+", "e")

@@ -37,7 +37,10 @@ PLACEHOLDER = "PLACEHOLDER"
 
 
 def find_config_file(name: str) -> Path:
-    """Return a file of ``config/``: inside the installed package, or beside it in an editable install."""
+    """Return the path of a shipped file of ``config/``, in the installed package or an editable install.
+
+    Raises UsageError if the installation lacks it.
+    """
     package = Path(__file__).parents[1]
     for folder in (package / "config", package.parent / "config"):
         if (folder / name).is_file():
@@ -46,17 +49,19 @@ def find_config_file(name: str) -> Path:
 
 
 def load_settings(path: Path | None, *, overrides: Mapping[str, object] | None = None) -> Settings:
-    """Read a TOML (or JSON) configuration; None means the shipped ``simulated.toml``.
+    """Read and validate a TOML (or JSON) configuration; None reads the shipped ``simulated.toml``.
+
+    Environment variables override ``overrides``, which override the file. Old keys are renamed in JSON only.
 
     Parameters
     ----------
     overrides
-        Nested tables laid over the file, as command-line options do.
+        Nested tables that replace values of the file, as command-line options do.
 
     Raises
     ------
     UsageError
-        The file cannot be read or a value is refused: file, key, value, bound and remedy.
+        The file cannot be read or a value is rejected: file, key, value, bound and remedy.
     """
     path = find_config_file("simulated.toml") if path is None else path
     try:
@@ -79,7 +84,10 @@ def load_settings(path: Path | None, *, overrides: Mapping[str, object] | None =
 def validate_settings(
     values: Tables, path: Path, *, overrides: Mapping[str, object] | None = None
 ) -> Settings:
-    """Validate the values of a file and return the settings; errors as of `load_settings`."""
+    """Validate the tables of a file and return the settings; UsageError lists every rejected key.
+
+    Relative file names count from the folder of ``path``. Placeholders are rejected except in JSON.
+    """
     _refuse_unknown_variables()
     if path.suffix != ".json":
         _refuse_placeholders(values, path)
@@ -95,7 +103,7 @@ def validate_settings(
 
 
 def find_placeholders(values: Mapping[str, object]) -> list[KeyPath]:
-    """Return the keys with a placeholder, without those that the environment sets."""
+    """Return the paths of keys whose value contains `PLACEHOLDER` and is not set by the environment."""
     return [
         key
         for key, value in flatten(values).items()
@@ -104,7 +112,7 @@ def find_placeholders(values: Mapping[str, object]) -> list[KeyPath]:
 
 
 def _refuse_placeholders(values: Mapping[str, object], path: Path) -> None:
-    """Raise an error that lists the values still to be filled in."""
+    """Raise UsageError that lists every key whose value is still a placeholder, with its description."""
     if missing := find_placeholders(values):
         lines = "\n".join(f"  {'.'.join(key)}: {describe_key(key)}" for key in missing)
         raise UsageError(
@@ -114,7 +122,7 @@ def _refuse_placeholders(values: Mapping[str, object], path: Path) -> None:
 
 
 def _make_paths_absolute(values: Tables, path: Path) -> Tables:
-    """Make the files that some keys name absolute, relative to the configuration file."""
+    """Return the tables with file names (`FILES`, `RECORDING`) made absolute from the folder of ``path``."""
     flat, folder = flatten(values), path.absolute().parent
     for key, value in flat.items():
         named = any(fnmatchcase(".".join(key), name) for name in FILES)
@@ -124,7 +132,7 @@ def _make_paths_absolute(values: Tables, path: Path) -> Tables:
 
 
 def _refuse_unknown_variables() -> None:
-    """Raise an error for a misspelt table in a variable's name; keys are checked with those of the file."""
+    """Raise UsageError for the first SOLIMON_ variable that names no table; its keys are validated later."""
     tables = {f"SOLIMON_{name.upper()}" for name in Settings.model_fields}
     for name in sorted(os.environ):
         if name.startswith("SOLIMON_") and not name.startswith(NOT_SETTINGS):
@@ -138,7 +146,7 @@ def _refuse_unknown_variables() -> None:
 
 
 def _merge_tables(values: Mapping[str, object], overrides: Mapping[str, object]) -> Tables:
-    """Return nested tables with overridden values."""
+    """Return a copy of nested tables in which overrides replace values; tables are merged key by key."""
     merged = dict(values)
     for key, value in overrides.items():
         below = merged.get(key)
@@ -149,7 +157,11 @@ def _merge_tables(values: Mapping[str, object], overrides: Mapping[str, object])
 
 
 def _explain_rejections(problems: Sequence[Mapping[str, Any]], keys: Sequence[str], path: Path) -> str:
-    """Return a message with every rejected value: file, key, value, bound, remedy."""
+    """Format a message with one line for each rejected value: key, reason, value or similar known key.
+
+    Values of notification receivers are omitted (possible secrets), and so are errors that a position
+    inherits from a top-level table.
+    """
     refused = {problem["loc"] for problem in problems}
     lines = []
     for problem in problems:
@@ -171,7 +183,7 @@ def _explain_rejections(problems: Sequence[Mapping[str, Any]], keys: Sequence[st
 
 
 def _build_rejection(path: Path, lines: Sequence[str]) -> str:
-    """Return the message about an invalid configuration."""
+    """Format the error message of an invalid configuration: file, distinct problem lines, next command."""
     shown_lines = "\n".join(f"  {line}" for line in dict.fromkeys(lines))
     return (
         f"{path} (with SOLIMON_... from the environment) is refused:\n{shown_lines}\n"

@@ -28,7 +28,7 @@ _FORMULA = re.compile(r"[\t\r\n]|\s*[=+\-@\uff1d\uff0b\uff0d\uff20]")
 
 
 def require_visible_text(text: str, *, message: str) -> str:
-    """Check that a text has visible characters and return it.
+    """Return the text unchanged if it has at least one visible character.
 
     Raises
     ------
@@ -41,17 +41,23 @@ def require_visible_text(text: str, *, message: str) -> str:
 
 
 def escape_controls(text: str) -> str:
-    """Write control characters as their escapes; line breaks and tabs stay."""
+    """Replace control and text-direction characters by escape sequences.
+
+    Line breaks, tabs and a leading carriage return stay.
+    """
     return _CONTROL.sub(_escape_character, text)
 
 
 def to_one_line(text: str) -> str:
-    """Write control characters and line breaks as their escapes."""
+    """Replace control characters and line breaks by escape sequences; tabs stay."""
     return _CONTROL_OR_BREAK.sub(_escape_character, text)
 
 
 def escape_all_to_one_line(values: Any) -> Any:
-    """Apply `to_one_line` to every text of a JSON-ready value."""
+    """Copy a JSON-ready value with `to_one_line` applied to every text in it.
+
+    Keys are not changed; tuples become lists.
+    """
     if isinstance(values, dict):
         return {name: escape_all_to_one_line(value) for name, value in values.items()}
     if isinstance(values, (list, tuple)):
@@ -60,12 +66,12 @@ def escape_all_to_one_line(values: Any) -> Any:
 
 
 def escape_spreadsheet_cell(text: str) -> str:
-    """Return a text with a leading apostrophe if a spreadsheet would execute it."""
+    """Return the text, with an apostrophe before it if a spreadsheet would execute it as a formula."""
     return f"'{text}" if _FORMULA.match(text) else text
 
 
 def _escape_character(match: re.Match[str]) -> str:
-    """Return a character as its escape sequence."""
+    r"""Return the escape sequence of the matched character, such as ``\x1b``."""
     return ascii(match[0])[1:-1]
 
 
@@ -76,16 +82,17 @@ class PlainStream:
         self.stream = stream
 
     def write(self, text: str) -> int:
-        """Write a text with its control characters escaped."""
+        """Write a text with its control characters escaped; return the number of characters written."""
         return self.stream.write(escape_controls(text))
 
     def __getattr__(self, name: str) -> object:
+        """Return any other attribute of the wrapped stream."""
         return getattr(self.stream, name)
 
 
 @contextmanager
 def escape_output() -> Iterator[None]:
-    """Escape control characters in all that is written to standard output and standard error."""
+    """Escape control characters in standard output and standard error until the context ends."""
     before = {name: getattr(sys, name) for name in ("stdout", "stderr")}
     try:
         for name, stream in before.items():
@@ -100,9 +107,9 @@ class OneLineFormatter(logging.Formatter):
     """A record is one line, with the lines of a traceback indented below it: none can be forged."""
 
     def formatMessage(self, record: logging.LogRecord) -> str:  # noqa: N802 - logging's name
-        """Format a log message in one line, with control characters escaped."""
+        """Format a log message as one line; control characters and line breaks become escape sequences."""
         return to_one_line(super().formatMessage(record))
 
     def format(self, record: logging.LogRecord) -> str:
-        """Format a log record with its traceback, with control characters escaped."""
+        """Format a log record; traceback lines are indented by two spaces and control characters escaped."""
         return escape_controls(super().format(record)).replace("\n", "\n  ")

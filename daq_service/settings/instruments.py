@@ -64,14 +64,16 @@ class ParametersError(ValueError):
 
 
 def validate_instruments(settings: Settings) -> list[Instrument]:
-    """Find the kind of each instrument and let it validate its parameters.
+    """Return the configured instruments with their kinds and validated parameters; nothing is opened.
+
+    In a rig that is not mixed, the first instrument is the rig's kind; supply and climate come last.
 
     Raises
     ------
     ConfigurationError
-        A kind is not there or cannot be imported; an instrument has no such role, or nobody uses it.
+        A kind is missing or cannot be imported; an instrument lacks a role, or no position uses it.
     ParametersError
-        A kind refuses its parameters.
+        A kind rejects its parameters.
     """
     rig = settings.rig
     instruments = []
@@ -107,12 +109,12 @@ def validate_instruments(settings: Settings) -> list[Instrument]:
 
 
 def list_instruments(settings: Settings) -> list[Instrument]:
-    """Return the instruments of a configuration, not opened.
+    """Return the instruments as `validate_instruments` does, with its errors as UsageError.
 
     Raises
     ------
     UsageError
-        One cannot be had as configured: the cause and the remedy.
+        An instrument is not available as configured: the cause and the remedy.
     """
     try:
         return validate_instruments(settings)
@@ -121,7 +123,10 @@ def list_instruments(settings: Settings) -> list[Instrument]:
 
 
 def fill_instrument_defaults(settings: Settings) -> Settings:
-    """Fill in the default parameters of a mixed rig's instruments; raises as `validate_instruments`."""
+    """Return the settings with all default parameters of a mixed rig's instruments.
+
+    Settings of other rigs are returned unchanged. Raises the errors of `validate_instruments`.
+    """
     if settings.rig.kind != "mixed":
         return settings
     filled = {
@@ -133,7 +138,7 @@ def fill_instrument_defaults(settings: Settings) -> Settings:
 
 
 def to_plain_parameters(instrument: Instrument) -> dict[str, object]:
-    """Return all parameters of an instrument, ready for JSON."""
+    """Convert all parameters of an instrument, defaults included, to values ready for JSON."""
     adapter: TypeAdapter[object] = TypeAdapter(instrument.kind.parameters)
     values: dict[str, object] = adapter.dump_python(instrument.parameters, mode="json")
     return values
@@ -142,7 +147,10 @@ def to_plain_parameters(instrument: Instrument) -> dict[str, object]:
 def _validate(
     name: str, table: str, kind_name: str, values: object, serves: Mapping[Role, tuple[str, ...]]
 ) -> Instrument:
-    """Return an instrument with its kind and validated parameters."""
+    """Find the kind of an instrument and validate its parameters (None counts as empty).
+
+    Raises ConfigurationError (unknown kind, or it rejects the served positions) or ParametersError.
+    """
     try:
         kind, offer = find_kind(kind_name)
     except ConfigurationError as error:
@@ -162,7 +170,10 @@ def _validate(
 
 
 def _require_roles(rig: MixedRig) -> None:
-    """Raise an error if an instrument lacks a role that it is used for."""
+    """Raise ConfigurationError if an instrument's kind lacks a role, or the supply also has another role.
+
+    Kinds that no installed package offers are skipped here.
+    """
     known = offers()
     for name, item in rig.instruments.items():
         offer = known.get(item.kind)  # one that is unknown is told with its parameters

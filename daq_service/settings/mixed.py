@@ -34,11 +34,14 @@ class InstrumentSettings(BaseModel):
 
     @property
     def parameters(self) -> Tables:
-        """Return the parameters of its kind, as plain values."""
+        """Return the parameters of the instrument as JSON-ready values: all keys except ``kind``."""
         return self.model_dump(mode="json", exclude={"kind"})
 
     def measured(self) -> Tables:
-        """Return the parameters that affect the data: all but the address of the instrument."""
+        """Return the keys that affect the data as JSON-ready values: all except the instrument's address.
+
+        If the kind is not installed, all keys are returned.
+        """
         try:
             kind, _ = find_kind(self.kind)
         except ConfigurationError:
@@ -60,7 +63,7 @@ class PlaceSettings(BaseModel):
 
     @property
     def names(self) -> set[str]:
-        """Return the instruments that serve this position."""
+        """Return the names of the instruments that serve this position in any role."""
         return {name for _, name in self if name}
 
 
@@ -81,7 +84,7 @@ class MixedRig(BaseModel):
     @field_validator("instruments")
     @classmethod
     def _check_names(cls, instruments: dict[str, InstrumentSettings]) -> dict[str, InstrumentSettings]:
-        """Check the characters of the instruments' names."""
+        """Raise ValueError for a name that is not 1 to 40 ASCII letters, digits, ``-`` or ``_``."""
         for name in instruments:
             if not re.fullmatch(r"[A-Za-z0-9_-]{1,40}", name):
                 raise ValueError(f"instrument name {name!r}: use up to 40 ASCII letters, digits, - and _")
@@ -89,7 +92,7 @@ class MixedRig(BaseModel):
 
     @model_validator(mode="after")
     def _check_named_instruments(self) -> Self:
-        """Check that every named instrument exists and has the role."""
+        """Raise ValueError if a position, the drive or the air names an undefined instrument."""
         named = {
             f"positions.{at}.{role}": name
             for at, place in self.positions.items()
@@ -106,11 +109,14 @@ class MixedRig(BaseModel):
         return self
 
     def _list_rig_wide_tables(self) -> dict[str, NamedSupply | NamedClimateProbe]:
-        """Return the tables of instruments that serve no position."""
+        """Return the given tables ``drive`` and ``air``, whose instruments serve no position, by key."""
         return {key: its for key, its in (("drive", self.drive), ("air", self.air)) if its is not None}
 
     def find_served_positions(self, name: str) -> dict[Role, tuple[str, ...]]:
-        """Return the positions that an instrument serves, by role."""
+        """Return role to positions of an instrument, in configuration order; empty if nothing uses it.
+
+        Supply and climate serve no position: their tuple is empty.
+        """
         served: dict[Role, tuple[str, ...]] = {}
         for roles in NEEDED.values():
             for role in roles:
@@ -124,14 +130,17 @@ class MixedRig(BaseModel):
         return served
 
     def find_role_key(self, name: str, role: Role) -> str:
-        """Return the first key that gives an instrument its role."""
+        """Return the dotted configuration key that first assigns this role to an instrument.
+
+        Raises StopIteration if the instrument has the role at no position.
+        """
         if role in ROLE_KEYS:
             return f"rig.{ROLE_KEYS[role]}.instrument"
         position = next(at for at, place in self.positions.items() if getattr(place, role) == name)
         return f"rig.positions.{position}.{role}"
 
     def check_positions(self, methods: Mapping[str, str]) -> None:
-        """Raise an error for a position without its instruments, or an unknown position or role.
+        """Require that each position names exactly the instruments that its method needs, and is configured.
 
         Parameters
         ----------
@@ -141,7 +150,7 @@ class MixedRig(BaseModel):
         Raises
         ------
         ValueError
-            Key, value and remedy.
+            An instrument is missing or not needed, or a position is unknown: key, value and remedy.
         """
         for position, method in methods.items():
             place = self.positions.get(position, PlaceSettings())

@@ -25,7 +25,10 @@ _VARIABLE = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
 
 
 def find_address_refusal(url: str, *, plain_http: bool) -> str:
-    """Return why a webhook's address is rejected, without the address; empty if it is valid."""
+    """Return the reason why a webhook's URL is rejected, without quoting the URL; empty if it is valid.
+
+    ``http`` is valid only for the loopback or with ``plain_http``.
+    """
     try:
         parts = urlsplit(url)
         _ = parts.port
@@ -74,7 +77,10 @@ class ReceiverSettings(_Table):
 
     @model_validator(mode="after")
     def _check_required_keys(self) -> Self:
-        """Check that a receiver has an address and, for a webhook, a secret."""
+        """Raise ValueError unless exactly one address key and, for a webhook, one secret key is given.
+
+        A webhook's URL must be valid; apprise has no secret and a heartbeat of at least 3600 s.
+        """
         places = ["url", "url_file", "url_env"] if self.kind == "webhook" else ["url_file", "url_env"]
         if self.kind == "apprise" and self.url:
             raise ValueError("an address of apprise holds a password; put it into url_file or url_env")
@@ -93,7 +99,7 @@ class ReceiverSettings(_Table):
         return self
 
     def _require_exactly_one(self, places: list[str]) -> None:
-        """Raise an error unless exactly one of several keys is given."""
+        """Raise ValueError unless exactly one of these keys has a value."""
         given = [name for name in places if getattr(self, name)]
         if len(given) != 1:
             found = " and ".join(given) or "none"
@@ -102,7 +108,10 @@ class ReceiverSettings(_Table):
     @field_validator("url_env", "secret_env")
     @classmethod
     def _check_variable_name(cls, name: str) -> str:
-        """Check that a value is the name of an environment variable."""
+        """Return a valid environment variable name or an empty text.
+
+        Raises ValueError for other characters or a name that begins with SOLIMON_.
+        """
         if name and not _VARIABLE.fullmatch(name):
             raise ValueError("give the name of a variable, not what it holds: letters, digits and _")
         if name.upper().startswith("SOLIMON_"):
@@ -131,7 +140,10 @@ class RuleSettings(_Table):
     @model_validator(mode="before")
     @classmethod
     def _convert_old_names(cls, values: object) -> object:
-        """Accept the key and the kinds of alarm of earlier versions."""
+        """Return the values with the current names of the key ``severity`` and of earlier alarm kinds.
+
+        A value that is no table is returned unchanged, for validation to reject.
+        """
         if not isinstance(values, dict):
             return values
         current = {"priority" if name == "severity" else name: value for name, value in values.items()}
@@ -152,7 +164,7 @@ class NotificationSettings(_Table):
 
     @model_validator(mode="after")
     def _check_rule_receivers(self) -> Self:
-        """Check that the rules name existing receivers."""
+        """Raise ValueError for the first rule that names a receiver that is not configured."""
         for number, rule in enumerate(self.rules, start=1):
             if unknown := sorted(set(rule.receivers) - set(self.receivers)):
                 raise ValueError(
@@ -163,12 +175,12 @@ class NotificationSettings(_Table):
         return self
 
     def require_positions(self, positions: list[str]) -> None:
-        """Check that the positions of the rules exist.
+        """Require that the rules name only positions of this list.
 
         Raises
         ------
         ValueError
-            One that there is not.
+            A rule names an unknown position: the number of the rule, counted from 1, and the valid names.
         """
         for number, rule in enumerate(self.rules, start=1):
             if unknown := sorted(set(rule.positions) - set(positions)):

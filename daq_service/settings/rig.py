@@ -42,7 +42,7 @@ class RigSettings(MixedRig):
 
     @model_validator(mode="after")
     def _check_kind_tables(self) -> Self:
-        """Check that the rig has the table of its kind."""
+        """Raise ValueError if the kind's table is missing, or a table or ``on_doubles`` does not fit it."""
         if self.kind == "daqmx" and self.daqmx is None:
             raise ValueError("kind is 'daqmx', which needs [rig.daqmx]; `solimon init rig` writes one")
         if self.kind == "playback" and self.playback is None:
@@ -53,7 +53,11 @@ class RigSettings(MixedRig):
         return self
 
     def _check_unused_tables(self) -> None:
-        """Raise an error for tables that this kind of rig does not use."""
+        """Raise ValueError for tables that do not fit the kind.
+
+        Tables of mixed rigs belong to ``mixed`` only, which needs instruments, has no board tables, and takes
+        one source each for supply and climate.
+        """
         if self.kind != "mixed":
             given = [table for table in MixedRig.model_fields if getattr(self, table)]
             if given:
@@ -76,33 +80,39 @@ class RigSettings(MixedRig):
 
     @property
     def driven(self) -> DriveParameters | None:
-        """Return the parameters of the supply of any kind; None if there is none."""
+        """Return the table ``[rig.supply]`` or ``[rig.drive]`` of the supply; None if neither is given."""
         return self.supply or self.drive
 
     @property
     def logged(self) -> LogParameters | None:
-        """Return the logging parameters of the climate probe of any kind; None if there is none."""
+        """Return the table ``[rig.climate]`` or ``[rig.air]`` of the climate probe.
+
+        None if neither is given.
+        """
         return self.climate or self.air
 
     def copy_without_supply(self) -> RigSettings:
-        """Return the settings without the supply, because its port belongs to a separate process."""
+        """Return a copy without supply, drive and the drive's instrument, which another process opens."""
         used = None if self.drive is None else self.drive.instrument
         others = {name: item for name, item in self.instruments.items() if name != used}
         return self.model_copy(update={"supply": None, "drive": None, "instruments": others})
 
     @property
     def dry_run(self) -> bool:
-        """Return whether this is a rehearsal: no coil is energised, and waveforms show noise."""
+        """Return whether this is a rehearsal: no coil is energized, and records show noise.
+
+        Of a mixed rig, whether any instrument has ``dry_run = true``.
+        """
         if self.kind == "mixed":
             return any(item.parameters.get("dry_run") is True for item in self.instruments.values())
         return self.kind == "daqmx" and self.daqmx is not None and self.daqmx.dry_run
 
     @property
     def on_twin(self) -> bool:
-        """Return whether the twin strikes, alone or behind doubles of the boards."""
+        """Return whether the twin produces the records, directly or through doubles of the boards."""
         return self.kind == "simulated" or self.on_doubles
 
     @property
     def simulates_time(self) -> bool:
-        """Return whether a simulated clock is possible, because there is no real rig."""
+        """Return whether a simulated clock is allowed: the twin or a playback, no real rig."""
         return self.on_twin or self.kind == "playback"

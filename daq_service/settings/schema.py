@@ -23,13 +23,17 @@ log = logging.getLogger(__name__)
 
 @cache
 def _find_classes(module: ModuleType | None) -> dict[str, ast.ClassDef]:
-    """Return the definitions of the classes in a module by name."""
+    """Parse a module's source and return its top-level class definitions by name; empty for None. Cached."""
     tree = ast.parse(inspect.getsource(module)) if module else ast.Module([], [])
     return {node.name: node for node in tree.body if isinstance(node, ast.ClassDef)}
 
 
 def _read_attribute_docstrings(kind: type) -> dict[str, str]:
-    """Return the string literal that follows each annotated attribute of a class."""
+    """Return the text below each annotated attribute of a class, by attribute.
+
+    Attributes without a text are left out. Raises KeyError if the class is not at the top level of its
+    module.
+    """
     texts = {}
     for attribute, text in pairwise(_find_classes(inspect.getmodule(kind))[kind.__name__].body):
         match attribute, text:
@@ -45,7 +49,10 @@ class _Described(GenerateJsonSchema):
     """
 
     def _add_key_descriptions(self, table: JsonSchemaValue, kind: type) -> JsonSchemaValue:
-        """Add the descriptions of the keys to the schema of a class."""
+        """Add to the schema of a class, in place, the attribute texts of the class and its bases; return it.
+
+        Existing descriptions stay; the text of the most derived class is used.
+        """
         keys = table["properties"]
         for base in kind.__mro__[:-1]:
             if base.__name__ not in _find_classes(inspect.getmodule(base)):
@@ -55,24 +62,24 @@ class _Described(GenerateJsonSchema):
         return table
 
     def model_schema(self, schema: ModelSchema) -> JsonSchemaValue:
-        """Return the schema of a model with its attribute docstrings."""
+        """Return the JSON Schema of a pydantic model, with its attribute texts as descriptions."""
         return self._add_key_descriptions(super().model_schema(schema), schema["cls"])
 
     def dataclass_schema(self, schema: DataclassSchema) -> JsonSchemaValue:
-        """Return the schema of a dataclass with its attribute docstrings."""
+        """Return the JSON Schema of a dataclass, with its attribute texts as descriptions."""
         return self._add_key_descriptions(super().dataclass_schema(schema), schema["cls"])
 
 
 def build_settings_schema() -> JsonSchemaValue:
-    """Return the JSON Schema of the configuration, shipped as ``config/settings.schema.json``."""
+    """Build the JSON Schema of the configuration, as shipped in ``config/settings.schema.json``."""
     schema = Settings.model_json_schema(schema_generator=_Described)
     return {"$schema": "https://json-schema.org/draft/2020-12/schema", **schema}
 
 
 def build_schema_with_kinds() -> JsonSchemaValue:
-    """Return the schema with the keys of every installed kind of instrument.
+    """Build the JSON Schema with the keys of every installed kind of instrument.
 
-    A kind that cannot be imported is left out; it is refused where a configuration names it.
+    A kind that cannot be imported is logged and left out; it is rejected where a configuration names it.
     """
     schema = build_settings_schema()
     choices = []
@@ -93,7 +100,10 @@ def build_schema_with_kinds() -> JsonSchemaValue:
 
 
 def describe_key(path: Sequence[str]) -> str:
-    """Describe a key or table in words: by the text below it, else by the first paragraph of its class."""
+    """Return the description of a key or table in one line; empty if the key is unknown or has none.
+
+    The text below the attribute is used, else the first paragraph of its class.
+    """
     schema = _build_schema()
     node = schema
     for name in path:
@@ -106,18 +116,18 @@ def describe_key(path: Sequence[str]) -> str:
 
 @cache
 def _build_schema() -> JsonSchemaValue:
-    """Return the JSON schema of the settings."""
+    """Build the JSON Schema of the settings on the first call and return the same object later."""
     return build_settings_schema()
 
 
 def _resolve_reference(schema: JsonSchemaValue, node: JsonSchemaValue) -> JsonSchemaValue:
-    """Follow a reference, also of a key that may be absent."""
+    """Return the definition that a schema node refers to, also as one of ``anyOf``; else the node itself."""
     options = [node, *node.get("anyOf", [])]
     names = [option["$ref"].rpartition("/")[2] for option in options if "$ref" in option]
     return schema["$defs"][names[0]] if names else node
 
 
 def list_known_keys() -> list[str]:
-    """Return the names of all keys at any level."""
+    """Return the distinct names of all keys and tables at any level, sorted."""
     tables = (_build_schema(), *_build_schema()["$defs"].values())
     return sorted({name for table in tables for name in table.get("properties", {})})

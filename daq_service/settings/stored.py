@@ -33,7 +33,7 @@ SHOWN = 12
 
 @cache
 def _build_stored_tree() -> type[Settings]:
-    """Return the tree without the environment, made when first needed: most processes read no stored one."""
+    """Return the settings class that ignores the environment; created on the first call, then cached."""
 
     class Stored(Settings):
         """The environment belongs to today's start."""
@@ -44,18 +44,21 @@ def _build_stored_tree() -> type[Settings]:
 
 
 def restore_settings(values: Mapping[str, object]) -> Settings:
-    """Return the settings with which a test was started, without the current environment.
+    """Validate a stored configuration with its old keys renamed and without the current environment.
 
     Raises
     ------
     ValidationError
-        This version knows no such test.
+        This version does not accept the stored configuration.
     """
     return _build_stored_tree()(**rename_old_keys(values))
 
 
 def rename_old_keys(values: Mapping[str, object]) -> Tables:
-    """Return nested tables with current names, without removed keys, with earlier values of new keys."""
+    """Return a copy of nested tables with current key names (`RENAMED`); removed keys are left out.
+
+    Absent keys of `BEFORE` get their earlier value if their table is present.
+    """
     # What a version wrote has all its tables; one that a person wrote and left out means today's defaults.
     before = {path: value for key, value in BEFORE.items() if (path := tuple(key.split(".")))[0] in values}
     moved = ((_find_current_path(path), value) for path, value in flatten(values).items())
@@ -63,7 +66,7 @@ def rename_old_keys(values: Mapping[str, object]) -> Tables:
 
 
 def settings_differences(stored: Mapping[str, object], given: Settings) -> list[str]:
-    """Return the differences in meaning between a stored configuration and the given one, by key.
+    """List the keys that affect the data and differ between a stored and the given configuration.
 
     Parameters
     ----------
@@ -73,7 +76,8 @@ def settings_differences(stored: Mapping[str, object], given: Settings) -> list[
     Returns
     -------
     list of str
-        A line a key, with both values; empty where the same is measured.
+        One line for each key, sorted by key, with both values; empty if the same is measured. After
+        `SHOWN` lines only the number of the others follows.
     """
     given_flat = flatten(given.model_dump(mode="json"))
     flat = {
@@ -118,7 +122,10 @@ def settings_differences(stored: Mapping[str, object], given: Settings) -> list[
 
 
 def _fill_current_defaults(settings: Settings) -> Settings:
-    """Fill in new defaults of plug-ins; a plug-in that is not installed has none."""
+    """Return the settings with the current defaults of plug-ins.
+
+    They are returned unchanged if a plug-in is missing or rejects its parameters.
+    """
     try:
         return fill_instrument_defaults(settings)
     except (ConfigurationError, ParametersError):
@@ -126,7 +133,7 @@ def _fill_current_defaults(settings: Settings) -> Settings:
 
 
 def _find_unknown_keys(values: Tables) -> set[KeyPath]:
-    """Return the keys that this version does not know."""
+    """Return the paths of keys or tables that this version does not define; other errors are ignored."""
     try:
         _build_stored_tree()(**values)
     except ValidationError as error:
@@ -136,7 +143,7 @@ def _find_unknown_keys(values: Tables) -> set[KeyPath]:
 
 
 def _is_hashed_out(path: KeyPath) -> bool:
-    """Return whether a key has no part in the hash of the configuration."""
+    """Return whether a key, or a table that contains it, is excluded from the configuration hash."""
     below: object = HASHED_OUT
     for name in path:
         if not isinstance(below, Mapping | set) or name not in below:
@@ -148,7 +155,7 @@ def _is_hashed_out(path: KeyPath) -> bool:
 
 
 def _find_current_path(path: KeyPath) -> KeyPath | None:
-    """Return the current path of a key, None if it was removed."""
+    """Return the current path of a stored key by `RENAMED`, itself if not renamed, None if it was removed."""
     for old, new in RENAMED.items():
         names = old.split(".")
         if len(path) >= len(names) and all(a in ("*", b) for a, b in zip(names, path, strict=False)):
@@ -161,10 +168,10 @@ def _find_current_path(path: KeyPath) -> KeyPath | None:
 
 
 def _format_error_path(location: tuple[int | str, ...]) -> KeyPath:
-    """Return the location of an error as the path of a key."""
+    """Convert the location of a validation error to a key path of texts."""
     return tuple(str(part) for part in location)
 
 
 def _as_json(flat: Mapping[KeyPath, object], path: KeyPath) -> str:
-    """Return a stored value as JSON, or that there is none."""
+    """Return the value at a path as JSON text, or ``no value`` if the path is absent."""
     return json.dumps(flat[path]) if path in flat else "no value"

@@ -11,7 +11,7 @@ Tables = dict[str, Any]
 
 
 def flatten(values: Mapping[str, object], above: KeyPath = ()) -> dict[KeyPath, object]:
-    """Return the values by the path of each key; an empty table and a list count as values."""
+    """Flatten nested tables to key path and value, in order; empty tables and lists count as values."""
     flat: dict[KeyPath, object] = {}
     for name, value in values.items():
         if isinstance(value, Mapping) and value:
@@ -22,7 +22,7 @@ def flatten(values: Mapping[str, object], above: KeyPath = ()) -> dict[KeyPath, 
 
 
 def nest_tables(values: Mapping[KeyPath, object]) -> Tables:
-    """Return nested tables from values by path; the inverse of `flatten`."""
+    """Build nested tables from values by key path; the inverse of `flatten`."""
     tree: Tables = {}
     for path, value in values.items():
         below = tree
@@ -33,7 +33,10 @@ def nest_tables(values: Mapping[KeyPath, object]) -> Tables:
 
 
 def remove_keys(values: Mapping[str, object], paths: frozenset[str]) -> Tables:
-    """Return nested tables without the keys at these dotted paths."""
+    """Return a copy of nested tables without the keys or tables at these dotted paths.
+
+    Unknown paths are ignored.
+    """
     kept = {}
     for name, value in values.items():
         if name in paths:

@@ -82,13 +82,13 @@ class ClockSettings(Section):
 
     @property
     def is_paced(self) -> bool:
-        """Return whether simulated time is slowed down for viewers."""
+        """Return whether the simulated clock runs at a fixed rate (``pace_h_per_s``) instead of jumping."""
         return self.kind == "simulated" and self.pace_h_per_s is not None
 
     @field_validator("epoch")
     @classmethod
     def _check_time(cls, text: str) -> str:
-        """Check that the epoch is a time."""
+        """Return the epoch unchanged if it is a UTC time; raise ValueError otherwise."""
         parse_utc(text)
         return text
 
@@ -119,7 +119,7 @@ class ScheduleSettings(Section):
 
     @model_validator(mode="after")
     def _check_phase_order(self) -> Self:
-        """Check that each phase ends after the one before."""
+        """Raise ValueError unless the phases end at increasing hours, above 0."""
         before = 0.0
         for phase in self.phases:
             if phase.until_h <= before:
@@ -148,7 +148,7 @@ class PositionSettings(Section):
 
 
 def _list_positions() -> dict[str, PositionSettings]:
-    """Return the positions of Table 1 of the paper."""
+    """Build the default positions A to D of Table 1 of the paper."""
     small, large = CorrosionParameters(size_m=25.4e-3), CorrosionParameters(size_m=50.8e-3)
     return {
         "A": PositionSettings(method=PULSE_ECHO, label="Ultrasonic probe, 25.4 mm patch", corrosion=small),
@@ -219,7 +219,7 @@ class NoveltySettings(Section):
     @field_validator("limit")
     @classmethod
     def _check_limit_name(cls, limit: str) -> str:
-        """Check that the limit exists; return its current name."""
+        """Return the current name of the limit (``chart`` becomes ``mewma``); ValueError if unknown."""
         limit = {"chart": "mewma"}.get(limit, limit)  # stored by earlier versions
         if limit == cls.model_fields["limit"].default:
             return limit  # the list comes with SciPy, which readers of a folder do not need
@@ -257,7 +257,7 @@ class AlarmSettings(Section):
     @field_validator("kinds", mode="before")
     @classmethod
     def _convert_old_kinds(cls, kinds: object) -> object:
-        """Accept earlier names of alarm kinds."""
+        """Return the table with current names of alarm kinds; other values are returned unchanged."""
         if not isinstance(kinds, Mapping):
             return kinds
         return {EARLIER_ALARM_KINDS.get(kind, kind): rule for kind, rule in kinds.items()}
@@ -265,14 +265,14 @@ class AlarmSettings(Section):
     @field_validator("kinds")
     @classmethod
     def _check_kind_delays(cls, kinds: dict[str, AlarmKindSettings]) -> dict[str, AlarmKindSettings]:
-        """Check that each kind may have its delays."""
+        """Return the table; raise ValueError for a kind that may not have these delays or this deadband."""
         for kind, rule in kinds.items():
             rule.require_fits(kind)
         return kinds
 
     @model_validator(mode="after")
     def _check_k_of_n(self) -> Self:
-        """Check that k is at most n."""
+        """Raise ValueError if k exceeds n."""
         if self.k > self.n:
             raise ValueError(f"k is {self.k}; it must be at most n = {self.n}")
         return self
@@ -300,7 +300,7 @@ class StorageSettings(Section):
     @model_validator(mode="before")
     @classmethod
     def _remove_old_journal_key(cls, values: object) -> object:
-        """Remove the key `journal` of earlier versions."""
+        """Return the values without the former key ``journal``; log a warning unless it was true."""
         if not (isinstance(values, dict) and "journal" in values):
             return values
         if values["journal"] is not True:
@@ -309,7 +309,7 @@ class StorageSettings(Section):
 
     @model_validator(mode="after")
     def _check_limit_order(self) -> Self:
-        """Check that the levels of disk space are in order."""
+        """Raise ValueError unless stop, alarm and warn fraction are in ascending order."""
         if not self.stop_free_fraction <= self.alarm_free_fraction <= self.warn_free_fraction:
             raise ValueError(
                 f"stop_free_fraction is {self.stop_free_fraction:g}, alarm_free_fraction "
@@ -363,13 +363,19 @@ class Settings(BaseSettings):
         dotenv_settings: PydanticBaseSettingsSource,
         file_secret_settings: PydanticBaseSettingsSource,
     ) -> tuple[PydanticBaseSettingsSource, ...]:
-        """Return the sources: the environment overrides the file; no `.env` file is read."""
+        """Return the sources by precedence: environment, then the given values; no ``.env`` file is read.
+
+        The environment is left out if ``reads_environment`` is false.
+        """
         return (env_settings, init_settings) if cls.reads_environment else (init_settings,)
 
     @model_validator(mode="before")
     @classmethod
     def _fill_positions(cls, values: object) -> object:
-        """Fill a position's chain, plate and corrosion from the top-level tables of the same name."""
+        """Fill each position's chain, plate and corrosion from the top-level tables of the same name.
+
+        Without ``positions`` the default ones are used; values of a wrong type are left to validation.
+        """
         if not isinstance(values, dict):
             return values
         positions = values.get("positions")
@@ -386,7 +392,7 @@ class Settings(BaseSettings):
     @field_validator("positions")
     @classmethod
     def _check_position_names(cls, positions: dict[str, PositionSettings]) -> dict[str, PositionSettings]:
-        """Check the characters of the positions' names."""
+        """Raise ValueError for a position name that is not up to 16 ASCII letters and digits."""
         for name in positions:
             if not (name.isascii() and name.isalnum() and len(name) <= 16):
                 raise ValueError(f"position name {name!r}: use up to 16 ASCII letters and digits")
@@ -394,7 +400,7 @@ class Settings(BaseSettings):
 
     @model_validator(mode="after")
     def _check_tables_agree(self) -> Self:
-        """Check that the tables agree with one another."""
+        """Raise ValueError if tables contradict each other: valid shots, clock, faults, wiring, overlap."""
         if self.baseline.minimum_valid_shots > self.schedule.shots_per_set:
             raise ValueError(
                 f"baseline.minimum_valid_shots is {self.baseline.minimum_valid_shots}; it must be at most "
@@ -418,7 +424,7 @@ class Settings(BaseSettings):
         return self
 
     def _check_set_overlap(self) -> None:
-        """Check that each set ends before the next is due, which would be missed otherwise."""
+        """Raise ValueError if a set's strikes take more than 99 % of the schedule's shortest interval."""
         transducers = len(self.list_positions(SOLITARY_WAVE))
         # The last strike needs no interval after it.
         strikes = max(0, transducers * self.schedule.shots_per_set - 1)
@@ -434,7 +440,7 @@ class Settings(BaseSettings):
             )
 
     def _check_wiring(self) -> None:
-        """Check that every position has its board, and every board a monitored position."""
+        """Raise ValueError if a position has no input in the board tables, or a wired input no position."""
         assert self.rig.daqmx is not None, "RigSettings asks for it"
         probes = {} if self.rig.niscope is None else self.rig.niscope.probes
         for table, method, wired in (
@@ -454,14 +460,20 @@ class Settings(BaseSettings):
                 )
 
     def false_alarms_per_sensor_year(self) -> float:
-        """Return the design false-alarm rate of one transducer: its own, or its share of the rate of all."""
+        """Return the design false-alarm rate of one transducer, per year: its own, or its share of the total.
+
+        Raises ZeroDivisionError if a total rate is configured without solitary-wave positions.
+        """
         of_all = self.alarms.false_alarms_per_year
         if of_all is None:
             return self.alarms.false_alarms_per_sensor_year
         return of_all / sum(place.method == SOLITARY_WAVE for place in self.positions.values())
 
     def measured(self) -> Tables:
-        """Return the settings that affect the data, ready for JSON: all but `HASHED_OUT`."""
+        """Return the settings that affect the data as JSON-ready tables: all keys except `HASHED_OUT`.
+
+        Keys of later versions that keep the earlier behavior are left out, so that stored hashes stay valid.
+        """
         values = self.model_dump(mode="json", exclude=dict(HASHED_OUT))
         rig = values["rig"]
         # Keys that came later: where they say what was done before, what was hashed before is hashed still.
@@ -490,23 +502,23 @@ class Settings(BaseSettings):
         return values
 
     def configuration_hash(self) -> str:
-        """Return the SHA-256 of the settings that affect the data, which names the data folder."""
+        """Return the SHA-256, 64 hexadecimal digits, of the settings that affect the data."""
         return hashlib.sha256(
             json.dumps(self.measured(), sort_keys=True, separators=(",", ":")).encode()
         ).hexdigest()
 
     @property
     def thinnest_m(self) -> float:
-        """Return the minimum thickness of a probe's wall, at which its alarm becomes active, in m."""
+        """Return the wall thickness in m below which the alarm of an ultrasonic probe is raised."""
         return (1.0 - self.alarms.thickness_loss_fraction) * self.ultrasound.initial_thickness_m
 
     def list_positions(self, method: Method) -> list[str]:
-        """Return the positions monitored by a method, in the order of the file."""
+        """Return the names of the positions monitored by a method, in the order of the file."""
         return [name for name, place in self.positions.items() if place.method == method]
 
 
 def _inherit_tables(place: Mapping[str, object], common: Mapping[str, object]) -> dict[str, object]:
-    """Return a position with the values that it inherits from common tables."""
+    """Return a position's table whose chain, plate and corrosion are completed by the common tables."""
     filled = dict(place)
     for table in ("chain", "plate", "corrosion"):
         above, own = common.get(table, {}), filled.get(table, {})
@@ -516,5 +528,5 @@ def _inherit_tables(place: Mapping[str, object], common: Mapping[str, object]) -
 
 
 def _strip_defaults(place: PositionSettings) -> dict[str, object]:
-    """Return a position as in a file, with only the values that differ from the defaults."""
+    """Return method, label and corrosion size of a default position as a file would give them."""
     return {"method": place.method, "label": place.label, "corrosion": {"size_m": place.corrosion.size_m}}

@@ -14,7 +14,7 @@ HostName = Annotated[str, Field(pattern=r"^[a-z0-9]([a-z0-9.-]{0,251}[a-z0-9])?$
 
 
 def is_address(text: str) -> bool:
-    """Return whether a text is an IP address."""
+    """Return whether a text is an IPv4 or IPv6 address; host names are not."""
     try:
         ipaddress.ip_address(text)
     except ValueError:
@@ -47,7 +47,7 @@ class WebSettings(BaseModel):
     @field_validator("host", "proxy")
     @classmethod
     def _check_address(cls, text: str) -> str:
-        """Check that the text is an IP address, if it is given."""
+        """Return the text if it is empty, an IP address or a loopback name; raise ValueError otherwise."""
         if text and text not in LOOPBACK and not is_address(text):
             raise ValueError("give an IP address of a computer; names belong into web.host_names")
         return text
@@ -55,14 +55,17 @@ class WebSettings(BaseModel):
     @field_validator("host")
     @classmethod
     def _require_address(cls, text: str) -> str:
-        """Check that an address is given."""
+        """Return the text; raise ValueError if it is empty."""
         if not text:
             raise ValueError("give an IP address of this computer, for example 127.0.0.1")
         return text
 
     @model_validator(mode="after")
     def _check_exposed_service(self) -> Self:
-        """Check that a service that other computers reach is encrypted and knows its host names."""
+        """Raise ValueError if a service that other computers reach has no encryption or no host name.
+
+        Encryption is a certificate with its key, which need each other, or a proxy.
+        """
         if bool(self.tls_certificate) != bool(self.tls_key):
             raise ValueError("web.tls_certificate and web.tls_key belong together; give both or none")
         if self.is_reachable and not (self.tls_certificate or self.proxy):
@@ -88,7 +91,10 @@ class WebSettings(BaseModel):
 
     @property
     def names_elsewhere(self) -> frozenset[str]:
-        """Return the host names of valid requests, besides those of the loopback."""
+        """Return the host names that requests may use in addition to those of the loopback.
+
+        These are ``host_names``, and ``host`` unless it means all addresses.
+        """
         own = {self.host} - LOOPBACK.keys()
         return frozenset(self.host_names) | {
             name for name in own if not ipaddress.ip_address(name).is_unspecified
@@ -96,5 +102,5 @@ class WebSettings(BaseModel):
 
     @property
     def has_tls(self) -> bool:
-        """Return whether the service itself encrypts."""
+        """Return whether the service itself encrypts, because a certificate is configured."""
         return bool(self.tls_certificate)

@@ -37,7 +37,7 @@ SMALL_BYTES = 2048
 
 @asynccontextmanager
 async def _run_lifespan(app: FastAPI) -> AsyncIterator[None]:
-    """Run the background tasks as long as the application runs."""
+    """Run the background tasks of the context while the application runs, and end them with it."""
     async with find_app_context(app).run_background_tasks():
         yield
 
@@ -61,7 +61,10 @@ class Service(FastAPI):
         problem.install_error_handlers(self)
 
     def openapi(self) -> OpenApi:
-        """Return the OpenAPI 3.1 description of the interface."""
+        """Return the OpenAPI 3.1 description of the interface, with roles, units and examples.
+
+        It is built at the first call.
+        """
         if self.openapi_schema is None:
             document = super().openapi()
             document["components"]["schemas"].update(build_problem_schemas())
@@ -72,7 +75,7 @@ class Service(FastAPI):
 
 
 def create_app(settings: Settings, data_folder: Path, *, no_person: bool = False) -> FastAPI:
-    """Return the application of one data folder; it writes only operator commands.
+    """Create the application of one data folder; it writes only operator commands.
 
     Parameters
     ----------
@@ -87,7 +90,10 @@ def create_app(settings: Settings, data_folder: Path, *, no_person: bool = False
 
 
 def create_app_of_test(lifespan: Lifespan[FastAPI] | None = None) -> Service:
-    """Create an application with the routes of a test; `find_request_context` finds that of a request."""
+    """Create an application with the routes of a test but no middleware or context of its own.
+
+    Each request finds its context with `find_request_context`.
+    """
     app = Service(
         "solimon",
         (
@@ -106,7 +112,10 @@ def create_app_of_test(lifespan: Lifespan[FastAPI] | None = None) -> Service:
 
 
 def build_versioned_router(resources: Iterable[ModuleType]) -> APIRouter:
-    """Create the router of `/api/v1`, with checks of the role and of unknown parameters."""
+    """Build the router of `/api/v1` from the routers of modules.
+
+    Each route checks the role and unknown parameters first.
+    """
     api = APIRouter(
         prefix="/api/v1",
         dependencies=[Depends(check_role), Depends(refuse_unknown_parameters)],
@@ -118,7 +127,9 @@ def build_versioned_router(resources: Iterable[ModuleType]) -> APIRouter:
 
 
 def add_guard_middleware(app: FastAPI, context: Context, *, has_tests: bool = False) -> None:
-    """Add the middleware of an application: request checks, authentication, compression and timing.
+    """Set the context of an application and add its middleware.
+
+    From outside in: request checks, files of the page, authentication, compression, timing.
 
     Parameters
     ----------

@@ -47,7 +47,10 @@ class Asset:
 
 @cache
 def load_assets() -> dict[str, Asset]:
-    """Read all files of the dashboard; return them by their path in the URL."""
+    """Read and compress all files of the dashboard once; return them by their path in the URL.
+
+    The page gets links that preload the imported scripts. Raises OSError if a file cannot be read.
+    """
     contents = {}
     for path in sorted(FOLDER.rglob("*")):
         if path.is_file() and path.suffix in MEDIA_TYPES:
@@ -70,12 +73,15 @@ def load_assets() -> dict[str, Asset]:
 
 
 def _build_preload_links(names: Iterable[str]) -> bytes:
-    """Build the HTML links with which a browser loads scripts early."""
+    """Build the HTML ``modulepreload`` links with which a browser loads scripts early."""
     return "".join(f'<link rel="modulepreload" href="{PLACE}{name}">' for name in names).encode()
 
 
 def find_imported_modules(files: Mapping[str, bytes], script: str) -> list[str]:
-    """List all modules that a script imports, directly or through other modules."""
+    """Return the paths of all modules that a script imports, directly or through other modules.
+
+    Raises KeyError if an imported file is missing.
+    """
     names, waiting = {script: None}, [script]
     while waiting:
         name = waiting.pop()
@@ -89,12 +95,15 @@ def find_imported_modules(files: Mapping[str, bytes], script: str) -> list[str]:
 
 @router.get("/static/{name:path}")
 async def get_asset(name: str, request: Request) -> Response:
-    """Serve a file of the dashboard; a browser revalidates by ETag."""
+    """Serve a file of the dashboard, or 304 if the browser has it (ETag); 404 if there is no such file."""
     return answer_asset(name, request)
 
 
 def answer_asset(name: str, request: Request) -> Response:
-    """Return the response for a file, or 304 if the browser has it; raise 404 if there is no such file."""
+    """Build the response for a file, compressed if accepted, or 304 if the browser has it.
+
+    Raises a Problem (404) if there is no such file.
+    """
     asset = load_assets().get(name)
     if asset is None:
         raise not_found(
@@ -117,7 +126,7 @@ class AssetsFirst:
         self._app = app
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Serve a file, or pass the request on."""
+        """Answer a GET of an existing dashboard file, or pass the request on."""
         answer: ASGIApp = self._app
         if scope["type"] == "http" and scope["method"] == "GET" and scope["path"].startswith(PLACE):
             name = scope["path"].removeprefix(PLACE)

@@ -32,7 +32,11 @@ class BoundedHttp(HttpToolsProtocol):
         self._waiting: asyncio.TimerHandle | None = None
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override] # as uvicorn's
-        """Wait for the first request."""
+        """Accept a connection and wait for its first request.
+
+        At the limit of connections the longest waiting one is aborted; this one only if it is that one and
+        all 16 spare connections are used.
+        """
         super().connection_made(transport)
         self._start_waiting()
         most = self.limit_concurrency
@@ -44,28 +48,28 @@ class BoundedHttp(HttpToolsProtocol):
                 self.connections.discard(oldest)  # at once: this one's request is answered
 
     def connection_lost(self, exc: Exception | None) -> None:
-        """Stop waiting."""
+        """Cancel the checks of a closed connection."""
         self._stop_waiting()
         super().connection_lost(exc)
 
     def on_message_begin(self) -> None:
-        """Wait for the next request of this connection."""
+        """Start the time limit for the headers of the next request of this connection."""
         super().on_message_begin()
         if self._waiting is None:
             self._start_waiting()
 
     def on_headers_complete(self) -> None:
-        """Hand the request to the application."""
+        """End the time limit of the headers and hand the request to the application."""
         self._in_headers = False
         super().on_headers_complete()
 
     def on_message_complete(self) -> None:
-        """Stop waiting: the body is complete, too."""
+        """Stop waiting: headers and body are complete."""
         self._stop_waiting()
         super().on_message_complete()
 
     def data_received(self, data: bytes) -> None:
-        """Process received data; refuse headers that are too large."""
+        """Process received data; answer 431 and close if the headers exceed 32 KiB."""
         if self.transport.is_closing():
             return
         super().data_received(data)
@@ -75,17 +79,17 @@ class BoundedHttp(HttpToolsProtocol):
                 self._refuse_request(HTTPStatus.REQUEST_HEADER_FIELDS_TOO_LARGE)
 
     def _start_waiting(self) -> None:
-        """Start to wait for the next request."""
+        """Reset the size of the headers and start the time limit of a request."""
         self._headers_bytes, self._in_headers = 0, True
         self._since_s, self._n_checks = time.monotonic(), 0
         self._schedule_check()
 
     def _schedule_check(self) -> None:
-        """Schedule the next check of the wait."""
+        """Schedule the next check of the waiting request, in 2.5 s."""
         self._waiting = self.loop.call_later(min(LOOK_EVERY_S, HEADERS_WITHIN_S), self._check_waiting)
 
     def _stop_waiting(self) -> None:
-        """Cancel the check of the wait."""
+        """Cancel the scheduled check: the connection no longer counts as waiting."""
         if self._waiting is not None:
             self._waiting.cancel()
             self._waiting = None
@@ -95,7 +99,7 @@ class BoundedHttp(HttpToolsProtocol):
         return self.cycle is not None and not self.cycle.response_complete
 
     def _list_waiting(self) -> list[BoundedHttp]:
-        """List the connections of the server that wait for a complete request."""
+        """Return the connections of the server that wait for a complete request."""
         return [
             connection
             for connection in self.connections
@@ -103,7 +107,7 @@ class BoundedHttp(HttpToolsProtocol):
         ]
 
     def _has_too_many_waiting(self) -> bool:
-        """Return whether too many connections wait for requests, in total or from one address."""
+        """Return whether more than 256 connections wait for requests, or more than 64 from this address."""
         waiting = self._list_waiting()
         same_address = sum(
             (connection.client or ("",))[0] == (self.client or ("",))[0] for connection in waiting
@@ -111,7 +115,10 @@ class BoundedHttp(HttpToolsProtocol):
         return len(waiting) > MOST_WAITING or same_address > MOST_WAITING_OF_ADDRESS
 
     def _check_waiting(self) -> None:
-        """Close a connection whose request is late, or one of too many; check again later."""
+        """Close a connection whose headers take over 10 s (408) or that is one of too many (503).
+
+        Otherwise the next check is scheduled.
+        """
         self._n_checks += 1
         if self._in_headers and self._is_answering():  # the next request may take until this one is answered
             self._schedule_check()
@@ -124,7 +131,7 @@ class BoundedHttp(HttpToolsProtocol):
             self._schedule_check()
 
     def _refuse_request(self, status: HTTPStatus) -> None:
-        """Answer with an HTTP status and close the connection."""
+        """Answer with an HTTP status, unless a response is being sent, and close the connection."""
         self._stop_waiting()
         message = (
             f"{status.phrase}: a request's headers must come within {HEADERS_WITHIN_S:g} s and take at most "

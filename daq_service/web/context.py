@@ -49,7 +49,10 @@ class CatalogueEvents:
             return None
 
     def after(self, event_id: int, limit: int) -> Sequence[Mapping[str, Any]]:
-        """Read events after an id, with RFC 3339 times."""
+        """Read at most ``limit`` events after an id, ascending, with RFC 3339 times.
+
+        Empty before the first record.
+        """
         try:
             catalogue = self._access.get()
         except NoDataYetError:
@@ -104,7 +107,10 @@ class Context:
 
     @asynccontextmanager
     async def run_background_tasks(self) -> AsyncIterator[None]:
-        """Follow events and live figures, and notify, while the context is open; then close the catalogue."""
+        """Follow events and live figures, and notify, while the context is open; then close the catalogue.
+
+        On exit open streams are ended and all tasks awaited.
+        """
         await self.hub.start()
         await self.live.start()
         self.notifications.start()
@@ -122,7 +128,10 @@ class Context:
             self.catalogue_access.close()
 
     async def _send_heartbeats(self, stopping: Event) -> None:
-        """Write the heartbeat from the event loop, and mark its end where the service ends in order."""
+        """Write the heartbeat of the web service every second until ``stopping``, then mark its end.
+
+        Writes nothing in a backup.
+        """
         if await to_thread((self.data_folder / BACKUP_FILE).exists):
             return
         heartbeat = Heartbeat(self.data_folder, deadline_s=WEB_DEADLINE_S, file=WEB_FILE)
@@ -134,7 +143,11 @@ class Context:
         await to_thread(heartbeat.beat, "leaving", at_once=True)
 
     def catalogue(self) -> Catalogue:
-        """Return the open catalogue; raise a problem before the first set, or where it is lost."""
+        """Return the open catalogue.
+
+        Raises a Problem (503) before the first set or if the catalogue is lost, and StorageError if it cannot
+        be read.
+        """
         try:
             catalogue = self.catalogue_access.get()
         except NoDataYetError:
@@ -148,7 +161,7 @@ class Context:
         return catalogue
 
     def has_data(self) -> bool:
-        """Return whether the catalogue can be opened; never raise an error."""
+        """Return whether the catalogue can be opened and has a set; errors of storage count as no."""
         try:
             self.catalogue()
         except (Problem, StorageError):
@@ -156,14 +169,14 @@ class Context:
         return True
 
     def close_streams(self) -> None:
-        """End every open stream; called before the server waits for its responses."""
+        """End every open stream without waiting; called before the server waits for its responses."""
         self.waterfall.close()
         self.hub.close()
         self.live.close()
         self.notifications.close()
 
     def validate_position(self, position: str) -> str:
-        """Check that the test has a position and return its name, since it becomes part of file names.
+        """Return the name of a position unchanged if the test has it, since it becomes part of file names.
 
         Raises
         ------
@@ -178,7 +191,10 @@ class Context:
         return position
 
     def read_freshness(self) -> Freshness:
-        """Compute clock, age of the data and status of the recorder at this moment."""
+        """Read time of the test, age of the data and status of the recorder at this moment.
+
+        Raises the errors of `catalogue`.
+        """
         return Freshness(self)
 
 
@@ -191,11 +207,11 @@ class Freshness(freshness.Freshness):
 
     @cached_property
     def _baselines(self) -> dict[int, BaselineRow]:
-        """Return all baselines by id."""
+        """Return all baselines by id, read once."""
         return self._catalogue.read_baselines_by_id()
 
     def as_of(self) -> dict[str, object]:
-        """Return the object `as_of` of an answer: clock, present time, age of the data, recorder."""
+        """Return the object ``as_of`` of an answer: clock, present time, age of the data, recorder."""
         return {
             "clock": self.clock,
             "now_utc": format_rfc3339(self.now_utc_ns),
@@ -206,11 +222,14 @@ class Freshness(freshness.Freshness):
         }
 
     def format_utc_of_hour(self, hour: float) -> str | None:
-        """Format an hour of the test as RFC 3339 text, to the second."""
+        """Format an hour of the test as RFC 3339 text, rounded to whole seconds after the epoch."""
         return format_hour_as_rfc3339(self.epoch_utc_ns, hour)
 
     def row(self, row: Row, **extra_columns: object) -> dict[str, object]:
-        """Convert a row of the catalogue for an answer: times as text, and its age if it has an hour."""
+        """Convert a row of the catalogue for an answer: RFC 3339 times, and its age in h if it has an hour.
+
+        An alarm also gets its evidence as sentences; its expired shelf is removed.
+        """
         if isinstance(row, AlarmRow):
             row = self.with_present_state(row)
             extra_columns |= {"evidence_sentences": evidence_sentences(row, self._baselines)}
@@ -220,14 +239,14 @@ class Freshness(freshness.Freshness):
 
 
 def find_app_context(app: FastAPI) -> Context:
-    """Return the context (settings, catalogue, streams) of an application."""
+    """Return the context (settings, catalogue, streams) that was set for an application."""
     context = app.state.context
     assert isinstance(context, Context)
     return context
 
 
 def find_request_context(connection: HTTPConnection) -> Context:
-    """Return the context of the test that a request addresses, or else of its application."""
+    """Return the context of the test that a request addresses, or else that of its application."""
     context = getattr(connection.state, "test", None)
     return context if isinstance(context, Context) else find_app_context(connection.app)
 

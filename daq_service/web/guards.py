@@ -61,7 +61,11 @@ class RequestGuard:
         self._streams_entering = asyncio.Semaphore(STREAMS_AT_ONCE)
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Pass a valid request on, and answer an invalid one."""
+        """Pass a valid request on with a new request id, and answer an invalid one with a problem.
+
+        Bodies of writes are read completely first, within 10 s and 64 KiB (else 408, 413). Rejected foreign
+        hosts and origins are audited; every response gets the security headers.
+        """
         if scope["type"] not in {"http", "websocket"}:
             await self._app(scope, receive, send)
             return
@@ -101,7 +105,10 @@ class RequestGuard:
 
 
 async def _read_body(receive: Receive) -> bytes | None:
-    """Read the complete body of a write; None once it exceeds the limit, independent of Content-Length."""
+    """Read the complete body of a write; None once it exceeds 64 KiB, independent of Content-Length.
+
+    A disconnected client ends it with the part received.
+    """
     body = b""
     while True:
         message = await receive()
@@ -114,7 +121,7 @@ async def _read_body(receive: Receive) -> bytes | None:
 
 
 def _replay_body(body: bytes, receive: Receive) -> Receive:
-    """Return a `receive` function that returns a body once, and then the messages of the server."""
+    """Return a ``receive`` function that returns a body once, and then the messages of the server."""
     unread = [body]
 
     async def receive_replayed() -> Message:
@@ -127,17 +134,17 @@ def _replay_body(body: bytes, receive: Receive) -> Receive:
 
 
 def _create_too_large(size: str) -> Problem:
-    """Create the error of a request body that exceeds the limit (413)."""
+    """Create, without raising it, the error of a request body that exceeds the limit (413)."""
     return Problem("body-too-large", f"The body has {size} bytes; the limit is {LARGEST_BODY_BYTES}.")
 
 
 def _create_too_slow() -> Problem:
-    """Create the error of a request body that arrives too slowly (408)."""
+    """Create, without raising it, the error of a request body that arrives too slowly (408)."""
     return Problem("body-too-slow", f"The body was not whole within {BODY_WITHIN_S:g} s.")
 
 
 def _find_request_problem(scope: Scope, headers: Headers, names: frozenset[str]) -> Problem | None:
-    """Check headers, host and origin of a request; return the problem, or None if there is none."""
+    """Check header size, host, origin and stated body size of a request; return the first problem or None."""
     if (header_bytes := sum(len(name) + len(value) for name, value in headers.raw)) > LARGEST_HEADERS_BYTES:
         return Problem(
             "headers-too-large",
@@ -163,7 +170,7 @@ def _find_request_problem(scope: Scope, headers: Headers, names: frozenset[str])
 
 
 def _parse_hostname(address: str) -> str | None:
-    """Parse the host name of an address; None if it is malformed."""
+    """Parse the host name of a URL, in lower case; None if it is malformed or missing."""
     try:
         return urlsplit(address).hostname
     except ValueError:
@@ -171,12 +178,15 @@ def _parse_hostname(address: str) -> str | None:
 
 
 def _join_header(headers: Headers, name: str) -> str:
-    """Join all headers of a name, since a proxy and this service might use different ones."""
+    """Join all headers of a name with commas, since a proxy and this service might use different ones.
+
+    Empty without the header.
+    """
     return ", ".join(headers.getlist(name))
 
 
 def is_same_origin(headers: Headers) -> bool:
-    """Return whether the request comes from no browser, or from a page of the same origin."""
+    """Return whether Origin and Sec-Fetch-Site are absent (no browser) or those of the requested host."""
     host = _join_header(headers, "host")
     return _join_header(headers, "sec-fetch-site") in {"", "same-origin", "none"} and _join_header(
         headers, "origin"

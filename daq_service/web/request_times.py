@@ -32,7 +32,7 @@ class RequestTimes:
         self._times = times
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Pass a request on, and record the time until its response starts."""
+        """Pass a request on, and record the time in s until its response starts, by route."""
         if scope["type"] != "http":
             await self._app(scope, receive, send)
             return

@@ -48,7 +48,7 @@ class _Server(uvicorn.Server):
 
     @contextlib.contextmanager
     def capture_signals(self) -> Iterator[None]:
-        """Install uvicorn's signal handlers only without a stop event."""
+        """Install uvicorn's signal handlers within the context, but none if there is a stop event."""
         if self._stop is not None:
             yield
             return
@@ -56,7 +56,10 @@ class _Server(uvicorn.Server):
             yield
 
     async def on_tick(self, counter: int) -> bool:
-        """Check the stop event ten times a second, and call `on_beat` at each tenth check."""
+        """Check the stop event, ten times a second, and call `on_beat` at each tenth check.
+
+        Returns whether the server must exit.
+        """
         if counter % TICKS_OF_A_BEAT == 0:
             self.on_beat()
         if self._stop is not None and self._stop.is_set():
@@ -64,13 +67,13 @@ class _Server(uvicorn.Server):
         return await super().on_tick(counter)
 
     async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
-        """Close the streams first, since uvicorn waits for every open response."""
+        """Close the streams, then shut down; uvicorn waits for every open response."""
         self._close_streams()
         await super().shutdown(sockets)
 
 
 def bind_socket(host: str, port: int, *, locked: bool = False) -> socket.socket:
-    """Open a socket that listens on an address of this computer; port 0 selects a free one.
+    """Open a non-blocking socket that listens on an address of this computer; port 0 selects a free one.
 
     Parameters
     ----------
@@ -80,7 +83,8 @@ def bind_socket(host: str, port: int, *, locked: bool = False) -> socket.socket:
     Raises
     ------
     UsageError
-        The address is reachable from elsewhere without protection, or is none of this computer.
+        The address is reachable from elsewhere without protection, is none of this computer, or its port is
+        reserved.
     BusyError
         Another process uses the port.
     """
@@ -117,7 +121,7 @@ def bind_socket(host: str, port: int, *, locked: bool = False) -> socket.socket:
 
 
 def raise_connection_limit() -> int:
-    """Raise the limit of open file handles; return the number of connections that fit."""
+    """Raise the limit of open file handles as far as allowed; return how many connections fit (1 to 2500)."""
     if sys.platform == "win32":  # no such limit
         return MOST_CONNECTIONS
     import resource
@@ -132,10 +136,10 @@ def raise_connection_limit() -> int:
 
 
 def reduce_garbage_collection() -> None:
-    """Collect cyclic garbage less often, and never in objects that live until the process ends.
+    """Collect cyclic garbage less often, and never in objects that exist at this call.
 
     A thousand streams are half a million objects: each default collection blocks all requests for a
-    quarter of a second.
+    quarter of a second. Applies to the whole process.
     """
     gc.collect()
     gc.freeze()
@@ -143,7 +147,7 @@ def reduce_garbage_collection() -> None:
 
 
 def _create_event_loop(config: uvicorn.Config) -> asyncio.AbstractEventLoop:
-    """Create an event loop with a limited time for TLS handshakes."""
+    """Create an event loop (uvloop if available) that limits TLS handshakes to 10 s."""
     factory = config.get_loop_factory()
     loop = asyncio.new_event_loop() if factory is None else factory()
     if config.is_ssl:  # uvicorn has no such option
@@ -163,18 +167,25 @@ def serve(
     locks: WebSettings | None = None,
     on_beat: Callable[[], None] = lambda: None,
 ) -> None:
-    """Serve until ``stop`` is set, or without it until SIGINT or SIGTERM.
+    """Serve until ``stop`` is set, or without it until SIGINT or SIGTERM; blocks.
+
+    Open responses get 1 s at the end.
 
     Parameters
     ----------
     on_bound
-        Called with the URL once connections are accepted.
+        Called with the URL once the port is bound.
     close_streams
         Called before the last responses are awaited; None: that of the service.
     locks
         Certificate and proxy of a reachable service; None: this machine only, without encryption.
     on_beat
         Called by the event loop once a second, unless it stalls.
+
+    Raises
+    ------
+    UsageError, BusyError
+        The port cannot be opened (`bind_socket`).
     """
     locks = locks or WebSettings()
     listener = bind_socket(host, port, locked=locks.is_reachable)

@@ -30,12 +30,15 @@ class Address:
 def read_address(
     name: str, receiver: ReceiverSettings, environment: Mapping[str, str] = os.environ
 ) -> Address:
-    """Read the address and the secret of a receiver; a change applies at once.
+    """Read the address and the secret of a receiver from settings, file or environment variable.
+
+    They are read at each call, so a change applies at once. For apprise the secret is empty.
 
     Raises
     ------
     UsageError
-        One is missing or invalid; the message does not repeat it.
+        One is missing or invalid (a secret has 16 characters or more), or apprise is not installed; the
+        message does not repeat it.
     """
     url = receiver.url or _read_configured_text(name, "url", receiver.url_file, receiver.url_env, environment)
     if receiver.kind == "apprise":
@@ -55,7 +58,7 @@ def read_address(
 
 
 def hide_address_secrets(receiver: ReceiverSettings) -> str:
-    """Return the address of a receiver without secrets; of a URL only scheme and host."""
+    """Return scheme and host of a receiver's URL, or the variable or file name that holds the address."""
     if receiver.url:
         parts = urlsplit(receiver.url)
         return f"{parts.scheme}://{parts.netloc}"
@@ -67,12 +70,12 @@ def hide_address_secrets(receiver: ReceiverSettings) -> str:
 
 
 def check_receivers(settings: NotificationSettings) -> None:
-    """Raise UsageError for a receiver without an address, or a rule with an unknown kind of alarm.
+    """Read every receiver's address and secret, and check the alarm kinds of the rules.
 
     Raises
     ------
     UsageError
-        An address, a secret or a kind is missing or unknown.
+        An address, a secret or a kind is missing, invalid or unknown; the first one is reported.
     """
     for name, receiver in settings.receivers.items():
         read_address(name, receiver)
@@ -87,7 +90,10 @@ def check_receivers(settings: NotificationSettings) -> None:
 def _read_configured_text(
     name: str, key: str, file: str, variable: str, environment: Mapping[str, str]
 ) -> str:
-    """Read an address or secret from its variable or file."""
+    """Read an address or secret from its variable, or else from its file of one line, without outer spaces.
+
+    Raises UsageError if it is empty, unreadable, not UTF-8 or has several lines.
+    """
     if variable:
         text = environment.get(variable, "").strip()
         if not text:
@@ -106,5 +112,5 @@ def _read_configured_text(
 
 
 def _receiver_error(name: str, problem: str) -> UsageError:
-    """Create the error for an invalid receiver."""
+    """Create, without raising it, the UsageError for an invalid receiver."""
     return UsageError(f"notifications.receivers.{name}: {problem}")

@@ -11,9 +11,10 @@ from daq_service.processes.notifications.webhook import Outcome
 
 
 def deliver_by_apprise(address: Address, message: Message) -> Outcome:
-    """Try once to deliver a message; apprise limits the time of its connections.
+    """Try once to deliver a message and return the outcome; apprise limits the time of its connections.
 
-    Its log may repeat parts of an address and is disabled, so a failure is reported without its cause.
+    Its log may repeat parts of an address and is disabled, so a failure is reported without its cause. Also
+    disables .netrc for this process.
     """
     import apprise
 

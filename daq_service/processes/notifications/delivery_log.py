@@ -87,7 +87,7 @@ class DeliveryLog:
         self._last_error = ""
 
     def append(self, delivery: Delivery) -> None:
-        """Append a line; log an error of the disk, which must not stop notifications."""
+        """Append a line durably; a disk error is logged once per text and does not stop notifications."""
         try:
             append_line(self.path, TABLE, asdict(delivery))
         except OSError as error:
@@ -98,7 +98,9 @@ class DeliveryLog:
             self._last_error = ""
 
     def read(self, *, limit: int, end: int | None = None) -> tuple[list[tuple[int, Delivery]], int | None]:
-        """Read the newest lines with their numbers (`line_file.read_newest_lines`).
+        """Read at most ``limit`` of the newest lines before byte ``end`` with their numbers, newest first.
+
+        The second result is the ``end`` of the earlier lines; None: there are none.
 
         Raises
         ------
@@ -109,7 +111,9 @@ class DeliveryLog:
         return [(number, _delivery_of(row)) for number, row in lines], previous_end
 
     def last_heartbeat_ns(self, receiver: str) -> int | None:
-        """Find when the newest logged heartbeat message was sent, ns of UTC; None without one.
+        """Find when the newest logged heartbeat message was attempted, ns of UTC; None without one.
+
+        Withheld heartbeats are ignored. Only the newest 20,000 lines are searched.
 
         Raises
         ------
@@ -118,7 +122,7 @@ class DeliveryLog:
         """
 
         def is_sent(row: Mapping[str, object]) -> bool:
-            """Return whether a line is a heartbeat message to this receiver that was sent."""
+            """Return whether a line is a heartbeat message to this receiver that was not withheld."""
             is_heartbeat = (row.get("receiver"), row.get("what")) == (receiver, "heartbeat")
             return is_heartbeat and not str(row.get("result", row.get("told"))).startswith("withheld")
 
@@ -126,7 +130,7 @@ class DeliveryLog:
         return int(lines[0][1]["utc_ns"]) if lines else None
 
     def read_progress(self, receivers: Collection[str]) -> dict[str, Progress]:
-        """Read the progress of each receiver; a receiver without a line is missing.
+        """Read the newest progress of each receiver; a receiver without a line is left out.
 
         Raises
         ------
@@ -146,7 +150,10 @@ class DeliveryLog:
 
 
 def _delivery_of(row: object) -> Delivery:
-    """Convert a line of any version to a delivery."""
+    """Convert the row of a line, also of an earlier version, to a delivery.
+
+    Raises KeyError or TypeError if the row has other fields.
+    """
     assert isinstance(row, dict)
     progress = row["place"]
     if "told" in row:  # line of an earlier version

@@ -72,7 +72,11 @@ class AlarmChange:
 
 
 def alarm_change_of(event: EventRow) -> AlarmChange | None:
-    """Convert an event to a change of an alarm; None for suppressed alarms and changes by a person."""
+    """Convert an event to a change of an alarm.
+
+    Returns None for other events, suppressed or acknowledged alarms that do not end, and very old events.
+    Raises KeyError if the payload lacks a field.
+    """
     change, payload = CHANGES.get(event.kind), event.payload
     # An event of a very old folder does not carry its alarm's row.
     if change is None or event.id is None or not payload.keys() >= {"priority", "state", "raised_h"}:
@@ -114,7 +118,7 @@ class Test:
 
 
 def identify_test(row: ExperimentRow, page: str) -> Test:
-    """Read the test of a catalogue."""
+    """Build the test's identity; its mark is a hash of name, configuration hash and time of creation."""
     identity = f"{row.name}\n{row.configuration_hash}\n{row.created_utc_ns}"
     return Test(name=row.name, mark=hashlib.sha256(identity.encode()).hexdigest()[:12], page=page)
 
@@ -130,13 +134,16 @@ class Message:
     facts: Mapping[str, object]
 
     def encoded(self) -> bytes:
-        """Encode the body of a webhook as JSON."""
+        """Encode the message as the JSON body of a webhook."""
         header = {"version": FORMAT_VERSION, "key": self.key, "kind": self.kind}
         return orjson.dumps({**header, "title": self.title, "text": self.text, **self.facts})
 
 
 def message_key(test: Test, receiver: str, event_ids: Sequence[int]) -> str:
-    """Compute the key of a message from test, receiver and events; a repeated message has the same key."""
+    """Compute the key of a message from test, receiver and one or more event ids.
+
+    A repeated message has the same key.
+    """
     first, others = event_ids[0], ",".join(map(str, event_ids))
     group_suffix = f"-{hashlib.sha256(others.encode()).hexdigest()[:8]}" if len(event_ids) > 1 else ""
     return f"{test.mark}.{receiver}.{first}{group_suffix}"
@@ -145,14 +152,14 @@ def message_key(test: Test, receiver: str, event_ids: Sequence[int]) -> str:
 def build_alarm_message(
     test: Test, receiver: str, changes: Sequence[AlarmChange], qualities: Mapping[int, str], *, now_ns: int
 ) -> Message:
-    """Compose a message about changes of alarms.
+    """Build one message about changes of alarms; the first 20 are written out, the others counted.
 
     Parameters
     ----------
     qualities
-        Quality of the set with which an alarm was raised, by event.
+        Quality of the set with which an alarm was raised, by event id.
     now_ns
-        Wall clock, for the age of the changes.
+        Wall clock, ns of UTC, for the age of the changes.
     """
     shown = [
         _describe_alarm_change(test, item, qualities.get(item.event_id), now_ns)
@@ -195,7 +202,7 @@ class HeartbeatFacts(TypedDict):
 
 
 def build_heartbeat_message(test: Test, receiver: str, facts: HeartbeatFacts, *, now_ns: int) -> Message:
-    """Compose a heartbeat message; ``facts`` are those of `source.Source.read_heartbeat_facts`."""
+    """Build a heartbeat message from `source.Source.read_heartbeat_facts`; ``now_ns`` is UTC in ns."""
     age_h = facts["last_set_age_h"]
     last_set_text = (
         "no set is stored yet" if age_h is None else f"the last set is {_format_age(age_h * 3600.0)} old"
@@ -210,7 +217,7 @@ def build_heartbeat_message(test: Test, receiver: str, facts: HeartbeatFacts, *,
 
 
 def build_test_message(test: Test, receiver: str, author: str, *, now_ns: int) -> Message:
-    """Compose a message that is marked as a test."""
+    """Build a message that is marked as a test, with a new key for each time ``now_ns`` (UTC, ns)."""
     return Message(
         key=f"{test.mark}.{receiver}.test-{now_ns}",
         kind="test",
@@ -221,13 +228,13 @@ def build_test_message(test: Test, receiver: str, author: str, *, now_ns: int) -
 
 
 def _format_headline(item: AlarmChange) -> str:
-    """Compose the first line of a message about an alarm."""
+    """Format priority, kind, position and change of an alarm as one line."""
     at = f" at {item.position}" if item.position else ""
     return f"{item.priority.upper()} {item.kind}{at} {_CHANGE_TEXTS[item.change]}"
 
 
 def _format_counts(changes: Sequence[AlarmChange]) -> str:
-    """Format the counts of changes by priority and kind, the highest priority first."""
+    """Format the counts of changes by priority and kind of change, the highest priority first."""
     counts = Counter((item.priority, item.change) for item in changes)
     order = sorted(counts, key=lambda pair: -PRIORITIES.index(pair[0]))
     return ", ".join(f"{counts[pair]} {pair[0]} {pair[1]}" for pair in order)
@@ -236,7 +243,7 @@ def _format_counts(changes: Sequence[AlarmChange]) -> str:
 def _describe_alarm_change(
     test: Test, item: AlarmChange, quality: str | None, now_ns: int
 ) -> dict[str, object]:
-    """Collect the facts of a change of an alarm for a message."""
+    """Collect the fields of a change of an alarm for a message, with its age in s, link and full text."""
     age_s = max(0.0, (now_ns - item.wall_utc_ns) / NS_PER_S)
     at_set = "" if item.set_key is None else f", set {item.set_key}, quality {quality or 'unknown'}"
     sentences = [
@@ -260,7 +267,7 @@ def _describe_alarm_change(
 
 
 def _link_to_alarm(test: Test, item: AlarmChange) -> str | None:
-    """Compose the link to an alarm on the page; None if the page has no address."""
+    """Return the URL of the page with the alarm's position and set; None if the page has no address."""
     if not test.page:
         return None
     view = {"position": item.position, "set": item.set_key}
@@ -269,7 +276,7 @@ def _link_to_alarm(test: Test, item: AlarmChange) -> str | None:
 
 
 def _format_age(seconds: float) -> str:
-    """Format an age in hours, minutes or seconds."""
+    """Format an age given in s: in h from 2 h, in min from 2 min, else in s."""
     for size, unit in ((NS_PER_H / NS_PER_S, "h"), (60.0, "min")):
         if seconds >= 2.0 * size:
             return f"{seconds / size:.1f} {unit}"

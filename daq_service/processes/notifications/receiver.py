@@ -69,18 +69,12 @@ class _OpenMessage:
 
     @property
     def event_ids(self) -> list[int]:
-        """Return the ids of the events in the message."""
+        """Return the ids of the events in the message, in the order of its changes."""
         return [change.event_id for change in self.changes]
 
 
 class ReceiverQueue:
-    """Queue of a receiver, advanced by `step`; `step` and `test` may run in two threads.
-
-    Parameters
-    ----------
-    send, try_out
-        Deliver a message once, limited in time; the second one sends test messages, in parallel.
-    """
+    """Queue of a receiver, advanced by `step`; `test` may run in another thread at the same time."""
 
     def __init__(
         self,
@@ -107,7 +101,7 @@ class ReceiverQueue:
         self._test_lock = threading.Lock()
 
     def start(self, progress: Progress | None) -> None:
-        """Continue at the logged progress, or start at the newest event: old alarms are not sent."""
+        """Continue at the logged progress, or else after the newest event: old alarms are not sent."""
         if progress is not None and self._source.written_ns(progress.cursor) == progress.cursor_wall_utc_ns:
             self._last_read_id, self._settled = progress.cursor, set(progress.settled)
             self.state.began = f"went on behind event {progress.cursor}"
@@ -128,12 +122,9 @@ class ReceiverQueue:
         self._started = True
 
     def step(self) -> float:
-        """Send what is due, at most one message and one heartbeat; return the time to the next, s.
+        """Send at most one due message and one heartbeat; return the time to the next step, s.
 
-        Raises
-        ------
-        StorageError
-            The catalogue cannot be read now.
+        Raises StorageError if the catalogue cannot be read now, and OSError if the delivery log cannot.
         """
         if not self._started:
             self._resume_heartbeat()
@@ -145,13 +136,7 @@ class ReceiverQueue:
         return self._pause_s()
 
     def test(self, author: str) -> Outcome:
-        """Send a test message once and return the outcome.
-
-        Raises
-        ------
-        BusyError
-            Another test message is in progress.
-        """
+        """Send a test message once; return its outcome, or raise BusyError if another one is in progress."""
         if not self._test_lock.acquire(blocking=False):
             raise BusyError(f"a trial of {self.name} is under way; wait for its result")
         try:
@@ -168,7 +153,7 @@ class ReceiverQueue:
     # Incoming events
 
     def _read_events(self) -> None:
-        """Read new events of alarms, up to as many as may wait, and sort out those that are not sent."""
+        """Read up to 200 new alarm events unless 500 changes wait; log those that are not sent."""
         if len(self._waiting) >= MOST_WAITING:
             return
         rows = self._source.alarm_events(self._last_read_id, PAGE_EVENTS)
@@ -204,12 +189,13 @@ class ReceiverQueue:
             self._log_delivery("passed", "not for this receiver", skipped_ids)
 
     def _is_too_old(self, change: messages.AlarmChange) -> bool:
+        """Return whether a change was written more than ``give_up_h`` ago, by the wall clock."""
         return self._machine.utc_ns() - change.wall_utc_ns > self._settings.give_up_h * NS_PER_H
 
     # Outgoing messages
 
     def _deliver(self) -> None:
-        """Send the waiting changes as one message, or retry the message that failed."""
+        """Send the due changes as one message or retry the failed one; give up when refused or too old."""
         if self._current is None:
             changes = self._waiting.due(self._machine.mono_s())
             if not changes:
@@ -249,6 +235,7 @@ class ReceiverQueue:
             self.state.next_attempt_utc_ns = self._machine.utc_ns() + round(pause_s * NS_PER_S)
 
     def _count_failure(self, outcome: Outcome) -> None:
+        """Add a failed attempt to the state; log a warning at the first one since a success."""
         self.state.failed += 1
         self.state.last_failure, self.state.last_failure_utc_ns = outcome.description, self._machine.utc_ns()
         if self.state.failing_since_utc_ns is None:
@@ -256,20 +243,24 @@ class ReceiverQueue:
             log.warning("notifications do not reach %s, tried again: %s", self.name, outcome.description)
 
     def _close(self, message: _OpenMessage) -> None:
+        """Mark the events of the message in progress as settled, so that the next one can be sent."""
         self._settled |= set(message.event_ids)
         self._current = None
         self.state.next_attempt_utc_ns = None
 
     def _give_up(self, event_ids: list[int], description: str) -> None:
+        """Count a dropped message and log the reason, as an error and in the delivery log."""
         self.state.gave_up += 1
         log.error("notifications for %s are given up: %s", self.name, description)
         self._log_delivery("gave_up", description, event_ids)
 
     def _new_message(self, changes: Sequence[messages.AlarmChange]) -> _OpenMessage:
+        """Build the message in progress for these changes, with its key and no attempt yet."""
         key = messages.message_key(self._source.test(), self.name, [change.event_id for change in changes])
         return _OpenMessage(changes=changes, key=key)
 
     def _attempt(self, send: Send, message: messages.Message) -> Outcome:
+        """Try once to deliver a message; return every exception as a failed outcome."""
         try:
             return send(message)
         except UsageError as error:  # a secret that is missing now: it may come back
@@ -280,7 +271,7 @@ class ReceiverQueue:
     # Heartbeats
 
     def _send_heartbeat(self) -> None:
-        """Send a heartbeat message when one is due; withhold it while the recorder does not respond."""
+        """Send a heartbeat message if one is due; withhold it while the recorder does not respond."""
         every_s = self._receiver.heartbeat_s
         if every_s is None or self._machine.mono_s() < self._heartbeat_due_s:
             return
@@ -299,9 +290,11 @@ class ReceiverQueue:
 
     @property
     def _logs_each_heartbeat(self) -> bool:
+        """Return whether each heartbeat is logged: at intervals of 3600 s or more."""
         return (self._receiver.heartbeat_s or 0.0) >= SHORTEST_FOR_PEOPLE_S
 
     def _resume_heartbeat(self) -> None:
+        """Set when the next heartbeat is due from the last logged one, if each is logged."""
         every_s = self._receiver.heartbeat_s
         if every_s is not None and self._logs_each_heartbeat:
             last_ns = self._delivery_log.last_heartbeat_ns(self.name)
@@ -309,6 +302,7 @@ class ReceiverQueue:
             self._heartbeat_due_s = self._machine.mono_s() + min(every_s, max(0.0, every_s - past_s))
 
     def _report_heartbeat(self, state: str, description: str) -> None:
+        """Store the result of a heartbeat; log a change of state, or each one at long intervals."""
         if state != self.state.heartbeat or (self._logs_each_heartbeat and state != "withheld"):
             self._log_delivery("heartbeat", f"{state}: {description}", with_progress=False)
         self.state.heartbeat, self.state.heartbeat_result = state, description
@@ -316,6 +310,7 @@ class ReceiverQueue:
     # Progress
 
     def _resume(self, event_ids: list[int]) -> None:
+        """Make these events the message in progress, without those that the catalogue does not have."""
         found = map(messages.alarm_change_of, self._source.events(event_ids))
         changes = [change for change in found if change is not None]
         if changes:
@@ -323,6 +318,7 @@ class ReceiverQueue:
             self._settled |= set(event_ids)  # not read a second time
 
     def _progress(self) -> Progress:
+        """Return the present progress; settled ids up to the cursor are forgotten."""
         ids_in_progress = self._current.event_ids if self._current else []
         unsettled = [*self._waiting.event_ids(), *ids_in_progress]
         cursor = min(unsettled) - 1 if unsettled else self._last_read_id
@@ -336,6 +332,7 @@ class ReceiverQueue:
         )
 
     def _report_start(self, description: str) -> None:
+        """Store and log where notifications start, also in the delivery log."""
         self.state.began = description
         log.info("notifications for %s: %s", self.name, description)
         self._log_delivery("began", description)
@@ -349,7 +346,7 @@ class ReceiverQueue:
         message: _OpenMessage | None = None,
         with_progress: bool = True,
     ) -> None:
-        """Append a delivery to the log."""
+        """Append a line to the delivery log, with the present progress unless excluded."""
         self._delivery_log.append(
             Delivery(
                 receiver=self.name,
@@ -364,6 +361,7 @@ class ReceiverQueue:
         )
 
     def _pause_s(self) -> float:
+        """Return the time until something can be due, s: at most 0.5, at least 0."""
         now_s = self._machine.mono_s()
         due = [LOOK_EVERY_S + now_s]
         if self._current is not None:
@@ -376,6 +374,6 @@ class ReceiverQueue:
 
 
 def is_dead(state: State, now_ns: int) -> bool:
-    """Return whether a receiver has accepted nothing for `DEAD_AFTER_S`."""
+    """Return whether every attempt has failed for more than 600 s; ``now_ns`` is the present UTC in ns."""
     since = state.failing_since_utc_ns
     return since is not None and now_ns - since > DEAD_AFTER_S * NS_PER_S

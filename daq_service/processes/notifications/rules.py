@@ -12,7 +12,7 @@ from hardware_drivers.nanoseconds import NS_PER_S
 
 
 def find_matching_rule(change: AlarmChange, receiver: str, rules: Sequence[RuleSettings]) -> int | None:
-    """Return the index of the first rule that matches an alarm and a receiver; None if none does."""
+    """Return the index, from 0, of the first rule that matches a change and a receiver; None if none does."""
     for number, rule in enumerate(rules):
         if (
             (not rule.receivers or receiver in rule.receivers)
@@ -45,19 +45,22 @@ class WaitingChanges:
         self._items: dict[int, _Item] = {}
 
     def __len__(self) -> int:
+        """Return the number of waiting changes."""
         return len(self._items)
 
     def event_ids(self) -> list[int]:
-        """Return the ids of the waiting events, in order."""
+        """Return the ids of the waiting events, ascending."""
         return sorted(self._items)
 
     def add(self, change: AlarmChange, rule: int, *, now_s: float, age_s: float) -> list[int]:
-        """Add a change of an alarm to the waiting ones.
+        """Add a change of an alarm to the waiting ones, or cancel the alarm if it ended within its delay.
 
         Parameters
         ----------
+        rule
+            Index of the matching rule.
         now_s, age_s
-            Present time, and age of the stored event: a restart does not restart its delay.
+            Monotonic time, and age of the stored event: a restart does not restart its delay.
 
         Returns
         -------
@@ -81,7 +84,10 @@ class WaitingChanges:
         return []
 
     def due(self, now_s: float) -> list[AlarmChange]:
-        """Return the changes to send at present as one message, in order; empty if none is due."""
+        """Return the changes of the first rule whose group is complete at ``now_s``, by event id.
+
+        They form one message and stay in the queue; empty if none is due.
+        """
         for rule in range(len(self._rules)):
             if (group_end_s := self._group_end_s(rule)) is not None and group_end_s <= now_s:
                 changes = [i.change for i in self._items.values() if i.rule == rule and i.due_s <= now_s]
@@ -89,17 +95,17 @@ class WaitingChanges:
         return []
 
     def next_s(self) -> float | None:
-        """Return the time at which the next message is due; None if nothing waits."""
+        """Return the monotonic time at which the next message is due, s; None if nothing waits."""
         group_ends_s = [self._group_end_s(rule) for rule in range(len(self._rules))]
         return min((at_s for at_s in group_ends_s if at_s is not None), default=None)
 
     def remove(self, changes: Sequence[AlarmChange]) -> list[int]:
-        """Remove changes, and return the ids of their events."""
+        """Remove waiting changes, and return their event ids; raise KeyError for one that does not wait."""
         for item in changes:
             del self._items[item.event_id]
         return [item.event_id for item in changes]
 
     def _group_end_s(self, rule: int) -> float | None:
-        """Return when the waiting changes of a rule are sent, s of monotonic time; None if there are none."""
+        """Return when the waiting changes of a rule are sent, s of monotonic time; None without any."""
         first_s = min((item.due_s for item in self._items.values() if item.rule == rule), default=None)
         return None if first_s is None else first_s + self._rules[rule].group_s

@@ -80,7 +80,10 @@ class Notifications:
         self.silent_reason = "the service has not begun" if self.queues else NO_RECEIVERS
 
     def start(self) -> None:
-        """Send from now on, as soon as no other process of this test does."""
+        """Start the thread that sends whenever no other process of this test does; return at once.
+
+        Nothing starts in a backup, or without receivers and monitoring.
+        """
         if not (self._folder / BACKUP_FILE).exists():
             if self.queues or self._watch:
                 self._start_thread(self._send_while_owner, "notifications")
@@ -88,25 +91,28 @@ class Notifications:
             self.silent_reason = "this is a backup; the test's own folder tells"
 
     def close(self) -> None:
-        """Stop sending: running attempts are aborted and repeated after the next start."""
+        """Request the end of sending without waiting.
+
+        Running attempts are aborted and repeated after the next start.
+        """
         self._stop.set()
         for cut in self._cuts:
             cut.close()
 
     def join(self) -> None:
-        """Wait up to `LONGEST_END_S` for each thread after `close`."""
+        """Wait up to `LONGEST_END_S` (0.5 s) for each thread after `close`."""
         for thread in self._threads:
             thread.join(LONGEST_END_S)
 
     def _start_thread(self, target: Callable[[], None], name: str) -> threading.Thread:
-        """Start a thread and return it."""
+        """Start a daemon thread, keep it for `join`, and return it."""
         thread = threading.Thread(target=target, name=name, daemon=True)
         self._threads.append(thread)
         thread.start()
         return thread
 
     def _create_queues(self) -> dict[str, ReceiverQueue]:
-        """Create a queue for each receiver."""
+        """Create an idle queue for each receiver, with switches that abort its messages and test messages."""
         parts, queues = (self.settings, self._source, self.deliveries), dict[str, ReceiverQueue]()
         for name, receiver in self.settings.receivers.items():
             send, send_test = (
@@ -116,19 +122,22 @@ class Notifications:
         return queues
 
     def _create_cut(self) -> Cut:
-        """Create an object with which closing the service aborts a delivery."""
+        """Create a switch with which `close` aborts a delivery."""
         self._cuts.append(Cut())
         return self._cuts[-1]
 
     def _send_message(self, name: str, receiver: ReceiverSettings, cut: Cut, message: Message) -> Outcome:
-        """Send a message to a receiver of either kind."""
+        """Try once to deliver a message by webhook or apprise; raise UsageError if the address is invalid."""
         address = read_address(name, receiver)
         if receiver.kind == "apprise":
             return deliver_by_apprise(address, message)
         return post_message(address, message, cut=cut)
 
     def _send_while_owner(self) -> None:
-        """Hold the lock while the other threads send (body of the main thread)."""
+        """Send while this process holds the lock, until `close`; wait while another process sends.
+
+        Problems are logged and tried again after 1 s or 5 s.
+        """
         while not self._stop.is_set():
             if self._another_service_notifies():
                 self._stop.wait(LOOK_EVERY_S)
@@ -146,7 +155,10 @@ class Notifications:
                 self._stop.wait(TROUBLE_PAUSE_S)
 
     def _send_until_released(self, lock: IO[bytes]) -> None:
-        """Send and monitor until the end, or until another process does."""
+        """Run a thread for each receiver and monitor the recorder until `close`, or another process sends.
+
+        Waits for the threads at the end.
+        """
         self.silent_reason, released = "" if self.queues else NO_RECEIVERS, threading.Event()
         self.queues = self._create_queues()  # another process may have sent since: the log holds the progress
         senders = [
@@ -165,7 +177,7 @@ class Notifications:
             sender.join()
 
     def _another_service_notifies(self) -> bool:
-        """Return whether another web process of this test notifies."""
+        """Return whether this process is on standby and a web service of this test responds."""
         return self._is_standby and read_web_state(self._folder) == "responding"
 
     def _still_owns(self, lock: IO[bytes]) -> bool:
@@ -176,7 +188,7 @@ class Notifications:
             return False
 
     def _take_from_stalled(self) -> None:
-        """Remove the lock file of a suspended web service, which does not release it.
+        """Delete the lock file of a suspended web service, which does not release it; only on standby.
 
         Windows keeps the name of an open file: there the end of the service is awaited.
         """
@@ -186,7 +198,10 @@ class Notifications:
                 remove_quietly(self._folder / LOCK_FILE)
 
     def _run_queue(self, queue: ReceiverQueue, lock: IO[bytes], released: threading.Event) -> None:
-        """Run the queue of a receiver (body of its thread)."""
+        """Advance the queue of a receiver until its release or the loss of the lock (body of its thread).
+
+        Every error is logged and tried again after 5 s.
+        """
         while not released.is_set() and self._still_owns(lock):
             try:
                 pause_s = queue.step()
@@ -197,7 +212,7 @@ class Notifications:
             released.wait(pause_s)
 
     def _report_problem(self, problem: str) -> None:
-        """Log the reason why nothing is notified at present, once per reason."""
+        """Log and store the reason why nothing is sent at present, once for each reason in a row."""
         if self.queues and problem != self.silent_reason:
             log.warning("no notifications now, tried again: %s", problem)
             self.silent_reason = problem
@@ -205,7 +220,7 @@ class Notifications:
 
 @lru_cache(maxsize=8)
 def _warn_once(message: str) -> None:
-    """Log a warning once; repeated calls with the same text have no effect."""
+    """Log a warning once for each of the latest 8 texts."""
     log.warning("%s", message)
 
 
@@ -213,7 +228,9 @@ def _warn_once(message: str) -> None:
 def notify_while_web_is_silent(
     settings: Settings, folder: Path, *, monitors_recorder: bool
 ) -> Iterator[None]:
-    """Send notifications whenever no web service of this test responds, while the context is open.
+    """Send notifications while no web service of this test responds, until the context ends.
+
+    On exit running attempts are aborted and their threads awaited for 0.5 s each.
 
     Parameters
     ----------

@@ -28,7 +28,7 @@ class Source:
         self._settings, self._folder, self._catalogue = settings, folder, catalogue
 
     def has_started(self) -> bool:
-        """Return whether there is a catalogue."""
+        """Return whether the test has a catalogue with a first record."""
         try:
             self._catalogue()
         except NoDataYetError:
@@ -36,7 +36,7 @@ class Source:
         return True
 
     def test(self) -> Test:
-        """Return the test; before its first record only with its name."""
+        """Return name, mark and page of the test; before its first record with the configured name."""
         page = read_page_address(self._settings.web)
         try:
             return identify_test(self._catalogue().read_experiment(), page)
@@ -44,11 +44,11 @@ class Source:
             return Test(name=self._settings.name, mark="not-begun", page=page)
 
     def last_event_id(self) -> int:
-        """Return the id of the newest event."""
+        """Return the id of the newest event; `NoDataYetError` before the first record."""
         return self._catalogue().last_event_id()
 
     def count_active_alarms(self) -> int:
-        """Return the number of active alarms."""
+        """Return the number of active alarms; `NoDataYetError` before the first record."""
         return len(self._catalogue().rows(AlarmRow, active=True))
 
     def written_ns(self, event_id: int) -> int | None:
@@ -58,19 +58,22 @@ class Source:
         return next((row.wall_utc_ns for row in self.events([event_id])), None)
 
     def alarm_events(self, after: int, limit: int) -> Sequence[EventRow]:
-        """Read the events of alarms after an id; none before the first record."""
+        """Read at most ``limit`` events of alarms after an id, ascending; none before the first record."""
         try:
             return self._catalogue().rows(EventRow, after_id=after, topic="alarms", limit=limit)
         except NoDataYetError:
             return []
 
     def events(self, event_ids: Sequence[int]) -> list[EventRow]:
-        """Read the events with these ids, without missing ones."""
+        """Read the events with these ids, in the given order, without missing ones."""
         read = partial(self._catalogue().read_events_after, limit=1)
         return [row for event_id in event_ids for row in read(event_id - 1) if row.id == event_id]
 
     def qualities(self, changes: Sequence[AlarmChange]) -> dict[int, str]:
-        """Read the quality of the set with which each alarm was raised, by event, if it was measured."""
+        """Read the quality of the set with which each alarm was raised, by event id.
+
+        Alarms without a position or set, and unmeasured sets, are left out.
+        """
         qualities: dict[int, str] = {}
         for item in changes:
             settings = self._settings.positions.get(item.position or "")
@@ -90,7 +93,10 @@ class Source:
         return qualities
 
     def read_heartbeat_facts(self) -> HeartbeatFacts:
-        """Read the status of the recorder and the ages of the last set (h of the test) and write (s)."""
+        """Read the status of the recorder and the ages of the last set (h of the test) and write (s).
+
+        Ages are None without a set or event; before the first record the status is ``not_started``.
+        """
         try:
             catalogue = self._catalogue()
         except NoDataYetError:
@@ -115,7 +121,7 @@ class Source:
 
 
 def read_page_address(web: WebSettings) -> str:
-    """Return the address of the page for other computers; empty where no host name is configured."""
+    """Return the URL of the page for other computers; empty if no host name is configured."""
     if not web.host_names:
         return ""
     port = "" if web.proxy or web.port in (0, 443) else f":{web.port}"

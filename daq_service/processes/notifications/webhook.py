@@ -64,14 +64,17 @@ class Cut:
         self._closed = False
 
     def set_socket(self, connection: socket.socket | None) -> None:
-        """Set the socket of the present attempt."""
+        """Set the socket of the present attempt; None at its end.
+
+        After `close` a new socket is shut down at once.
+        """
         with self._lock:
             self._socket = connection
             if self._closed and connection is not None:
                 _shut_connection(connection)
 
     def __call__(self) -> None:
-        """Abort the present attempt, if there is one."""
+        """Abort the present attempt by shutting down its socket; no effect without one."""
         with self._lock:
             if self._socket is not None:
                 _shut_connection(self._socket)
@@ -83,14 +86,14 @@ class Cut:
 
 
 def _shut_connection(connection: socket.socket) -> None:
-    """Shut a connection down so that a thread that reads from it returns."""
+    """Shut a connection down so that a thread that reads from it returns; errors are ignored."""
     with suppress(OSError):  # not connected yet, or already closed
         # Not the method of the TLS object, which would wait for its reader.
         socket.socket.shutdown(connection, socket.SHUT_RDWR)
 
 
 def sign_body(secret: bytes, time_s: int, body: bytes) -> str:
-    """Compute the value of the signature header for a body sent at a time."""
+    """Return the value of the signature header, ``t=TIME,v1=HEX``: HMAC-SHA256 of ``TIME.BODY``."""
     digest = hmac.new(secret, b"%d." % time_s + body, hashlib.sha256).hexdigest()
     return f"t={time_s},v1={digest}"
 
@@ -102,7 +105,10 @@ def post_message(
     cut: Cut | None = None,
     machine: MachineClock = MACHINE,
 ) -> Outcome:
-    """Try once to deliver a message; return every error as an outcome, within `ANSWER_WITHIN_S`."""
+    """Try once to deliver a message; return every network error as an outcome, within `ANSWER_WITHIN_S`.
+
+    Redirects are not followed. ``cut`` aborts the attempt from another thread.
+    """
     cut = cut or Cut()
     parts = urlsplit(address.url)
     assert parts.hostname is not None, "the address was checked"
@@ -117,7 +123,7 @@ def post_message(
     timed_out = threading.Event()
 
     def abort() -> None:
-        """Abort the delivery after the time limit."""
+        """Mark the attempt as timed out and abort it."""
         timed_out.set()
         cut()
 
@@ -144,7 +150,10 @@ def post_message(
 
 
 def _connect_to_receiver(scheme: str, host: str, port: int, cut: Cut) -> socket.socket:
-    """Connect to the receiver, with TLS if the scheme is https."""
+    """Connect within 5 s, with verified TLS if the scheme is https, and make the socket known to ``cut``.
+
+    Raises OSError (also for TLS); the socket is then closed.
+    """
     connection = socket.create_connection((host, port), timeout=CONNECT_WITHIN_S)
     try:
         connection.settimeout(READ_WITHIN_S)
@@ -163,7 +172,7 @@ def _connect_to_receiver(scheme: str, host: str, port: int, cut: Cut) -> socket.
 
 
 def _outcome_of_response(status: int, retry_after: str | None, now_s: float) -> Outcome:
-    """Convert a response to an outcome."""
+    """Convert status and Retry-After header to an outcome: 2xx is delivered, 400, 413 and 422 are refused."""
     if 200 <= status < 300:
         return Outcome(ok=True, description=f"taken ({status})", status=status)
     description = f"the receiver answers {status} {http.client.responses.get(status, '')}".rstrip()
@@ -179,7 +188,7 @@ def _outcome_of_response(status: int, retry_after: str | None, now_s: float) -> 
 
 
 def _parse_retry_after_s(text: str | None, now_s: float) -> float:
-    """Parse the pause of a ``Retry-After`` header (seconds or a date), s; 0 if it is unreadable."""
+    """Parse a ``Retry-After`` header (seconds or a date) to a pause in s, 0 to 3600; 0 if unreadable."""
     if text is None:
         return 0.0
     try:
@@ -191,7 +200,7 @@ def _parse_retry_after_s(text: str | None, now_s: float) -> float:
 
 
 def _describe_error(error: Exception) -> str:
-    """Describe an error without a library's text, which may repeat the address."""
+    """Return a description of an error without a library's text, which may repeat the address."""
     match error:
         case ssl.SSLCertVerificationError():
             return f"its certificate is refused: {error.verify_message}"

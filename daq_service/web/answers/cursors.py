@@ -9,13 +9,16 @@ from daq_service.web.answers.problem import Problem
 
 
 def encode_cursor(listing: str, after: int) -> str:
-    """Encode the row ``after`` of a listing as a cursor; ``listing`` names the resource and its filters."""
+    """Encode the number of the last row of a page as URL-safe text.
+
+    ``listing`` names the resource and its filters, to which the cursor is tied.
+    """
     mark = hashlib.sha256(listing.encode()).hexdigest()[:8]
     return base64.urlsafe_b64encode(f"{mark}.{after}".encode()).decode().rstrip("=")
 
 
 def decode_cursor(listing: str, cursor: str | None) -> int | None:
-    """Return the row after which a page starts; None for the first page.
+    """Decode a cursor to the number of the row after which a page starts; None for the first page.
 
     Raises
     ------

@@ -21,19 +21,25 @@ class JsonAnswer(JSONResponse):
     """
 
     def render(self, content: object) -> bytes:
-        """Encode the content as JSON bytes."""
+        """Encode the content as JSON in UTF-8; raise TypeError for a type that orjson does not know."""
         return orjson.dumps(content, option=orjson.OPT_SERIALIZE_NUMPY)
 
 
 def build_framed_body(header: object, *parts: bytes) -> bytes:
-    """Join a header and binary parts: u32 length, JSON padded to a multiple of 8 bytes, then the parts."""
+    """Join a header and binary parts: u32 length (little-endian), JSON padded to 8 bytes, then the parts.
+
+    The parts start at a multiple of 8 bytes. Raises ValueError for NaN or infinity in the header.
+    """
     text = json.dumps(header, separators=(",", ":"), allow_nan=False).encode()
     text += b" " * (-(4 + len(text)) % 8)
     return b"".join([struct.pack("<I", len(text)), text, *parts])
 
 
 def format_rfc3339(utc_ns: int | None) -> str | None:
-    """Format nanoseconds of UTC as RFC 3339 text without loss, e.g. ``2024-01-01T00:30:00.000000250Z``."""
+    """Format nanoseconds of UTC as RFC 3339 text without loss, e.g. ``2024-01-01T00:30:00.000000250Z``.
+
+    It has 0, 3, 6 or 9 decimals, as few as are exact. None stays None.
+    """
     if utc_ns is None:
         return None
     decimals = 9 if utc_ns % 1000 else 6 if utc_ns % 1_000_000 else 3 if utc_ns % NS_PER_S else 0
@@ -41,12 +47,12 @@ def format_rfc3339(utc_ns: int | None) -> str | None:
 
 
 def format_hour_as_rfc3339(epoch_utc_ns: int, hour: float) -> str | None:
-    """Format an hour of the test as RFC 3339 text, to the second."""
+    """Format an hour of the test as RFC 3339 text, rounded to whole seconds after the epoch."""
     return format_rfc3339(epoch_utc_ns + round(hour * 3600.0) * NS_PER_S)
 
 
 def format_hours_as_rfc3339(epoch_utc_ns: int, hours: Sequence[float]) -> list[str]:
-    """Format a column of hours as RFC 3339 texts (`format_hour_as_rfc3339`) in one step."""
+    """Format a column of hours as RFC 3339 texts in one step, as `format_hour_as_rfc3339` does for one."""
     if not hours:
         return []
     whole, rest = divmod(epoch_utc_ns, NS_PER_S)
@@ -57,10 +63,10 @@ def format_hours_as_rfc3339(epoch_utc_ns: int, hours: Sequence[float]) -> list[s
 
 
 def add_utc(row: Mapping[str, object], epoch_utc_ns: int) -> dict[str, object]:
-    """Convert a row for an answer: add RFC 3339 times to its hours and nanoseconds.
+    """Copy a row for an answer with RFC 3339 times added to its hours and instead of its nanoseconds.
 
     ``*_utc_ns`` becomes ``*_utc`` (JavaScript cannot hold the integers), and each hour of the
-    experiment ``*_h`` gets its ``*_utc`` unless the row has one already.
+    experiment ``*_h`` gets its ``*_utc`` unless the row has one already; both are None without a number.
     """
     answer: dict[str, object] = {}
     for key, value in row.items():

@@ -41,13 +41,13 @@ PROBLEMS: dict[int | str, dict[str, object]] = {
 
 
 def build_problem_schemas() -> dict[str, object]:
-    """Return the JSON schemas of error answers, for the components of OpenAPI."""
+    """Build the JSON Schemas of error answers by name, for the components of OpenAPI."""
     schema = ProblemDetails.model_json_schema(ref_template="#/components/schemas/{model}")
     return {**schema.pop("$defs"), "ProblemDetails": schema}
 
 
 def list_errors(*statuses: int) -> dict[int | str, dict[str, object]]:
-    """Return the OpenAPI descriptions of error answers by HTTP status."""
+    """Return the OpenAPI descriptions of error answers by HTTP status; raise KeyError for an unknown one."""
     return {status: PROBLEMS[status] for status in statuses}
 
 
@@ -69,14 +69,14 @@ class Answer(BaseModel):
 
 
 def _fields_of(kind: type[object], *without: str) -> Callable[[type[A]], type[A]]:
-    """Return a decorator that adds the fields of a dataclass, such as a catalogue row, to an answer.
+    """Return a class decorator that adds the fields of a dataclass, such as a catalogue row, to an answer.
 
     ``*_utc_ns`` leaves as RFC 3339 text ``*_utc``; the hour ``due_h`` brings its ``due_utc``, and an hour of
-    the data their age.
+    the data their age. Fields of the decorated class take precedence; those in ``without`` are left out.
     """
 
     def add_fields(answer: type[A]) -> type[A]:
-        """Return a subclass of an answer model with the fields of the dataclass."""
+        """Create an answer model of the same name with the fields of the dataclass and of the given class."""
         fields: Fields = {}
         for column in rows.list_columns(kind):
             if column.name in ("due_utc_ns", *without):
@@ -562,7 +562,7 @@ TREND_FIELDS = (*MEASURED_FIELDS, *TREND_ASSESSMENTS)
 
 
 def _build_trend_columns() -> type[Answer]:
-    """Create the answer model with one list field for each column of a trend."""
+    """Create the answer model with one list field, empty by default, for each column of a trend."""
     of_assessment = {column.name: column for column in rows.list_columns(rows.AssessmentRow)}
     kinds: Fields = dict.fromkeys(TREND_FIELDS, float | None)
     kinds |= {name: of_assessment[name].type for name in TREND_ASSESSMENTS}

@@ -82,39 +82,42 @@ class Problem(Exception):  # noqa: N818 - the RFC's word
 
 
 def create_no_data() -> Problem:
-    """Create the error that nothing is recorded yet (503)."""
+    """Create, without raising it, the error that nothing is recorded yet (503)."""
     return Problem("no-data-yet", "No record has been stored in this data folder so far.")
 
 
 def create_lost(detail: str) -> Problem:
-    """Create the error that the catalogue is lost and must be rebuilt (503)."""
+    """Create, without raising it, the error that the catalogue is lost and must be rebuilt (503)."""
     return Problem("catalogue-lost", f"{detail[0].upper()}{detail[1:]}.")
 
 
 def not_found(what: str, hint: str) -> Problem:
-    """Create the error that a resource does not exist (404)."""
+    """Create, without raising it, the error that a resource does not exist (404)."""
     return Problem("not-found", what, hint)
 
 
 def conflict(detail: str, hint: str) -> Problem:
-    """Create the error that a request conflicts with the present state (409)."""
+    """Create, without raising it, the error that a request conflicts with the present state (409)."""
     return Problem("conflict", detail, hint)
 
 
 def invalid(title: str, detail: str, hint: str) -> Problem:
-    """Create the error of an invalid request (422)."""
+    """Create, without raising it, the error of an invalid request (422)."""
     return Problem("invalid-request", detail, hint, title=title)
 
 
 def read_request_id(scope: Scope) -> str:
-    """Return the id that `guards.RequestGuard` gave to a request."""
+    """Return the id that `guards.RequestGuard` assigned to a request; empty without one."""
     return str(scope.get("state", {}).get("request_id", ""))
 
 
 def build_problem_response(
     scope: Scope, problem: Problem, errors: Sequence[Mapping[str, str]] | None = None
 ) -> Response:
-    """Build the response of an error as problem details (RFC 9457), with its status and headers."""
+    """Build the response of an error as problem details (RFC 9457), with its status and headers.
+
+    Depending on the status it has Retry-After (429, 503), WWW-Authenticate (401) or Connection: close (408).
+    """
     body: dict[str, object] = {
         "type": TYPE_PREFIX + problem.name,
         "title": problem.title,
@@ -142,12 +145,12 @@ def build_problem_response(
 
 
 def to_pointer(parts: Sequence[str | int]) -> str:
-    """Format a path of keys and indices as JSON pointer (RFC 6901)."""
+    """Format a path of keys and indices as JSON pointer (RFC 6901); empty for an empty path."""
     return "".join("/" + str(part).replace("~", "~0").replace("/", "~1") for part in parts)
 
 
 def _list_allowed_methods(app: FastAPI, of_request: Scope) -> list[str]:
-    """List the HTTP methods of all routes of a path; Starlette lists those of one route."""
+    """List the HTTP methods of all routes that match a request's path; Starlette lists those of one route."""
     scopes = [
         {name: of_request[name] for name in ("type", "path", "root_path", "headers")} | {"method": method}
         for method in METHODS
@@ -160,15 +163,18 @@ def _list_allowed_methods(app: FastAPI, of_request: Scope) -> list[str]:
 
 
 def install_error_handlers(app: FastAPI) -> None:
-    """Install the handlers that answer every error of the application with problem details."""
+    """Install the handlers that answer every error of the application with problem details.
+
+    Problem: its own status; invalid parameters: 422; StorageError: 503; any other exception: 500.
+    """
 
     async def answer_problem(request: Request, error: Exception) -> Response:
-        """Answer an error that already is a problem."""
+        """Answer a Problem with its own status and details."""
         assert isinstance(error, Problem)
         return build_problem_response(request.scope, error)
 
     async def answer_invalid_request(request: Request, error: Exception) -> Response:
-        """Answer a request that fails validation, with the invalid parameters (422)."""
+        """Answer a request that fails validation with all its invalid parts (422)."""
         assert isinstance(error, RequestValidationError)
         errors = [
             {"in": str(part["loc"][0]), "pointer": to_pointer(part["loc"][1:]), "detail": part["msg"]}
@@ -182,7 +188,7 @@ def install_error_handlers(app: FastAPI) -> None:
         return build_problem_response(request.scope, problem, errors)
 
     async def answer_http_error(request: Request, error: Exception) -> Response:
-        """Answer an error of the router: unknown path, wrong method or malformed request."""
+        """Answer an error of the router: unknown path (404), wrong method (405), malformed request (400)."""
         assert isinstance(error, HTTPException)
         names = {404: "not-found", 405: "method-not-allowed", 400: "bad-request"}
         problem = Problem(

@@ -59,15 +59,18 @@ class AccessPolicy:
 
     @property
     def is_open(self) -> bool:
-        """Return whether no token is required: on loopback, before the first token is created."""
+        """Return whether no token is required: with ``no_person``, or on loopback without any token yet."""
         return self._no_person or (not self._web.is_reachable and not self.tokens.asked_for)
 
     def choose_cookie_name(self, scope: Scope) -> str:
-        """Return the name of the page's cookie; over TLS a browser binds `__Host-` to this host."""
+        """Return the name of the page's cookie for this service.
+
+        Over TLS it has the prefix ``__Host-``, so that a browser binds it to the host.
+        """
         return f"__Host-{self._cookie}" if is_encrypted(scope) else self._cookie
 
     def authenticate_request(self, scope: Scope) -> Person | None:
-        """Return the person of a request; None: not logged in.
+        """Return the person of a request; None without a token, where one is required.
 
         Raises
         ------
@@ -82,12 +85,12 @@ class AccessPolicy:
         return None if text is None else self.authenticate_token(text, find_address(scope))
 
     def authenticate_token(self, text: str, address: str) -> Person:
-        """Return the person of a token; raise a problem if it is wrong, expired or revoked.
+        """Return the person of a token; a wrong one counts against the limit of its address.
 
         Raises
         ------
         Problem
-            401, 429: the token is unknown, expired or revoked.
+            401: the token is unknown, expired or revoked. 429: after 10 wrong ones, then one every 6 s.
         """
         token = self.tokens.find(text)
         if token is not None and token.state == "valid":
@@ -101,13 +104,17 @@ class AccessPolicy:
         raise Problem("wrong-token", f"{reason[0].upper()}{reason[1:]}.")
 
     def has_access(self, person: Person) -> bool:
-        """Return whether a person still has access; streams check it again while they are open."""
+        """Return whether a person still has access with this role; open streams check it again."""
         if person.role == CLAIMED:
             return self.is_open
         return self.tokens.has_valid_token(person.name, person.role)
 
     async def audit_rejection(self, scope: Scope, reason: str, *, what: str = "enter") -> None:
-        """Audit a rejection with its reason and request id; the request itself may contain a token."""
+        """Append a rejection with reason (up to 400 characters) and request id to the audit log, in a thread.
+
+        Rejections above the rate limit are only counted. The request itself is not logged, because it may
+        contain a token.
+        """
         person: Person | None = scope.get("state", {}).get("person")
         await asyncio.to_thread(
             self.audit.add,
@@ -121,7 +128,10 @@ class AccessPolicy:
         )
 
     def _read_token_text(self, scope: Scope, headers: Headers) -> str | None:
-        """Return the token of a request from its header or cookie; None without one."""
+        """Return the token of a request from its header or else its cookie; None without one.
+
+        An Authorization header of another scheme gives an empty, thus wrong, token.
+        """
         scheme, _, text = headers.get("authorization", "").partition(" ")
         if scheme:
             return text.strip() if scheme.lower() == "bearer" else ""
@@ -132,7 +142,7 @@ class AccessPolicy:
         return None if morsel is None else morsel.value
 
     def _refuse_unencrypted(self, scope: Scope, headers: Headers) -> None:
-        """Raise a problem if a request from another computer is not encrypted."""
+        """Raise a Problem (403) if a reachable service gets an unencrypted request that is not local."""
         if not self._web.is_reachable or is_encrypted(scope):
             return
         host = urlsplit(f"//{headers.get('host', '')}").hostname
@@ -144,7 +154,10 @@ class AccessPolicy:
             )
 
     def _find_allowance(self, address: str) -> Allowance:
-        """Return the rate limit for wrong tokens from an address; create it at the first request."""
+        """Return the rate limit for wrong tokens from an address; create it at the first wrong one.
+
+        The limits of the latest 1000 addresses are kept.
+        """
         allowance = self._wrong.pop(address, None) or Allowance(MOST_WRONG, WRONG_EVERY_S)
         self._wrong[address] = allowance
         if len(self._wrong) > MOST_ADDRESSES:
@@ -159,7 +172,10 @@ class AuthenticationMiddleware:
         self._app, self._policy, self._has_tests = app, policy, has_tests
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Pass authorized requests on, and answer the others."""
+        """Store the person and pass authorized requests on; answer the others with a problem and audit them.
+
+        Paths of the page, health checks and login need no token.
+        """
         if scope["type"] not in {"http", "websocket"}:
             await self._app(scope, receive, send)
             return
@@ -185,11 +201,11 @@ class AuthenticationMiddleware:
         await build_problem_response(scope, problem)(scope, receive, send)
 
     async def _forward_request(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Forward a request to the application, and audit an invalid write."""
+        """Forward a request to the application, and audit a write that is answered with 422."""
         statuses: list[int] = []
 
         async def send_and_note_status(message: Message) -> None:
-            """Send a message of the response and note its status."""
+            """Send a message of the response and store its status."""
             if message["type"] == "http.response.start":
                 statuses.append(message["status"])
             await send(message)
@@ -201,17 +217,17 @@ class AuthenticationMiddleware:
 
 
 def _is_write_request(scope: Scope) -> bool:
-    """Return whether a request may change data or settings."""
+    """Return whether a request is HTTP with a method other than GET, HEAD and OPTIONS."""
     return scope["type"] == "http" and scope["method"] not in {"GET", "HEAD", "OPTIONS"}
 
 
 def create_token_required() -> Problem:
-    """Create the error that a request needs a token (401)."""
+    """Create, without raising it, the error that a request needs a token (401)."""
     return Problem("no-token", "This service asks for an access token.")
 
 
 def read_request_person(connection: HTTPConnection) -> Person:
-    """Return the person that the middleware stored with a request; raise 401 if there is none.
+    """Return the person that the middleware stored with a request.
 
     Raises
     ------
@@ -226,18 +242,18 @@ def read_request_person(connection: HTTPConnection) -> Person:
 
 
 def is_encrypted(scope: Scope) -> bool:
-    """Return whether the request came over TLS, to the server or a trusted proxy."""
+    """Return whether the request came over TLS, to the server or to a trusted proxy."""
     return scope["scheme"] in {"https", "wss"}
 
 
 def find_address(scope: Scope) -> str:
-    """Return the network address of a client; behind a trusted proxy, the address that the proxy states."""
+    """Return the network address of a client, from a trusted proxy's header if any; else ``unknown``."""
     client = scope.get("client")
     return str(client[0]) if client else "unknown"
 
 
 def _is_loopback(address: str) -> bool:
-    """Return whether an address is that of this computer."""
+    """Return whether an address is that of this computer; a text that is no IP address is not."""
     try:
         return ipaddress.ip_address(address).is_loopback
     except ValueError:
@@ -245,12 +261,14 @@ def _is_loopback(address: str) -> bool:
 
 
 def refuse_unprotected_service(web: WebSettings, data_folder: Path) -> None:
-    """Check before the start that a reachable service has a token and a certificate.
+    """Raise UsageError unless a reachable service has a valid token, and TLS a usable certificate.
 
     Raises
     ------
     UsageError
         A token, or a certificate that can be used, is missing.
+    StorageError
+        The tokens file cannot be read.
     """
     path = find_tokens_file(web, data_folder)
     if web.is_reachable and not any(token.state == "valid" for token in read_tokens(path)):
@@ -272,5 +290,5 @@ def refuse_unprotected_service(web: WebSettings, data_folder: Path) -> None:
 
 
 def _refuse_password_prompt() -> str:
-    """Raise an error instead of asking for the password of a private key."""
+    """Raise ValueError instead of prompting for the password of a private key."""
     raise ValueError("the key has a password")

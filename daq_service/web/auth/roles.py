@@ -50,9 +50,9 @@ class Person:
     role: str
 
     def may(self, needed: Role | None) -> bool:
-        """Return whether the role of this person includes the rights of the ``needed`` role."""
+        """Return whether this person's role includes the rights of the ``needed`` role; None needs none."""
         return needed is None or self.role == CLAIMED or self.role in ROLES[ROLES.index(needed) :]
 
     def list_permissions(self) -> list[str]:
-        """List the operations and kinds of commands that this person may use."""
+        """List the names of the operations and kinds of commands that this person may use, sorted."""
         return sorted({name for name, needed in {**OPERATIONS, **ORDERS}.items() if self.may(needed)})

@@ -52,7 +52,7 @@ class Token:
 
     @property
     def state(self) -> Literal["valid", "expired", "revoked"]:
-        """Return the present state, by the computer's clock."""
+        """Return whether the token is valid, expired or revoked at present, by the computer's clock."""
         if self.revoked_utc is not None:
             return "revoked"
         is_expired = self.expires_utc is not None and parse_utc(self.expires_utc) <= time.time_ns()
@@ -63,12 +63,12 @@ _FILE = TypeAdapter(tuple[Token, ...])
 
 
 def find_tokens_file(web: WebSettings, data_folder: Path) -> Path:
-    """Return the path of the tokens file: the configured one, or else that of the data folder."""
+    """Return the absolute path of the configured tokens file, or else that in the data folder."""
     return Path(web.tokens_file).absolute() if web.tokens_file else data_folder / FILE_NAME
 
 
 def read_tokens(path: Path) -> tuple[Token, ...]:
-    """Read all tokens, revoked ones too; none where there is no file.
+    """Read all tokens, expired and revoked ones too; none without a file.
 
     Raises
     ------
@@ -89,7 +89,9 @@ def read_tokens(path: Path) -> tuple[Token, ...]:
 
 
 def create_token(path: Path, name: str, role: Role, *, days: float | None = None) -> tuple[Token, str]:
-    """Create a token and store its hash; the secret text is only returned and never stored.
+    """Create a token, store its hash durably, and return its data and secret text, which is never stored.
+
+    It replaces an expired or revoked token of the same name.
 
     Parameters
     ----------
@@ -118,12 +120,14 @@ def create_token(path: Path, name: str, role: Role, *, days: float | None = None
 
 
 def revoke_token(path: Path, name: str) -> Token:
-    """Revoke a token.
+    """Mark a token as revoked, store that durably, and return the token; it stays in the file.
+
+    A running service rejects it within a second.
 
     Raises
     ------
     UsageError
-        There is no active token of that name.
+        There is no unrevoked token of that name.
     StorageError
         The file cannot be read or written.
     """
@@ -140,7 +144,10 @@ def revoke_token(path: Path, name: str) -> Token:
 
 @contextmanager
 def _edit_tokens(path: Path) -> Iterator[list[Token]]:
-    """Lock the tokens file, yield its tokens for changes in place, and write them durably."""
+    """Lock the tokens file, yield its tokens for changes in place, and write them durably at the end.
+
+    Nothing is written if the context raises. Raises StorageError if the file cannot be read or written.
+    """
     try:
         with one_at_a_time(path):
             tokens = list(read_tokens(path))
@@ -154,7 +161,7 @@ def _edit_tokens(path: Path) -> Iterator[list[Token]]:
 
 
 def _hash_text(text: str) -> str:
-    """Compute the SHA-256 of a text in hexadecimal digits."""
+    """Return the SHA-256 of a text as 64 hexadecimal digits."""
     return hashlib.sha256(text.encode()).hexdigest()
 
 
@@ -173,12 +180,15 @@ class KnownTokens:
 
     @property
     def asked_for(self) -> bool:
-        """Return whether a token was ever created."""
+        """Return whether a token was ever created, so that each request needs one."""
         self._reload_if_changed()
         return self._asked_for
 
     def find(self, text: str) -> Token | None:
-        """Find the token with this secret text, valid or not, in constant time; None if there is none."""
+        """Return the token with this secret text, valid or not; None if there is none.
+
+        Hashes are compared in constant time.
+        """
         self._reload_if_changed()
         sha256, match = _hash_text(text), None
         for token in self._tokens:
@@ -187,14 +197,17 @@ class KnownTokens:
         return match
 
     def has_valid_token(self, name: str, role: str) -> bool:
-        """Return whether a person has a token with this role that is valid now."""
+        """Return whether a person has a token with exactly this role that is valid at present."""
         self._reload_if_changed()
         return any(
             token.name == name and token.role == role and token.state == "valid" for token in self._tokens
         )
 
     def _reload_if_changed(self) -> None:
-        """Read the tokens again if their file has changed."""
+        """Read the tokens again if their file has changed, checked at most once a second.
+
+        An unreadable file leaves no token, so that all access is denied; it is logged.
+        """
         if self._machine.mono_s() < self._next_s:
             return
         self._next_s = self._machine.mono_s() + LOOK_EVERY_S
@@ -215,7 +228,7 @@ class KnownTokens:
 
 
 def _compute_file_mark(path: Path) -> tuple[int, ...]:
-    """Return time, size and inode of a file, to detect changes; the error number if it is unreadable."""
+    """Return time (ns), size and inode of a file, to detect changes; the error number if it is unreadable."""
     try:
         status = os.stat(path)  # noqa: PTH116 - the seam is os
     except OSError as error:

@@ -26,7 +26,7 @@ RESOURCES = (routes, session, tokens, audit)
 
 @asynccontextmanager
 async def _run_lifespan(app: FastAPI) -> AsyncIterator[None]:
-    """Maintain the tests while the application runs, then close them."""
+    """Open and close tests as needed while the application runs; then stop that and close all tests."""
     tests: ServedTests = app.state.tests
     maintenance = asyncio.create_task(tests.maintain_tests())
     try:
@@ -47,7 +47,10 @@ class TestDispatcher:
         self._application.state.answer_times = times
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Open the test during the response; its page is served also without it."""
+        """Open the test of the path, keep it open during the response, and pass the request on.
+
+        An unknown or unavailable test is answered with a problem; the page of an unavailable one is served.
+        """
         async with AsyncExitStack() as stack:
             try:
                 test = self._tests.find(scope["path_params"]["test"])
@@ -66,7 +69,7 @@ class TestDispatcher:
 
 
 def create_app_of_many(paths: Sequence[Path], settings: Settings, folder: Path) -> FastAPI:
-    """Return the application of several tests.
+    """Create the application of several tests; no test is opened yet.
 
     Parameters
     ----------

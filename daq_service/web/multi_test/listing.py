@@ -39,7 +39,10 @@ class _CachedEntry:
     read_s: float
 
     def is_current(self, now_s: float) -> bool:
-        """Return whether the entry need not be read again."""
+        """Return whether the entry need not be read again at ``now_s`` (monotonic).
+
+        That is within 2 s, or within 60 s if its recorder does not run and its files are unchanged.
+        """
         if now_s - self.read_s < CHANGING_S:
             return True
         standing = self.entry.standing
@@ -56,7 +59,10 @@ class Listing:
         self._cached: dict[str, _CachedEntry] = {}
 
     def read_entries(self) -> list[dict[str, object]]:
-        """Return the entries of all tests; read those again that may have changed (blocking)."""
+        """Return the entries of all tests, with their age in s; read those again that may have changed.
+
+        Blocks while files are read, also for another thread that calls it.
+        """
         with self._lock:
             for test in self._tests.all.values():
                 cached, now_s = self._cached.get(test.name), time.monotonic()
@@ -72,11 +78,11 @@ class Listing:
             ]
 
     def shown(self) -> int:
-        """Count the tests that could be shown at their last read."""
+        """Count the tests that could be shown at their last read; 0 before the first."""
         return sum(cached.entry.state == "shown" for cached in list(self._cached.values()))
 
     def _read_entry(self, test: ServedTest) -> ListedTest:
-        """Read the entry of a test: its present state, or the reason why it cannot be shown."""
+        """Read the entry of a test, without writing: its present state, or why it cannot be shown."""
         page = f"/tests/{test.name}/"
         standing, absence = None, None
         try:
@@ -101,7 +107,7 @@ class Listing:
 
 
 def _compute_folder_mark(folder: Path) -> tuple[int, ...]:
-    """Return times and sizes of the files of a test, to detect that they have changed."""
+    """Return modification times (ns) and sizes of the files of a test, 0 if unreadable, to detect changes."""
     marks: list[int] = []
     for name in MARKS:
         try:
@@ -114,7 +120,7 @@ def _compute_folder_mark(folder: Path) -> tuple[int, ...]:
 
 
 def _read_present_state(settings: Settings, folder: Path, catalogue: Catalogue) -> Standing:
-    """Compute the present state of a test from its catalogue and its recorder."""
+    """Read the present state of a test, the worst of its positions, from its catalogue and recorder."""
     fresh = Freshness(folder, catalogue, settings.clock.kind)
     latest = read_latest_rows(catalogue, fresh, settings.positions)
     hours = list_due_hours(settings.schedule.phases, end_h=settings.schedule.end_h)

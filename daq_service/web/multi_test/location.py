@@ -37,17 +37,17 @@ class AbsentError(SolimonError):
 
     @property
     def remedy(self) -> str:
-        """Return the remedy for the state."""
+        """Return the remedy for the state, as a sentence."""
         return REMEDIES[self.state]
 
 
 def is_configuration(path: Path) -> bool:
-    """Return whether a path is a configuration and no data folder, also where it does not exist."""
+    """Return whether a path is a file, or a missing ``.toml`` or ``.json``; otherwise it is a data folder."""
     return path.is_file() or (not path.is_dir() and path.suffix in {".toml", ".json"})
 
 
 def find_folder(path: Path) -> Path:
-    """Find the data folder of a configuration or folder; for an invalid configuration, the path itself."""
+    """Return the absolute data folder of a configuration or folder; of an invalid configuration, its path."""
     if not is_configuration(path):
         return path.absolute()
     try:
@@ -57,7 +57,7 @@ def find_folder(path: Path) -> Path:
 
 
 def read_title(path: Path) -> str:
-    """Read the name of a test; return that of its folder or file if it cannot be read."""
+    """Read the name of a test; if that is impossible, return the name of its folder or file."""
     try:
         with translate_to_absent():
             return _read_settings_and_folder(path)[0].name
@@ -66,7 +66,7 @@ def read_title(path: Path) -> str:
 
 
 def locate_test(path: Path, access_policy: AccessPolicy) -> tuple[Settings, Path]:
-    """Read settings and data folder of a test, without writing.
+    """Read settings and absolute data folder of a test, without writing.
 
     Parameters
     ----------
@@ -89,7 +89,10 @@ def locate_test(path: Path, access_policy: AccessPolicy) -> tuple[Settings, Path
 
 
 def _read_settings_and_folder(path: Path) -> tuple[Settings, Path]:
-    """Read settings and data folder of a test; raise `AbsentError` if that is impossible."""
+    """Read settings and data folder of a test; of a folder alone, the settings stored in it.
+
+    Raises `AbsentError`, or an error of the catalogue (`translate_to_absent`).
+    """
     if is_configuration(path):
         try:
             return settings_and_folder(path, None)
@@ -110,7 +113,10 @@ def _read_settings_and_folder(path: Path) -> tuple[Settings, Path]:
 
 
 def _read_experiment(folder: Path) -> ExperimentRow:
-    """Read the row of the test, from its file if the catalogue is lost."""
+    """Read the row of the test from the catalogue, or from its file if the catalogue has none.
+
+    Raises CatalogueError; `NoDataYetError` if neither has it.
+    """
     try:
         with open_catalogue(folder) as catalogue:
             return catalogue.read_experiment()
@@ -123,12 +129,12 @@ def _read_experiment(folder: Path) -> ExperimentRow:
 
 @contextmanager
 def translate_to_absent() -> Iterator[None]:
-    """Convert errors of a data folder to `AbsentError`.
+    """Raise `AbsentError` with the matching state for each error of a data folder within the context.
 
     Raises
     ------
     AbsentError
-        For every error of the folder.
+        For every SolimonError and OSError.
     """
     try:
         yield

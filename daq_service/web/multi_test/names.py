@@ -12,7 +12,9 @@ LONGEST_NAME = 60
 def build_url_name(text: str) -> str:
     """Build a URL name of lower-case letters, digits and hyphens; "test" if no such character remains.
 
-    >>> url_name("Größe: Loch Nr. 2")
+    At most 60 characters.
+
+    >>> build_url_name("Größe: Loch Nr. 2")
     'grosse-loch-nr-2'
     """
     plain = unicodedata.normalize("NFKD", text.casefold()).encode("ascii", "ignore").decode()
@@ -20,7 +22,10 @@ def build_url_name(text: str) -> str:
 
 
 def build_unique_url_names(texts: Iterable[str]) -> list[str]:
-    """Build unique URL names in order; a repeated name gets a number as suffix, starting with 2."""
+    """Build one URL name for each text, in order.
+
+    A repeated name gets a number as suffix, starting with 2.
+    """
     names: list[str] = []
     for text in texts:
         plain = name = build_url_name(text)

@@ -60,17 +60,17 @@ class ServedTests:
         self.all = {name: ServedTest(name, title, path) for name, title, path in entries}
 
     def count_streams(self) -> int:
-        """Count the open streams of events of all tests."""
+        """Count the open event streams of all open tests."""
         return sum(test.context.hub.clients for test in self.all.values() if test.context is not None)
 
     def close_streams(self) -> None:
-        """End every open stream, before the server waits for its answers."""
+        """End every open stream, before the server waits for its responses."""
         for test in self.all.values():
             if test.context is not None:
                 test.context.close_streams()
 
     def find(self, name: str) -> ServedTest:
-        """Find a test by its name; raise a problem if there is none.
+        """Return the test with this name in addresses.
 
         Raises
         ------
@@ -83,7 +83,7 @@ class ServedTests:
 
     @asynccontextmanager
     async def use(self, test: ServedTest) -> AsyncIterator[Context]:
-        """Open a test and yield its context; keep it open until the block ends.
+        """Open a test unless it is open and yield its context; it is not closed until the block ends.
 
         Raises
         ------
@@ -100,7 +100,10 @@ class ServedTests:
             test.used_s = time.monotonic()
 
     async def _open_test(self, test: ServedTest) -> Context:
-        """Open a test and start its background tasks; raise a problem if it is unavailable."""
+        """Open a test and start its background tasks; idle tests are closed to keep at most 8 idle ones.
+
+        Raises a Problem (503) if it cannot be shown.
+        """
         await self.close_idle_tests(keep=MOST_IDLE - 1)
         try:
             settings, folder = await asyncio.to_thread(locate_test, test.path, self.access_policy)
@@ -113,7 +116,10 @@ class ServedTests:
         return context
 
     async def close_idle_tests(self, *, keep: int = MOST_IDLE, for_s: float = 0.0) -> None:
-        """Close idle tests except the ``keep`` most recent ones, and those idle for ``for_s``."""
+        """Close idle tests except the ``keep`` most recent ones, and all idle for ``for_s`` seconds or more.
+
+        With ``for_s`` 0 only ``keep`` counts. Tests that send notifications stay open.
+        """
         now_s = time.monotonic()
         shown = [test for test in self.all.values() if test.context is not None and not test.notifies]
         idle = [test for test in shown if not test.users]
@@ -125,20 +131,23 @@ class ServedTests:
                         await self._close_test(test)
 
     async def _close_test(self, test: ServedTest) -> None:
-        """Stop the background tasks of a test and close its data."""
+        """Stop the background tasks of a test, wait for them, and close its data; no effect if closed."""
         test.context = None
         await test.resources.aclose()
         log.info("closed %s", test.name)
 
     async def maintain_tests(self) -> None:
-        """Open tests with receivers and close idle ones, periodically until canceled."""
+        """Open tests with receivers and close those idle for 60 s, every 10 s until canceled."""
         while True:
             await self.open_notifying_tests()
             await asyncio.sleep(LOOK_EVERY_S)
             await self.close_idle_tests(for_s=IDLE_S)
 
     async def open_notifying_tests(self) -> None:
-        """Open the tests with receivers of notifications; retry an unreadable one later."""
+        """Open the tests with receivers of notifications, which then stay open.
+
+        A test that cannot be read is tried again at the next call.
+        """
         for test in self.all.values():
             with suppress(Problem, AbsentError):
                 if test.notifies is None:
@@ -149,14 +158,14 @@ class ServedTests:
                         pass
 
     async def close(self) -> None:
-        """Close all tests."""
+        """Close all tests, also those in use."""
         for test in self.all.values():
             async with test.changing:
                 await self._close_test(test)
 
 
 def create_unavailable(error: AbsentError) -> Problem:
-    """Create the error that a test cannot be shown, with the remedy (503)."""
+    """Create, without raising it, the error that a test cannot be shown, with the remedy (503)."""
     return Problem(
         "no-data-yet" if error.state == "no_data" else "test-unavailable",
         f"{error}",

@@ -32,7 +32,7 @@ pages.add_api_route("/static/{name:path}", get_asset)
 
 
 def _find_listing(request: Request) -> Listing:
-    """Return the listing of the application."""
+    """Return the listing of tests that was set for the application."""
     listing = request.app.state.listing
     assert isinstance(listing, Listing)
     return listing
@@ -40,19 +40,22 @@ def _find_listing(request: Request) -> Listing:
 
 @router.get("/tests", response_model=ListedTests)
 def list_tests(request: Request) -> JsonAnswer:
-    """List the tests of this service with their states, and the remedy for those that cannot be shown."""
+    """List the tests of this service with their states, and the remedy for those that cannot be shown.
+
+    In the order of the command line. An entry is at most 2 s old, or 60 s without a running recorder.
+    """
     return JsonAnswer({"items": _find_listing(request).read_entries()})
 
 
 @probes.get("/healthz", response_model=ServiceLiveness)
 async def get_liveness(request: Request) -> JsonAnswer:
-    """Return that the process of the service responds, without reading a folder."""
+    """Return that the process of the service responds, with the numbers of tests at their last read."""
     return JsonAnswer(_build_liveness(request))
 
 
 @probes.get("/readyz", response_model=ServiceLiveness, responses=list_errors(503))
 def get_readiness(request: Request) -> JsonAnswer:
-    """Return whether any test can be shown."""
+    """Return the numbers of all tests and of those that can be shown; 503 if none can."""
     entries = _find_listing(request).read_entries()
     if not any(entry["state"] == "shown" for entry in entries):
         raise Problem(
@@ -71,7 +74,10 @@ def _build_liveness(request: Request) -> dict[str, object]:
 
 @probes.get("/metrics", response_class=Response, responses=OPENMETRICS)
 def get_metrics(request: Request) -> Response:
-    """Return the metrics of every test with a label `test`, and which tests can be shown."""
+    """Return the metrics of every test with a label `test`, and which tests can be shown.
+
+    A test that cannot be shown has no other metrics.
+    """
     tests: ServedTests = request.app.state.tests
     merged = {metric.name: metric for metric in collect_service()}
     shown = GaugeMetricFamily("solimon_test_shown", "1: the test can be shown", labels=["test"])
@@ -89,7 +95,10 @@ def get_metrics(request: Request) -> Response:
 
 
 def _collect_test_metrics(tests: ServedTests, name: str) -> Iterator[Metric]:
-    """Yield the metrics of a test without opening it, so that scraping does not keep every test open."""
+    """Yield the metrics of a test without opening it, so that scraping does not keep every test open.
+
+    Yields none if the test cannot be shown.
+    """
     try:
         settings, folder = locate_test(tests.all[name].path, tests.access_policy)
     except AbsentError:
@@ -103,7 +112,7 @@ def _collect_test_metrics(tests: ServedTests, name: str) -> Iterator[Metric]:
 
 @pages.get("/")
 async def get_list_page(request: Request) -> Response:
-    """Serve the page of the list."""
+    """Serve the HTML page with the list of tests, or 304 if the browser has it."""
     return answer_asset("tests.html", request)
 
 

@@ -148,6 +148,8 @@ def read_report_contents(
 ) -> Contents:
     """Read the contents of a report, also of a running test.
 
+    Alarms, annotations, commands and audit entries are limited to the newest 500 each.
+
     Parameters
     ----------
     from_h, to_h
@@ -220,7 +222,7 @@ def read_report_contents(
 
 
 def _read_sets_in_range(catalogue: Catalogue, position: str, filters: Filters) -> list[SetRow]:
-    """Read the sets of a position in the range; raise an error if they are too many."""
+    """Read the sets of a position in the range, in order; raise UsageError for more than `MOST_SETS`."""
     position_filters: Filters = {**filters, "position": position}
     rows = catalogue.rows(SetRow, limit=MOST_SETS + 1, **position_filters)
     if len(rows) > MOST_SETS:
@@ -239,7 +241,7 @@ def _build_position_report(
     sets: Sequence[SetRow],
     filters: Filters,
 ) -> PositionReport:
-    """Read the present state and the columns of a position for the report."""
+    """Read the present state of a position and the columns of its sets in the range."""
     name, age_h = last.position, find_data_age_h(last, fresh)
     position_settings = settings.positions[name]
     is_probe = position_settings.method == PULSE_ECHO
@@ -293,14 +295,17 @@ def _group_gaps(sets: Sequence[SetRow]) -> list[Gap]:
 
 
 def _was_active(row: AlarmRow, experiment: ExperimentRow, from_h: float, to_h: float) -> bool:
-    """Return whether an alarm was raised or active in the range."""
+    """Return whether an alarm was raised before ``to_h`` and not cleared before ``from_h`` (hours)."""
     cleared_ns = row.cleared_utc_ns
     cleared_h = math.inf if cleared_ns is None else (cleared_ns - experiment.epoch_utc_ns) / NS_PER_H
     return row.raised_h < to_h and cleared_h >= from_h
 
 
 def _read_alarm_history(catalogue: Catalogue, ids: set[int | None]) -> dict[int, list[EventRow]]:
-    """Read the events of alarms, grouped by the id of the alarm."""
+    """Read the events of these alarms, ascending, by the id of the alarm.
+
+    Alarms without events have no entry.
+    """
     events_by_alarm: dict[int, list[EventRow]] = {}
     for event in catalogue.rows(EventRow, topic="alarms"):
         alarm_id = event.payload.get("alarm_id")

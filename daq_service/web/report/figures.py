@@ -32,7 +32,10 @@ _NO_METADATA = {"Date": None, "Creator": None, "Format": None, "Type": None}
 
 
 def draw_position_figure(contents: Contents, position: PositionReport) -> str:
-    """Draw the trend of a position over the hours of the test as SVG element; empty without values."""
+    """Draw the trend of a position over the hours of the test as SVG element; empty without values.
+
+    A transducer has three panels, a probe one; equal contents give equal bytes.
+    """
     if not position.values["due_h"]:
         return ""
     with mpl.rc_context(RULES):
@@ -58,7 +61,10 @@ def render_svg(figure: Figure, prefix: str) -> str:
 
 
 def _draw_wave_panels(contents: Contents, position: PositionReport, axes: Sequence[Axes]) -> None:
-    """Draw time of flight, amplitude ratio and squared distance of a transducer."""
+    """Draw time of flight (µs), amplitude ratio and squared distance of a transducer into three panels.
+
+    The distance has a logarithmic axis if any value is positive.
+    """
     assert position.assessments is not None, "these have them"
     for axis, name, factor, label in (
         (axes[0], "tof_pp_s", 1e6, "time of flight (µs)"),
@@ -86,7 +92,7 @@ def _draw_wave_panels(contents: Contents, position: PositionReport, axes: Sequen
 
 
 def _draw_echo_panels(contents: Contents, position: PositionReport, axes: Sequence[Axes]) -> None:
-    """Draw the wall thickness of a probe with limit and interval."""
+    """Draw the wall thickness (mm) of a probe with its alarm limit and the interval of the newest value."""
     _draw_points(axes[0], position.values, "thickness_m", 1e3, "wall (mm)")
     if position.limit is not None:
         axes[0].axhline(1e3 * position.limit, color=VERMILLION, label="alarm below")
@@ -99,7 +105,7 @@ def _draw_echo_panels(contents: Contents, position: PositionReport, axes: Sequen
 
 
 def _draw_points(axis: Axes, columns: Columns, name: str, factor: float, label: str) -> None:
-    """Draw each set as a point, or as a cross where its quality is not good."""
+    """Draw each set as a point, or as a cross if its quality is not good; ``factor`` converts the unit."""
     for gid, good, style in (
         (name, True, {"linestyle": "none", "marker": "o", "color": BLUE}),
         (f"{name}-poor", False, {"linestyle": "none", "marker": "x", "color": VERMILLION, "label": POOR}),
@@ -122,7 +128,10 @@ def _draw_line(
     factor: float = 1.0,
     gid: str = "",
 ) -> None:
-    """Draw a column, or some rows of it, over the hours; leave out missing values."""
+    """Draw a column times ``factor``, or only the selected rows of it, over the hours.
+
+    Missing values are left out and do not interrupt the line.
+    """
     wanted = [True] * len(columns[name]) if rows is None else rows
     cells = zip(columns["due_h"], columns[name], wanted, strict=True)
     points = [(hour, factor * value) for hour, value, drawn in cells if drawn and value is not None]
@@ -130,7 +139,10 @@ def _draw_line(
 
 
 def _mark_gaps_and_alarms(contents: Contents, position: PositionReport, axis: Axes) -> None:
-    """Draw the gaps, alarms and annotations of a position into a panel."""
+    """Mark the gaps, alarms and annotations of a position, and those without one, in a panel.
+
+    Withdrawn annotations are left out.
+    """
     for gap in contents.gaps:
         if gap.position == position.name:
             axis.axvspan(gap.from_h, gap.to_h, color=GREY, alpha=0.2, linewidth=1.0)
@@ -145,7 +157,10 @@ def _mark_gaps_and_alarms(contents: Contents, position: PositionReport, axis: Ax
 
 
 def _extract_svg_element(svg: str, prefix: str) -> str:
-    """Extract the SVG element from a document and make its ids unique in the page."""
+    """Extract the SVG element from a document and prefix its ids and references.
+
+    Raises ValueError without an SVG element.
+    """
     element = svg[svg.index("<svg") :]
     element = re.sub(r'\bid="', f'id="{prefix}-', element)
     element = re.sub(r'(xlink:href="#|url\(#)', rf"\g<1>{prefix}-", element)

@@ -10,7 +10,7 @@ from daq_service.web.report.contents import read_report_contents
 def build_report_page(
     folder: Path, *, from_h: float | None = None, to_h: float | None = None, audited: bool = False
 ) -> bytes:
-    """Build the HTML of a report (`contents.read_report_contents`).
+    """Build the HTML of a report in UTF-8 (`contents.read_report_contents`); takes seconds.
 
     Raises
     ------

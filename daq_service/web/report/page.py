@@ -20,14 +20,17 @@ Row = Sequence[str]
 
 
 def render_report_page(contents: Contents, figures: Mapping[str, str]) -> bytes:
-    """Render the HTML page; ``figures`` are SVG elements by position, empty without values."""
+    """Render the HTML page in UTF-8; ``figures`` are SVG elements by position, empty without values.
+
+    Raises jinja2.UndefinedError if the template uses an unknown name.
+    """
 
     def explain_alarm(alarm: AlarmRow) -> list[str]:
-        """Return the evidence of an alarm in sentences."""
+        """Return the evidence of an alarm as sentences."""
         return evidence_sentences(alarm, contents.baselines)
 
     def format_hour(utc_ns: int) -> str:
-        """Format a UTC time as hour of the test."""
+        """Format a UTC time in ns as hour of the test with two decimals."""
         return format_quantity((utc_ns - contents.experiment.epoch_utc_ns) / NS_PER_H)
 
     return render_template(
@@ -51,7 +54,10 @@ def render_report_page(contents: Contents, figures: Mapping[str, str]) -> bytes:
 
 
 def build_history_cells(event: EventRow) -> Row:
-    """Return kind, state, person and reason of an event of an alarm as table cells."""
+    """Return kind, states, person and reason of an event of an alarm as table cells.
+
+    Without a person the reason is empty.
+    """
     change = build_transition(event)
     states = ", ".join(filter(None, (change["state"], change["suppressed"])))
     # Without a person the reason is the message of the alarm, which the page has anyway.
@@ -62,7 +68,10 @@ def build_history_cells(event: EventRow) -> Row:
 def _list_alarm_rules(
     alarms: AlarmSettings, novelty: NoveltySettings, budget: float
 ) -> list[tuple[str, str]]:
-    """Describe the alarm rule and the outlier limit as rows of a table."""
+    """Describe the alarm rule and the outlier limit as rows (label, text) of a table.
+
+    ``budget`` is the design false-alarm rate per sensor and year.
+    """
     outlier = f"{novelty.limit}, {novelty.false_alarm_rate:g} false alarms a set"
     of_sets = f"at {alarms.k} of {alarms.n} sets"
     if alarms.decides_by != "chart":
@@ -78,7 +87,7 @@ def _list_alarm_rules(
 
 
 def _build_newest_row(position: PositionReport, alarms: AlarmSettings) -> Row:
-    """Format the newest value of a position and its limit as table cells."""
+    """Return the newest value of a position and its limit as table cells, thickness in mm."""
     assessment, thickness = position.last.last_assessment, position.last.last_thickness
     if thickness is not None:
         return format_quantity(thickness.thickness_m, 1e3, 3, "mm"), format_quantity(
@@ -94,7 +103,7 @@ def _build_newest_row(position: PositionReport, alarms: AlarmSettings) -> Row:
 
 
 def _build_series_rows(position: PositionReport) -> Iterator[Row]:
-    """Yield a table row with statistics over the range for each measured quantity."""
+    """Yield a table row with statistics over the range for each measured quantity of a position."""
     if position.assessments is None:
         yield _build_series_row("Wall thickness", position.values, "thickness_m", 1e3, 4, "mm")
         yield _build_series_row("Lost thickness", position.values, "thickness_loss_m", 1e6, 2, "µm")
@@ -107,7 +116,10 @@ def _build_series_rows(position: PositionReport) -> Iterator[Row]:
 def _build_series_row(
     quantity_name: str, columns: Columns, name: str, factor: float, digits: int, unit: str
 ) -> Row:
-    """Compute the statistics of a quantity over the range as a table row."""
+    """Return count, first, last, minimum, maximum, mean and number of poor sets of a quantity as table cells.
+
+    ``factor`` converts to ``unit``. Missing values are left out; without values the cells are `NOT_KNOWN`.
+    """
     values = [value for value in columns[name] if value is not None]
     if not values:
         return (quantity_name, "0", *[NOT_KNOWN] * 5, "")

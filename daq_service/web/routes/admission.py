@@ -30,6 +30,8 @@ PersonOf = Annotated[Person, Depends(_provide_person)]
 async def check_role(connection: HTTPConnection) -> None:
     """Raise a problem if the role does not allow the operation; a dependency of every route of the API.
 
+    A role that is too low is written to the audit log. An operation without an entry requires admin.
+
     Raises
     ------
     Problem
@@ -48,7 +50,7 @@ async def check_role(connection: HTTPConnection) -> None:
 
 
 def create_role_too_low(person: Person, operation: str, needed: Role) -> Problem:
-    """Create the error that an operation needs a higher role (403)."""
+    """Create, without raising it, the error that an operation needs a higher role (403)."""
     return Problem("role-too-low", f"{operation} needs the role {needed}; {person.name} is {person.role}.")
 
 
@@ -63,7 +65,12 @@ def write_audit_entry(
     claimed: str = "",
     command_id: int | None = None,
 ) -> None:
-    """Append a request of a person and its result to the audit log."""
+    """Append a request of a person and its result to the audit log; blocks until it is written.
+
+    Operations on tokens are logged in the folder of the service, others in that of the test. ``claimed`` is
+    the author if the person has no name. Rejections above the rate limit are only counted, and a disk error
+    is only logged.
+    """
     context = find_request_context(connection)
     audit = context.access_policy.audit if operation in TOKEN_OPERATIONS else context.audit
     audit.add(

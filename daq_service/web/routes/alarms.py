@@ -21,13 +21,13 @@ ERRORS = models.list_errors(404, 503)
 
 @router.get("/alarms/{alarm_id}", response_model=models.AlarmRow, responses=ERRORS)
 def get_alarm(alarm_id: RowId, context: ContextOf) -> JsonAnswer:
-    """Return one alarm with its evidence."""
+    """Return one alarm with its evidence, its age in h and its state at present."""
     return JsonAnswer(context.read_freshness().row(_read_alarm(context, alarm_id)))
 
 
 @router.get("/alarms/{alarm_id}/history", response_model=models.AlarmHistory, responses=ERRORS)
 def get_alarm_history(alarm_id: RowId, context: ContextOf) -> JsonAnswer:
-    """Return every transition of an alarm, the oldest first, with time, person and reason."""
+    """Return every transition of an alarm, the oldest first, with time, person and reason; 404 without it."""
     row, fresh = _read_alarm(context, alarm_id), context.read_freshness()
     events = context.catalogue().rows(EventRow, topic="alarms", position=row.position)
     items = [
@@ -40,12 +40,12 @@ def get_alarm_history(alarm_id: RowId, context: ContextOf) -> JsonAnswer:
 
 @router.get("/guidance", response_model=models.GuidanceList)
 def list_guidance() -> JsonAnswer:
-    """List for each kind of alarm its meaning, limitations, checks and contact."""
+    """List for each kind of alarm its meaning, limitations, checks and contact; needs no stored data."""
     return JsonAnswer({"items": [{"kind": kind, **asdict(guidance)} for kind, guidance in GUIDANCE.items()]})
 
 
 def _read_alarm(context: Context, alarm_id: int) -> AlarmRow:
-    """Read an alarm by its id; raise 404 if there is none."""
+    """Read an alarm by its id; raise a Problem (404) if there is none."""
     row = context.catalogue().alarm(alarm_id)
     if row is None:
         raise not_found(f"There is no alarm {alarm_id}.", "/api/v1/alarms lists them.")

@@ -31,7 +31,10 @@ RFC_3339 = re.compile(r"\d{4}-\d\d-\d\d[Tt]\d\d:\d\d:\d\d(\.\d+)?([Zz]|[+-]\d\d:
 
 
 def _validate_rfc3339_text(text: str) -> str:
-    """Check that a time is RFC 3339 text, since pydantic also accepts seconds since 1970."""
+    """Return the text if it has the form of RFC 3339 with an offset; raise ValueError otherwise.
+
+    Pydantic would also accept seconds since 1970.
+    """
     if not RFC_3339.fullmatch(text):
         raise ValueError("give a time with its offset, such as 2024-01-01T00:00:00Z")
     return text
@@ -56,7 +59,7 @@ def list_audit(
     """List commands, rejections, logins and changes of tokens, the newest first.
 
     One answer covers a limited part of the file: with filters it may have few items, or none, and a cursor
-    for earlier ones.
+    for earlier ones. An unknown operation or a reversed range is answered with 422.
     """
     kinds = _parse_operations(what)
     first_ns, end_ns = _to_utc_ns(from_utc), _to_utc_ns(to_utc)
@@ -85,7 +88,7 @@ def list_audit(
 
 
 def _parse_operations(what: str | None) -> frozenset[str] | None:
-    """Parse the requested operations; raise a problem for an unknown one."""
+    """Parse the comma-separated operations; None selects all. Raises a Problem (422) for an unknown one."""
     kinds = None if what is None else frozenset(what.split(","))
     if kinds is not None and not kinds <= set(AUDITED_OPERATIONS):
         unknown = ", ".join(sorted(kinds - set(AUDITED_OPERATIONS)))
@@ -98,7 +101,7 @@ def _parse_operations(what: str | None) -> frozenset[str] | None:
 
 
 def _check_range(first_ns: int | None, end_ns: int | None) -> None:
-    """Raise a problem for a range that ends before it starts."""
+    """Raise a Problem (422) if the range ends before it starts; an open or empty range is valid."""
     if first_ns is not None and end_ns is not None and end_ns < first_ns:
         raise invalid(
             "Invalid range",
@@ -108,18 +111,21 @@ def _check_range(first_ns: int | None, end_ns: int | None) -> None:
 
 
 def _to_utc_ns(moment: datetime | None) -> int | None:
-    """Convert a time to nanoseconds of UTC by subtraction, as conversion to UTC fails in year 1."""
+    """Convert a time to nanoseconds since 1970 (UTC), to the microsecond; None stays None.
+
+    By subtraction, since conversion to UTC fails in year 1.
+    """
     return None if moment is None else (moment - EPOCH) // timedelta(microseconds=1) * 1000
 
 
 def _build_item(context: Context, number: int, entry: AuditEntry) -> dict[str, object]:
-    """Convert an audit entry to JSON, with the outcome of its command."""
+    """Convert an audit entry for an answer, with its number and the outcome of its command."""
     outcome = None if entry.command_id is None else _read_outcome(context, entry.command_id)
     return add_utc({"id": number, **asdict(entry), "outcome": outcome}, 0)
 
 
 def _read_outcome(context: Context, command_id: int) -> str | None:
-    """Read the result of a command; None if the catalogue is unavailable."""
+    """Return state and result of a command as text; None if it is unknown or the catalogue is unavailable."""
     try:
         state_and_time = read_command_state(context.catalogue_access.get(), command_id)
     except SolimonError:

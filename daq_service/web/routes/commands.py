@@ -70,19 +70,23 @@ def create_command(command: AnyCommand, execute: ExecuteOf) -> Response:
 
 @_accepts("/alarms/{alarm_id}/acknowledge")
 def acknowledge_alarm(alarm_id: RowId, body: Acknowledgement, execute: ExecuteOf) -> Response:
-    """Acknowledge an alarm; the same as the command `acknowledge_alarm`."""
+    """Acknowledge an alarm; the same as the command `acknowledge_alarm` (404 for an unknown alarm)."""
     arguments = kinds.AlarmArguments(alarm_id=alarm_id, note=body.note)
     return execute(kinds.AcknowledgeAlarm(kind="acknowledge_alarm", author=body.author, arguments=arguments))
 
 
 @router.get("/commands/{command_id}", response_model=CommandRow, responses=list_errors(404, 503))
 def get_command(command_id: RowId, context: ContextOf) -> JsonAnswer:
-    """Return a command with its state and result."""
+    """Return a command with its state, its result and, while pending, the time in s until it expires."""
     return JsonAnswer(_read_row(context, command_id))
 
 
 def _execute_audited(context: Context, request: Request, person: Person, command: kinds.Command) -> Response:
-    """Check the role, store or execute a command in the name of its author, and audit the result."""
+    """Check the role, store or execute a command in the name of its author, and audit the result.
+
+    Returns status 202 with the command. Raises a Problem (403, 404, 409, 503) or StorageError, which are
+    audited, too.
+    """
     audit = partial(
         write_audit_entry,
         request,
@@ -108,7 +112,10 @@ def _execute_audited(context: Context, request: Request, person: Person, command
 
 
 def _write_or_execute(context: Context, command: kinds.Command) -> tuple[int, Result]:
-    """Store a command, or execute it if no recorder runs; raise a problem if it is not possible now."""
+    """Store a command for the recorder, or execute one that only changes data if no recorder runs.
+
+    Returns its id, and ``accepted`` or ``done``. Raises a Problem (404, 409) if it is not possible now.
+    """
     catalogue = context.catalogue()
     try:
         if isinstance(command, kinds.StoredCommand) and is_owned(context.data_folder) is False:
@@ -122,10 +129,13 @@ def _write_or_execute(context: Context, command: kinds.Command) -> tuple[int, Re
 
 
 def _execute_here(context: Context, command: kinds.StoredCommand) -> int:
-    """Execute a command in the web service, without a recorder; return its id."""
+    """Execute a command in the web service, without a recorder; return its id.
+
+    Raises BusyError if a recorder has started meanwhile.
+    """
 
     def read_moment() -> Moment:
-        """Return the present UTC time and hour of the test."""
+        """Return the present time (UTC) and hour of the test."""
         now = context.read_freshness()
         return Moment(utc_ns=now.now_utc_ns, due_h=now.now_h, set_index=None)
 
@@ -134,7 +144,7 @@ def _execute_here(context: Context, command: kinds.StoredCommand) -> int:
 
 
 def _collect_facts(context: Context, catalogue: Catalogue) -> kinds.Facts:
-    """Collect the facts that decide whether a command can be executed."""
+    """Read the state of test, recorder, alarms and baselines that decides whether a command is possible."""
     return kinds.Facts(
         recorder=context.read_freshness().recorder.status,
         recorded=is_owned(context.data_folder) is not False,
@@ -150,7 +160,10 @@ def _collect_facts(context: Context, catalogue: Catalogue) -> kinds.Facts:
 
 
 def _read_row(context: Context, command_id: int) -> dict[str, object]:
-    """Read a command with the time in s until it expires; raise a problem if it does not exist."""
+    """Read a command with the time in s until it expires (None unless pending).
+
+    Raises a Problem (404) if it does not exist.
+    """
     state_and_time = read_command_state(context.catalogue(), command_id)
     if state_and_time is None:
         raise not_found(

@@ -19,7 +19,7 @@ OpenApi = dict[str, Any]
 
 
 def describe_roles(document: OpenApi) -> None:
-    """Add security schemes, roles and refusals to an OpenAPI document.
+    """Add security schemes, roles and error answers to an OpenAPI document, in place.
 
     The empty alternative: a service on loopback requires no token before the first one is created.
     """
@@ -41,7 +41,10 @@ def describe_roles(document: OpenApi) -> None:
 
 @cache
 def load_examples() -> OpenApi:
-    """Load example answers of a real service by operation (`python tests/contract/test_openapi.py`)."""
+    """Load the stored example answers by operation once (`python tests/contract/test_openapi.py`).
+
+    Raises OSError if the file cannot be read.
+    """
     example_answers: OpenApi = json.loads(
         read_shared(Path(__file__).parents[1] / "answers" / "examples.json")
     )
@@ -49,7 +52,7 @@ def load_examples() -> OpenApi:
 
 
 def describe_names(document: OpenApi) -> None:
-    """Add descriptions of names, units of numbers, and examples to an OpenAPI document."""
+    """Add descriptions of names, units of numbers, and examples to an OpenAPI document, in place."""
     operations = [operation for item in document["paths"].values() for operation in item.values()]
     used = {tag for operation in operations for tag in operation.get("tags", ())}
     document["tags"] = [
@@ -68,7 +71,10 @@ def describe_names(document: OpenApi) -> None:
 
 
 def _describe_name(documented: OpenApi, scope: str, name: str, schema: OpenApi) -> None:
-    """Add the description of a name, and the unit of a number (UDUNITS), to its schema."""
+    """Add description and, for a number, unit (UDUNITS) of a name to a property or parameter, in place.
+
+    An existing description stays; a number without a known unit gets none.
+    """
     if (text := look_up_scoped_value(MEANINGS, scope, name)) is not None:
         documented.setdefault("description", text)
     if not is_numeric_schema(schema):
@@ -81,7 +87,7 @@ def _describe_name(documented: OpenApi, scope: str, name: str, schema: OpenApi) 
 
 
 def is_numeric_schema(schema: object, kinds: Collection[str] = ("number", "integer")) -> bool:
-    """Return whether values of a schema are numbers of these kinds, or contain them."""
+    """Return whether values of a JSON Schema are numbers of these kinds, or contain them."""
     if not isinstance(schema, dict):
         return False
     parts = [*schema.get("anyOf", ()), schema.get("items"), schema.get("additionalProperties")]
@@ -89,7 +95,7 @@ def is_numeric_schema(schema: object, kinds: Collection[str] = ("number", "integ
 
 
 def _add_example(operation: OpenApi) -> None:
-    """Add the stored example to the responses of an operation."""
+    """Add the stored example, if any, to the response and body of an operation, in place."""
     example = load_examples().get(operation["operationId"])
     if example is None:
         return

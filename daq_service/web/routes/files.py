@@ -35,7 +35,10 @@ def get_file(
     context: ContextOf,
     name: Annotated[str, Path(max_length=80, description="As `sets` names it, without its folder")],
 ) -> Response:
-    """Send the file of a set; it never changes, so ranges of it can be requested at any time."""
+    """Send the finished file of a set, or ranges of its bytes; it never changes.
+
+    Answered with 404 while the set is only in the journal, and with 416 for a range outside of the file.
+    """
     row = _find_set_of_file(context, name)
     path = None if row is None or row.file is None else context.data_folder / row.file
     # A link may lead out of the data folder: it is not followed.
@@ -60,7 +63,10 @@ def get_file(
 
 
 def _find_set_of_file(context: Context, name: str) -> SetRow | None:
-    """Find the set of a file name in the catalogue, so that no path comes from the request; else None."""
+    """Find the set of a file name in the catalogue, so that no path comes from the request.
+
+    None if no set has such a file.
+    """
     match = NAME.fullmatch(name)
     if match is None:
         return None
@@ -74,7 +80,7 @@ def _find_set_of_file(context: Context, name: str) -> SetRow | None:
 
 
 def _check_byte_range(byte_range: str, n_bytes: int) -> None:
-    """Raise a problem (416) if the file does not have the requested byte range."""
+    """Raise a Problem (416) if the header is malformed or the file does not have the byte range."""
     match = RANGE.fullmatch(byte_range.replace(" ", ""))
     first, last = match.groups() if match else ("", "")
     is_valid = int(last or 0) > 0 if not first else int(first) < n_bytes and int(first) <= int(last or first)

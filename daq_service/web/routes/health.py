@@ -17,20 +17,23 @@ router = APIRouter(tags=["health"])
 
 @probes.get("/healthz", response_model=Liveness)
 def get_liveness(context: ContextOf) -> JsonAnswer:
-    """Return that the web process responds, independent of the recorder."""
+    """Return that the web process responds, independent of the recorder, and whether data are stored."""
     return JsonAnswer({"status": "ok", "data": context.has_data()})
 
 
 @probes.get("/readyz", response_model=Liveness, responses=list_errors(503))
 def get_readiness(context: ContextOf) -> JsonAnswer:
-    """Return 200 where data are stored, else 503."""
+    """Return 200 if data are stored and readable, else 503."""
     context.catalogue().last_event_id()
     return JsonAnswer({"status": "ok", "data": True})
 
 
 @router.get("/health", response_model=ServiceHealth, responses=list_errors(503))
 def get_health(context: ContextOf) -> JsonAnswer:
-    """Return the heartbeat of the recorder, counts of stored data, open streams, and free disk space."""
+    """Return status and heartbeat of the recorder, counts of stored data, open streams, and disk space.
+
+    The forecast of the disk space assumes that later sets are as large as the newest one.
+    """
     fresh = context.read_freshness()
     beat = fresh.recorder.beat
     settings, catalogue = context.settings, context.catalogue()

@@ -23,7 +23,7 @@ RIG_LABELS = {
 
 @router.get("/info", response_model=Info, responses=list_errors(503))
 def get_info(context: ContextOf) -> JsonAnswer:
-    """Return name, rig, clock, schedule, limits and positions of the test."""
+    """Return identity, rig, clock, schedule, limits and positions of the test, and any pause or request."""
     settings = context.settings
     fresh = context.read_freshness()
     catalogue = context.catalogue()
@@ -85,7 +85,7 @@ def get_info(context: ContextOf) -> JsonAnswer:
 
 
 def _list_limits() -> list[dict[str, str]]:
-    """List all limits with their names and descriptions."""
+    """Return name, description, statistic and unit of every limit."""
     from analysis.statistics.named_limits import LIMITS  # with SciPy, which is slow to import
 
     return [
@@ -95,7 +95,10 @@ def _list_limits() -> list[dict[str, str]]:
 
 
 def _read_current_request(catalogue: Catalogue, fresh: Freshness) -> dict[str, object] | None:
-    """Return the action that the recorder asks a person for; None if it waits for none."""
+    """Return the request of a running recorder to a person, with the remaining time in s; None without one.
+
+    A request whose time is over counts as none.
+    """
     event = catalogue.read_last_service_event("asked", "asked_over")
     if event is None or event.kind != "asked" or fresh.recorder.status != "running":
         return None

@@ -40,7 +40,7 @@ PurposeFilter = Annotated[
 
 
 def find_last_hour(from_h: float | None, to_h: float | None) -> float | None:
-    """Return the last hour before the excluded end of a range; None if open, a problem if reversed.
+    """Return the largest number below the excluded end of a range of hours; None if the range is open.
 
     Raises
     ------
@@ -59,7 +59,10 @@ def find_last_hour(from_h: float | None, to_h: float | None) -> float | None:
 
 
 def build_listing_name(resource: str, **filters: object) -> str:
-    """Build the name of a listing from its resource and filters, to which its cursors belong."""
+    """Build the name of a listing from its resource and sorted filters, to which its cursors belong.
+
+    Filters that are None are left out.
+    """
     return resource + "".join(
         f"&{key}={value}" for key, value in sorted(filters.items()) if value is not None
     )

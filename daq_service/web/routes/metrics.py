@@ -52,7 +52,7 @@ def get_metrics(request: Request, context: ContextOf) -> Response:
 
 
 def render_metrics(metrics: Iterable[Metric], request: Request) -> Response:
-    """Render metrics in the text format of Prometheus, with the response times of this service."""
+    """Render metrics in OpenMetrics text format, followed by the response times of this service."""
     registry = CollectorRegistry()
     registry.register(_FixedMetrics(metrics))
     present, times = (
@@ -69,23 +69,26 @@ class _FixedMetrics(Collector):
         self._metrics = list(metrics)
 
     def collect(self) -> Iterable[Metric]:
-        """Yield the metrics, as `prometheus_client` requires of a collector."""
+        """Return the metrics, as `prometheus_client` requires of a collector."""
         return self._metrics
 
 
 def collect_service() -> Iterator[Metric]:
-    """Yield the version of the service."""
+    """Yield the metric with the version of the service."""
     yield InfoMetricFamily("solimon", "Version of solimon", {"version": read_installed_version()})
 
 
 def collect_clients(context: Context) -> Iterator[Metric]:
-    """Yield the numbers of open streams of a test."""
+    """Yield the numbers of open event and waveform streams of a test."""
     yield _build_gauge("stream_clients", context.hub.clients)
     yield _build_gauge("waveform_clients", context.live.clients)
 
 
 def collect_test(context: Context) -> Iterator[Metric]:
-    """Yield the present metrics of a test; without data, only the status of its recorder."""
+    """Yield the present metrics of a test; without data, only receivers and the status of its recorder.
+
+    Raises StorageError or a Problem if the catalogue becomes unreadable meanwhile.
+    """
     yield from _collect_receiver_metrics(context)
     has_data = context.has_data()
     yield _build_gauge("has_data", has_data)
@@ -96,7 +99,7 @@ def collect_test(context: Context) -> Iterator[Metric]:
 
 
 def _collect_receiver_metrics(context: Context) -> Iterator[Metric]:
-    """Yield the metrics of the receivers of notifications."""
+    """Yield sent, failed and waiting messages of each receiver, counted since the start of the service."""
     queues = context.notifications.queues.values()
     sent = CounterMetricFamily("solimon_notifications_sent", "Messages taken", labels=("receiver",))
     failed = CounterMetricFamily("solimon_notifications_failed", "Failed attempts", labels=("receiver",))
@@ -113,7 +116,7 @@ COUNTS = ("sets", "missed_sets", "partial_sets", "shots", "pulse_echo_records")
 
 
 def _collect_data_metrics(context: Context, fresh: Freshness) -> Iterator[Metric]:
-    """Yield the metrics of recorder, stored data and disk."""
+    """Yield the metrics of recorder, stored data, disk, active alarms and positions."""
     catalogue = context.catalogue()
     yield _build_recorder_metric(fresh.recorder.status)
     yield _build_gauge("heartbeat_age_seconds", fresh.recorder.beat_age_s)
@@ -156,7 +159,10 @@ VALUES = (
 def _collect_positions(
     schedule: ScheduleSettings, thinnest_m: float, fresh: Freshness, summaries: Mapping[str, LatestRows]
 ) -> Iterator[Metric]:
-    """Yield the metrics of each position, from its latest rows."""
+    """Yield the metrics of each position from its latest rows; ``thinnest_m`` is the alarm limit.
+
+    Values that are not available have no sample.
+    """
 
     def build_gauge(name: str, value: Callable[[LatestRows], float | None]) -> Metric:
         """Build a gauge with one sample per position."""
@@ -169,7 +175,7 @@ def _collect_positions(
         return _build_states(name, present, get_args(known), "position")
 
     def compute_age_s(last: LatestRows) -> float | None:
-        """Compute the age of the newest data of a position in s; None without data."""
+        """Return the age of the newest data of a position in s; None without data."""
         hours = find_data_age_h(last, fresh)
         return None if hours is None else S_PER_H * hours
 
@@ -196,13 +202,13 @@ def _collect_positions(
 
 
 def _read_quality(summary: LatestRows) -> str | None:
-    """Return the quality of the newest result of a position; None without a result."""
+    """Return the quality of the newest feature or thickness of a position; None without one."""
     measured = summary.last_feature or summary.last_thickness
     return None if measured is None else measured.quality
 
 
 def _compute_delay_s(summary: LatestRows) -> float | None:
-    """Compute the time in s from the due time of the newest set to its first strike; None without one."""
+    """Return the time in s from the due time of the newest set to its start; None without one."""
     row = summary.last_set
     if row is None or row.started_utc_ns is None:
         return None
@@ -210,22 +216,25 @@ def _compute_delay_s(summary: LatestRows) -> float | None:
 
 
 def _build_recorder_metric(status: str) -> Metric:
-    """Build the metric of the state of the recorder."""
+    """Build the state metric of the recorder: 1 for its status, 0 for the others."""
     return _build_states("recorder_state", {(): status}, get_args(RecorderStatus))
 
 
 def _build_counter(name: str, number: int) -> Metric:
-    """Build a counter metric without labels."""
+    """Build a counter without labels, named ``solimon_NAME``; raise KeyError without a description."""
     return CounterMetricFamily(f"solimon_{name}", DESCRIPTIONS[name], value=number)
 
 
 def _build_gauge(name: str, number: float | None) -> Metric:
-    """Build a gauge metric without labels; without a value it has no sample."""
+    """Build a gauge without labels, named ``solimon_NAME``; without a value it has no sample."""
     return _build_gauges(name, {(): number})
 
 
 def _build_gauges(name: str, samples: Mapping[Labels, float | None], *labels: str) -> Metric:
-    """Build a gauge metric with a sample for each combination of labels; omit None."""
+    """Build a gauge with a sample for each combination of labels; None values are left out.
+
+    Raises KeyError if the name has no description.
+    """
     family = GaugeMetricFamily(f"solimon_{name}", DESCRIPTIONS[name], labels=labels)
     for of_labels, number in samples.items():
         if number is not None:
@@ -236,7 +245,10 @@ def _build_gauges(name: str, samples: Mapping[Labels, float | None], *labels: st
 def _build_states(
     name: str, present: Mapping[Labels, str | None], known: Iterable[str], *labels: str
 ) -> Metric:
-    """Build a state metric: one sample per known state, 1 for the present one and 0 for the others."""
+    """Build a state metric: one sample per known state, 1 for the present one and 0 for the others.
+
+    Combinations of labels without a state have no sample.
+    """
     samples = {
         (*of_labels, state): float(state == status)
         for of_labels, status in present.items()

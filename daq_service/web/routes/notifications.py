@@ -27,7 +27,10 @@ router = APIRouter(tags=["notifications"])
 
 @router.get("/notifications", response_model=NotificationsState)
 def get_notifications(context: ContextOf) -> JsonAnswer:
-    """Return the receivers without secrets: last delivery, failures, waiting changes, next heartbeat."""
+    """Return the receivers without secrets: last delivery, failures, waiting changes, next heartbeat.
+
+    Counts are since the start of the service. While another process sends, the reason is stated.
+    """
     service = context.notifications
     receivers = [_build_receiver_state(context, queue) for queue in service.queues.values()]
     return JsonAnswer(
@@ -41,7 +44,7 @@ def get_notifications(context: ContextOf) -> JsonAnswer:
 
 @router.get("/notifications/log", response_model=DeliveryPage, responses=list_errors(503))
 def list_deliveries(context: ContextOf, cursor: CursorText = None, limit: Limit = 100) -> JsonAnswer:
-    """List the delivery log (sent, failed and given-up messages), the newest first."""
+    """List the delivery log (sent, failed and given-up messages), the newest first, in pages."""
     end = cursors.decode_cursor("deliveries", cursor)
     try:
         lines, previous_end = context.notifications.deliveries.read(limit=limit, end=end)
@@ -62,7 +65,7 @@ def list_deliveries(context: ContextOf, cursor: CursorText = None, limit: Limit 
 def test_receiver(
     receiver: Annotated[str, Path(max_length=32)], request: Request, person: PersonOf, context: ContextOf
 ) -> JsonAnswer:
-    """Send one test message, and return its result."""
+    """Send one test message at once, and return its result and duration; 409 while another one is sent."""
     queue = context.notifications.queues.get(receiver)
     if queue is None:
         names = ", ".join(context.notifications.queues) or "none"
@@ -88,7 +91,7 @@ def test_receiver(
 
 
 def _build_receiver_state(context: Context, queue: ReceiverQueue) -> dict[str, object]:
-    """Build the state of a receiver of notifications, without secrets."""
+    """Build the state of a receiver for an answer, without secrets; rules are counted from 1."""
     settings, state, now_ns = (
         context.notifications.settings.receivers[queue.name],
         queue.state,
@@ -112,14 +115,14 @@ def _build_receiver_state(context: Context, queue: ReceiverQueue) -> dict[str, o
 
 
 def _name_state(state: State, now_ns: int) -> str:
-    """Name the delivery state of a receiver in one word."""
+    """Return the state of deliveries: ``dead`` or ``failing``, else ``waiting`` or ``idle``."""
     if state.failing_since_utc_ns is not None:
         return "dead" if is_dead(state, now_ns) else "failing"
     return "waiting" if state.waiting else "idle"
 
 
 def _build_heartbeat_state(settings: ReceiverSettings, state: State) -> dict[str, object] | None:
-    """Build the state of the heartbeat of a receiver; None if it has none."""
+    """Build the state of a receiver's heartbeat for an answer; None if it has none."""
     if settings.heartbeat_s is None:
         return None
     return add_utc(

@@ -26,7 +26,7 @@ KEPT_S = 0.5
 
 @router.get("/")
 async def get_dashboard(request: Request) -> Response:
-    """Serve the page, with embedded answers as far as the person may read them."""
+    """Serve the page with the session embedded, and for a logged-in person the first answers."""
     answers = {b"/api/v1/session": bytes((await get_session(request)).body)}
     if request.state.person is not None and _has_test(request):
         answers |= await _load_first_answers(find_request_context(request))
@@ -37,12 +37,12 @@ async def get_dashboard(request: Request) -> Response:
 
 
 def _has_test(request: Request) -> bool:
-    """Return whether the test that a request addresses is available."""
+    """Return whether a request has a test: the one of its path, or that of a single-test service."""
     return hasattr(request.state, "test") or hasattr(request.app.state, "context")
 
 
 async def _load_first_answers(context: Context) -> Mapping[bytes, bytes]:
-    """Return the answers that the page embeds, at most `KEPT_S` old; read them again if necessary."""
+    """Return the embedded answers by path, at most `KEPT_S` (0.5 s) old; read in a thread if necessary."""
     read_s, answers = context.first_answers
     if time.monotonic() - read_s > KEPT_S:
         answers = await to_thread(_read_answers, context)
@@ -51,7 +51,10 @@ async def _load_first_answers(context: Context) -> Mapping[bytes, bytes]:
 
 
 def _read_answers(context: Context) -> dict[bytes, bytes]:
-    """Read the answers that the page embeds; info first, as pages follow events after its last id."""
+    """Read the embedded answers as JSON by path; empty if any of them fails.
+
+    Info is read before the transducers, as pages follow events after its last id.
+    """
     handlers = {
         b"/healthz": get_liveness,
         b"/api/v1/info": get_info,

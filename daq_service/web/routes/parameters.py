@@ -12,12 +12,12 @@ from starlette.requests import HTTPConnection
 async def refuse_unknown_parameters(connection: HTTPConnection) -> None:
     """Raise a problem for unknown query parameters; a dependency of every route of the API.
 
-    As a coroutine it needs no thread.
+    As a coroutine it needs no thread. WebSockets are not checked.
 
     Raises
     ------
     RequestValidationError
-        422: an unknown name, with the nearest known one.
+        422: each unknown name, with the nearest known one.
     """
     route = connection.scope.get("route")
     if not isinstance(route, APIRoute):
@@ -31,7 +31,7 @@ async def refuse_unknown_parameters(connection: HTTPConnection) -> None:
 
 
 def _suggest_remedy(name: str, known: list[str]) -> str:
-    """Suggest the similar or possible parameters for an unknown one."""
+    """Return a message about an unknown parameter: the similar one, or else all known ones."""
     near = difflib.get_close_matches(name, known, n=1, cutoff=0.6)
     if near:
         return f"unknown parameter; did you mean {near[0]}?"

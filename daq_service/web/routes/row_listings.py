@@ -49,10 +49,16 @@ def add_listing(
         Query parameters in addition to ``cursor`` and ``limit``, by the names of `Filters` but for the hours
         ``from_h`` and ``to_h``: type and default of each.
     render_rows
-        Converts rows to JSON; None: the row with its age.
+        Converts rows to JSON; None: each row with its times and age.
+
+    Raises
+    ------
+    KeyError
+        The vocabulary has no description of the resource.
     """
 
     def answer_page(context: Context, cursor: str | None, limit: int, **query: Any) -> JsonAnswer:
+        """Return one page of the rows that pass the filters, with the cursor of the next page."""
         if query.get("position") is not None:
             context.validate_position(query["position"])
         name = listing.build_listing_name(resource, **query)
@@ -95,7 +101,7 @@ def add_listing(
 def add_quality(
     context: Context, fresh: Freshness, assessments: Sequence[rows.AssessmentRow]
 ) -> list[dict[str, object]]:
-    """Add the quality of the feature or thickness to assessments of an answer."""
+    """Convert assessments for an answer, each with the quality of its feature or thickness, or None."""
     methods = {name: place.method for name, place in context.settings.positions.items()}
     qualities = find_assessed_qualities(context.catalogue(), methods, assessments)
     return [fresh.row(row, quality=quality) for row, quality in zip(assessments, qualities, strict=True)]
@@ -130,7 +136,7 @@ add_listing("annotations", rows.AnnotationRow, models.AnnotationPage, POSITION |
     responses=list_errors(404, 503),
 )
 def list_shots(context: ContextOf, position: str, set_index: listing.SetOfPath) -> JsonAnswer:
-    """List the stored shots of one set, in one page."""
+    """List the stored shots of one set, in one page; 404 if none is stored."""
     context.validate_position(position)
     fresh = context.read_freshness()
     shots = context.catalogue().rows(rows.ShotRow, position=position, **SetKey.parse(set_index)._asdict())
@@ -146,7 +152,10 @@ def list_shots(context: ContextOf, position: str, set_index: listing.SetOfPath) 
     "/baselines", tags=["assessments"], response_model=models.BaselineList, responses=list_errors(404, 503)
 )
 def list_baselines(context: ContextOf, position: listing.PositionFilter = None) -> JsonAnswer:
-    """List the baselines of each position, the newest last: lifecycle, statistics, limits, provenance."""
+    """List all baselines of each position, the newest last: lifecycle, statistics, limits, provenance.
+
+    A transducer without a baseline has the planned one that is collecting.
+    """
     if position is not None:
         context.validate_position(position)
     fresh = context.read_freshness()

@@ -30,13 +30,16 @@ class LogIn(Strict):
 
 @router.get("/session", response_model=Session)
 async def get_session(request: Request) -> JsonAnswer:
-    """Return the person of the request and their permissions, or that a token is needed."""
+    """Return the person of the request and their permissions, or that a token is needed; never 401."""
     return JsonAnswer(_build_session(request.state.person))
 
 
 @router.post("/session", response_model=Session, responses=list_errors(400, 403, 413))
 async def log_in(body: LogIn, request: Request, context: ContextOf) -> Response:
-    """Log the page in: sets a cookie (HttpOnly, SameSite=Strict, over TLS Secure)."""
+    """Log the page in: sets a cookie (HttpOnly, SameSite=Strict, over TLS Secure) for 30 days.
+
+    A wrong token is answered with 401, too many wrong ones with 429.
+    """
     try:
         person = context.access_policy.authenticate_token(body.token, find_address(request.scope))
     except Problem as problem:
@@ -62,7 +65,7 @@ async def log_in(body: LogIn, request: Request, context: ContextOf) -> Response:
 
 @router.delete("/session", response_model=Session, responses=list_errors(403))
 async def log_out(request: Request, context: ContextOf) -> Response:
-    """Log the page out by deleting the cookie; the token stays valid until it is revoked."""
+    """Log the page out by deleting its cookie; the token stays valid until it is revoked."""
     person = request.state.person
     if person is not None and person.role != CLAIMED:
         await to_thread(write_audit_entry, request, person, "log_out", "done")
@@ -77,7 +80,7 @@ async def log_out(request: Request, context: ContextOf) -> Response:
 
 
 def _build_session(person: Person | None) -> dict[str, object]:
-    """Build the session of a person: name, role and permissions; for None that a token is needed."""
+    """Build the answer of a session: name, role and permissions; for None that a token is needed."""
     if person is None:
         return {"token_needed": True, "name": None, "role": None, "may": []}
     return {

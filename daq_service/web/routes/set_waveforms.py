@@ -81,7 +81,10 @@ def get_set_waveforms(request: Request, context: ContextOf, position: str, set_i
 
 
 def _compute_windows_s(context: Context, set_row: SetRow) -> dict[str, tuple[float, float]]:
-    """Compute the search windows of a set, s from the trigger; empty without a reference time."""
+    """Return the search windows of a set by name, as start and end in s from the trigger.
+
+    Empty without a reference time (first pulse, or first thickness of the test).
+    """
     catalogue, method = context.catalogue(), METHODS[set_row.method]
     filters: Filters = {"position": set_row.position, "set_index": set_row.set_index, **method.of_sets}
     filters["unscheduled_index"] = set_row.unscheduled_index

@@ -49,7 +49,10 @@ async def stream_events(
     ] = None,
     last_event_id: Annotated[str | None, Header(description="Set by EventSource when it reconnects")] = None,
 ) -> StreamingResponse:
-    """Stream events after `Last-Event-ID` (or `after`), or from the next event."""
+    """Stream events after `Last-Event-ID` (or `after`), or from the next event.
+
+    At most 2000 streams are open; more are answered with 503.
+    """
     selected = _parse_topics(topics)
     if context.open_streams() >= MOST_CLIENTS:
         raise Problem("too-many-streams", f"{MOST_CLIENTS} streams are open, and no more are served.")
@@ -67,7 +70,10 @@ async def stream_events(
 
 
 def _parse_topics(text: str | None) -> frozenset[str] | None:
-    """Parse the requested topics; raise a problem for an unknown one; None selects all."""
+    """Parse the comma-separated topics; an absent parameter (None) selects all.
+
+    Raises a Problem (422) for an unknown or no topic.
+    """
     if text is None:
         return None
     selected = frozenset(part.strip() for part in text.split(",") if part.strip())
@@ -82,7 +88,7 @@ def _parse_topics(text: str | None) -> frozenset[str] | None:
 
 
 def _parse_event_id(text: str) -> int:
-    """Parse an event id from a header; raise a problem if it is no number."""
+    """Parse an event id from a header; raise a Problem (422) unless it has 1 to 18 digits."""
     if not text.isascii() or not text.isdigit() or len(text) > 18:
         raise invalid(
             "Not an event id",
@@ -93,7 +99,10 @@ def _parse_event_id(text: str) -> int:
 
 
 def encode_gap(after: int, until: int, reason: str) -> bytes:
-    """Encode a gap in the events as a frame with the skipped ids, which moves the cursor of a client."""
+    """Encode a frame that reports skipped events: those after ``after`` up to ``until``.
+
+    It moves the cursor of the client to ``until``.
+    """
     data = orjson.dumps({"after": after, "until": until, "reason": reason})
     return b"id: %d\nevent: gap\ndata: %s\n\n" % (until, data)
 
@@ -105,7 +114,11 @@ async def send_frames(
     start_after: int | None,
     may_stay: Callable[[], bool] = lambda: True,
 ) -> AsyncIterator[bytes]:
-    """Yield frames to one client until the hub closes, the client leaves or its token is invalid."""
+    """Yield frames to one client until the hub closes, the client leaves or its token is invalid.
+
+    Starts after the event ``start_after`` (None: with the next event). A client that is too slow, or whose id
+    is unknown, gets a gap; a heartbeat is sent at each interval. The last frame is ``bye``.
+    """
     hub.clients += 1
     try:
         yield b"retry: %d\n\n" % RETRY_MS

@@ -46,7 +46,7 @@ Form = Annotated[
 
 @router.get("/tables", tags=["tables"], response_model=TableList)
 def list_tables() -> JsonAnswer:
-    """List the tables, their columns with units, and the formats that this installation writes."""
+    """List the tables, their columns with units, and the formats that this installation can write."""
     items = [
         {
             "table": name,
@@ -70,7 +70,11 @@ def get_table(
     purpose: PurposeFilter = "planned",
     form: Form = None,
 ) -> Response:
-    """Export a table or a range of it, always with hour, quality and the columns that identify rows."""
+    """Export a table or a range of it, always with hour, quality and the columns that identify rows.
+
+    Formats that hold all rows (npz, mat, h5) are limited to 100,000 rows; two are created at a time (else
+    503).
+    """
     if table not in TABLES:
         raise not_found(f"There is no table {table!r}.", f"The tables are {', '.join(TABLES)}.")
     if position is not None:
@@ -147,7 +151,7 @@ def get_waveforms(
 
 
 def choose_format(accept: str) -> str:
-    """Choose the file format for an ``Accept`` header: the first known of the highest quality, else csv."""
+    """Return the file format for an ``Accept`` header: the first known one of highest quality, else csv."""
     types = {kind.media_type: name for name, kind in FORMATS.items()}
     offers: list[tuple[float, str]] = []
     for part in accept.split(","):
@@ -160,12 +164,14 @@ def choose_format(accept: str) -> str:
 
 
 def run_in_turn(make: Callable[[], bytes]) -> bytes:
-    """Create a complete file; at most `AT_ONCE` run concurrently, as each holds all rows in memory.
+    """Call ``make`` and return its file, unless two calls run already: each holds all rows in memory.
+
+    Does not wait.
 
     Raises
     ------
     Problem
-        503: too many files are being created.
+        503: `AT_ONCE` files are being created.
     """
     if not _making.acquire(blocking=False):
         raise Problem(

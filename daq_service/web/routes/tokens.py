@@ -31,7 +31,7 @@ class TokenRequest(Strict):
 
 @router.get("/tokens", response_model=TokenList, responses=list_errors(503))
 def list_tokens(context: ContextOf) -> JsonAnswer:
-    """List all tokens, also revoked and expired ones, without their secret text."""
+    """List all tokens in the order of creation, also revoked and expired ones, without their secret text."""
     return JsonAnswer(
         {"items": [build_token_row(token) for token in read_tokens(context.access_policy.tokens_path)]}
     )
@@ -47,7 +47,10 @@ def list_tokens(context: ContextOf) -> JsonAnswer:
 def create_access_token(
     token_request: TokenRequest, request: Request, person: PersonOf, context: ContextOf
 ) -> Response:
-    """Create a token; its secret text is only in this response."""
+    """Create a token; its secret text is only in this response.
+
+    Answered with 409 for an invalid name or one with a valid token, and before a first token exists.
+    """
     if person.role == CLAIMED:
         raise conflict(
             "The first token decides who may come in, and is not made over the network.",
@@ -72,7 +75,7 @@ def create_access_token(
 def revoke_access_token(
     name: Annotated[str, Path(max_length=40)], request: Request, person: PersonOf, context: ContextOf
 ) -> Response:
-    """Revoke a token; its open streams end within seconds."""
+    """Revoke a token; its open streams end within seconds; 409 if there is no unrevoked one of this name."""
     try:
         token = revoke_token(context.access_policy.tokens_path, name)
     except UsageError as error:
@@ -83,7 +86,7 @@ def revoke_access_token(
 
 
 def build_token_row(token: Token) -> dict[str, object]:
-    """Convert a token to its public data, without the hash of its text."""
+    """Return the public data of a token for an answer, without the hash of its text."""
     return {
         name: getattr(token, name)
         for name in ("name", "role", "state", "created_utc", "expires_utc", "revoked_utc")

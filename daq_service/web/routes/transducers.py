@@ -35,7 +35,7 @@ router = APIRouter()
 
 @router.get("/transducers", tags=["transducers"], response_model=PositionList, responses=list_errors(503))
 def list_transducers(context: ContextOf) -> JsonAnswer:
-    """Return state, newest values, quality and age of every position."""
+    """Return state, newest values, quality and age of every position, in the order of the configuration."""
     fresh = context.read_freshness()
     latest = read_latest_rows(context.catalogue(), fresh, context.settings.positions)
     items = [_build_state(context, fresh, last) for last in latest.values()]
@@ -49,7 +49,7 @@ def list_transducers(context: ContextOf) -> JsonAnswer:
     responses=list_errors(404, 503),
 )
 def get_transducer(position: str, context: ContextOf) -> JsonAnswer:
-    """Return state, newest values, quality and age of one position."""
+    """Return state, newest values, quality and age of one position; 404 if the test does not have it."""
     context.validate_position(position)
     fresh, place = context.read_freshness(), {position: context.settings.positions[position]}
     (last,) = read_latest_rows(context.catalogue(), fresh, place).values()
@@ -60,7 +60,10 @@ def get_transducer(position: str, context: ContextOf) -> JsonAnswer:
     "/environment/latest", tags=["environment"], response_model=EnvironmentNow, responses=list_errors(503)
 )
 def get_latest_environment(context: ContextOf) -> JsonAnswer:
-    """Return the newest row, and the present status of the supply; null where there is none."""
+    """Return the newest row of supply and climate, and the present status of the supply.
+
+    Each is null if there is none.
+    """
     fresh = context.read_freshness()
     row, drive = context.catalogue().read_last_environment(), read_supply_status(context.data_folder)
     return JsonAnswer(
@@ -73,7 +76,10 @@ def get_latest_environment(context: ContextOf) -> JsonAnswer:
 
 
 def _build_state(context: Context, fresh: Freshness, last: LatestRows) -> dict[str, object]:
-    """Build the present state of a position with its newest rows and numbers of alarms."""
+    """Build the present state of a position with its newest rows and numbers of alarms.
+
+    The highest priority is that of alarms that are not suppressed.
+    """
     place = context.settings.positions[last.position]
     assessment, alarms = last.last_assessment, last.active_alarms
     visible_alarms = [row for row in alarms if row.suppressed is None]
@@ -98,7 +104,7 @@ def _build_state(context: Context, fresh: Freshness, last: LatestRows) -> dict[s
 def assess_position(
     place: PositionSettings, schedule: ScheduleSettings, fresh: freshness.Freshness, last: LatestRows
 ) -> PositionStanding:
-    """Compute the status of a position from its latest rows: state, age of the data, stale or not."""
+    """Return the status of a position from its latest rows: state, hour and age of the data, stale or not."""
     age_h = find_data_age_h(last, fresh)
     return PositionStanding(
         position=last.position,
@@ -112,5 +118,5 @@ def assess_position(
 
 
 def _to_json_row(fresh: Freshness, row: Row | None) -> dict[str, object] | None:
-    """Convert a row to JSON with times and age; None stays None."""
+    """Convert a row for an answer, with times and age; None stays None."""
     return None if row is None else fresh.row(row)

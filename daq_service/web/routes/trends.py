@@ -43,7 +43,7 @@ FieldName = Annotated[
 
 
 def find_unit(field: str) -> str:
-    """Derive the unit of a column from the suffix of its name; 1 is a pure number."""
+    """Return the unit of a column from the suffix of its name; "1" is a pure number."""
     for suffix, unit in (("_v_s", "V s"), ("_s", "s"), ("_v", "V"), ("_m", "m"), ("_h", "h")):
         if field.endswith(suffix):
             return unit
@@ -51,12 +51,12 @@ def find_unit(field: str) -> str:
 
 
 def parse_fields(method: str, fields: str | None, *, known: Sequence[str]) -> list[str]:
-    """Parse a comma-separated list of columns; raise a problem for an unknown name.
+    """Parse a comma-separated list of columns, without repetitions; None selects all known ones.
 
     Raises
     ------
     Problem
-        422: the method does not have such a column.
+        422: no column, or one that the method does not have.
     """
     if fields is None:
         return list(known)
@@ -123,7 +123,7 @@ def get_trend(
 
 
 def estimate_entry_bytes(fields: Sequence[str]) -> tuple[int, int]:
-    """Estimate the maximum bytes of a set and of a bin in an answer with these columns."""
+    """Return the maximum size in bytes of a set and of a bin in an answer with these columns."""
     numbers = [name for name in fields if name not in _UNITLESS]
     words = _WORD_BYTES * (len(fields) - len(numbers))
     of_set = _SET_BYTES + words + _NUMBER_BYTES * len(numbers) + _REASON_BYTES * ("reason" in fields)
@@ -137,7 +137,7 @@ _UNITLESS = frozenset({"outlier", "outlier_mean_3sd", "in_baseline", "reason"})
 def read_measured_columns(
     context: Context, position: str, names: Sequence[str], first_h: float | None, last_h: float | None
 ) -> Columns:
-    """Read columns of the measured values of a position, one entry per set."""
+    """Read columns of the measured values of a position, one entry per set in order; both hours included."""
     method = METHODS[context.settings.positions[position].method]
     filters: Filters = {"position": position, "first_h": first_h, "last_h": last_h, **method.of_sets}
     return context.catalogue().columns(method.row, names, **filters)
@@ -146,7 +146,10 @@ def read_measured_columns(
 def read_columns(
     context: Context, position: str, fields: Sequence[str], from_h: float | None, last_h: float | None
 ) -> Columns:
-    """Read `COMMON` and the selected columns; a set without assessment has null in its columns."""
+    """Read `COMMON` and the selected columns, one entry per measured set; both hours are included.
+
+    A set without an assessment has None in its columns.
+    """
     measured_names = [
         name for name in fields if name in METHODS[context.settings.positions[position].method].values
     ]
@@ -179,7 +182,10 @@ _SETS_IN_A_BIN = {
 
 
 def build_bin_columns(kind: Kind, bins: NDArray[np.void], fields: Sequence[str]) -> Columns:
-    """Build the columns of `read_columns` from bins, with one entry per bin."""
+    """Build the columns of `read_columns` from bins, with one entry per bin.
+
+    Values are means, quality is the worst one, flags are true if any set has them, ``reason`` is None.
+    """
     columns: Columns = {
         "set_index": bins["first_set"].astype(int).tolist(),
         "due_h": bins["first_h"].tolist(),
@@ -202,7 +208,7 @@ def build_bin_columns(kind: Kind, bins: NDArray[np.void], fields: Sequence[str])
 
 
 def _compute_means(bins: NDArray[np.void], column: int) -> list[float]:
-    """Compute the mean of a column in each bin; NaN without values."""
+    """Return the mean of a value column in each bin; NaN for a bin without values."""
     count, total = bins["count"][:, column], bins["sum"][:, column]
     mean = np.divide(total, count, out=np.full(bins.size, np.nan), where=count > 0.0)
     # The mean of equal numbers is that number, not its neighbour.
@@ -210,7 +216,7 @@ def _compute_means(bins: NDArray[np.void], column: int) -> list[float]:
 
 
 def build_published_bins(kind: Kind, bins: NDArray[np.void], fields: Sequence[str]) -> dict[str, object]:
-    """Build the extremes, counts, first outliers and alarms of bins for an answer."""
+    """Build the extremes, counts, first outliers and alarms of bins for an answer; None without a value."""
     names = [name for name in list_bin_values(kind) if name in fields]
     column_of = {name: list_bin_values(kind).index(name) for name in names}
     return {
@@ -239,7 +245,10 @@ def get_fit(
     from_h: FromHour = None,
     to_h: ToHour = None,
 ) -> JsonAnswer:
-    """Fit the sets in the range; sets without a value (null) are excluded."""
+    """Fit a second-order polynomial to the sets in the range; sets without a value (null) are excluded.
+
+    With too few sets the coefficients are null, and `reason` states why.
+    """
     from analysis.errors import NotEnoughPointsError
     from analysis.statistics.trend import fit_trend_of_part
 

@@ -148,20 +148,20 @@ class _CatalogueIndex:
         self._catalogue, self._position = catalogue, position
 
     def count_stored_sets(self, first: int, last: int) -> int:
-        """Count the sets with records between two indices, both included."""
+        """Count the sets of the position with records between two indices, both included."""
         return self._catalogue.count_stored_sets(self._position, first, last)
 
     def file(self, set_index: int) -> SetReference | None:
-        """Find the file of a set; None if it has none."""
+        """Return the reference of the file of a scheduled set; None if it has none."""
         rows = self._catalogue.rows(SetRow, position=self._position, set_index=set_index)
         return next((SetReference(row.file) for row in rows if row.file is not None), None)
 
     def read_anchors(self, set_index: int) -> Mapping[int, float]:
-        """Read the time in s of the first pulse or echo of each shot of a set."""
+        """Read the time of the first pulse or echo of each shot of a set, s, by record; empty without any."""
         return extract_anchors(read_set_results(self._catalogue, SetKey(set_index)))
 
     def list_first_files(self) -> list[SetReference]:
-        """List the files of the first sets of the position."""
+        """List the files of the first 50 sets of the position, without those that have none."""
         rows = self._catalogue.rows(SetRow, position=self._position, tried=True, limit=_MOST_FIRST_SETS)
         return [SetReference(row.file) for row in rows if row.file is not None]
 
@@ -169,12 +169,12 @@ class _CatalogueIndex:
 def _check_parameters(
     method: str, align: str, from_s: float | None, to_s: float | None, json_cells: int
 ) -> None:
-    """Check the parameters of an image.
+    """Require that alignment, time range and number of JSON cells of an image are valid.
 
     Raises
     ------
     Problem
-        422: they are invalid.
+        422: another method's alignment, an empty time range, or more than 65,536 JSON cells.
     """
     if align not in ("trigger", FIRST_OF[method]):
         raise invalid(
@@ -197,7 +197,7 @@ def _check_parameters(
 
 
 def _list_baseline_sets(context: Context, catalogue: Catalogue, position: str) -> list[int]:
-    """List the sets of the present baseline, for pulse echo the first reading; raise 404 without one.
+    """Return the indices of the sets of the present baseline; for pulse echo that of the first reading.
 
     Raises
     ------
@@ -222,7 +222,10 @@ def _list_baseline_sets(context: Context, catalogue: Catalogue, position: str) -
 
 
 def _stack_planes(picture: Picture, *, normalised: bool) -> NDArray[np.float32]:
-    """Stack the minima and maxima of all rows in V, or relative to the peaks; shape (2, rows, columns)."""
+    """Stack the minima and maxima of all rows in V, or relative to the peaks; shape (2, rows, columns).
+
+    A row whose peak is 0 becomes NaN in the relative form.
+    """
     if not picture.rows:
         return np.zeros((2, 0, picture.frame.n_cells), dtype=np.float32)
     planes = np.stack([row.planes for row in picture.rows], axis=1)
@@ -233,7 +236,10 @@ def _stack_planes(picture: Picture, *, normalised: bool) -> NDArray[np.float32]:
 
 
 def _compute_row_ends_h(picture: Picture) -> list[float]:
-    """Compute the end of each row in h, with the set interval around it."""
+    """Return the end of each row in h: its last hour plus the interval of the sets around it.
+
+    1 h is the interval if only one set is known.
+    """
     rows, ends, step_h = picture.rows, [], math.nan
     for row, following in zip(rows, [*rows[1:], None][: len(rows)], strict=True):
         if following is not None:
@@ -245,5 +251,5 @@ def _compute_row_ends_h(picture: Picture) -> list[float]:
 
 
 def _to_nested_lists(plane: NDArray[np.float32]) -> list[list[float | None]]:
-    """Convert an image plane to nested lists with None for gaps."""
+    """Convert an image plane of shape (rows, columns) to nested lists with None instead of NaN."""
     return [[None if math.isnan(value) else value for value in row] for row in plane.tolist()]

@@ -43,7 +43,10 @@ ERRORS = list_errors(404, 503)
     responses=describe_files(OCTET_STREAM) | ERRORS,
 )
 def get_live_waveform(position: str, context: ContextOf) -> Response:
-    """Return the live figure: u32 header length, JSON header (volts = sum c[k] counts^k), samples."""
+    """Return the live figure: u32 header length, JSON header (volts = sum c[k] counts^k), samples.
+
+    Answered with 404 before the first record, and with 503 if the file is damaged.
+    """
     path = context.data_folder / "live" / f"{context.validate_position(position)}.bin"
     try:
         content = read_shared(path)
@@ -78,7 +81,11 @@ def get_waveform(
     form: Annotated[Literal["json", "npy", "octets"], Query(alias="format")] = "json",
     points: Annotated[int | None, Query(ge=4, le=MOST_POINTS)] = None,
 ) -> Response:
-    """Return one stored waveform, the accepted one of a repeated shot; pulse echo has shot index 0."""
+    """Return one stored waveform, the accepted one of a repeated shot; pulse echo has shot index 0.
+
+    With `points`, JSON and npy (rows: time in s, volts) hold only the extremes of equal bins, at most so
+    many samples; octets are all counts, with sampling and calibration in the headers.
+    """
     context.validate_position(position)
     catalogue, set_key = context.catalogue(), SetKey.parse(set_index)
     shots = catalogue.rows(ShotRow, position=position, **set_key._asdict())
@@ -150,12 +157,12 @@ def get_waveform(
 
 
 def to_little_endian_bytes(waveform: Waveform) -> bytes:
-    """Convert the counts to little-endian bytes."""
+    """Return the counts of a waveform as little-endian bytes of their own integer type."""
     return waveform.counts.astype(waveform.counts.dtype.newbyteorder("<"), copy=False).tobytes()
 
 
 def find_extremes_per_bin(values: NDArray[np.float64], points: int) -> NDArray[np.intp]:
-    """Find the indices of minimum and maximum of each of ``points // 2`` equal bins, in order.
+    """Find the indices of minimum and maximum of each of ``points // 2`` equal bins, in ascending order.
 
     No peak is lost: a chart with one pixel per bin looks the same as with all samples.
 
@@ -175,7 +182,7 @@ def find_extremes_per_bin(values: NDArray[np.float64], points: int) -> NDArray[n
 
 
 def _find_quality(context: Context, position: str, set_key: SetKey, sequence: int) -> str | None:
-    """Find the quality of the features or the thickness of a record; None without a result."""
+    """Return the quality of the features or the thickness of a record; None without a result."""
     kind: type[FeatureRow] | type[ThicknessRow] = METHODS[context.settings.positions[position].method].row
     rows = context.catalogue().rows(kind, position=position, **set_key._asdict())
     return next((row.quality for row in rows if row.sequence == sequence), None)
@@ -192,7 +199,8 @@ async def live_waveforms(
 
     Each binary message is one live file's bytes; a text message is a heartbeat (``interval_s``), sent where
     none comes. Only the newest is sent: a slow client misses figures. The guard has checked the Origin
-    before.
+    before. Unknown positions close the connection with code 1008, an invalid token or the end of the
+    service with 1001.
     """
     known = context.settings.positions
     chosen = list(known) if positions is None else [part.strip() for part in positions.split(",")]
@@ -232,6 +240,6 @@ async def live_waveforms(
 
 
 async def _wait_until_left(websocket: WebSocket) -> None:
-    """Ignore the messages of a client; return when it disconnects."""
+    """Discard the messages of a client; return when it disconnects."""
     while (await websocket.receive())["type"] != "websocket.disconnect":
         pass

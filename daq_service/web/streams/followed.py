@@ -22,29 +22,29 @@ class Followed:
         self.clients = 0
 
     async def start(self) -> None:
-        """Start the thread."""
+        """Start the thread that follows the source; called on the event loop that clients use."""
         self._loop = asyncio.get_running_loop()
         self._thread = threading.Thread(target=self._follow, name=self._thread_name, daemon=True)
         self._thread.start()
 
     def close(self) -> None:
-        """End every client; may be called again."""
+        """Request the end of the thread and wake every client, without waiting; may be called again."""
         self._closed = True
         self._stop.set()
         self._wake_clients()
 
     async def join(self) -> None:
-        """Wait for the end of the thread after `close`."""
+        """Wait for the end of the thread after `close`; return at once if it was never started."""
         if self._thread is not None:
             await asyncio.to_thread(self._thread.join)
 
     @property
     def closed(self) -> bool:
-        """Return whether clients must end."""
+        """Return whether `close` was called, so that clients must end."""
         return self._closed
 
     async def changed(self) -> None:
-        """Wait until the data change or the source closes."""
+        """Wait until the data change or the source closes; return at once if it is closed."""
         if not self._closed:
             # One future per waiter: cancelling a shared one would cancel it for all.
             waiter = self._loop.create_future()
@@ -52,7 +52,7 @@ class Followed:
             await waiter
 
     def _wake_clients(self) -> None:
-        """Wake the clients that wait for a change."""
+        """Wake all clients that wait for a change."""
         woken, self._waiting = self._waiting, []
         for waiter in woken:
             if not waiter.done():
@@ -63,7 +63,7 @@ class Followed:
         raise NotImplementedError
 
     def _pass_on(self, function: Callable[..., None], *arguments: object) -> None:
-        """Call a function on the event loop, from the thread; stop the thread if the loop is closed."""
+        """Schedule a call on the event loop from the thread; stop the thread if the loop is closed."""
         try:
             self._loop.call_soon_threadsafe(function, *arguments)
         except RuntimeError:

@@ -49,12 +49,12 @@ class EventSource(Protocol):
         ...
 
     def after(self, event_id: int, limit: int) -> Sequence[Mapping[str, Any]]:
-        """Read the events after an id in order, as rows of the API."""
+        """Read at most ``limit`` events after an id, ascending, as rows of the API."""
         ...
 
 
 def encode_event(row: Mapping[str, Any]) -> EncodedEvent:
-    """Encode a row as a frame of the stream (WHATWG HTML, server-sent events)."""
+    """Encode a row as a frame of server-sent events (WHATWG HTML) with id, topic and JSON data."""
     data = orjson.dumps(row)
     frame = b"id: %d\nevent: %s\ndata: %s\n\n" % (row["id"], row["topic"].encode(), data)
     return EncodedEvent(row["id"], row["topic"], frame)
@@ -82,33 +82,33 @@ class EventHub(Followed):
         self._heartbeat: asyncio.TimerHandle | None = None
 
     async def start(self) -> None:
-        """Start to follow events and to send heartbeats."""
+        """Start to follow events and to wake clients for heartbeats."""
         await super().start()
         self._send_heartbeat()
 
     def close(self) -> None:
-        """End every stream with `bye`; may be called again."""
+        """End every stream with ``bye`` and the heartbeats; may be called again."""
         super().close()
         if self._heartbeat is not None:
             self._heartbeat.cancel()
 
     @property
     def complete_after(self) -> int | None:
-        """Return the id after which the ring buffer is complete; None until the thread has started."""
+        """Return the id after which the ring has every event; None until it is filled."""
         return self._complete_after
 
     @property
     def last_id(self) -> int:
-        """Return the id of the newest event in the ring."""
+        """Return the id of the newest event in the ring; of an empty ring, ``complete_after`` or 0."""
         return self._events[-1].id if self._events else (self._complete_after or 0)
 
     def after(self, event_id: int, limit: int | None = None) -> list[EncodedEvent]:
-        """Return the oldest ``limit`` events of the ring after an id."""
+        """Return the oldest ``limit`` events of the ring after an id, ascending; None returns all."""
         first = bisect.bisect_right(self._events, event_id, key=lambda event: event.id)
         return self._events[first : None if limit is None else first + limit]
 
     async def yield_turn(self) -> None:
-        """Yield to live events and other requests for a moment."""
+        """Pause a late client for a moment (1 ms; 16 clients at a time), so that other requests proceed."""
         async with self._turns:
             await asyncio.sleep(TURN_S)
 
@@ -118,12 +118,12 @@ class EventHub(Followed):
         self._heartbeat = self._loop.call_later(self.heartbeat_interval_s, self._send_heartbeat)
 
     def _start_ring(self, event_id: int, events: list[EncodedEvent]) -> None:
-        """Fill the ring buffer with the newest events and mark it as complete."""
+        """Set the events of the ring, complete after ``event_id``, and wake the clients."""
         self._complete_after, self._events = event_id, events
         self._wake_clients()
 
     def _append_events(self, events: list[EncodedEvent]) -> None:
-        """Append events to the ring buffer and wake the clients."""
+        """Append events to the ring, drop the oldest ones at twice its size, and wake the clients."""
         self._events.extend(events)
         # Cut only at twice the size, so that the cost an event stays constant.
         if len(self._events) > 2 * self._ring_events:
@@ -132,7 +132,7 @@ class EventHub(Followed):
         self._wake_clients()
 
     def _read_stored_events(self, event_id: int, last: int) -> list[EncodedEvent]:
-        """Read the events after an id from the catalogue, at least until the last one."""
+        """Read and encode all events after ``event_id``, at least up to the id ``last``, page by page."""
         events: list[EncodedEvent] = []
         while event_id < last and (rows := self._source.after(event_id, PAGE_EVENTS)):
             events += map(encode_event, rows)
@@ -140,7 +140,10 @@ class EventHub(Followed):
         return events
 
     def _follow(self) -> None:
-        """Poll and encode events, and pass them to the event loop (body of the thread)."""
+        """Poll and encode events, and pass them to the event loop, until `close` (body of the thread).
+
+        Every error is logged once in a row and tried again after 0.5 s.
+        """
         last: int | None = None
         began = False
         last_error = ""

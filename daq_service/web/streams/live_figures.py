@@ -40,7 +40,7 @@ class LiveFigures(Followed):
         self._pictures: dict[str, Picture] = {}
 
     def find_newer_figures(self, seen: Mapping[str, int]) -> dict[str, Picture]:
-        """Return the figures that are newer than the versions in ``seen``, by position."""
+        """Return the figures that are newer than the versions in ``seen``, by position; empty without any."""
         return {
             position: picture
             for position, version in seen.items()
@@ -48,12 +48,15 @@ class LiveFigures(Followed):
         }
 
     def _update_figure(self, position: str, picture: Picture) -> None:
-        """Store the newest figure of a position and wake its clients."""
+        """Store the newest figure of a position and wake the clients."""
         self._pictures[position] = picture
         self._wake_clients()
 
     def _follow(self) -> None:
-        """Check the marks of the files, and read changed ones (body of the thread)."""
+        """Check time, inode and size of the files and pass on changed ones, until `close` (thread body).
+
+        Files that are missing or unreadable are tried again.
+        """
         seen: dict[str, tuple[int, int, int]] = {}
         version = 0
         while not self._stop.is_set():
@@ -77,12 +80,12 @@ class LiveFigures(Followed):
 
 
 def decode_figure_header(content: bytes) -> dict[str, Any]:
-    """Decode the JSON header of a live figure; raise a problem if it is malformed.
+    """Decode the JSON header of a live figure.
 
     Raises
     ------
     Problem
-        503: the bytes are not a picture.
+        503: the bytes are not a live figure, or cut off.
     """
     try:
         (length,) = struct.unpack_from("<I", content)
@@ -95,7 +98,7 @@ def decode_figure_header(content: bytes) -> dict[str, Any]:
 
 
 def create_unreadable_figure(why: str) -> Problem:
-    """Create the error that a live figure is unreadable (503)."""
+    """Create, without raising it, the error that a live figure is unreadable (503)."""
     return Problem(
         "storage-unavailable",
         f"The newest live picture cannot be read: {why}.",

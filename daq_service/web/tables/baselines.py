@@ -26,7 +26,11 @@ class BaselineHours(TypedDict):
 def list_published_baselines(
     catalogue: Catalogue, settings: Settings, epoch_utc_ns: int, position: str | None
 ) -> list[tuple[BaselineRow, BaselineHours]]:
-    """List the baselines of a position (None: of all), the newest last, each with extra columns."""
+    """List the baselines of a position (None: of all), the newest last, each with hours and temperatures.
+
+    A transducer without a stored baseline gets its first one as planned; a collecting baseline counts the
+    usable sets so far.
+    """
     rows = catalogue.rows(BaselineRow, position=position)
     positions_with_baseline = {row.position for row in rows}
     rows += [
@@ -51,7 +55,7 @@ def list_published_baselines(
 
 
 def _count_usable_sets(catalogue: Catalogue, row: BaselineRow) -> int:
-    """Count the sets of a baseline that have every feature."""
+    """Count the sets of a baseline that have every feature and a quality other than bad."""
     first, last = row.first_set_index, row.last_set_index
     columns = catalogue.columns(
         FeatureRow,
@@ -68,7 +72,10 @@ def _count_usable_sets(catalogue: Catalogue, row: BaselineRow) -> int:
 
 
 def _read_temperatures_c(catalogue: Catalogue, first: int, last: int) -> list[float] | None:
-    """Read the minimum and maximum temperature in degC around sets; None if none was measured."""
+    """Return the minimum and maximum temperature around sets, degC; None if none was measured.
+
+    Both set indices are included.
+    """
     around = catalogue.columns(EnvironmentRow, ["temperature_c"], first_set=first, last_set=last)
     measured_c = [temperature_c for temperature_c in around["temperature_c"] if temperature_c is not None]
     return [min(measured_c), max(measured_c)] if measured_c else None

@@ -42,7 +42,7 @@ class TableKind:
 
     @property
     def columns(self) -> tuple[PublishedColumn, ...]:
-        """Return all columns of the table."""
+        """Return all columns of the table, in order."""
         return describe_columns(self.row)
 
 
@@ -75,6 +75,7 @@ class Choice:
     purpose: Purposes = "planned"
 
     def __post_init__(self) -> None:
+        """Raise UsageError for an unknown table or field, a filter it lacks, or a reversed range."""
         if self.table not in TABLES:
             raise UsageError(f"there is no table {self.table!r}; choose from {', '.join(TABLES)}")
         known = [column.name for column in TABLES[self.table].columns]
@@ -97,27 +98,28 @@ class Choice:
 
     @property
     def chosen(self) -> list[str]:
-        """Names of the chosen fields; empty: all."""
+        """Return the names of the chosen fields in the given order; empty: all."""
         return [part.strip() for part in (self.fields or "").split(",") if part.strip()]
 
     @property
     def columns(self) -> tuple[PublishedColumn, ...]:
-        """Return the selected columns, in the order of the table."""
+        """Return the selected columns and those of `ALWAYS`, in the order of the table."""
         all_columns = TABLES[self.table].columns
         wanted = {column.name for column in all_columns} if self.fields is None else {*self.chosen, *ALWAYS}
         return tuple(column for column in all_columns if column.name in wanted)
 
     @property
     def name(self) -> str:
-        """Return the name of the exported file, without suffix."""
+        """Return the name of the exported file, without suffix: table, position and purpose."""
         is_planned = self.purpose == "planned"
         return "_".join(filter(None, (self.table, self.position, None if is_planned else self.purpose)))
 
 
 def read_pages(catalogue: Catalogue, fresh: Freshness, choice: Choice) -> Iterator[Columns]:
-    """Read the selected rows page by page, `PAGE_ROWS` each, in the order of the table; at least one page.
+    """Yield the selected rows as columns, in pages of `PAGE_ROWS`, in the order of the table; at least one.
 
-    Alarms are in their state at the moment of ``fresh``.
+    Baselines are one page. Alarms are in their state at the moment of ``fresh``; a page of them may have
+    fewer rows, or none.
     """
     experiment = catalogue.read_experiment()
     kind, names = TABLES[choice.table], [column.name for column in choice.columns]
@@ -170,22 +172,22 @@ def read_pages(catalogue: Catalogue, fresh: Freshness, choice: Choice) -> Iterat
 
 
 def find_last_hour_inside(to_h: float | None) -> float | None:
-    """Return the last hour before the excluded end of a range; None if the range is open."""
+    """Return the largest number below the excluded end of a range of hours; None if the range is open."""
     return None if to_h is None else math.nextafter(to_h, -math.inf)
 
 
 def _is_inside(choice: Choice, first_h: float, last_h: float) -> bool:
-    """Return whether a range of hours overlaps the selected hours."""
+    """Return whether the hours ``first_h`` to ``last_h`` overlap the selected hours."""
     return (choice.from_h is None or last_h >= choice.from_h) and (
         choice.to_h is None or first_h < choice.to_h
     )
 
 
 def _to_columns(rows_json: Sequence[Mapping[str, object]], names: Sequence[str]) -> Columns:
-    """Convert rows to columns of plain values."""
+    """Convert rows to columns of plain values; raise KeyError for a column that a row lacks."""
     return {name: [_to_plain_value(row[name]) for row in rows_json] for name in names}
 
 
 def _to_plain_value(value: object) -> object:
-    """Convert a value so that a file can hold it: nested values become JSON text."""
+    """Return a value as a file can hold it: dictionaries and lists become JSON text, others stay."""
     return json.dumps(value) if isinstance(value, dict | list) else value

@@ -47,7 +47,7 @@ def encode_table(
 
 
 def _limit_rows(read: Iterator[Columns], form: str, most_rows: int) -> Iterator[Columns]:
-    """Yield pages of a table; raise an error if they exceed a number of rows."""
+    """Yield the pages of a table; raise UsageError at the page that exceeds ``most_rows`` in total."""
     n_rows = 0
     for page in read:
         n_rows += len(next(iter(page.values())))
@@ -60,7 +60,7 @@ def _limit_rows(read: Iterator[Columns], form: str, most_rows: int) -> Iterator[
 
 
 def build_facts(experiment: ExperimentRow, fresh: Freshness, about: Facts) -> Facts:
-    """Collect the facts of an exported file: test, time and recorder, plus ``about``."""
+    """Return the facts of an exported file: ``about``, and test, present time, recorder and versions."""
     return {
         **about,
         "test": experiment.name,

@@ -55,12 +55,12 @@ class Format:
 
 
 def format_facts(facts: Facts) -> str:
-    """Serialize the facts of a file as JSON text."""
+    """Serialize the facts of a file as JSON text with sorted keys."""
     return json.dumps(facts, sort_keys=True)
 
 
 def _write_csv(choice: Choice, facts: Facts, pages: Iterable[Columns]) -> Iterator[bytes]:
-    """Encode a table as CSV and yield its parts."""
+    """Encode a table as CSV with a header row (UTF-8) and yield the bytes of each page."""
     names = [column.name for column in choice.columns]
     text = io.StringIO(newline="")
     writer = csv.writer(text)
@@ -74,7 +74,7 @@ def _write_csv(choice: Choice, facts: Facts, pages: Iterable[Columns]) -> Iterat
 
 
 def format_cell(value: object) -> str:
-    """Format a value as CSV cell; None is empty."""
+    """Format a value as text of a CSV cell; None is empty, and spreadsheet formulas are escaped."""
     if value is None:
         return ""
     if isinstance(value, bool):
@@ -96,14 +96,14 @@ class _Drain(io.RawIOBase):
         return True
 
     def write(self, content: ReadableBuffer) -> int:
-        """Append bytes to the buffer."""
+        """Append bytes to the buffer; return their number."""
         n_bytes = len(memoryview(content).cast("B"))
         self._waiting += content
         self._place += n_bytes
         return n_bytes
 
     def tell(self) -> int:
-        """Return the number of bytes written so far."""
+        """Return the number of bytes written so far, drained ones included."""
         return self._place
 
     def drain_bytes(self) -> bytes:
@@ -114,10 +114,10 @@ class _Drain(io.RawIOBase):
 
 
 def _make_writer(kind: str) -> Write:
-    """Create the function that writes tables in a format of Arrow."""
+    """Return the function that writes tables as ``parquet`` or ``arrow``."""
 
     def write_arrow(choice: Choice, facts: Facts, pages: Iterable[Columns]) -> Iterator[bytes]:
-        """Encode a table and yield the bytes of each page."""
+        """Encode a table and yield the bytes of each page; raise UsageError without pyarrow."""
         arrow = import_pyarrow()
         schema = arrow.schema(
             [build_arrow_field(arrow, column) for column in choice.columns],
@@ -132,7 +132,10 @@ def _make_writer(kind: str) -> Write:
 def encode_arrow(
     arrow: Arrow, form: str, schema: Arrow, batches: Iterable[Sequence[Arrow]]
 ) -> Iterator[bytes]:
-    """Encode batches of arrays as ``parquet`` or ``arrow`` and yield the bytes after each batch."""
+    """Encode batches of arrays as ``parquet`` or ``arrow`` and yield the bytes after each batch.
+
+    The last part ends the file. Each batch has one array per field of the schema.
+    """
     drain = _Drain()
     if form == "parquet":
         from pyarrow import parquet
@@ -148,26 +151,26 @@ def encode_arrow(
 
 
 def build_arrow_field(arrow: Arrow, column: PublishedColumn) -> Arrow:
-    """Build the Arrow field of a column, with its unit as metadata."""
+    """Build the Arrow field of a column, with its unit as metadata; times are UTC in ns."""
     kind = arrow.timestamp("ns", tz="UTC") if column.form == "time" else None
     kind = kind or getattr(arrow, _ARROW.get(column.form, "string"))()
     return arrow.field(column.name, kind, metadata={"unit": column.unit} if column.unit else None)
 
 
 def to_arrow(arrow: Arrow, of_type: Arrow, values: Sequence[object]) -> Arrow:
-    """Convert the values of a column to an Arrow array; None is null."""
+    """Convert the values of a column to an Arrow array; None becomes null, RFC 3339 text a time."""
     if arrow.types.is_timestamp(of_type):
         return arrow.array(values, type=arrow.string()).cast(of_type)
     return arrow.array(values, type=of_type)
 
 
 def import_pyarrow(otherwise: str = "take csv, npz, mat or h5") -> Arrow:
-    """Import and return the package pyarrow; raise an error that names ``otherwise`` if it is missing.
+    """Import and return the package pyarrow.
 
     Raises
     ------
     UsageError
-        The package is not installed.
+        The package is not installed; the message names the alternative ``otherwise``.
     """
     try:
         import pyarrow as arrow
@@ -180,14 +183,17 @@ def import_pyarrow(otherwise: str = "take csv, npz, mat or h5") -> Arrow:
 
 
 def _collect_arrays(columns: Sequence[PublishedColumn], pages: Iterable[Columns]) -> dict[str, Array]:
-    """Join all pages of a table to one array per column."""
+    """Join all pages of a table to one array of shape (rows,) per column; raise ValueError without a page."""
     parts = [[to_array(column.form, page[column.name]) for column in columns] for page in pages]
     joined = [np.concatenate(of_column) for of_column in zip(*parts, strict=True)]
     return dict(zip([column.name for column in columns], joined, strict=True))
 
 
 def to_array(form: Form, values: list[object]) -> Array:
-    """Convert the values of a column to an array; missing ones are NaN, -1 or empty."""
+    """Convert the values of a column to an array of shape (rows,); missing ones are NaN, -1 or empty.
+
+    The type is float64, int64, int8 (truth values) or text.
+    """
     if form == "number":
         return np.array([np.nan if value is None else value for value in values], dtype=np.float64)
     if form in ("integer", "truth"):
@@ -202,12 +208,12 @@ def to_h5py_texts(array: Array) -> Array | list[str]:
 
 
 def _write_npz(choice: Choice, facts: Facts, pages: Iterable[Columns]) -> Iterator[bytes]:
-    """Encode a table as NumPy file and yield its bytes."""
+    """Encode a table as NumPy file and yield its bytes as one part."""
     yield build_npz(_collect_arrays(choice.columns, pages), facts)
 
 
 def build_npz(arrays: Mapping[str, Array], facts: Facts) -> bytes:
-    """Build the bytes of a NumPy file with an array per name and the facts as ``solimon``."""
+    """Return the bytes of a compressed NumPy file with an array per name and the facts as ``solimon``."""
     content = io.BytesIO()
     # `numpy.savez` has parameters of its own, such as ``file``, which is a column of sets.
     with zipfile.ZipFile(content, "w", zipfile.ZIP_DEFLATED) as members:
@@ -218,13 +224,16 @@ def build_npz(arrays: Mapping[str, Array], facts: Facts) -> bytes:
 
 
 def _write_mat(choice: Choice, facts: Facts, pages: Iterable[Columns]) -> Iterator[bytes]:
-    """Encode a table as MATLAB file and yield its bytes."""
+    """Encode a table as MATLAB 5 file and yield its bytes as one part."""
     units = {column.name: column.unit for column in choice.columns if column.unit}
     yield build_mat(choice.table, _collect_arrays(choice.columns, pages), units, facts)
 
 
 def build_mat(name: str, arrays: Mapping[str, Array], units: Mapping[str, str], facts: Facts) -> bytes:
-    """Build the bytes of a MATLAB 5 file: a struct of arrays, a struct of their units, and ``facts``."""
+    """Return the bytes of a MATLAB 5 file: a struct ``name`` of arrays, a struct ``units``, and ``facts``.
+
+    Texts become cells.
+    """
     # Imports SciPy only here: it would delay the start of a service by half a second.
     from scipy.io import savemat
 
@@ -240,7 +249,10 @@ def build_mat(name: str, arrays: Mapping[str, Array], units: Mapping[str, str], 
 
 
 def _write_hdf5(choice: Choice, facts: Facts, pages: Iterable[Columns]) -> Iterator[bytes]:
-    """Encode a table as HDF5 file and yield its bytes."""
+    """Encode a table as HDF5 file and yield its bytes as one part.
+
+    The default plot is the first chosen number over the hour; none without a number.
+    """
     arrays = _collect_arrays(choice.columns, pages)
     names = choice.chosen or tuple(arrays)
     numbers = [c.name for c in choice.columns if c.form == "number" and c.unit != "h" and c.name in names]
@@ -269,7 +281,7 @@ FORMATS: Mapping[str, Format] = {
 
 
 def list_available_formats() -> list[str]:
-    """List the formats that this installation can write."""
+    """Return the names of the formats that this installation can write; two need pyarrow."""
     from importlib.util import find_spec
 
     return [name for name in FORMATS if name not in ("parquet", "arrow") or find_spec("pyarrow")]

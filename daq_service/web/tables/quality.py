@@ -15,7 +15,10 @@ from hardware_drivers.methods import Method
 def find_assessed_qualities(
     catalogue: Catalogue, methods: Mapping[str, Method], rows: Sequence[AssessmentRow]
 ) -> list[str | None]:
-    """Find the quality of each assessed set; ``methods`` are those of the positions."""
+    """Return the quality of the feature or thickness of each assessment, in their order; None if unknown.
+
+    ``methods`` gives the method of each position; KeyError is raised for a missing one.
+    """
     if not rows:
         return []
     hours, positions = [row.due_h for row in rows], {row.position for row in rows}

@@ -32,7 +32,7 @@ UNITS = {"time_s": "s", "voltage_v": "V", **{column.name: column.unit for column
 def encode_records(
     catalogue: Catalogue, fresh: Freshness, choice: RecordChoice, records: RecordSlice, form: str
 ) -> bytes:
-    """Encode waveforms as a file in one of `formats.FORMATS`.
+    """Encode waveforms as a complete file in one of `formats.FORMATS`.
 
     Raises
     ------
@@ -71,7 +71,7 @@ def encode_records(
 
 
 def _write_csv(records: RecordSlice) -> bytes:
-    """Encode waveforms as CSV, one column each."""
+    """Encode waveforms as CSV: time in s, then one column in V each; NaN is an empty cell."""
     text = io.StringIO(newline="")
     writer = csv.writer(text)
     keys = zip(*(records.columns[name] for name in ("set_index", "shot_index", "quality")), strict=True)
@@ -84,7 +84,7 @@ def _write_csv(records: RecordSlice) -> bytes:
 
 
 def _write_arrow(records: RecordSlice, facts: formats.Facts, form: str) -> bytes:
-    """Encode waveforms in a format of Arrow, one row each."""
+    """Encode waveforms as ``parquet`` or ``arrow``, one row each; raise UsageError without pyarrow."""
     arrow = formats.import_pyarrow()
     n_samples = records.time_s.size
     volts = arrow.field("voltage_v", arrow.list_(arrow.float64(), n_samples), metadata={"unit": "V"})

@@ -27,7 +27,7 @@ BYTES_A_SAMPLE = 8
 
 
 def _build_column(name: str, form: Form, unit: str = "") -> PublishedColumn:
-    """Create a column of the table of records."""
+    """Create a column of the table of records; only ``quality`` may be missing."""
     return PublishedColumn(name=name, form=form, unit=unit, nullable=name in ("quality",))
 
 
@@ -56,13 +56,14 @@ class RecordChoice:
     last_set: int | None = None
 
     def __post_init__(self) -> None:
+        """Raise UsageError for a range of hours or sets that ends before it starts."""
         for first, last in ((self.from_h, self.to_h), (self.first_set, self.last_set)):
             if first is not None and last is not None and last < first:
                 raise UsageError(f"the range ends at {last:g}, before {first:g}; let it end later")
 
     @property
     def name(self) -> str:
-        """Return the name of the exported file, without suffix."""
+        """Return the name of the exported file, without suffix: position and set indices."""
         sets = [f"{index:06d}" for index in (self.first_set, self.last_set) if index is not None]
         return "_".join(["waveforms", self.position, *dict.fromkeys(sets)])
 
@@ -89,14 +90,16 @@ class RecordSlice:
 def read_record_slice(
     catalogue: Catalogue, archive: FolderSetReader, choice: RecordChoice, *, most_bytes: int
 ) -> RecordSlice:
-    """Read the accepted records of the chosen sets.
+    """Read the accepted records of the chosen scheduled sets, in the order of sets and shots.
+
+    Nothing but the first record is read if all would exceed ``most_bytes``.
 
     Raises
     ------
     NoRecordError
         No record is stored there, or none can be read.
     UsageError
-        They need more than ``most_bytes`` as volts, or differ in length or rate.
+        They need more than ``most_bytes`` as volts, differ in length or rate, or are more than 100,000 sets.
     """
     filters: Filters = {
         "position": choice.position,
@@ -166,7 +169,10 @@ def read_record_slice(
 def _read_waveforms(
     archive: FolderSetReader, position: str, sets: Mapping[int, SetRow]
 ) -> Iterator[tuple[int, Waveform]]:
-    """Yield sequence and waveform of each readable record, one set file at a time."""
+    """Yield sequence and waveform of each readable record, one set file at a time.
+
+    Unreadable files and records are left out.
+    """
     for row in sets.values():
         assert row.file is not None, "only such sets are asked for"
         try:
@@ -177,7 +183,7 @@ def _read_waveforms(
 
 
 def _check_same_sampling(position: str, first: Waveform, other: Waveform) -> None:
-    """Raise an error if two records have different sampling, since one file has one time axis."""
+    """Raise UsageError if two records differ in length, rate or pretrigger: one file has one time axis."""
     if (first.counts.size, first.sample_rate_hz, first.pretrigger_samples) != (
         *(other.counts.size, other.sample_rate_hz, other.pretrigger_samples),
     ):

@@ -19,19 +19,21 @@ NOT_KNOWN = "not known"
 
 
 def render_template(template: str, **context: object) -> bytes:
-    """Render a template to the HTML of a page.
+    """Render a template to the HTML of a page in UTF-8.
 
     Raises
     ------
     jinja2.UndefinedError
         The template uses a name that the context does not have.
+    jinja2.TemplateNotFound
+        There is no such template.
     """
     return _create_environment().get_template(template).render(context).encode()
 
 
 @cache
 def _create_environment() -> Environment:
-    """Create the Jinja environment of the templates with its filters."""
+    """Create the Jinja environment of the templates with its filters, once; it escapes HTML."""
     environment = Environment(
         loader=FileSystemLoader(Path(__file__).parent),
         autoescape=True,
@@ -52,7 +54,7 @@ def _create_environment() -> Environment:
 
 
 def format_quantity(value: float | None, factor: float = 1.0, digits: int = 2, unit: str = "") -> str:
-    """Format a value with its unit and ``digits`` decimals; `NOT_KNOWN` for None."""
+    """Format a value times ``factor`` with ``digits`` decimals and its unit; `NOT_KNOWN` for None."""
     if value is None:
         return NOT_KNOWN
     return f"{value * factor:.{digits}f} {unit}".rstrip()
@@ -64,7 +66,7 @@ def format_significant(value: float | None, digits: int = 4) -> str:
 
 
 def format_plain_text(value: object) -> str:
-    """Format any value of a row as text."""
+    """Format any value of a row as text: items of collections joined by commas, None as `NOT_KNOWN`."""
     if isinstance(value, Mapping):
         return ", ".join(f"{name} {format_plain_text(item)}" for name, item in value.items())
     if isinstance(value, list | tuple):
