@@ -73,13 +73,13 @@ def run_as_child(carry_out: Callable[..., int]) -> Callable[..., int]:
     Raises
     ------
     TriedAgainError
-        The disk refuses, and the child was restarted: its supervisor tries again. A process that a person
-        started ends with `StorageUnavailableError` instead.
+        The wrapped command could not write to the disk, and the child was restarted: its supervisor tries
+        again. A process that a person started ends with `StorageUnavailableError` instead.
     """
 
     @wraps(carry_out)
     def run_child(*, restart_reason: str, supervised: bool, **options: object) -> int:
-        """Run the command and announce its exit code."""
+        """Run the command, announce its exit code to the supervisor, and return it."""
 
         def run() -> int:
             """Run the command; after a restart, mark a storage error as one to try again."""
@@ -96,7 +96,17 @@ def run_as_child(carry_out: Callable[..., int]) -> Callable[..., int]:
 
 
 def run_supervised(*, config: Path | None, data_dir: Path | None, port: int | None, no_web: bool) -> int:
-    """Record and serve in child processes under a supervisor."""
+    """Run `solimon run`: record and serve in child processes under a supervisor; return the exit code.
+
+    Blocks until a signal stops it or, without web service, the schedule ends. 130 after a signal.
+
+    Raises
+    ------
+    UsageError
+        The configuration, a receiver, or the protection of the web service is invalid.
+    StorageError
+        The folder cannot be used, or belongs to another test.
+    """
     settings, folder = settings_and_folder(config, data_dir)
     prepare_data_folder(folder)
     check_owner(settings, folder)
@@ -141,7 +151,7 @@ def run_supervised(*, config: Path | None, data_dir: Path | None, port: int | No
 
 
 def report_full_disk(folder: Path, storage: StorageSettings, report: Callable[[str], None]) -> None:
-    """Report at once why the recorder waits, since it cannot store an alarm yet."""
+    """Report the reason if the disk is too full to record, which no alarm can show yet; else nothing."""
     if reason := refusal(disk_space(folder, storage), storage):
         report(f"WAITING: {reason}")
 
@@ -155,7 +165,9 @@ def plan_children(
     linger: bool,
     environment: Mapping[str, str] = MappingProxyType({}),
 ) -> list[ChildPlan]:
-    """List the command lines of the children; a lingering recorder takes commands after its last set.
+    """Build the command lines of the recorder and, if ``web``, of the web service.
+
+    A lingering recorder takes commands after its last set. ``port`` None: that of the configuration.
 
     Parameters
     ----------
@@ -185,7 +197,17 @@ def record_alone(
     log_json: bool,
     supervised: bool,
 ) -> int:
-    """Run the recorder until the schedule ends or a person stops it."""
+    """Run `solimon record`: record until the schedule ends (0) or a person stops it (130).
+
+    Holds the folder's lock and removes temporary files. Errors are logged to ``logs/recorder.log``.
+
+    Raises
+    ------
+    BusyError
+        Another recorder owns the folder.
+    SolimonError
+        The configuration, the rig or the folder cannot be used.
+    """
     from daq_service.recording.resources import SessionOptions
     from daq_service.recording.session import record_test
 
@@ -230,9 +252,10 @@ def record_alone(
 def _open_rig_to_stay(
     report: Callable[..., None], settings: Settings, clock: Clock, epoch_utc_ns: int
 ) -> Iterator[Rig]:
-    """Open the rig without the supply, whose port belongs to the supply process.
+    """Open the rig without the supply, whose port belongs to the supply process; close it at the end.
 
-    The garbage collector need not look again at what stays until the process ends.
+    Freezes present objects for the garbage collector, which need not look again at what stays until the
+    process ends. Raises InstrumentError if an instrument cannot be opened.
     """
     from daq_service.rig.open_rig import open_rig
 
@@ -247,12 +270,15 @@ def _open_rig_to_stay(
 
 
 def _print_acknowledgement(shot_id: int) -> None:
-    """Report to the supervisor that a shot is stored."""
+    """Notify the supervisor that a shot is stored."""
     notify_supervisor("shot_acknowledged", shot_id=shot_id)
 
 
 def start_supply_process(settings: Settings, folder: Path) -> subprocess.Popen[bytes]:
-    """Start the supply process so that it outlives this one, with the present settings."""
+    """Start the supply process so that it outlives this one, and return it.
+
+    The present settings are passed on its standard input.
+    """
     command = [*PROGRAM, "supply-process", "--data-dir", str(folder), "--for-recorder"]
     return start_detached(command, settings.model_dump_json().encode())
 
@@ -268,7 +294,10 @@ def read_supply_port(settings: Settings) -> str:
 def create_remote_drive(
     settings: Settings, parameters: DriveParameters, folder: Path, *, watches: bool = True
 ) -> RemoteDrive:
-    """Create the client of the supply process of this configuration."""
+    """Create the client of the supply process of this configuration, which it can start.
+
+    ``watches=False``: the client does not count as the recorder that watches the supply.
+    """
     from daq_service.corrosion_drive.remote import RemoteDrive
 
     start = partial(start_supply_process, settings, folder)
@@ -277,7 +306,10 @@ def create_remote_drive(
 
 @contextmanager
 def provide_drive_guard(settings: Settings, folder: Path) -> Iterator[Callable[[], None]]:
-    """Provide the function that restarts the supply process without a recorder; call it repeatedly."""
+    """Provide a function that restarts the supply process while no recorder runs; call it repeatedly.
+
+    It does nothing without a driven supply.
+    """
     from daq_service.corrosion_drive.guard import DriveGuard
 
     if settings.rig.driven is None:
@@ -288,7 +320,11 @@ def provide_drive_guard(settings: Settings, folder: Path) -> Iterator[Callable[[
 
 
 def run_supply_process_alone(*, config: Path | None, data_dir: Path | None, for_recorder: bool) -> int:
-    """Run the supply process: log, keep the interlock, switch off if no recorder watches."""
+    """Run `solimon supply-process`: log, keep the interlock, switch off if no recorder watches.
+
+    Blocks; returns 0 if it was left, 130 if stopped. A recorder's process reads its settings from standard
+    input. Raises UsageError without a supply in the configuration, and the supply's errors after logging.
+    """
     from daq_service.clock import WallClock
     from daq_service.corrosion_drive.own_process import run_supply_process
     from daq_service.rig.open_rig import open_supply
@@ -333,7 +369,17 @@ def run_supply_process_alone(*, config: Path | None, data_dir: Path | None, for_
 def serve_alone(
     *, config: Path | None, data_dir: Path | None, port: int | None, restart_reason: str, supervised: bool
 ) -> int:
-    """Serve the data folder until a person stops it."""
+    """Serve one data folder until a person stops it, and return the exit code.
+
+    A folder without a test is created unless the service was restarted.
+
+    Raises
+    ------
+    UsageError
+        The folder holds other files, or the address needs protection that is missing.
+    StorageError
+        The folder is missing after a restart, or cannot be written.
+    """
     from daq_service.processes.notifications.addresses import check_receivers
     from daq_service.web.app import create_app
     from daq_service.web.auth.middleware import refuse_unprotected_service
@@ -353,13 +399,17 @@ def serve_alone(
 
 
 def serve_app(app: FastAPI, web: WebSettings, port: int | None, *, supervised: bool = False) -> int:
-    """Serve an application at its configured address until a person stops it."""
+    """Serve an application at its configured address until a person stops it.
+
+    Returns 0 under a supervisor, otherwise 130. ``port`` None: that of the configuration. Raises UsageError
+    if the port is in use.
+    """
     from daq_service.web.server import reduce_garbage_collection, serve
 
     reduce_garbage_collection()
 
     def on_bound(url: str) -> None:
-        """Report the address of the web service."""
+        """Report the address of the web service to the supervisor, or print it."""
         if supervised:
             notify_supervisor("listening", url=url, port=int(url.rstrip("/").rpartition(":")[2]))
         else:
