@@ -78,7 +78,8 @@ def compute_plan(
 def group_tasks(rows: Sequence[Row], workers: int) -> list[Task]:
     """Group rows by plate, then by chain; the first task of each plate comes first.
 
-    So every plate is reduced once, by the worker of its first task, and read from the cache afterwards.
+    So every plate is reduced once, by the worker of its first task, and read from the cache afterwards. A
+    task has at most `ROWS_PER_TASK` rows; refused rows must be left out.
     """
     plates: dict[object, dict[object, list[Row]]] = {}
     for row in rows:

@@ -46,11 +46,11 @@ class SweepTable:
 
     @property
     def columns(self) -> dict[str, Column]:
-        """Return all columns in the order of the file."""
+        """All columns in the order of the file: swept keys, results, status."""
         return {**self.swept, **self.results, "status": self.status}
 
     def rows(self) -> list[dict[str, object]]:
-        """Convert the rows for JSON: None if there is no number."""
+        """Return the rows as dicts by column for JSON; NaN becomes None."""
         columns = {name: _to_plain_list(values) for name, values in self.columns.items()}
         return [dict(zip(columns, cells, strict=True)) for cells in zip(*columns.values(), strict=True)]
 
@@ -109,7 +109,10 @@ def _encode_row(cells: list[object]) -> bytes:
 
 
 def _unify_column(values: list[object]) -> Column:
-    """Convert a column of one kind of numbers to numbers; text or a mixture becomes text."""
+    """Convert a column to int64, float64 or bool; texts or mixed values become a list of texts.
+
+    Other values than texts are encoded as JSON then.
+    """
     kinds = {type(value) for value in values}
     if kinds <= {int, float} and kinds != {int}:
         return np.array(values, dtype=np.float64)
@@ -121,7 +124,7 @@ def _unify_column(values: list[object]) -> Column:
 
 
 def _to_plain_list(values: Column) -> Sequence[object]:
-    """Convert a column to a list; NaN becomes None."""
+    """Convert a column to a list of Python values; NaN becomes None."""
     if isinstance(values, list):
         return values
     cells = values.tolist()
@@ -129,5 +132,5 @@ def _to_plain_list(values: Column) -> Sequence[object]:
 
 
 def format_facts(table: SweepTable) -> str:
-    """Encode the facts as JSON, always with the same bytes."""
+    """Encode the facts of a table as indented JSON with sorted keys; equal facts give equal text."""
     return json.dumps(table.facts, sort_keys=True, indent=1, default=list) + "\n"
