@@ -45,6 +45,13 @@ def run_demo(
 
     Blocks until the test ends, or until Ctrl-C if the dashboard stays open (not with ``exit_when_done`` or
     ``no_web``). Writes configuration, log and data to ``data_dir``, or to a new folder if None.
+
+    Raises
+    ------
+    UsageError
+        An option is invalid, or this computer cannot run that rig.
+    StorageError
+        The folder cannot be used, or belongs to another test.
     """
     started_s = _read_process_start_s()
     web, stay = not no_web, not exit_when_done and not no_web
@@ -142,6 +149,7 @@ class _AddressPrinter:
     """
 
     def __init__(self, print_line: Callable[[str], None], open_page: Callable[[str], bool]) -> None:
+        """Start the timer that ends the wait for the first set after `PATIENCE_S`."""
         self._print_line, self._open_page = print_line, open_page
         self._lock = threading.Lock()
         self._url: str | None = None

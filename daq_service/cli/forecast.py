@@ -49,7 +49,7 @@ class RecordSize:
 
     @property
     def n_bytes(self) -> int:
-        """Size of the record's ADC counts, bytes."""
+        """Return the size of the record's ADC counts in bytes."""
         return self.samples * self.bytes_per_sample
 
 

@@ -31,7 +31,7 @@ class _CommandGroup(click.Group):
     def invoke(self, ctx: click.Context) -> object:
         """Run a command and exit with its code, 0 if it returns None.
 
-        Raises `EndedByLibraryError` for a `BaseException` of a library, such as SystemExit.
+        Raises `EndedByLibraryError` if a library raises SystemExit or another exception that ends processes.
         """
         try:
             ctx.exit(super().invoke(ctx) or 0)
@@ -79,7 +79,7 @@ def print_completion(shell: str) -> None:
 def main() -> None:
     """Run the command line and exit; each error becomes one line on standard error and an exit code.
 
-    No exception but SystemExit leaves it. Control characters in the output are escaped.
+    Control characters in the output are escaped.
     """
     try:
         sys.exit(cli.main(standalone_mode=False))

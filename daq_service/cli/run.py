@@ -123,7 +123,7 @@ def run_supervised(*, config: Path | None, data_dir: Path | None, port: int | No
     with stop_on_signals() as stop, ProgressReport() as progress, ExitStack() as stack:
 
         def on_message(child: str, message: Message) -> None:
-            """Pass a message of a child process to the progress report."""
+            """Pass a message of a child process to the progress report, and print what it means for the person."""
             progress.report_message(child, message)
             if message["event"] == "listening":
                 progress.line(f"dashboard: {message['url']}")
@@ -260,7 +260,7 @@ def _open_rig_to_stay(
     from daq_service.rig.open_rig import open_rig
 
     def preparing(what: str, begins: bool) -> None:
-        """Report the start or the end of a preparation."""
+        """Report the start or the end of a preparation, such as compiling, to the recorder's reporter."""
         report("preparing" if begins else "prepared", what=what)
 
     without_supply = settings.model_copy(update={"rig": settings.rig.copy_without_supply()})
@@ -284,7 +284,10 @@ def start_supply_process(settings: Settings, folder: Path) -> subprocess.Popen[b
 
 
 def read_supply_port(settings: Settings) -> str:
-    """Return the supply's port, or all its parameters if its kind has no port."""
+    """Return the name of the supply's port, or all its parameters as text if its kind has no port.
+
+    Raises ValueError unless exactly one instrument serves as supply.
+    """
     from daq_service.settings.instruments import list_instruments
 
     (supply,) = (item.parameters for item in list_instruments(settings) if "supply" in item.serves)
@@ -296,7 +299,8 @@ def create_remote_drive(
 ) -> RemoteDrive:
     """Create the client of the supply process of this configuration, which it can start.
 
-    ``watches=False``: the client does not count as the recorder that watches the supply.
+    With ``watches=False`` it only checks whether the process is alive, which then counts the recorder as
+    absent. Close it as a context manager; the process keeps running.
     """
     from daq_service.corrosion_drive.remote import RemoteDrive
 
@@ -322,8 +326,17 @@ def provide_drive_guard(settings: Settings, folder: Path) -> Iterator[Callable[[
 def run_supply_process_alone(*, config: Path | None, data_dir: Path | None, for_recorder: bool) -> int:
     """Run `solimon supply-process`: log, keep the interlock, switch off if no recorder watches.
 
-    Blocks; returns 0 if it was left, 130 if stopped. A recorder's process reads its settings from standard
-    input. Raises UsageError without a supply in the configuration, and the supply's errors after logging.
+    Blocks; returns 0 once the output is off without a recorder, 130 if stopped. A process of a recorder reads
+    its settings from standard input.
+
+    Raises
+    ------
+    UsageError
+        The configuration has no supply.
+    BusyError
+        Another process owns the supply.
+    RigError
+        The supply may still be on after the end.
     """
     from daq_service.clock import WallClock
     from daq_service.corrosion_drive.own_process import run_supply_process
@@ -336,7 +349,7 @@ def run_supply_process_alone(*, config: Path | None, data_dir: Path | None, for_
         return open_supply(settings, clock=WallClock())
 
     def beat() -> None:
-        """Notify the watchdog of the service manager."""
+        """Notify the watchdog of the service manager, unless a recorder started this process."""
         if not for_recorder:
             notify_manager("WATCHDOG=1")
 
@@ -371,12 +384,13 @@ def serve_alone(
 ) -> int:
     """Serve one data folder until a person stops it, and return the exit code.
 
-    A folder without a test is created unless the service was restarted.
-
     Raises
     ------
     UsageError
-        The folder holds other files, or the address needs protection that is missing.
+        At a first start the folder is missing or holds other files, or a receiver has no address; or the
+        address needs protection that is missing.
+    BusyError
+        The port is in use.
     StorageError
         The folder is missing after a restart, or cannot be written.
     """
@@ -401,8 +415,8 @@ def serve_alone(
 def serve_app(app: FastAPI, web: WebSettings, port: int | None, *, supervised: bool = False) -> int:
     """Serve an application at its configured address until a person stops it.
 
-    Returns 0 under a supervisor, otherwise 130. ``port`` None: that of the configuration. Raises UsageError
-    if the port is in use.
+    Returns 0 under a supervisor, otherwise 130. ``port`` None: that of the configuration. Raises BusyError if
+    the port is in use, UsageError if it cannot be used.
     """
     from daq_service.web.server import reduce_garbage_collection, serve
 

@@ -31,7 +31,9 @@ def serve_tests(
     Raises
     ------
     UsageError
-        Options do not go together, or as `serve_alone`.
+        Options do not go together, or as `run.serve_alone`.
+    BusyError
+        The port is in use.
     """
     if len(paths) > 1:
         return _serve_many(paths, data_dir, port, web)
@@ -57,7 +59,7 @@ def _serve_many(paths: Sequence[Path], data_dir: Path | None, port: int | None, 
     """Serve several tests with one web service and return the exit code.
 
     Tokens, logins and log are in the service's own folder, by default `OWN_FOLDER` in the working directory.
-    Raises UsageError if the address needs protection that is missing.
+    Raises UsageError if the address needs protection that is missing, BusyError if the port is in use.
     """
     from daq_service.web.auth.middleware import refuse_unprotected_service
     from daq_service.web.multi_test.app import create_app_of_many

@@ -60,7 +60,7 @@ def sum_stage_seconds(cost: dict[str, float]) -> float:
 
 
 def _read_cost(catalogue: Catalogue) -> dict[str, float] | None:
-    """Return the wall time by stage of the recorder's last run; None if it did not end normally."""
+    """Return the wall time in s by stage of the recorder's last run; None if no run ended normally."""
     rows = [row for row in catalogue.rows(EventRow, topic="service") if "cost" in row.payload]
     return rows[-1].payload["cost"] if rows else None
 
@@ -178,10 +178,10 @@ def _format_limit(row: dict[str, object]) -> str:
 
 
 def _format_cell(value: float | None, form: str, unit: str) -> str:
-    """Format a cell of a table with its unit; a dash if there is no value."""
+    """Format a cell of a table with a format specification and its unit; "-" if it is None."""
     return "-" if value is None else f"{value:{form}}".strip() + unit
 
 
 def _format_percent(value: float | None) -> str:
-    """Format a fraction in percent; a dash if there is no value."""
+    """Format a fraction in percent with one decimal; "-" if it is None."""
     return "-" if value is None else f"{100 * value:.1f} %"

@@ -40,7 +40,10 @@ def print_progress_of_sets(done: int, total: int) -> None:
 
 
 def create_console(stream: Literal["stdout", "stderr"]) -> Console:
-    """Create rich's console, without highlights; color only on a terminal and without ``NO_COLOR``."""
+    """Create rich's console of a standard stream, without markup and highlights.
+
+    Color only on a terminal and without ``NO_COLOR``.
+    """
     from rich.console import Console
 
     file = getattr(sys, stream)
@@ -71,6 +74,7 @@ class ProgressReport:
     """
 
     def __init__(self, *, news_to_stderr: bool = False, machine: MachineClock = MACHINE) -> None:
+        """Create the report; nothing is printed before the context is entered."""
         self._news_to_stderr = news_to_stderr
         self._machine = machine
         self._live: Live | None = None
@@ -83,7 +87,7 @@ class ProgressReport:
         self._writer = threading.Thread(target=self._write_queued_lines, name=PRINTING, daemon=True)
 
     def __enter__(self) -> Self:
-        """Start the display of the progress on a terminal and the writing thread."""
+        """Prepare the live line if standard error is a terminal, and start the writing thread."""
         if sys.stderr.isatty():
             from rich.live import Live
 
@@ -220,7 +224,7 @@ class ProgressReport:
         self._queue_line(f"hour {hour:.1f}, {text}: {message}", style="bold red" if is_active else "")
 
     def _report_waits(self, *, reason: str) -> None:
-        """Print the reason why the recorder waits."""
+        """Print the reason why the recorder waits, in yellow."""
         self._queue_line(f"waiting: {reason}", style="yellow")
 
     def _report_asked(

@@ -38,7 +38,7 @@ class ExportedTable:
 def export_table(
     folder: Path, choice: Choice, targets: Sequence[Path], *, overwrite: bool = False
 ) -> list[ExportedTable]:
-    """Write the chosen table to each of the files, also for a running test.
+    """Write the chosen table to each of the files, also for a running test; return one result per file.
 
     Raises
     ------
@@ -58,7 +58,9 @@ def export_table(
 def export_records(
     folder: Path, choice: RecordChoice, targets: Sequence[Path], *, overwrite: bool = False
 ) -> list[ExportedTable]:
-    """Write the chosen records in volts to each of the files, also for a running test.
+    """Write the chosen records in V to each of the files, also for a running test.
+
+    Records are held in memory. Returns one result per file, of the table ``waveforms``.
 
     Raises
     ------

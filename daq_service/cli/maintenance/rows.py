@@ -42,7 +42,7 @@ def find_row_differences(
     record
         The readable part of the file.
     lost
-        Ids of its unreadable shots; with any, rows of sets and results are not compared.
+        Ids of its unreadable shots; with any, columns of sets and stored results are not compared.
     """
     of_position = {row["position"]: row for row in rows.sets}
     for position in record.positions:

@@ -394,7 +394,7 @@ class Report:
 def verify_folder(folder: Path, progress: Callable[[int, int], None] = lambda done, planned: None) -> Report:
     """Check all data in a data folder and return the report; nothing is written, a test may run.
 
-    Each file is read once; ``progress`` gets the files done and their number.
+    ``progress`` is called with the number of set files that are done, and of all.
 
     Raises
     ------

@@ -41,7 +41,7 @@ class AssessedSet:
 
     @property
     def raised(self) -> frozenset[str]:
-        """Kinds of the active alarms."""
+        """Return the kinds of the active alarms after this set; empty if there are none."""
         return frozenset(one.kind for one in self.position_result.conditions if one.present)
 
 

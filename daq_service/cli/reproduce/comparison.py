@@ -42,7 +42,7 @@ class Row:
 
     @property
     def deviation_shown(self) -> str:
-        """Deviation as text: in %, or in the unit; "none" if rounding only, "-" if there is none."""
+        """Return the deviation as text: in %, or in the unit; "none" if rounding only, "-" if missing."""
         if self.deviation is None:
             return "-"
         if _is_rounding_only(self.deviation, self.paper):

@@ -129,7 +129,7 @@ class Evidence:
 
     @property
     def last_h(self) -> float:
-        """Hour of the last set of any position; 0 without sets."""
+        """Return the hour of the last set of any position; 0 without sets."""
         series = (*self.pulses.values(), *self.echoes.values())
         return max((float(one.hour_h[-1]) for one in series if one.hour_h.size), default=0.0)
 

@@ -64,7 +64,7 @@ def our_value(value: float | None, words: str = "", *, reason: str = "") -> Foun
 
 
 def no_value(reason: str) -> Found:
-    """Create a missing value with its reason."""
+    """Create a missing value with its reason, a sentence for the report."""
     return Found(reason=reason)
 
 
@@ -131,14 +131,14 @@ class Material:
 
     @property
     def test(self) -> Evidence:
-        """Evidence of the test; raises NotAvailableError if there is none."""
+        """Return the evidence of the test; raise NotAvailableError if there is none."""
         if self.evidence is None:
             raise NotAvailableError("no test was run or read")
         return self.evidence
 
     @property
     def transducers(self) -> list[str]:
-        """Names of the solitary-wave transducers with sets; raises NotAvailableError if there are none."""
+        """Return the names of the solitary-wave transducers with sets; raise NotAvailableError if none."""
         if not self.test.pulses:
             raise NotAvailableError("the test has no solitary-wave transducer")
         return list(self.test.pulses)
@@ -187,5 +187,5 @@ class Item:
 
     @property
     def caption(self) -> Caption:
-        """Title and caption."""
+        """Return title and caption of the item; raise KeyError if ``texts.toml`` has none."""
         return TEXTS.captions[self.name]

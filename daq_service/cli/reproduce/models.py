@@ -71,7 +71,8 @@ def compute_pulses_over_isw(
 ) -> list[Point]:
     """Simulate shots with these ratios of the nominal ISW peak force, each found by its drop height.
 
-    Raises RuntimeError if no drop height is found within `LONGEST_SEARCH` steps.
+    Returns (ratio, time of flight in us, amplitude ratio) for each. Raises ValueError or RuntimeError if no
+    drop height is found within `LONGEST_SEARCH` steps.
     """
     model = ShotModel(chain, plate, CorrosionParameters())
     nominal_n = _compute_pulse(model, 0.0, chain.drop_height_m).isw_peak_n
@@ -144,7 +145,7 @@ def compute_forces_along_chain(plate: PlateParameters) -> list[ForceTrace]:
 
 
 def compute_impact_speed(chain: ChainParameters, plate: PlateParameters) -> float:
-    """Compute the speed of the striker at impact, m/s."""
+    """Compute the speed of the striker at impact, m/s, after its free fall onto the chain."""
     return build_chain(chain, plate).impact_speed_m_per_s
 
 

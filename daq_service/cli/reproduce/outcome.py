@@ -74,7 +74,7 @@ class Outcome:
 
     @property
     def rows(self) -> list[Row]:
-        """Rows of all finished items, in order."""
+        """Return the comparison rows of all finished items, in order."""
         return [row for section in self.sections for row in section.rows]
 
 

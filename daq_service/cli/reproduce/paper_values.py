@@ -52,7 +52,7 @@ _BY_NAME = {(value.item, value.quantity): value for value in PAPER_VALUES}
 
 
 def find_paper_value(item: str, quantity: str) -> PaperValue:
-    """Return a value of the paper by name; raise KeyError for an unknown name."""
+    """Return a value of the paper by item and quantity; raise KeyError for an unknown name."""
     return _BY_NAME[item, quantity]
 
 

@@ -80,6 +80,7 @@ class _Values(dict[str, object]):
     """What a sentence names: the numbers of a finding, else the first pulse of the job of this name."""
 
     def __init__(self, material: Material, numbers: Mapping[str, object]) -> None:
+        """Store the numbers of a finding, and the material whose jobs give missing names."""
         super().__init__(numbers)
         self._material = material
 
@@ -109,7 +110,7 @@ def _check_dashpot(material: Material) -> _Numbers:
 
 
 def _check_bracket(_: Material) -> _Numbers:
-    """Compute the contact stiffness in N/m^(3/2) as printed and with the correct bracket."""
+    """Compute the contact stiffness by the printed bracket and, in N/m^(3/2), by the correct one."""
     E, nu, radius = _PLATE.youngs_modulus_pa, _PLATE.poisson_ratio, _SPHERE.radius_m
     as_printed = 4.0 * math.sqrt(radius) / 3.0 * 2.0 / plane_modulus_pa(E, nu)
     return {"as_printed": as_printed, "right": sphere_on_flat_stiffness(radius, E, nu, E, nu)}

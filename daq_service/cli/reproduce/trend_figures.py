@@ -30,7 +30,7 @@ class _Fit:
 
     @property
     def values(self) -> dict[str, float]:
-        """Values at hour 0 and at the last point in the axis's unit, and the change in %."""
+        """Return the values at hour 0 and at the last point, in the axis's unit, and the change in %."""
         start, end = self.trend.constant, float(self.trend.at(self.last_h))
         return {"start": start, "end": end, "change": 100.0 * (end / start - 1.0)}
 

@@ -146,6 +146,8 @@ class Bench:
     def proposal(self) -> Proposal | None:
         """Assess all strikes so far and return the proposed values; None before the first strike.
 
+        Uses the newest record at rest and of a strike of each transducer.
+
         Raises
         ------
         RecordError

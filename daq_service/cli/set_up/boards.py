@@ -33,7 +33,7 @@ class Boards:
 
     @property
     def wired(self) -> Mapping[str, TransducerWiring]:
-        """Wiring of the transducers by position."""
+        """Return the wiring of the transducers by position."""
         return self.bench.transducers
 
     def introduce(self, flags: Flags, *, asks: bool) -> None:

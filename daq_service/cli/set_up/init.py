@@ -81,7 +81,7 @@ def format_schema() -> str:
 
 
 def read_laboratory() -> tuple[Tables, set[KeyPath]]:
-    """Read the values of the shipped laboratory.toml, and the tables that it switches off."""
+    """Read all values of the shipped laboratory.toml, and the paths of the tables that it switches off."""
     text = find_config_file("laboratory.toml").read_text(encoding="utf-8")
     values, active = tomllib.loads(uncomment_tables(text)), flatten(tomllib.loads(text))
     tables = {key[:depth] for key in flatten(values) for depth in range(1, len(key))}
@@ -89,7 +89,7 @@ def read_laboratory() -> tuple[Tables, set[KeyPath]]:
 
 
 def _read_twin_values() -> Tables:
-    """Read the values of the shipped configuration of the twin."""
+    """Read the values of the shipped simulated.toml, the configuration of the twin, as nested tables."""
     return tomllib.loads(find_config_file("simulated.toml").read_text(encoding="utf-8"))
 
 
@@ -183,7 +183,7 @@ def _read_head(name: str) -> str:
 
 
 def format_head(instruments: Collection[str], struck: Collection[str]) -> str:
-    """Compose the comment at the top of a file of `solimon setup`: instruments and strikes."""
+    """Format the comment at the top of a file of `solimon setup`: instruments, and positions struck."""
     sentence = (
         f"From strikes of {', '.join(struck)}."
         if struck

@@ -71,7 +71,7 @@ class Kinds:
     # For the page ------------------------------------------------------------------------------------
 
     def watch(self) -> tuple[str | None, Waveform | None]:
-        """Return the position of the page without a record: nothing is recorded between strikes."""
+        """Return the position of the page and None: nothing is recorded between strikes."""
         return self.position, None
 
     def newest(self) -> dict[str, object]:
@@ -213,12 +213,14 @@ class Kinds:
         }
 
     def _strike_and_check(self, position: str) -> Trial:
-        """Strike once like a normal shot, store the result and print its checks.
+        """Strike once like a normal shot, store the result, print and return it.
 
         Raises
         ------
         BusyError
             A recorder owns the data folder.
+        UsageError
+            The settings so far are invalid.
         """
         with hold_folder(self.data_folder) as owner:
             refuse_while_owned("a strike", owner)
@@ -282,13 +284,13 @@ class Kinds:
 def parse_named_kinds(
     dialogue: Dialogue, names: Sequence[str], assignments: Sequence[str], file: Path, folder: Path
 ) -> Kinds:
-    """Build the named instruments with given parameters.
+    """Build the named instruments with parameters given as ``INSTRUMENT.KEY=VALUE``.
 
     Raises
     ------
     UsageError
         One is not installed, or neither digitizes nor strikes; nothing digitizes, or nothing strikes; or a
-        parameter is none.
+        parameter does not exist.
     """
     available = list_other_kinds()
     try:

@@ -31,12 +31,12 @@ class Scope(Protocol):
 
     @property
     def position(self) -> str | None:
-        """Position of the transducer that is set up now; None before the first."""
+        """Return the position of the transducer that is set up now; None before the first."""
         ...
 
     @property
     def strikes(self) -> int:
-        """Number of strikes so far."""
+        """Return the number of strikes so far, by which the page notices a new one."""
         ...
 
     def watch(self) -> tuple[str | None, Waveform | None]:
@@ -47,7 +47,7 @@ class Scope(Protocol):
         ...
 
     def newest(self) -> dict[str, object]:
-        """Return the newest strike, prepared for drawing by `drawn`."""
+        """Return the newest strike prepared for drawing by `drawn`; values None before the first."""
         ...
 
 
@@ -91,6 +91,7 @@ class Audience:
     """Tracks whether a page is open, and whether it has received the final state."""
 
     def __init__(self) -> None:
+        """Start without an open page, before the end of the set-up."""
         self.done = False
         self._last_request_s = -FAREWELL_S
         self._received_end = threading.Event()
@@ -116,12 +117,12 @@ def build_page_app(dialogue: Dialogue, scope: Scope, audience: Audience) -> Fast
 
     @app.get("/")
     async def get_page(request: Request) -> Response:
-        """Return the HTML of the page."""
+        """Return the HTML of the page, which needs no login."""
         return assets.answer_asset("setup.html", request)
 
     @app.get("/static/{name:path}")
     async def get_asset(name: str, request: Request) -> Response:
-        """Return a file of the page, such as a script or a style sheet."""
+        """Return a file of the page, such as a script or a style sheet, by its name."""
         return assets.answer_asset(name, request)
 
     @app.get("/api/state")

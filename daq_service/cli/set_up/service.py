@@ -39,7 +39,8 @@ def write_services(
 ) -> None:
     """Run `solimon service`: write the files of system services and print how to install them.
 
-    Nothing is installed; existing files are replaced. The default user is the one who called sudo.
+    Nothing is installed; existing files are replaced. ``user`` None: who called sudo, otherwise the present
+    user.
 
     Raises
     ------

@@ -35,11 +35,11 @@ class Instruments(Protocol):
 
     @property
     def wired(self) -> Mapping[str, object]:
-        """Wiring by position."""
+        """Return the wiring of the transducers by position; empty before the first."""
         ...
 
     def introduce(self, flags: Flags, *, asks: bool) -> None:
-        """Print the instruments, and read or ask for the values that all transducers share."""
+        """Print the instruments, and read or (if ``asks``) ask for the values that all transducers share."""
 
     def wire(self, position: str, text: str) -> None:
         """Wire a transducer as an option states.
@@ -74,7 +74,7 @@ class Instruments(Protocol):
         ...
 
     def result(self) -> Mapping[str, object]:
-        """Return the object that ``--json`` prints."""
+        """Return the object that ``--json`` prints: instruments, wiring, strikes."""
         ...
 
 

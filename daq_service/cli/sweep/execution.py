@@ -39,13 +39,15 @@ def compute_plan(
 ) -> None:
     """Compute rows of a plan, until all are finished or `stop` is set.
 
+    Blocks; a stop is noticed within `STOP_SEEN_WITHIN_S`, and then running tasks are awaited.
+
     Parameters
     ----------
     rows
         Those still to be done; refused ones are left out by the caller.
     keep
-        Called in this thread with outcomes, in the order in which they are ready. Once `stop` is set it
-        still gets what is under way.
+        Called in this thread with outcomes, in the order in which they are ready. Once `stop` is set it still
+        gets what is under way.
 
     Raises
     ------

@@ -63,7 +63,7 @@ def facts_path_of_csv(path: Path) -> Path:
 
 
 def write_output(path: Path, table: SweepTable) -> None:
-    """Write one output in the format of its name.
+    """Write one output in the format of its name, replacing an existing file; CSV with its facts file.
 
     Raises
     ------

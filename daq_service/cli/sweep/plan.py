@@ -64,7 +64,7 @@ class Plan:
 
     @property
     def identity(self) -> str:
-        """SHA-256, in hexadecimal, of the sweep and of the code that computes it."""
+        """Return the SHA-256, in hexadecimal, of the sweep and of the code that computes it."""
         rows = [[row.key or row.reason, [_to_json_value(value) for value in row.values]] for row in self.rows]
         return _hash_json([self.model, self.keys, self.waveforms, rows, compute_code_version()])
 
@@ -78,7 +78,7 @@ def make_plan(
     skip_invalid: bool = False,
     waveforms: bool = False,
 ) -> Plan:
-    """Combine the axes, the last one changing fastest, and check every combination.
+    """Combine the axes, the last one changing fastest, check every combination, and return the plan.
 
     Parameters
     ----------

@@ -139,6 +139,7 @@ class _CachedPlate:
     """Modal plate that caches the modes of each depth for all chains."""
 
     def __init__(self, modal: ModalPlate) -> None:
+        """Wrap the plate's ``modes`` in a cache of `DEPTHS_KEPT` depths."""
         self.modes: Callable[[float], PlateModes] = lru_cache(maxsize=DEPTHS_KEPT)(modal.modes)
 
 

@@ -32,12 +32,13 @@ class Axis:
 
 
 def parse_axis(text: str) -> Axis:
-    """Parse one axis of the form ``KEY=VALUES``.
+    """Parse one axis of the form ``KEY=VALUES``; the key is not checked.
 
     Raises
     ------
     UsageError
-        The text does not follow the grammar, or a range cannot be made.
+        The text does not follow the grammar, a range cannot be made, or there are more than `LARGEST_COUNT`
+        values.
     """
     key, equals, listed = text.partition("=")
     if not equals or not key.strip() or not listed.strip():
@@ -158,5 +159,5 @@ def _parse_value(text: str) -> object:
 
 
 def _too_many_values_message(text: str) -> str:
-    """Compose the message that a sweep has too many values."""
+    """Format the error message for a sweep ``text`` with more than `LARGEST_COUNT` values."""
     return f"--sweep is {text!r}: more than {LARGEST_COUNT} values; make it coarser or split the sweep"

@@ -46,7 +46,7 @@ class SweepTable:
 
     @property
     def columns(self) -> dict[str, Column]:
-        """All columns in the order of the file: swept keys, results, status."""
+        """Return all columns in the order of the file: swept keys, results, status."""
         return {**self.swept, **self.results, "status": self.status}
 
     def rows(self) -> list[dict[str, object]]:
@@ -56,7 +56,7 @@ class SweepTable:
 
 
 def make_table(plan: Plan, outcomes: Sequence[Outcome], origin: Mapping[str, object]) -> SweepTable:
-    """Arrange the outcomes of a plan, given in the order of its rows, as a table.
+    """Arrange the outcomes of a plan, given in the order of its rows, as a table with its provenance.
 
     Parameters
     ----------
@@ -93,7 +93,7 @@ def make_table(plan: Plan, outcomes: Sequence[Outcome], origin: Mapping[str, obj
 
 
 def hash_table(plan: Plan, outcomes: Sequence[Outcome]) -> str:
-    """Compute the SHA-256 of the table: one line of JSON for the column names, then one per row.
+    """Compute the SHA-256, in hexadecimal, of a line of JSON for the column names, then one per row.
 
     Numbers are written with the digits that give them back exactly, so the hash is that of their bits.
     """
@@ -104,7 +104,7 @@ def hash_table(plan: Plan, outcomes: Sequence[Outcome]) -> str:
 
 
 def _encode_row(cells: list[object]) -> bytes:
-    """Encode a row as a line of JSON."""
+    """Encode a row as a line of compact JSON with a line feed, for hashing."""
     return f"{to_json_text(cells)}\n".encode()
 
 

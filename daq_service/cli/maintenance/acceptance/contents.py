@@ -36,7 +36,7 @@ class AcceptanceReport:
 
     @property
     def outcome(self) -> str:
-        """Outcome of all criteria: "pass", "fail" or "incomplete"."""
+        """Return the outcome of all criteria: "pass", "fail" or "incomplete"."""
         return overall_outcome(self.comparisons)
 
 

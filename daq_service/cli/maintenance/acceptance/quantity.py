@@ -84,7 +84,7 @@ class Table:
 
     @property
     def text(self) -> TableText:
-        """Title, columns, and the text of an empty table."""
+        """Return title, columns, and the text of an empty table; raise KeyError for an unknown name."""
         return TEXTS.tables[self.name]
 
 
@@ -119,7 +119,7 @@ class Series:
 
     @property
     def text(self) -> SeriesText:
-        """Title, unit and source."""
+        """Return title, unit and source of the series; raise KeyError for an unknown name."""
         return TEXTS.series[self.name]
 
 

@@ -25,7 +25,7 @@ class Reading:
 
     @property
     def recorder(self) -> tuple[int, int]:
-        """Process id and start time, which identify a recorder."""
+        """Return process id and start time (ns of UTC), which identify the recorder process."""
         return self.payload["process"], self.payload["recorder_wall_utc_ns"]
 
 

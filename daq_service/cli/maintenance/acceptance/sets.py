@@ -27,7 +27,7 @@ class Gap:
 
     @property
     def hours(self) -> float:
-        """Length of the gap, h."""
+        """Return the length of the gap in h."""
         return self.until_h - self.from_h
 
 
