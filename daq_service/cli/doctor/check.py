@@ -62,7 +62,10 @@ class Check:
 
 
 def exit_code_of_checks(checks: Sequence[Check]) -> int:
-    """Return 0 if no check failed, otherwise the exit code of the first failed area in `EXIT_CODES`."""
+    """Return 0 if no check failed, otherwise the exit code of the first failed area in `EXIT_CODES`.
+
+    Warnings and skipped checks do not count.
+    """
     failed = {check.area for check in checks if check.state == "fail"}
     return next((code for area, code in EXIT_CODES.items() if area in failed), errors.EXIT_OK)
 

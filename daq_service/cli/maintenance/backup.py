@@ -267,7 +267,10 @@ def _write_copy(target: Path, content: bytes, copied: Copied) -> None:
 
 
 def _drop_from_cache(path: Path) -> None:
-    """Drop a file from the system's cache, so that the next read is from the disk; nothing on Windows."""
+    """Drop a file from the system's cache, so that the next read is from the disk.
+
+    Does nothing where Python has no `os.posix_fadvise` (Windows, macOS). Raises OSError if it fails.
+    """
     if hasattr(os, "posix_fadvise"):
         descriptor = os.open(path, os.O_RDONLY)
         try:

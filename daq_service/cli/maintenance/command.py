@@ -186,7 +186,10 @@ def _join_counts(counts: dict[str, int]) -> str:
 
 
 def _lower_priority(folder: Path) -> None:
-    """Set the lowest scheduling priority while a recorder runs on the folder; nothing on Windows."""
+    """Set the lowest scheduling priority for this process while a recorder runs on the folder.
+
+    Does nothing on Windows. The priority is not restored.
+    """
     if is_owned(folder) and hasattr(os, "nice"):
         os.nice(LOWEST_PRIORITY)
 

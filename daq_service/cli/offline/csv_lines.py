@@ -56,7 +56,7 @@ def finite_or_none(value: float) -> float | None:
 
 
 def is_comment(line: str) -> bool:
-    """Return whether a line starts with the comment sign of instruments and `numpy.savetxt`."""
+    """Return whether a line starts, after blanks, with ``#`` as comments of instruments and NumPy do."""
     return line.lstrip().startswith("#")
 
 

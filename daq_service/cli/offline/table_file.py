@@ -401,6 +401,6 @@ def _select_equal_rows(column: Column, value: str, decimal: str) -> NDArray[np.b
 
 
 def _join_names(names: Iterable[object]) -> str:
-    """Join names with commas; after `NAMES_SHOWN` only their number."""
+    """Join names with commas; of more than `NAMES_SHOWN` only the first ones, and the total number."""
     texts = list(map(str, names))
     return ", ".join(texts[:NAMES_SHOWN]) + (f" ... ({len(texts)})" if len(texts) > NAMES_SHOWN else "")

@@ -64,7 +64,7 @@ def our_value(value: float | None, words: str = "", *, reason: str = "") -> Foun
 
 
 def no_value(reason: str) -> Found:
-    """Create a missing value with its reason, a sentence for the report."""
+    """Create a missing value with the reason that the report shows."""
     return Found(reason=reason)
 
 

@@ -55,7 +55,10 @@ def format_csv(table: Table) -> bytes:
 
 
 def _format_cell(value: object) -> str:
-    """Format a value as a cell of a CSV file: None and NaN empty, whole floats as integers, safe texts."""
+    """Format a value as a CSV cell: None and NaN empty, whole floats as integers.
+
+    Texts that a spreadsheet would take for a formula are escaped.
+    """
     if value is None:
         return ""
     if isinstance(value, float):  # numpy's float64 too

@@ -91,7 +91,7 @@ def _draw_waterfall(axis: Axes, traces: Sequence[Trace], pulses: Series, last_h:
 
 
 def _sample_step(trace: Trace) -> int:
-    """Return every how many samples are drawn: about `STEP_S` apart, at least 1."""
+    """Compute the distance of drawn samples, in samples: about `STEP_S`, at least 1."""
     return max(1, round(STEP_S / float(trace.time_s[1] - trace.time_s[0])))
 
 

@@ -139,7 +139,7 @@ class Bench:
             self.strikes += 1
 
     def take_range(self, position: str, range_v: float) -> None:
-        """Set another input range in V for a transducer and record its input at rest."""
+        """Set another input range in V for a transducer and record its input at rest; raise as `wire`."""
         self.transducers[position] = replace(self.transducers[position], range_v=range_v)
         self.look(position)
 

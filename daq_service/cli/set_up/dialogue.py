@@ -137,7 +137,7 @@ class Dialogue:
         return True
 
     def as_row(self) -> Mapping[str, object]:
-        """Convert the state to a JSON object for the page: the waiting question (None: none) and all lines."""
+        """Convert the state to a JSON object for the page: the waiting question or None, and the lines."""
         with self._lock:
             waiting, number = self._waiting, self.number
         question = None if waiting is None else {"number": number, **asdict(waiting)}

@@ -30,7 +30,7 @@ class Reading:
 
 
 def read_readings(evidence: Evidence) -> list[Reading]:
-    """List the machine readings that belong to a set, in the order of their sets."""
+    """Return the machine readings that belong to a set, in the order of their sets."""
     found = [
         Reading(set_index=row.set_index, hour=evidence.hour(row.utc_ns), payload=row.payload)
         for row in evidence.machine
