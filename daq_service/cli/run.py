@@ -123,7 +123,7 @@ def run_supervised(*, config: Path | None, data_dir: Path | None, port: int | No
     with stop_on_signals() as stop, ProgressReport() as progress, ExitStack() as stack:
 
         def on_message(child: str, message: Message) -> None:
-            """Pass a message of a child process to the progress report, and print address, stop, failure and end."""
+            """Pass a message of a child process to the progress report; print address, stop and end."""
             progress.report_message(child, message)
             if message["event"] == "listening":
                 progress.line(f"dashboard: {message['url']}")

@@ -75,7 +75,7 @@ class Kinds:
         return self.position, None
 
     def newest(self) -> dict[str, object]:
-        """Return the newest record of the page's position, prepared for drawing; values None before a strike."""
+        """Return the newest record of the page's position for drawing; values None before a strike."""
         trial = self.trials.get(self.position or "")
         if trial is None or trial.record is None or trial.features is None:
             return {"strike": None, "shot": None}
