@@ -41,17 +41,10 @@ def run_demo(
     rig: str,
     as_json: bool,
 ) -> int:
-    """Run the demonstration of the twin with its web service and return the exit code.
+    """Run `solimon demo`: block until the test ends, or until Ctrl-C if the dashboard stays open.
 
-    Blocks until the test ends, or until Ctrl-C if the dashboard stays open (not with ``exit_when_done`` or
-    ``no_web``). Writes configuration, log and data to ``data_dir``, or to a new folder if None.
-
-    Raises
-    ------
-    UsageError
-        An option is invalid, or this computer cannot run that rig.
-    StorageError
-        The folder cannot be used, or belongs to another test.
+    Returns the exit code. Raises UsageError for an invalid option or rig, StorageError for an unusable
+    folder.
     """
     started_s = _read_process_start_s()
     web, stay = not no_web, not exit_when_done and not no_web

@@ -66,7 +66,7 @@ def compare_item(
     Parameters
     ----------
     origin
-        Of the measurements, as in `diagnosis.cause_of`.
+        Of the measurements: ``shipped``, ``twin`` or ``specimen`` (see `diagnosis`).
     missing_reason
         Why quantities are not in `found`.
     """

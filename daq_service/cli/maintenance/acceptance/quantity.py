@@ -126,7 +126,7 @@ class Series:
 def compute_quantile(values: Sequence[float], part: float) -> float:
     """Return the smallest value that at least the fraction ``part`` (0 to 1) of the values does not exceed.
 
-    Raises an error if there are no values.
+    Raises IndexError if there are no values.
     """
     return float(np.quantile(np.asarray(values, dtype=np.float64), part, method="inverted_cdf"))
 
