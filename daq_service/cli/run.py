@@ -270,7 +270,7 @@ def _open_rig_to_stay(
 
 
 def _print_acknowledgement(shot_id: int) -> None:
-    """Notify the supervisor that a shot is stored."""
+    """Notify the supervisor that the shot with this id is stored."""
     notify_supervisor("shot_acknowledged", shot_id=shot_id)
 
 

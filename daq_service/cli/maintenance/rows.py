@@ -130,7 +130,7 @@ def _find_column_differences(where: str, row: Found, wanted: Found) -> Iterator[
 
 
 def _check_results(rows: RowsOfSet, position: str, method: str) -> Iterator[str]:
-    """Yield a text for each kind of results of a position that does not belong to its shots."""
+    """Yield a text for each table of results whose rows do not match the stored shots of a position."""
     shots = {row["sequence"] for row in rows.shots if row["position"] == position}
     if method == PULSE_ECHO:
         read = [row["sequence"] for row in rows.thickness if row["position"] == position]

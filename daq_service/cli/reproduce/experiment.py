@@ -56,7 +56,7 @@ def run_test(
     log_to(folder / "logs" / "supervisor.log")
 
     def on_message(child: str, message: Message) -> None:
-        """Pass a progress message of the recorder to the callback."""
+        """Pass a progress message of the recorder to the callback; ignore other messages."""
         del child
         if message["event"] == "progress":
             progress(int(message["done"]), int(message["planned"]), float(message["due_h"]))

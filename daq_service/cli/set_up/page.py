@@ -122,7 +122,7 @@ def build_page_app(dialogue: Dialogue, scope: Scope, audience: Audience) -> Fast
 
     @app.get("/static/{name:path}")
     async def get_asset(name: str, request: Request) -> Response:
-        """Return a file of the page, such as a script or a style sheet, by its name."""
+        """Return a file of the page, such as a script or a style sheet; 404 if there is none."""
         return assets.answer_asset(name, request)
 
     @app.get("/api/state")

@@ -109,9 +109,9 @@ def _encode_row(cells: list[object]) -> bytes:
 
 
 def _unify_column(values: list[object]) -> Column:
-    """Convert a column to int64, float64 or bool; texts or mixed values become a list of texts.
+    """Convert a column to int64, float64 (also int and float mixed) or bool, otherwise to texts.
 
-    Other values than texts are encoded as JSON then.
+    In a list of texts, other values are encoded as JSON.
     """
     kinds = {type(value) for value in values}
     if kinds <= {int, float} and kinds != {int}:

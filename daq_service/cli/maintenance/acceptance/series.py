@@ -59,6 +59,6 @@ def yield_series(evidence: Evidence) -> Iterator[Series]:
 
 
 def _hours_and_values(evidence: Evidence, name: str) -> tuple[list[float], list[float]]:
-    """Return the hours and values of the readings that have a value of this name."""
+    """Return the hours and values of the readings that have a value of this name, in set order."""
     found = select_readings(evidence, name)
     return [reading.hour for reading, _ in found], [value for _, value in found]

@@ -109,7 +109,7 @@ def count_sets_and_records(evidence: Evidence) -> list[Quantity]:
 
 
 def _compute_fraction(part: int, total: int) -> float | None:
-    """Compute the fraction of a total; None if the total is 0."""
+    """Compute the fraction ``part / total``; None if the total is 0."""
     return part / total if total else None
 
 
