@@ -2,7 +2,11 @@
 
 
 def main() -> None:
-    """Run the command line; the import on call keeps the import of this package fast."""
+    """Run the command line and end the process with its exit code.
+
+    Resets inherited streams, signals and limits first. The commands are imported only here, so that this
+    package is imported fast.
+    """
     from daq_service.processes.inherited import reset_inherited
 
     reset_inherited()

@@ -41,7 +41,11 @@ def run_demo(
     rig: str,
     as_json: bool,
 ) -> int:
-    """Run the demonstration of the twin with its web service and return the exit code."""
+    """Run `solimon demo`: block until the test ends, or until Ctrl-C if the dashboard stays open.
+
+    Returns the exit code. Raises UsageError for an invalid option or rig, StorageError for an unusable
+    folder.
+    """
     started_s = _read_process_start_s()
     web, stay = not no_web, not exit_when_done and not no_web
     browser = not (no_browser or exit_when_done)
@@ -104,7 +108,7 @@ def run_demo(
 def _overridden_values(
     hours: float | None, seed: int | None, pace: float | None
 ) -> dict[str, dict[str, object]]:
-    """Return the configuration values, by key, that the options override."""
+    """Build the configuration overrides, by table and key, of the options that are not None."""
     options: dict[str, dict[str, object]] = {
         "schedule": {"end_h": hours},
         "twin": {"nuisance": NUISANCE, "seed": seed},
@@ -117,7 +121,10 @@ def _overridden_values(
 
 
 def _read_process_start_s() -> float:
-    """Return the Unix time at which this process started, so that imports count, too."""
+    """Return the Unix time in s at which this process started, so that imports count, too.
+
+    Without ``/proc`` it is estimated from the CPU time of the process.
+    """
     try:
         fields = Path("/proc/self/stat").read_text(encoding="ascii").rpartition(")")[2].split()
         up_s = float(Path("/proc/uptime").read_text(encoding="ascii").split()[0])
@@ -135,6 +142,7 @@ class _AddressPrinter:
     """
 
     def __init__(self, print_line: Callable[[str], None], open_page: Callable[[str], bool]) -> None:
+        """Start the timer that ends the wait for the first set after `PATIENCE_S`."""
         self._print_line, self._open_page = print_line, open_page
         self._lock = threading.Lock()
         self._url: str | None = None
@@ -144,20 +152,23 @@ class _AddressPrinter:
         self._patience.start()
 
     def note_address(self, url: str) -> None:
-        """Store the address of the web service and print it if data exist."""
+        """Store the address of the web service; print it if the first set was noted or its wait has ended."""
         with self._lock:
             self._url = url
             self._print_address()
 
     def note_first_set(self) -> None:
-        """Note that the first set is stored, or that the wait for it has ended, and print the address."""
+        """Note that data exist, cancel the timer, and print the address once it is known.
+
+        The timer calls it after `PATIENCE_S` if no set was stored by then.
+        """
         with self._lock:
             self._recording = True
             self._patience.cancel()
             self._print_address()
 
     def _print_address(self) -> None:
-        """Print the address and open the page, once the address is known and there is data."""
+        """Print the address and open the page, once only, if the address is known and data exist."""
         if self._url is not None and self._recording:
             opened = ", opened in your browser" if self._open_page(self._url) else ""
             self._print_line(f"dashboard: {self._url}  (Ctrl-C ends{opened})")

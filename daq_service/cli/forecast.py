@@ -49,12 +49,15 @@ class RecordSize:
 
     @property
     def n_bytes(self) -> int:
-        """Return the size of its counts in bytes."""
+        """Return the size of the record's ADC counts in bytes."""
         return self.samples * self.bytes_per_sample
 
 
 def predict_record_sizes(settings: Settings) -> tuple[RecordSize, RecordSize]:
-    """Compute the sizes of the records of a strike and of an echo for the configured instruments."""
+    """Return the sizes of the records of a strike and of an echo for the configured instruments.
+
+    Those of a recording or a mixed rig are unknown in advance: the twin's, marked ``known=False``.
+    """
     adc, sampled_echo = settings.twin.adc, settings.twin.echo
     known = settings.rig.kind in ("simulated", "daqmx")
     strike = RecordSize(samples=adc.record_samples, sample_rate_hz=adc.sample_rate_hz, known=known)
@@ -74,7 +77,10 @@ def predict_record_sizes(settings: Settings) -> tuple[RecordSize, RecordSize]:
 
 
 def predict_stored_bytes(settings: Settings, n_sets: int) -> int:
-    """Compute the size of the data folder after a number of sets: files, tiles, catalogue and journal."""
+    """Estimate the size in bytes of the data folder after ``n_sets`` sets: files, tiles, catalogue, journal.
+
+    Builds one set in memory, which takes a moment; includes the reserve file.
+    """
     records = settings.schedule.shots_per_set * len(settings.list_positions(SOLITARY_WAVE)) + len(
         settings.list_positions(PULSE_ECHO)
     )
@@ -84,7 +90,10 @@ def predict_stored_bytes(settings: Settings, n_sets: int) -> int:
 
 
 def maximum_confirmation_bytes(settings: Settings, last_h: float) -> int:
-    """Compute the maximum size of the confirmation sets up to an hour, in bytes."""
+    """Estimate the maximum size in bytes of the confirmation sets from the baseline's end to hour ``last_h``.
+
+    0 without transducers or if none are allowed.
+    """
     transducers, shots = settings.list_positions(SOLITARY_WAVE), settings.schedule.shots_per_set
     days = math.ceil(max(0.0, last_h - settings.baseline.hours) / BUDGET_H)
     sets = days * settings.alarms.confirmation_sets_a_day * len(transducers)
@@ -96,7 +105,7 @@ def maximum_confirmation_bytes(settings: Settings, last_h: float) -> int:
 
 
 def predict_tile_bytes(settings: Settings, n_sets: int) -> int:
-    """Compute the size of the waterfall's tiles after a number of sets, in bytes."""
+    """Estimate the size in bytes of the waterfall's tiles after ``n_sets`` sets."""
     from daq_service.archive.waterfall.cells import ALIGNMENTS, build_frame
     from daq_service.archive.waterfall.tiles import estimate_tile_bytes
 
@@ -106,7 +115,10 @@ def predict_tile_bytes(settings: Settings, n_sets: int) -> int:
 
 
 def predict_set_file_bytes(settings: Settings) -> float:
-    """Build the file of one complete set and return its size in bytes."""
+    """Build the file of one set of noisy records in memory and return its size in bytes.
+
+    A set with more than `BUILT_BYTES` of raw data is built with fewer shots and its size scaled.
+    """
     from daq_service.archive.layout import build_image
 
     strike, echo = predict_record_sizes(settings)
@@ -116,7 +128,10 @@ def predict_set_file_bytes(settings: Settings) -> float:
 
 
 def _build_noisy_set(settings: Settings, strike: RecordSize, echo: RecordSize, shots: int) -> Any:
-    """Build a synthetic set of noisy records, each with a short pulse."""
+    """Build a synthetic set with ``shots`` noisy records per transducer and one per echo probe.
+
+    Each record has a short pulse; the noise has a fixed seed.
+    """
     import numpy as np
 
     from daq_service.archive import PositionRecord, SetRecord
@@ -125,7 +140,7 @@ def _build_noisy_set(settings: Settings, strike: RecordSize, echo: RecordSize, s
     random, twin, records = np.random.default_rng(0), settings.twin, list[Any]()
 
     def build_waveform(size: RecordSize, adc: Any, noise_v: float, at_s: float, width_s: float) -> Any:
-        """Build a waveform with a pulse of a width at a time, and noise."""
+        """Build a waveform with white noise (V rms) and one pulse of half the range at ``at_s``."""
         time_s = np.arange(size.samples) / size.sample_rate_hz
         phase = np.clip((time_s - at_s) / width_s, -0.5, 0.5)
         volts = 0.5 * adc.range_v * np.cos(np.pi * phase) ** 4
@@ -185,7 +200,7 @@ def _build_noisy_set(settings: Settings, strike: RecordSize, echo: RecordSize, s
 def _build_results(
     probes: Sequence[str], transducers: Sequence[str], records: Sequence[Shot | PulseEchoRecord]
 ) -> Results:
-    """Build placeholder results of records; their size does not depend on the values."""
+    """Build placeholder result tables of records; their size does not depend on the values."""
     from daq_service.assessment.results_in_file import build_result_tables
     from daq_service.catalogue.rows import FeatureRow, ThicknessRow
     from daq_service.recording.set_assessor import build_shot_row

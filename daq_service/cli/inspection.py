@@ -25,7 +25,11 @@ from hardware_drivers.methods import PULSE_ECHO, SOLITARY_WAVE
 
 
 def print_configuration(*, config: Path | None, data_dir: Path | None, schema: bool, as_json: bool) -> None:
-    """Run `solimon check-config`: validate the configuration and print the planned test."""
+    """Run `solimon check-config`: validate the configuration and print the planned test.
+
+    Warns of too few baseline sets, missing addresses and a disk that is too small. With ``schema`` it prints
+    only the JSON schema. Raises UsageError for an invalid configuration.
+    """
     if schema:
         click.echo(json.dumps(build_schema_with_kinds(), indent=1))
         return
@@ -58,7 +62,10 @@ def print_configuration(*, config: Path | None, data_dir: Path | None, schema: b
 
 
 def _print_baseline(settings: Settings, facts: dict[str, Any]) -> None:
-    """Print the number of planned baseline sets, and a warning if there are too few."""
+    """Print the number of planned baseline sets; warn on standard error if there are too few.
+
+    Nothing without transducers.
+    """
     if not settings.list_positions(SOLITARY_WAVE):
         return
     n_sets, minimum = facts["baseline_sets"], max(settings.baseline.minimum_sets, MINIMUM_SETS)
@@ -73,7 +80,10 @@ def _print_baseline(settings: Settings, facts: dict[str, Any]) -> None:
 
 
 def _print_receivers(notifications: NotificationSettings) -> None:
-    """Print the receivers of alarms, and missing addresses; the service may run as another user."""
+    """Print the receivers of alarms with secrets hidden; warn of addresses that cannot be read.
+
+    Only a warning, since the service may run as another user.
+    """
     from daq_service.processes.notifications.addresses import hide_address_secrets, read_address
 
     for name, receiver in notifications.receivers.items():
@@ -85,7 +95,10 @@ def _print_receivers(notifications: NotificationSettings) -> None:
 
 
 def describe_plan(settings: Settings, folder: Path) -> dict[str, Any]:
-    """Compute the numbers of a planned test, such as sets, records and bytes."""
+    """Compute the numbers of a planned test for JSON: sets, records, hours, bytes.
+
+    Record length and sampling rate are None if the instruments determine them; the end is None without sets.
+    """
     start_ns = parse_utc(settings.clock.epoch) if settings.clock.kind == "simulated" else time.time_ns()
     planned = plan_sets(settings.schedule.phases, start_ns, end_h=settings.schedule.end_h)
     strikes = len(planned) * settings.schedule.shots_per_set * len(settings.list_positions(SOLITARY_WAVE))

@@ -29,7 +29,10 @@ class _CommandGroup(click.Group):
     """Group of the commands of the registry, in sections."""
 
     def invoke(self, ctx: click.Context) -> object:
-        """Run a command and exit with its code; treat a library that ends the process as an error."""
+        """Run a command and exit with its code, 0 if it returns None.
+
+        Raises `EndedByLibraryError` if a library raises SystemExit or another exception that ends processes.
+        """
         try:
             ctx.exit(super().invoke(ctx) or 0)
         except (Exception, KeyboardInterrupt):
@@ -38,7 +41,7 @@ class _CommandGroup(click.Group):
             raise EndedByLibraryError(ending) from ending
 
     def list_commands(self, ctx: click.Context) -> list[str]:
-        """List the names of the commands in the order of the help."""
+        """List the names of all commands in the order of the help."""
         return [name for commands in SECTIONS.values() for name in commands]
 
     def get_command(self, ctx: click.Context, name: str) -> click.Command | None:
@@ -46,7 +49,7 @@ class _CommandGroup(click.Group):
         return find_command(name)
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        """Write the sections of the commands with complete summaries."""
+        """Write the commands to the help by section, with complete summaries."""
         for section, commands in SECTIONS.items():
             with formatter.section(section.upper()):
                 formatter.write_dl(list(commands.items()))
@@ -64,7 +67,7 @@ def cli() -> None:
 
 
 def print_completion(shell: str) -> None:
-    """Print the completion script of one of click's shells."""
+    """Print the completion script of a shell that click supports: bash, zsh or fish."""
     from click.shell_completion import get_completion_class
 
     kind = get_completion_class(shell)
@@ -74,7 +77,10 @@ def print_completion(shell: str) -> None:
 
 @escape_output()
 def main() -> None:
-    """Run the command line; errors become one line and their exit code."""
+    """Run the command line and exit; each error becomes one line on standard error and an exit code.
+
+    Control characters in the output are escaped.
+    """
     try:
         sys.exit(cli.main(standalone_mode=False))
     except click.ClickException as error:
@@ -93,7 +99,7 @@ def main() -> None:
 
 
 def _format_error(error: SolimonError) -> str:
-    """Compose the message of an error; if the catalogue is lost, state that."""
+    """Return the message of an error; if its cause is a lost catalogue, the description of the loss."""
     if isinstance(error, StorageError):
         from daq_service.catalogue.errors import NoDataYetError
         from daq_service.processes.lost_catalogue import loss_reason
@@ -105,7 +111,10 @@ def _format_error(error: SolimonError) -> str:
 
 
 def _locate_error(error: Exception) -> str:
-    """Return the location in this project where an error occurred; the log of a test has the traceback."""
+    """Return file and line of the innermost frame in this project, as ``path, line n: ``.
+
+    Empty if no frame is in the project; the log of a test has the traceback.
+    """
     root = Path(__file__).parents[2]
     frames = traceback.extract_tb(error.__traceback__)
     ours = [frame for frame in frames if Path(frame.filename).is_relative_to(root)]
@@ -113,7 +122,7 @@ def _locate_error(error: Exception) -> str:
 
 
 def _exit_with_message(message: str, code: int) -> None:
-    """Print a message on standard error and exit with a code."""
+    """Print ``solimon: message`` on standard error and exit the process with a code."""
     from daq_service.processes.printing import print_line
 
     print_line(f"solimon: {message}")

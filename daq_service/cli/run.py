@@ -73,13 +73,13 @@ def run_as_child(carry_out: Callable[..., int]) -> Callable[..., int]:
     Raises
     ------
     TriedAgainError
-        The disk refuses, and the child was restarted: its supervisor tries again. A process that a person
-        started ends with `StorageUnavailableError` instead.
+        The wrapped command could not write to the disk, and the child was restarted: its supervisor tries
+        again. A process that a person started ends with `StorageUnavailableError` instead.
     """
 
     @wraps(carry_out)
     def run_child(*, restart_reason: str, supervised: bool, **options: object) -> int:
-        """Run the command and announce its exit code."""
+        """Run the command, announce its exit code to the supervisor, and return it."""
 
         def run() -> int:
             """Run the command; after a restart, mark a storage error as one to try again."""
@@ -96,7 +96,17 @@ def run_as_child(carry_out: Callable[..., int]) -> Callable[..., int]:
 
 
 def run_supervised(*, config: Path | None, data_dir: Path | None, port: int | None, no_web: bool) -> int:
-    """Record and serve in child processes under a supervisor."""
+    """Run `solimon run`: record and serve in child processes under a supervisor; return the exit code.
+
+    Blocks until a signal stops it or, without web service, the schedule ends. 130 after a signal.
+
+    Raises
+    ------
+    UsageError
+        The configuration, a receiver, or the protection of the web service is invalid.
+    StorageError
+        The folder cannot be used, or belongs to another test.
+    """
     settings, folder = settings_and_folder(config, data_dir)
     prepare_data_folder(folder)
     check_owner(settings, folder)
@@ -113,7 +123,7 @@ def run_supervised(*, config: Path | None, data_dir: Path | None, port: int | No
     with stop_on_signals() as stop, ProgressReport() as progress, ExitStack() as stack:
 
         def on_message(child: str, message: Message) -> None:
-            """Pass a message of a child process to the progress report."""
+            """Pass a message of a child process to the progress report; print address, stop and end."""
             progress.report_message(child, message)
             if message["event"] == "listening":
                 progress.line(f"dashboard: {message['url']}")
@@ -141,7 +151,7 @@ def run_supervised(*, config: Path | None, data_dir: Path | None, port: int | No
 
 
 def report_full_disk(folder: Path, storage: StorageSettings, report: Callable[[str], None]) -> None:
-    """Report at once why the recorder waits, since it cannot store an alarm yet."""
+    """Report the reason if the disk is too full to record, which no alarm can show yet; else nothing."""
     if reason := refusal(disk_space(folder, storage), storage):
         report(f"WAITING: {reason}")
 
@@ -155,7 +165,9 @@ def plan_children(
     linger: bool,
     environment: Mapping[str, str] = MappingProxyType({}),
 ) -> list[ChildPlan]:
-    """List the command lines of the children; a lingering recorder takes commands after its last set.
+    """Build the command lines of the recorder and, if ``web``, of the web service.
+
+    A lingering recorder takes commands after its last set. ``port`` None: that of the configuration.
 
     Parameters
     ----------
@@ -185,7 +197,17 @@ def record_alone(
     log_json: bool,
     supervised: bool,
 ) -> int:
-    """Run the recorder until the schedule ends or a person stops it."""
+    """Run `solimon record`: record until the schedule ends (0) or a person stops it (130).
+
+    Holds the folder's lock and removes temporary files. Errors are logged to ``logs/recorder.log``.
+
+    Raises
+    ------
+    BusyError
+        Another recorder owns the folder.
+    SolimonError
+        The configuration, the rig or the folder cannot be used.
+    """
     from daq_service.recording.resources import SessionOptions
     from daq_service.recording.session import record_test
 
@@ -230,14 +252,15 @@ def record_alone(
 def _open_rig_to_stay(
     report: Callable[..., None], settings: Settings, clock: Clock, epoch_utc_ns: int
 ) -> Iterator[Rig]:
-    """Open the rig without the supply, whose port belongs to the supply process.
+    """Open the rig without the supply, whose port belongs to the supply process; close it at the end.
 
-    The garbage collector need not look again at what stays until the process ends.
+    Freezes present objects for the garbage collector, which need not look again at what stays until the
+    process ends. Raises InstrumentError if an instrument cannot be opened.
     """
     from daq_service.rig.open_rig import open_rig
 
     def preparing(what: str, begins: bool) -> None:
-        """Report the start or the end of a preparation."""
+        """Report the start or the end of a preparation, such as compiling, to the recorder's reporter."""
         report("preparing" if begins else "prepared", what=what)
 
     without_supply = settings.model_copy(update={"rig": settings.rig.copy_without_supply()})
@@ -247,18 +270,24 @@ def _open_rig_to_stay(
 
 
 def _print_acknowledgement(shot_id: int) -> None:
-    """Report to the supervisor that a shot is stored."""
+    """Notify the supervisor that the shot with this id is stored."""
     notify_supervisor("shot_acknowledged", shot_id=shot_id)
 
 
 def start_supply_process(settings: Settings, folder: Path) -> subprocess.Popen[bytes]:
-    """Start the supply process so that it outlives this one, with the present settings."""
+    """Start the supply process so that it outlives this one, and return it.
+
+    The present settings are passed on its standard input.
+    """
     command = [*PROGRAM, "supply-process", "--data-dir", str(folder), "--for-recorder"]
     return start_detached(command, settings.model_dump_json().encode())
 
 
 def read_supply_port(settings: Settings) -> str:
-    """Return the supply's port, or all its parameters if its kind has no port."""
+    """Return the name of the supply's port, or all its parameters as text if its kind has no port.
+
+    Raises ValueError unless exactly one instrument serves as supply.
+    """
     from daq_service.settings.instruments import list_instruments
 
     (supply,) = (item.parameters for item in list_instruments(settings) if "supply" in item.serves)
@@ -268,7 +297,11 @@ def read_supply_port(settings: Settings) -> str:
 def create_remote_drive(
     settings: Settings, parameters: DriveParameters, folder: Path, *, watches: bool = True
 ) -> RemoteDrive:
-    """Create the client of the supply process of this configuration."""
+    """Create the client of the supply process of this configuration, which it can start.
+
+    With ``watches=False`` it only checks whether the process is alive, which then counts the recorder as
+    absent. Close it as a context manager; the process keeps running.
+    """
     from daq_service.corrosion_drive.remote import RemoteDrive
 
     start = partial(start_supply_process, settings, folder)
@@ -277,7 +310,10 @@ def create_remote_drive(
 
 @contextmanager
 def provide_drive_guard(settings: Settings, folder: Path) -> Iterator[Callable[[], None]]:
-    """Provide the function that restarts the supply process without a recorder; call it repeatedly."""
+    """Provide a function that restarts the supply process while no recorder runs; call it repeatedly.
+
+    It does nothing without a driven supply.
+    """
     from daq_service.corrosion_drive.guard import DriveGuard
 
     if settings.rig.driven is None:
@@ -288,7 +324,20 @@ def provide_drive_guard(settings: Settings, folder: Path) -> Iterator[Callable[[
 
 
 def run_supply_process_alone(*, config: Path | None, data_dir: Path | None, for_recorder: bool) -> int:
-    """Run the supply process: log, keep the interlock, switch off if no recorder watches."""
+    """Run `solimon supply-process`: log, keep the interlock, switch off if no recorder watches.
+
+    Blocks; returns 0 once the output is off without a recorder, 130 if stopped. A process of a recorder reads
+    its settings from standard input.
+
+    Raises
+    ------
+    UsageError
+        The configuration has no supply.
+    BusyError
+        Another process owns the supply.
+    RigError
+        The supply may still be on after the end.
+    """
     from daq_service.clock import WallClock
     from daq_service.corrosion_drive.own_process import run_supply_process
     from daq_service.rig.open_rig import open_supply
@@ -300,7 +349,7 @@ def run_supply_process_alone(*, config: Path | None, data_dir: Path | None, for_
         return open_supply(settings, clock=WallClock())
 
     def beat() -> None:
-        """Notify the watchdog of the service manager."""
+        """Notify the watchdog of the service manager, unless a recorder started this process."""
         if not for_recorder:
             notify_manager("WATCHDOG=1")
 
@@ -333,7 +382,18 @@ def run_supply_process_alone(*, config: Path | None, data_dir: Path | None, for_
 def serve_alone(
     *, config: Path | None, data_dir: Path | None, port: int | None, restart_reason: str, supervised: bool
 ) -> int:
-    """Serve the data folder until a person stops it."""
+    """Serve one data folder until a person stops it, and return the exit code.
+
+    Raises
+    ------
+    UsageError
+        At a first start the folder is missing or holds other files, or a receiver has no address; or the
+        address needs protection that is missing.
+    BusyError
+        The port is in use.
+    StorageError
+        The folder is missing after a restart, or cannot be written.
+    """
     from daq_service.processes.notifications.addresses import check_receivers
     from daq_service.web.app import create_app
     from daq_service.web.auth.middleware import refuse_unprotected_service
@@ -353,13 +413,17 @@ def serve_alone(
 
 
 def serve_app(app: FastAPI, web: WebSettings, port: int | None, *, supervised: bool = False) -> int:
-    """Serve an application at its configured address until a person stops it."""
+    """Serve an application at its configured address until a person stops it.
+
+    Returns 0 under a supervisor, otherwise 130. ``port`` None: that of the configuration. Raises BusyError if
+    the port is in use, UsageError if it cannot be used.
+    """
     from daq_service.web.server import reduce_garbage_collection, serve
 
     reduce_garbage_collection()
 
     def on_bound(url: str) -> None:
-        """Report the address of the web service."""
+        """Report the address of the web service to the supervisor, or print it."""
         if supervised:
             notify_supervisor("listening", url=url, port=int(url.rstrip("/").rpartition(":")[2]))
         else:

@@ -26,7 +26,15 @@ def serve_tests(
     restart_reason: str,
     supervised: bool,
 ) -> int:
-    """Run `solimon serve`: serve one or several tests until a person stops it."""
+    """Run `solimon serve`: serve one or several tests until a person stops it, and return the exit code.
+
+    Raises
+    ------
+    UsageError
+        Options do not go together, or as `run.serve_alone`.
+    BusyError
+        The port is in use.
+    """
     if len(paths) > 1:
         return _serve_many(paths, data_dir, port, web)
     if web is not None:
@@ -48,7 +56,11 @@ def serve_tests(
 
 
 def _serve_many(paths: Sequence[Path], data_dir: Path | None, port: int | None, web: Path | None) -> int:
-    """Serve several tests with one web service and return the exit code."""
+    """Serve several tests with one web service and return the exit code.
+
+    Tokens, logins and log are in the service's own folder, by default `OWN_FOLDER` in the working directory.
+    Raises UsageError if the address needs protection that is missing, BusyError if the port is in use.
+    """
     from daq_service.web.auth.middleware import refuse_unprotected_service
     from daq_service.web.multi_test.app import create_app_of_many
 

@@ -47,7 +47,13 @@ def print_simulation(
     as_json: bool,
     **options: Any,
 ) -> None:
-    """Run `solimon simulate`: compute shots of the model and print them."""
+    """Run `solimon simulate`: compute shots of the model and print them, or run a sweep.
+
+    Raises
+    ------
+    UsageError
+        The configuration or an option is invalid, or the model cannot compute a shot; also as `sweep`.
+    """
     settings = load_settings(config)
     if model == "zener" and tilt_rad is not None:
         raise UsageError("--tilt-rad tilts the sensor disk, which --model zener does not have: leave it out")
@@ -85,12 +91,15 @@ def print_simulation(
 
 
 def _option_name(name: str) -> str:
-    """Return the name of a sweep's option on the command line."""
+    """Return the option of a sweep on the command line for its parameter name."""
     return {"outputs": "--out", "element_wise": "--zip"}.get(name, f"--{name.replace('_', '-')}")
 
 
 def _print_shots(model: str, specimen: Specimen, grid: list[float], *, is_table: bool, as_json: bool) -> None:
-    """Compute and print the shots."""
+    """Compute one shot per depth and print them as a table or JSON; raise UsageError if one fails.
+
+    Progress goes to standard error on a terminal.
+    """
     chain, plate, patch = specimen
     rows = []
     try:
@@ -113,7 +122,10 @@ def _apply_options(
     drop_height_m: float | None,
     tilt_rad: float | None,
 ) -> Specimen:
-    """Build the specimen with the options applied."""
+    """Return chain, plate and patch of a position, or of the test, with the options that are not None.
+
+    Raises ValueError for an unknown position or an invalid value.
+    """
     place: Settings | PositionSettings = settings
     if position is not None:
         if position not in settings.positions:
@@ -133,7 +145,10 @@ def _apply_options(
 
 
 def _parse_grid(text: str) -> list[float]:
-    """Parse ``first:last:count`` to equally spaced values."""
+    """Parse ``first:last:count`` to equally spaced values; raise ValueError for another form.
+
+    The count is 1 to 10,000.
+    """
     parts = text.split(":")
     try:
         first, last, count = float(parts[0]), float(parts[1]), int(parts[2])
@@ -147,7 +162,10 @@ def _parse_grid(text: str) -> list[float]:
 def _compute_shot(
     model: str, chain: ChainParameters, plate: PlateParameters, patch: CorrosionParameters
 ) -> dict[str, object]:
-    """Compute one row: chain and plate integrated together, or Zener's impact of the last sphere."""
+    """Compute one row: chain and plate integrated together, or Zener's impact of the last sphere.
+
+    Returns results and varied parameters by key; None for a missing result. Raises SimulatorError.
+    """
     given = {"depth_fraction": patch.depth_fraction, "drop_height_m": chain.drop_height_m}
     if model == "zener":
         return {**compute_zener_impact(chain, plate, patch), **given}
@@ -159,7 +177,7 @@ def _compute_shot(
 
 
 def _print_table(rows: list[dict[str, object]], table: _Table) -> None:
-    """Print the table of shots."""
+    """Print titles, units and rows of shots, "-" for missing values, and the model's note."""
     click.echo("  ".join(f"{title:>9}" for _, title, _, _ in table.columns))
     click.echo("  ".join(f"{f'({unit})' if unit else '(1)':>9}" for _, _, unit, _ in table.columns))
     for row in rows:

@@ -30,7 +30,11 @@ SPLIT_H = 100.0
 
 
 def summarise_run(settings: Settings, folder: Path) -> dict[str, object]:
-    """Read sets, shots, and for each position alarm hour, outliers, last features and limit."""
+    """Read counts, cost, and for each position alarm hour, outliers, last features and limit.
+
+    Returns an object for JSON; values that do not apply to a position's method are None. Raises StorageError
+    if the catalogue cannot be read.
+    """
     with open_catalogue(folder, writer=False) as catalogue:
         counts = catalogue.counts()
         positions = {
@@ -51,12 +55,12 @@ def summarise_run(settings: Settings, folder: Path) -> dict[str, object]:
 
 
 def sum_stage_seconds(cost: dict[str, float]) -> float:
-    """Compute the sum of the stages of a run, s."""
+    """Return the total wall time in s of all stages of a run."""
     return sum(value for name, value in cost.items() if name != "sets")
 
 
 def _read_cost(catalogue: Catalogue) -> dict[str, float] | None:
-    """Return the wall time by stage of the recorder's last run; None if it did not end normally."""
+    """Return the wall time in s by stage of the recorder's last run; None if no run ended normally."""
     rows = [row for row in catalogue.rows(EventRow, topic="service") if "cost" in row.payload]
     return rows[-1].payload["cost"] if rows else None
 
@@ -64,7 +68,7 @@ def _read_cost(catalogue: Catalogue) -> dict[str, float] | None:
 def _summarise_solitary_wave(
     catalogue: Catalogue, rules: BaselineSettings, limit_name: str, position: str
 ) -> dict[str, object]:
-    """Build the summary of a solitary-wave transducer."""
+    """Summarize a solitary-wave transducer: first alarm (h), outlier fractions, ToF (us), AR, limit."""
     assessments = catalogue.rows(AssessmentRow, position=position)
     assessed = [row for row in assessments if not row.in_baseline and row.outlier is not None]
     after = [row for row in assessed if row.due_h > SPLIT_H]
@@ -91,7 +95,7 @@ def _summarise_solitary_wave(
 
 
 def _summarise_pulse_echo(catalogue: Catalogue, position: str) -> dict[str, object]:
-    """Build the summary of an ultrasonic probe."""
+    """Summarize an ultrasonic probe: first alarm (h), last travel time (us) and thickness (mm)."""
     rows = [row for row in catalogue.rows(ThicknessRow, position=position) if row.thickness_m is not None]
     last = rows[-1] if rows else None
     return {
@@ -108,21 +112,21 @@ def _scale_value(value: float | None, factor: float) -> float | None:
 
 
 def _last_good_feature(catalogue: Catalogue, minimum_valid: int, position: str) -> FeatureRow | None:
-    """Find the newest feature of a set with enough valid shots."""
+    """Return the newest set features with enough valid shots and a ToF; None if there are none."""
     rows = catalogue.rows(FeatureRow, position=position, scope="set")
     good = [row for row in rows if row.n_valid >= minimum_valid and row.tof_pp_s is not None]
     return good[-1] if good else None
 
 
 def _count_baseline_sets(catalogue: Catalogue, baseline: BaselineRow | None, position: str) -> int:
-    """Count the sets in the baseline so far."""
+    """Return the number of sets in the frozen baseline, or collected so far if it is None."""
     if baseline is not None:
         return baseline.n_sets
     return sum(1 for row in catalogue.rows(AssessmentRow, position=position) if row.in_baseline)
 
 
 def _first_alarm_h(catalogue: Catalogue, position: str) -> float | None:
-    """Find the hour of the first damage alarm; None without one."""
+    """Return the hour of the first damage alarm at a position; None without one."""
     hours = [
         row.raised_h for row in catalogue.rows(AlarmRow, position=position) if row.alarm_class == "damage"
     ]
@@ -130,13 +134,13 @@ def _first_alarm_h(catalogue: Catalogue, position: str) -> float | None:
 
 
 def _outlier_fraction(outliers: Iterable[bool | None]) -> float | None:
-    """Compute the fraction of outliers; None without assessed sets."""
+    """Compute the fraction of outliers among the values that are not None; None if there are none."""
     known = [outlier for outlier in outliers if outlier is not None]
     return sum(known) / len(known) if known else None
 
 
 def format_summary_lines(summary: dict[str, Any], folder: Path) -> Iterator[str]:
-    """Yield the lines of the summary's table."""
+    """Yield the summary as lines: totals, a table of positions, seconds by stage, and the folder."""
     yield (
         f"{summary['sets']} sets, {summary['shots']} solitary-wave shots, {summary['pulse_echo_records']} "
         f"pulse-echo records, {summary['missed_sets']} sets missed (seed {summary['seed']})"
@@ -165,7 +169,7 @@ def format_summary_lines(summary: dict[str, Any], folder: Path) -> Iterator[str]
 
 
 def _format_limit(row: dict[str, object]) -> str:
-    """Format the limit of a position."""
+    """Format limit, its name and baseline size; the reason if there is no limit, "-" for a probe."""
     if row["n_baseline"] is None:
         return "-"
     if row["limit"] is None:
@@ -174,10 +178,10 @@ def _format_limit(row: dict[str, object]) -> str:
 
 
 def _format_cell(value: float | None, form: str, unit: str) -> str:
-    """Format a cell of a table with its unit; a dash if there is no value."""
+    """Format a cell of a table with a format specification and its unit; "-" if it is None."""
     return "-" if value is None else f"{value:{form}}".strip() + unit
 
 
 def _format_percent(value: float | None) -> str:
-    """Format a fraction in percent; a dash if there is no value."""
+    """Format a fraction in percent with one decimal; "-" if it is None."""
     return "-" if value is None else f"{100 * value:.1f} %"

@@ -35,12 +35,15 @@ MOST_HELD_LINES = 10_000
 
 
 def print_progress_of_sets(done: int, total: int) -> None:
-    """Print the progress of a reassessment to standard error."""
+    """Rewrite one line of standard error with the progress of a reassessment; end it at the last set."""
     click.echo(f"\rset {done} of {total} ", nl=done == total, err=True)
 
 
 def create_console(stream: Literal["stdout", "stderr"]) -> Console:
-    """Create rich's console, without highlights; color only on a terminal and without ``NO_COLOR``."""
+    """Create rich's console of a standard stream, without markup and highlights.
+
+    Color only on a terminal and without ``NO_COLOR``.
+    """
     from rich.console import Console
 
     file = getattr(sys, stream)
@@ -50,7 +53,7 @@ def create_console(stream: Literal["stdout", "stderr"]) -> Console:
 
 
 def format_duration(seconds: float) -> str:
-    """Format a time in the unit that gives two or three digits."""
+    """Format a duration in s in the largest unit (d, h, min, s) of which it has at least two."""
     for unit, length_s, digits in (("d", 86_400.0, 1), ("h", 3600.0, 1), ("min", 60.0, 0)):
         if seconds >= 2.0 * length_s:
             return f"{seconds / length_s:.{digits}f} {unit}"
@@ -71,6 +74,7 @@ class ProgressReport:
     """
 
     def __init__(self, *, news_to_stderr: bool = False, machine: MachineClock = MACHINE) -> None:
+        """Create the report; nothing is printed before the context is entered."""
         self._news_to_stderr = news_to_stderr
         self._machine = machine
         self._live: Live | None = None
@@ -83,7 +87,7 @@ class ProgressReport:
         self._writer = threading.Thread(target=self._write_queued_lines, name=PRINTING, daemon=True)
 
     def __enter__(self) -> Self:
-        """Start the display of the progress on a terminal and the writing thread."""
+        """Prepare the live line if standard error is a terminal, and start the writing thread."""
         if sys.stderr.isatty():
             from rich.live import Live
 
@@ -99,22 +103,28 @@ class ProgressReport:
         return self
 
     def __exit__(self, *_: object) -> None:
-        """Print the last lines and end the writing thread."""
+        """Queue the last lines and end the writing thread; wait for it at most `HELD_AFTER_S`."""
         self._print_gap_end()
         self._lines.put(None)
         self._writer.join(HELD_AFTER_S)
 
     def line(self, text: str) -> None:
-        """Print a line for a person, normally on standard output."""
+        """Queue a line for a person on standard output, or on standard error with ``news_to_stderr``."""
         self._queue_line(text, err=self._news_to_stderr)
 
     def _queue_line(self, text: str, *, err: bool = True, style: str = "") -> None:
-        """Add a line to the queue of the writing thread."""
+        """Add a line to the queue of the writing thread; drop it if `MOST_HELD_LINES` are waiting.
+
+        Never blocks. Control characters are escaped.
+        """
         if self._lines.qsize() < MOST_HELD_LINES:
             self._lines.put((to_one_line(text), err, style))
 
     def _write_queued_lines(self) -> None:
-        """Print the queued lines until the end (body of the writing thread)."""
+        """Print the queued lines until None is queued (body of the writing thread).
+
+        Starts and stops the live display, and discards what a blocked terminal has not taken.
+        """
         live = self._live
         if live is not None:
             with suppress(OSError):  # the terminal is gone
@@ -132,7 +142,7 @@ class ProgressReport:
         discard_unwritten()
 
     def _print(self, text: str, *, err: bool, style: str) -> None:
-        """Print a line; ignore a closed terminal."""
+        """Print a line, above the live display if there is one; ignore a closed terminal."""
         try:
             if self._live is not None and (err or sys.stdout.isatty()):
                 self._live.console.print(text, style=style, soft_wrap=True)
@@ -142,7 +152,7 @@ class ProgressReport:
             log.debug("nobody reads %r: %s", text, gone)
 
     def _compose_progress_line(self) -> Text:
-        """Compose the line that is rewritten on a terminal."""
+        """Compose the line rewritten on a terminal: progress, and an activity longer than `SHOWN_AFTER_S`."""
         from rich.text import Text
 
         with self._lock:
@@ -155,14 +165,17 @@ class ProgressReport:
     # Events of a recorder, direct or through its supervisor -----------------------------------------------
 
     def __call__(self, event: str, **values: Any) -> None:
-        """Print an event of the recorder; unknown events are ignored."""
+        """Print or store an event of the recorder; events without a method ``_report_EVENT`` are ignored."""
         hear = getattr(self, f"_report_{event}", None)
         if hear is not None:
             with self._lock:
                 hear(**values)
 
     def report_message(self, child: str, message: Mapping[str, Any]) -> None:
-        """Print a message that a supervisor received from a child process."""
+        """Print a message that a supervisor received from a child process.
+
+        Of children other than the recorder only restarts and printed lines are shown.
+        """
         values = {name: value for name, value in message.items() if name != "event"}
         if message["event"] == "restarts":
             self._queue_line(
@@ -174,16 +187,16 @@ class ProgressReport:
             self(message["event"], **values)
 
     def _report_beat(self, *, doing: str, **_: object) -> None:
-        """Store the activity of the recorder, and since when it lasts."""
+        """Store the activity of the recorder, and when it changed."""
         if doing != self._doing:
             self._doing, self._doing_since_s = doing, self._machine.mono_s()
 
     def _report_preparing(self, *, what: str) -> None:
-        """Store the present preparation and its start."""
+        """Store a preparation that has started, such as a compilation, with its start time."""
         self._preparing.append((what, self._machine.mono_s()))
 
     def _report_prepared(self, *, what: str) -> None:
-        """Print the duration of a preparation, if it was long."""
+        """Remove a finished preparation; print its duration if it took `SHOWN_AFTER_S` or longer."""
         started = [item for item in self._preparing if item[0] == what]
         if started:  # else a line was lost on the way
             self._preparing.remove(started[-1])
@@ -192,7 +205,10 @@ class ProgressReport:
                 self._queue_line(f"{what}: took {format_duration(took_s)}")
 
     def _report_progress(self, *, done: int, planned: int, due_h: float) -> None:
-        """Update the progress; without a terminal print it from time to time."""
+        """Store the hour and number of the last set; without a terminal print it every `LOGGED_EVERY_S`.
+
+        The last planned set is always printed.
+        """
         self._progress = f"hour {due_h:.1f}, set {done} of {planned}"
         if self._gap is not None and done - 1 > self._gap[2]:
             self._print_gap_end()
@@ -202,24 +218,24 @@ class ProgressReport:
             self._queue_line(self._progress)
 
     def _report_alarm(self, *, change: str, hour: float, priority: str, message: str, **_: object) -> None:
-        """Print the change of an alarm."""
+        """Print a change of an alarm with its hour; an alarm that becomes active in bold red."""
         is_active = change in ("alarm_raised", "alarm_priority_raised", "alarm_reactivated")
         text = f"ALARM, {priority}" if is_active else change.replace("_", " ")
         self._queue_line(f"hour {hour:.1f}, {text}: {message}", style="bold red" if is_active else "")
 
     def _report_waits(self, *, reason: str) -> None:
-        """Print the reason why the recorder waits."""
+        """Print the reason why the recorder waits, in yellow."""
         self._queue_line(f"waiting: {reason}", style="yellow")
 
     def _report_asked(
         self, *, text: str, within_s: float, position: str = "", shot_index: int | None = None, **_: object
     ) -> None:
-        """Print a request to a person."""
+        """Print a request to the person at the rig, with the time to act and the shot, if any."""
         shot = "" if shot_index is None else f" (position {position}, shot {shot_index + 1})"
         self._queue_line(f"{text}{shot}: within {format_duration(within_s)}", style="bold")
 
     def _report_gap(self, *, set_index: int, state: str, positions: list[str], reason: str) -> None:
-        """Print the first and the last of consecutive incomplete sets with one reason."""
+        """Print the first of consecutive incomplete sets with equal description; the others are counted."""
         description = f"{state} at {', '.join(positions)}: {reason}"
         if self._gap is not None and self._gap[0] == description:
             self._gap = (description, self._gap[1], set_index)
@@ -229,7 +245,7 @@ class ProgressReport:
         self._queue_line(f"set {set_index} {description}", style="yellow")
 
     def _print_gap_end(self) -> None:
-        """Print the end of consecutive incomplete sets."""
+        """Print the range of the further incomplete sets, if there are any, and reset the gap."""
         if self._gap is not None and self._gap[2] > self._gap[1]:
             description, first, last = self._gap
             others = f"set {last}" if last == first + 1 else f"sets {first + 1} to {last}"
@@ -241,7 +257,10 @@ class ProgressReport:
 
 
 def no_screen_reason(environment: Mapping[str, str], platform: str = sys.platform) -> str:
-    """Return the reason why a page opened here would not be visible; empty if there is a screen."""
+    """Return why a page opened by this process would not be visible; empty if there is a screen.
+
+    Reasons: standard error is no terminal, CI, SSH, or no display on a system that needs one.
+    """
     if not sys.stderr.isatty():
         return "no terminal"
     if environment.get("CI"):
@@ -255,8 +274,8 @@ def no_screen_reason(environment: Mapping[str, str], platform: str = sys.platfor
 def open_page(url: str) -> bool:
     """Open a page in the browser of this computer; return False without screen or browser.
 
-    In a thread, since a browser that starts may take seconds; and not in a browser that would take the
-    terminal itself, unless the person named one (``BROWSER``).
+    The browser starts in a daemon thread, since that may take seconds: True does not mean that it succeeded.
+    A browser that would occupy the terminal is not used unless the variable ``BROWSER`` is set.
     """
     if no_screen_reason(os.environ):
         return False

@@ -54,6 +54,7 @@ class Check:
     values: Mapping[str, Value] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
+        """Remove the remedy of a check that is ok; raise ValueError if another check has none."""
         if self.state == "ok":
             object.__setattr__(self, "remedy", "")
         elif not self.remedy:
@@ -61,7 +62,10 @@ class Check:
 
 
 def exit_code_of_checks(checks: Sequence[Check]) -> int:
-    """Return the exit code of a list of checks: 0 if none failed, otherwise that of the failed area."""
+    """Return 0 if no check failed, otherwise the exit code of the first failed area in `EXIT_CODES`.
+
+    Warnings and skipped checks do not count.
+    """
     failed = {check.area for check in checks if check.state == "fail"}
     return next((code for area, code in EXIT_CODES.items() if area in failed), errors.EXIT_OK)
 
@@ -69,10 +73,13 @@ def exit_code_of_checks(checks: Sequence[Check]) -> int:
 def check_of_error(name: str, error: InstrumentError, otherwise: str) -> Check:
     """Create the failed check for an instrument's error, whose message may contain the remedy.
 
+    Text after the last ``; `` of the message is the remedy. An instrument that another program holds gives a
+    check of area ``recorder``, any other error one of area ``rig``.
+
     Parameters
     ----------
     otherwise
-        Remedy where the message has none.
+        Remedy if the message contains none.
     """
     if isinstance(error, BusyError):
         # A program that holds an instrument counts like a recorder.
@@ -84,12 +91,14 @@ def check_of_error(name: str, error: InstrumentError, otherwise: str) -> Check:
 
 
 def check_of_finding(finding: Finding, instrument: str = "") -> Check:
-    """Convert an instrument's finding to a check.
+    """Convert a finding of an instrument driver to a check of area ``rig``.
+
+    A finding that another program holds the instrument gives a failed check of area ``recorder``.
 
     Parameters
     ----------
     instrument
-        Name of the instrument if there are multiple.
+        Name of the instrument, prefixed to the check's name; empty if there is only one.
     """
     name = ": ".join(filter(None, (instrument, finding.subject, finding.check)))
     if finding.held:
@@ -100,5 +109,5 @@ def check_of_finding(finding: Finding, instrument: str = "") -> Check:
 
 
 def read_time_stamp() -> Stamp:
-    """Return a time stamp of this computer's own clocks."""
+    """Return the present UTC and monotonic time, ns, and the boot id of this computer."""
     return Stamp(utc_ns=time.time_ns(), mono_ns=time.monotonic_ns(), boot_id=read_boot_id())

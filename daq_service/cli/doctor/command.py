@@ -31,7 +31,18 @@ KNOWN_AS = {"daqmx": "boards", "niscope": "ultrasonic probes", "climate": "clima
 
 
 def run_doctor(*, config: Path | None, data_dir: Path | None, strike: str | None, as_json: bool) -> int:
-    """Run `solimon doctor`: check computer, folder and instruments, and return the exit code."""
+    """Run `solimon doctor`: check computer, folder and instruments, and return the exit code.
+
+    Prints a table, or JSON if ``as_json``. ``strike`` names a transducer to strike; it is not struck if a
+    package is missing.
+
+    Raises
+    ------
+    UsageError
+        The configuration is invalid, or the position cannot be struck.
+    BusyError
+        A strike is requested while a recorder owns the folder.
+    """
     settings = load_settings(config)
     folder = data_folder(settings.storage, config, data_dir)
     if strike is not None:
@@ -71,10 +82,15 @@ def run_doctor(*, config: Path | None, data_dir: Path | None, strike: str | None
 def run_checks(settings: Settings, folder: Path, owner: str, progress: Progress) -> Iterator[Check]:
     """Yield all checks of computer, software, storage and instruments, but not the test strike.
 
+    Writes only a probe file to the data folder.
+
     Parameters
     ----------
     owner
-        Description of the recorder that owns the folder; its instruments are not checked. Empty: none.
+        Description of the recorder that owns the folder; its instruments are then reported as skipped. Empty:
+        none.
+    progress
+        Called with the name of each step before it starts.
     """
     started_wall_s, started_mono_s = time.time(), time.monotonic()
     progress("packages")
@@ -110,12 +126,16 @@ def run_rig_checks(
 ) -> Iterator[Check]:
     """Yield the checks of the instruments, without a strike and without switching an output.
 
+    An instrument's error becomes a failed check.
+
     Parameters
     ----------
     missing
-         Missing or outdated packages: instruments that need them are skipped.
+        Missing or outdated packages: instruments that need them are skipped.
+    progress
+        Called with a text before each instrument.
     driven
-        A process of the drive owns the supply's port.
+        Whether the supply process owns the supply's port; the supply is then skipped.
     """
     clock = WallClock()
     for item in instruments:
@@ -136,12 +156,12 @@ def run_rig_checks(
 
 
 def _skipped_check(name: str, found: str, remedy: str) -> Check:
-    """Create a skipped check with its reason."""
+    """Create a skipped check of area ``rig`` with its reason and a remedy."""
     return Check("rig", name, "skipped", found, remedy)
 
 
 def _recorder_check(owner: str) -> Check:
-    """Create the check that reports a recorder which owns the folder."""
+    """Return a passed check, or a failed one if ``owner`` describes a recorder that owns the folder."""
     name = "recorder"
     if not owner:
         return Check("recorder", name, "ok", "no recorder owns the data folder")
@@ -153,12 +173,12 @@ def _recorder_check(owner: str) -> Check:
 
 
 def _print_step(text: str) -> None:
-    """Print the current step to standard error."""
+    """Print the name of the step that starts, to standard error."""
     click.echo(f"looking at: {text}", err=True)
 
 
 def _print_table(checks: list[Check], trial: Trial | None) -> None:
-    """Print the checks, the features of the strike, and the totals."""
+    """Print the checks with remedies, the features of the test strike, and the number of checks per state."""
     width = max(len(check.name) for check in checks)
     for check in checks:
         state = check.state.upper() if check.state in ("warn", "fail") else check.state

@@ -26,14 +26,18 @@ def check_machine(
 ) -> list[Check]:
     """Check the clocks, sleep settings, updates and virus scanners of this computer.
 
+    In a test on simulated time all but monotonic clock and time zone are skipped.
+
     Parameters
     ----------
     clock
         The experiment's clock: ``wall`` or ``simulated``.
     folder
         The test's data folder.
+    ask
+        Runs a program of the system; None where it fails.
     started_wall_s, started_mono_s
-        Both clocks when the checkup began; the present time if None.
+        Both clocks at the start of the checks, s; the present time if None.
     """
     wall_s, mono_s = time.time(), time.monotonic()
     checks = [
@@ -53,7 +57,10 @@ def check_machine(
 
 
 def _check_monotonic_clock(wall_elapsed_s: float, mono_elapsed_s: float) -> Check:
-    """Check the monotonic clock and its drift against the wall clock."""
+    """Check the monotonic clock and its drift against the wall clock; both elapsed times in s.
+
+    A drift above `LARGEST_STEP_S` is a warning; a clock that is not monotonic fails.
+    """
     info = time.get_clock_info("monotonic")
     drift_s = wall_elapsed_s - mono_elapsed_s
     steady = info.monotonic and mono_elapsed_s >= 0.0
@@ -76,7 +83,7 @@ def _check_monotonic_clock(wall_elapsed_s: float, mono_elapsed_s: float) -> Chec
 
 
 def _time_zone_check() -> Check:
-    """Create a check that reports the time zone of this computer."""
+    """Return a check, always ok, with the time zone of this computer and its UTC offset in s."""
     now = datetime.now().astimezone()
     offset = now.utcoffset()
     offset_s = 0.0 if offset is None else offset.total_seconds()
@@ -88,7 +95,7 @@ def _time_zone_check() -> Check:
 
 
 def _check_synchronization(ask: Ask, system: str) -> Check:
-    """Check whether the clock is synchronized to UTC."""
+    """Check whether the clock is synchronized to UTC; an unknown state is a warning, too."""
     source, answer = _read_clock_source(ask, system)
     texts = {True: "synchronised", False: "not synchronised", None: "unknown whether it is synchronised"}
     command = {
@@ -100,7 +107,11 @@ def _check_synchronization(ask: Ask, system: str) -> Check:
 
 
 def _read_clock_source(ask: Ask, system: str) -> tuple[str, bool | None]:
-    """Return the source of the answer, and whether the clock is synchronized (None if unknown)."""
+    """Return the name of the queried time service, and whether the clock is synchronized.
+
+    Asks w32tm on Windows, timedatectl and then chronyc on Linux. None instead of the truth value: unknown, as
+    on every other system.
+    """
     if system == "win32":
         # The words are the system's language, the leap indicator's digit is not: 3 is not synchronised.
         text = ask(["w32tm", "/query", "/status"]) or ""

@@ -29,14 +29,16 @@ def check_software(
     installed: Callable[[str], str] = installed_version,
     load: Callable[[str], object] = importlib.import_module,
 ) -> list[Check]:
-    """Compare the installed versions of Python and packages with the minimum ones.
+    """Compare Python and installed packages with their minimum versions, and import the compiled ones.
 
     Parameters
     ----------
     needed
         Packages that the instruments need.
     installed
-        Version of an installed package; raises PackageNotFoundError.
+        Return the version of an installed package; raises PackageNotFoundError.
+    load
+        Import a module by its name.
     """
     required = map(_MINIMUM.match, requires("solimon") or ())
     oldest = {match[1]: match[2] for match in required if match}
@@ -50,7 +52,7 @@ EXTRAS = {"grpcio": "grpc", "niscope": "niscope", "npTDMS": "tdms", "pyvisa": "v
 
 
 def _check_python() -> Check:
-    """Check the version and the word size of Python."""
+    """Check that Python has at least version `OLDEST_PYTHON` and is a 64-bit build."""
     bits = 64 if sys.maxsize > 2**32 else 32
     fits = sys.version_info[:2] >= OLDEST_PYTHON and bits == 64
     version, system = platform.python_version(), platform.platform()
@@ -61,7 +63,7 @@ def _check_python() -> Check:
 
 
 def _check_package(name: str, oldest: str, installed: Callable[[str], str]) -> Check:
-    """Check that a package is installed in the minimum version."""
+    """Check that a package is installed in at least version ``oldest``; any version if that is empty."""
     requirement = f"solimon[{EXTRAS[name]}]" if name in EXTRAS else "solimon" if oldest else name
     remedy = f'install it: python -m pip install "{requirement}"'
     try:
@@ -74,7 +76,7 @@ def _check_package(name: str, oldest: str, installed: Callable[[str], str]) -> C
 
 
 def _check_binaries(load: Callable[[str], object]) -> Check:
-    """Check that the compiled packages load."""
+    """Check that each package of `COMPILED` can be imported; the check lists every failure."""
     broken = {}
     for name in COMPILED:
         try:
@@ -88,6 +90,6 @@ def _check_binaries(load: Callable[[str], object]) -> Check:
 
 
 def _parse_version_numbers(text: str) -> tuple[int, ...]:
-    """Return the leading numbers of a version: ``1.26.4rc1`` gives (1, 26, 4)."""
+    """Parse the leading numbers of a version: ``1.26.4rc1`` gives (1, 26, 4); empty if it has none."""
     match = re.match(r"\d+(?:\.\d+)*", text)
     return tuple(int(part) for part in match[0].split(".")) if match else ()

@@ -21,12 +21,14 @@ HARDWARE_CURE = (
 def survey_coil(parameters: DaqmxParameters, position: str, timeout_s: float) -> SpikeSurvey:
     """Strike once and analyze the complete record for the ringing of the coil.
 
+    Blocks at most about ``timeout_s`` seconds per record: one with the coil at rest, one of the strike.
+
     Raises
     ------
     InstrumentError
-        As for a shot; also where the coil's counter cannot start the acquisition.
+        As for a shot; also if the coil's counter cannot start the acquisition.
     AnalysisError
-         The record cannot be analyzed.
+        The record cannot be analyzed.
     """
     from hardware_drivers.daqmx.pulse_record import FreeInput
 
@@ -46,7 +48,11 @@ def survey_coil(parameters: DaqmxParameters, position: str, timeout_s: float) ->
 def check_coil_spike(
     parameters: DaqmxParameters, position: str, timeout_s: float
 ) -> tuple[Check, SpikeSurvey | None]:
-    """Survey the coil of a transducer; an error gives a failed check."""
+    """Strike a transducer once and assess its coil's spike; return the check and the survey.
+
+    The survey is None if the strike or its analysis failed: an instrument error gives a failed check (a
+    warning if only the counter cannot start the board and no holdoff is set), an analysis error a warning.
+    """
     name = f"strike {position}: coil's spike"
     try:
         survey = survey_coil(parameters, position, timeout_s)
@@ -63,7 +69,10 @@ def check_coil_spike(
 
 
 def _check_of_survey(name: str, parameters: DaqmxParameters, survey: SpikeSurvey) -> Check:
-    """Convert a survey of the coil to a check."""
+    """Convert a survey of the coil to a check, with proposed settings in its values.
+
+    Fails if the spike would trigger the record or the holdoff ends too late; warns of any other obstacle.
+    """
     holdoff_s, off = parameters.holdoff_s, survey.off
     armed_over = survey.takes_the_trigger if holdoff_s is None else holdoff_s <= off.ringing_s
     too_late = holdoff_s is not None and holdoff_s >= survey.latest_holdoff_s
@@ -99,12 +108,12 @@ def _check_of_survey(name: str, parameters: DaqmxParameters, survey: SpikeSurvey
 
 
 def propose_ringing_s(survey: SpikeSurvey) -> float:
-    """Compute the ringing time for a configuration, s, rounded up to 0.1 ms."""
+    """Compute the setting ``ringing_s`` from a survey: the measured ringing in s, rounded up to 0.1 ms."""
     return math.ceil(survey.off.ringing_s * 1e4) / 1e4
 
 
 def _remedy_for_survey(parameters: DaqmxParameters, survey: SpikeSurvey) -> str:
-    """Return the remedy for the obstacle of a survey, or the proposed settings."""
+    """Describe the remedy for the obstacle of a survey; without one, the proposed settings."""
     if survey.obstacle == "ringing":
         return (
             f"it rings for {_format_time(survey.off.ringing_s)} and a holdoff ends "
@@ -124,7 +133,7 @@ def _remedy_for_survey(parameters: DaqmxParameters, survey: SpikeSurvey) -> str:
 
 
 def describe_edge(edge: EdgeSpike) -> str:
-    """Describe in words what follows an edge of the coil's pulse."""
+    """Describe the spike after an edge of the coil's pulse: height (V), duration, ringing, flyback."""
     if not edge.height_v:
         return "no spike"
     flyback = f", flyback {edge.flyback_v:.3g} V" if edge.flyback_v else ""
@@ -134,5 +143,5 @@ def describe_edge(edge: EdgeSpike) -> str:
 
 
 def _format_time(time_s: float) -> str:
-    """Format a time in s with a suitable unit."""
+    """Format a time in s with three digits, in us below 1 ms and in ms otherwise."""
     return f"{time_s * 1e6:.3g} us" if 0.0 < time_s < 1e-3 else f"{time_s * 1e3:.3g} ms"

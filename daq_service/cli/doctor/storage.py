@@ -39,11 +39,13 @@ COMFORTABLE = 2.0
 def hold_folder(folder: Path) -> Iterator[str]:
     """Hold the recorder's lock while the context is open, so that no recorder starts.
 
+    Waits at most `LOOK_S` for the lock. If it cannot be taken, the context runs without it.
+
     Yields
     ------
     str
-         Present owner; empty: none. A folder without a lock file has never had a recorder, and no lock file
-        is created.
+        Present owner, or why the lock cannot be opened; empty: none. A folder without a lock file has never
+        had a recorder, and no lock file is created.
     """
     with ExitStack() as stack:
         owner = ""
@@ -61,23 +63,26 @@ def hold_folder(folder: Path) -> Iterator[str]:
 
 
 def read_lock_owner(folder: Path) -> str:
-    """Read the owner of the recorder's lock, without keeping the lock.
+    """Return the description of the lock's present owner, empty if there is none, and release the lock.
 
-     The lock is released at once: a recorder that restarts now would find it taken, and its supervisor would
-    end the test. A recorder waits for boards that are being checked.
+    It is released at once: a recorder that restarts now would find it taken, and its supervisor would end the
+    test. A recorder waits for boards that are being checked.
     """
     with hold_folder(folder) as owner:
         return owner
 
 
 def refuse_while_owned(what: str, owner: str) -> None:
-    """Raise BusyError if a recorder owns the folder."""
+    """Raise BusyError, naming the refused action ``what``, if ``owner`` is not empty."""
     if owner:
         raise BusyError(f"{what} is refused: {owner}")
 
 
 def check_storage(settings: Settings, folder: Path) -> list[Check]:
-    """Check the data folder; only a probe file is written and removed."""
+    """Check location, write access, owner, catalogue, sets and free space of the data folder.
+
+    Only a probe file is written, and removed again.
+    """
     return [
         _check_file_system(folder),
         _check_writable(folder),
@@ -89,12 +94,12 @@ def check_storage(settings: Settings, folder: Path) -> list[Check]:
 
 
 def _nearest_existing_folder(folder: Path) -> Path:
-    """Return the folder, or its nearest parent that exists."""
+    """Return the path itself, or its nearest parent that exists; it may be a file."""
     return next(path for path in (folder, *folder.parents) if path.exists())
 
 
 def _check_file_system(folder: Path) -> Check:
-    """Check that the folder is on a local file system."""
+    """Check that the folder is on a local file system; warn on systems where that is unknown."""
     kind = find_network_type(folder)
     found, remedy = "on a local file system", ""
     if kind is not None:
@@ -108,7 +113,10 @@ def _check_file_system(folder: Path) -> Check:
 
 
 def _check_writable(folder: Path) -> Check:
-    """Check that a file can be written, synced and removed, as each set needs."""
+    """Write, sync and remove a probe file, and check that a folder with foreign files is not used.
+
+    Warns if the write takes longer than `SLOW_WRITE_S`. A missing folder is probed at its nearest parent.
+    """
     name, existing = "data folder: writable", _nearest_existing_folder(folder)
     if not existing.is_dir():
         return _failed_check(name, f"{existing} is a file", "choose another folder with --data-dir")
@@ -137,12 +145,15 @@ def _check_writable(folder: Path) -> Check:
 
 
 def _failed_check(name: str, found: str, remedy: str) -> Check:
-    """Create a failed check of the folder."""
+    """Create a failed check of area ``folder``."""
     return Check("folder", name, "fail", found, remedy)
 
 
 def _check_owner(settings: Settings, folder: Path) -> Check:
-    """Check that the folder belongs to the test of this configuration."""
+    """Check that the folder is free or belongs to the test of this configuration.
+
+    If the catalogue is lost, the stored sets identify the test.
+    """
     name, own_hash = "data folder: configuration", settings.configuration_hash()
     try:
         check_owner(settings, folder)
@@ -159,7 +170,10 @@ def _check_owner(settings: Settings, folder: Path) -> Check:
 
 
 def _check_catalogue(folder: Path) -> list[Check]:
-    """Check that a started test has its catalogue; `_check_owner` reports an unreadable one."""
+    """Return a failed check if the catalogue of a started test is lost, otherwise no check.
+
+    An unreadable one gives none here: `_check_owner` reports it.
+    """
     try:
         reason = loss_reason(folder)
     except StorageError:
@@ -169,7 +183,11 @@ def _check_catalogue(folder: Path) -> list[Check]:
 
 
 def _check_stored_sets(folder: Path) -> list[Check]:
-    """Check that each set with rows has a file; only `solimon verify` reads the contents."""
+    """Check that each set with rows has a file that is not empty; contents are not read.
+
+    Returns no check if no test has started or the catalogue has an earlier version. Names at most `SHOWN`
+    files.
+    """
     name = "data folder: sets"
     try:
         with open_catalogue(folder) as catalogue:
@@ -188,7 +206,10 @@ def _check_stored_sets(folder: Path) -> list[Check]:
 
 
 def _check_space(settings: Settings, folder: Path) -> Check:
-    """Compare the free disk space with the size of the data still to come."""
+    """Compare the free disk space with the size of the data still to come, in bytes.
+
+    Fails if it does not suffice or the recorder would stop now; warns below `COMFORTABLE` times that size.
+    """
     facts = describe_plan(settings, folder)
     stored = FolderSetReader(folder).n_bytes()
     needed, free = max(0, facts["stored_bytes"] - stored), int(facts["free_bytes"])

@@ -58,7 +58,7 @@ class Trial:
     spike: SpikeSurvey | None = None
 
     def as_row(self) -> dict[str, Any]:
-        """Convert the result to a JSON object."""
+        """Convert the result to a JSON object, without checks and record; missing parts are None."""
         features = self.features
         return {
             "position": self.position,
@@ -75,7 +75,7 @@ def require_position(settings: Settings, position: str) -> None:
     Raises
     ------
     UsageError
-        No such transducer, a rehearsal, or a recording.
+        It is no solitary-wave transducer, the rig plays back a recording, or ``dry_run`` is set.
     """
     names = settings.list_positions(SOLITARY_WAVE)
     if position not in names:
@@ -96,7 +96,9 @@ def require_position(settings: Settings, position: str) -> None:
 def strike_transducer(
     settings: Settings, position: str, *, report: Callable[[str], None] = PRINT_REQUEST
 ) -> Trial:
-    """Strike one transducer, and first survey its coil on boards; an error gives a failed check.
+    """Strike one transducer and return checks, features and record; an error gives a failed check.
+
+    Boards (``daqmx``) strike twice: first without a trigger to survey the coil, then a normal shot.
 
     Parameters
     ----------
@@ -115,7 +117,10 @@ def strike_transducer(
 def _take_shot(
     settings: Settings, position: str, spike: SpikeSurvey | None, report: Callable[[str], None]
 ) -> Trial:
-    """Strike once and return the checks and the features of the shot."""
+    """Strike once and return the checks, the features and the record of the shot.
+
+    An instrument error or a strike without a record gives a failed check and no features.
+    """
     clock = WallClock() if settings.clock.kind == "wall" else SimulatedClock(parse_utc(settings.clock.epoch))
     plan = SetPlan(
         due=DueSet(set_index=0, due_h=0.0, due_utc_ns=clock.utc_ns()),
@@ -157,7 +162,7 @@ def _take_shot(
 
 
 def _restrict_settings(settings: Settings, position: str) -> Settings:
-    """Return the settings without other instruments, whose faults must not prevent the strike."""
+    """Return the settings for one position only: faults of other instruments must not prevent the strike."""
     used = settings.rig.positions.get(position)
     needed = {name: item for name, item in settings.rig.instruments.items() if used and name in used.names}
     unneeded = dict.fromkeys(("niscope", "supply", "drive", "climate", "air"))
@@ -169,14 +174,14 @@ def _restrict_settings(settings: Settings, position: str) -> Settings:
 
 
 def _restrict_boards(boards: DaqmxParameters, position: str) -> DaqmxParameters:
-    """Return the parameters of the boards with the wiring of one transducer only."""
+    """Return the parameters of the boards with the wiring and the watchdog of one transducer only."""
     wiring = boards.transducers[position]
     watchdog = boards.find_watchdog(wiring.coil_serial)
     return replace(boards, transducers={position: wiring}, watchdog=watchdog, watchdogs=None)
 
 
 def _missed_strike_check(missed: MissedShot) -> Check:
-    """Create the check for a strike without a record."""
+    """Create the failed check for a strike without a record, with the reason of the miss."""
     found = f"no record ({missed.reason}): {missed.cause}"
     remedy = (
         "see whether the striker lifts and falls, then the sensor's cable, trigger_level_v and trigger_slope"
@@ -187,7 +192,10 @@ def _missed_strike_check(missed: MissedShot) -> Check:
 
 
 def _check_record_flags(shot: Shot, features: ShotFeatures, took_s: float) -> Check:
-    """Create the check for the flags of a record."""
+    """Create the check of a record from its quality flags: a warning if there are any.
+
+    ``took_s`` is the duration of the trial in s.
+    """
     flags = features.flags
     incident = "no incident wave, "
     if not math.isnan(features.isw_amplitude_v):
@@ -216,7 +224,11 @@ def _read_trigger_level_v(rig: RigSettings, simulated_v: float, shot: Shot) -> f
 def _check_trigger_level(
     level_v: float, shot: Shot, features: ShotFeatures, spike: SpikeSurvey | None
 ) -> Check:
-    """Compare the trigger level with the incident wave of the shot, or of the previous survey."""
+    """Check that the trigger level is a suitable fraction (`FITTING_LEVEL`) of the incident wave.
+
+    The amplitude is that of the shot if valid, otherwise that of the survey. Skipped if the amplitude or the
+    level (V) is unknown (NaN).
+    """
     name = f"strike {shot.key.position}: trigger level"
     incident_v = features.isw_amplitude_v
     if (math.isnan(incident_v) or not features.valid) and spike is not None and spike.wave_v is not None:

@@ -29,7 +29,10 @@ SCANNERS = TypeAdapter(dict[str, str]).validate_python(load_table(__file__))
 
 
 def run_program(command: Sequence[str]) -> str | None:
-    """Run a program without a shell and return its output; None if it fails."""
+    """Run a program without a shell and return its stripped output, also of one that ends with an error code.
+
+    None if it cannot be started, takes longer than `LONGEST_ANSWER_S`, or prints nothing.
+    """
     try:
         done = subprocess.run(
             command, capture_output=True, text=True, timeout=LONGEST_ANSWER_S, check=False, errors="replace"
@@ -42,14 +45,17 @@ def run_program(command: Sequence[str]) -> str | None:
 
 
 def check_unattended_settings(folder: Path, ask: Ask, system: str) -> list[Check]:
-    """Check sleep, updates and virus scanners; settings that cannot be read give a warning."""
+    """Check sleep, updates and virus scanners; settings that cannot be read give a warning.
+
+    ``system`` is a value of ``sys.platform``; others than Linux and Windows are not asked.
+    """
     return [_check_sleep(ask, system), _check_updates(ask, system), _check_antivirus(folder, ask, system)]
 
 
 def _computer_check(
     name: str, good: bool | None, found: str, remedy: str, **values: str | bool | None
 ) -> Check:
-    """Create a check of the computer for unattended operation."""
+    """Create a check of area ``machine``: ok if ``good`` is True, a warning if False or None (unknown)."""
     return Check("machine", name, "ok" if good else "warn", found, remedy, values)
 
 
@@ -57,7 +63,7 @@ def _computer_check(
 
 
 def _check_sleep(ask: Ask, system: str) -> Check:
-    """Check that the computer never enters sleep mode."""
+    """Check that sleep and hibernation are switched off; warn if not, or if it is unknown."""
     idle = None
     if system == "win32":
         source, never = "powercfg", _windows_never_sleeps(ask)
@@ -81,7 +87,10 @@ def _check_sleep(ask: Ask, system: str) -> Check:
 
 
 def _windows_never_sleeps(ask: Ask) -> bool | None:
-    """Read both timeouts on mains power: the next-to-last number of each answer, in any language."""
+    """Return whether sleep and hibernation are off on mains power; None if powercfg gives no answer.
+
+    The timeout is the next-to-last hexadecimal number of each answer, in any language.
+    """
     timeouts = []
     for kind in ("STANDBYIDLE", "HIBERNATEIDLE"):
         text = ask(["powercfg", "/query", "SCHEME_CURRENT", "SUB_SLEEP", kind]) or ""
@@ -96,7 +105,7 @@ def _windows_never_sleeps(ask: Ask) -> bool | None:
 
 
 def _check_updates(ask: Ask, system: str) -> Check:
-    """Check that automatic updates do not restart the computer."""
+    """Check that automatic updates do not restart the computer and no restart is pending."""
     waits, restarts, source = None, None, f"not asked on {system}"
     remedy = "let updates restart this computer only when a person says so"
     if system == "linux":
@@ -117,7 +126,10 @@ def _check_updates(ask: Ask, system: str) -> Check:
 
 
 def _read_linux_updates(ask: Ask) -> tuple[bool | None, bool | None, str]:
-    """Read on Linux whether a restart is pending, whether updates restart, and the source."""
+    """Read on Linux whether a restart is pending, whether updates restart, and the source.
+
+    Asks apt-config, then dnf-automatic; None where unknown.
+    """
     waits = ask(["ls", "/run/reboot-required"]) is not None
     # It prints what is set, and the root of an empty tree else.
     text = ask(["apt-config", "dump"])
@@ -131,7 +143,10 @@ def _read_linux_updates(ask: Ask) -> tuple[bool | None, bool | None, str]:
 
 
 def _read_windows_updates(ask: Ask) -> tuple[bool | None, bool | None, str]:
-    """Read on Windows whether a restart is pending, whether updates restart, and the source."""
+    """Read on Windows whether a restart is pending, whether updates restart, and the source.
+
+    Without a policy that forbids restarts the second value is None (unknown).
+    """
     waits = ask(["reg", "query", UPDATE_WAITS]) is not None
     text = ask(["reg", "query", UPDATE_POLICY]) or ""
     policy = {name: int(value, 16) for name, value in re.findall(r"(\w+)\s+REG_DWORD\s+(0x\w+)", text)}
@@ -144,7 +159,7 @@ def _read_windows_updates(ask: Ask) -> tuple[bool | None, bool | None, str]:
 
 
 def _check_antivirus(folder: Path, ask: Ask, system: str) -> Check:
-    """Check that no virus scanner locks files of the folder."""
+    """Check that no known virus scanner locks files of the folder; warn if one may, or if it is unknown."""
     is_excluded, finding, remedy = None, f"not asked on {system}", f"except {folder} from scanning on access"
     if system == "linux":
         processes = ask(["ps", "-e", "-o", "comm="])
@@ -164,7 +179,7 @@ def _check_antivirus(folder: Path, ask: Ask, system: str) -> Check:
 
 
 def _read_defender_exclusion(folder: Path, ask: Ask) -> tuple[bool | None, str]:
-    """Check whether Windows Defender excludes the folder, and return that with a description."""
+    """Return whether Windows Defender excludes the folder (None: unknown), and a description."""
     text = ask(["powershell", "-NoProfile", "-NonInteractive", "-Command", DEFENDER])
     if text is None:
         return None, "unknown: Windows Defender does not answer, maybe another one is installed"

@@ -32,7 +32,7 @@ class _Positive(click.FloatRange):
     """Positive finite number: a range alone accepts infinity and NaN."""
 
     def convert(self, value: float, param: click.Parameter | None, ctx: click.Context | None) -> float:
-        """Convert a text to a finite positive number, or report a usage error."""
+        """Convert a text to a finite positive number; raise `click.BadParameter` if it is none."""
         number = super().convert(value, param, ctx)
         if not math.isfinite(number):
             self.fail(f"{value} is no finite number.", param, ctx)
@@ -52,18 +52,20 @@ _TYPES: Mapping[str, click.ParamType[Any]] = {
 
 
 def find_command(name: str) -> click.Command | None:
-    """Build a click command with its options; return None if there is no such command."""
+    """Build the click command of this name with its options; return None if there is none."""
     table = next((commands[name] for commands in _SECTIONS.values() if name in commands), None)
     return None if table is None else _build_command(name, table)
 
 
 def call_function(target: str, starting: str = "", **options: Any) -> int:
-    """Import the function ``MODULE:NAME``, call it with the options, and return its exit code.
+    """Import the function ``MODULE:NAME`` of this package, call it with the options, return its exit code.
+
+    A function that returns None gives 0.
 
     Parameters
     ----------
     starting
-        Line that is printed before the import: on a cold machine that takes seconds.
+        Line that is printed before the import, which takes seconds on a cold machine; empty: none.
     """
     if starting:
         from daq_service.processes.printing import print_line
@@ -74,7 +76,7 @@ def call_function(target: str, starting: str = "", **options: Any) -> int:
 
 
 def _build_command(name: str, table: Table) -> click.Command:
-    """Build a click command, or a group of commands, from its entry in the table."""
+    """Build a click command from its entry in the table; a group if the entry has ``commands``."""
     text = f"{table['summary']}\n\n{table.get('details', '')}"
     if "commands" in table:
         return click.Group(name, [_build_command(*item) for item in table["commands"].items()], help=text)
@@ -83,7 +85,7 @@ def _build_command(name: str, table: Table) -> click.Command:
 
 
 def _build_parameters(options: Sequence[str | Table]) -> Iterator[click.Parameter]:
-    """Yield the click options of a command; a text in the list is the name of a shared option."""
+    """Yield the click options of a command; a string in the list names one or more shared options."""
     for option in options:
         if isinstance(option, str):
             shared: Table | Sequence[str] = _SHARED[option]
@@ -101,7 +103,10 @@ def _build_parameter(
     range: Table | None = None,  # noqa: A002 - a key of the file
     **attributes: Any,
 ) -> click.Parameter:
-    """Build an option or argument of click from its entry in the table of commands."""
+    """Build an option or argument of click from its entry in the table of commands.
+
+    ``choices`` and ``range`` override ``type``. A pair of flags (``--on/--off``) has the default None.
+    """
     kind = click.Choice(choices) if choices else _TYPES.get(type)
     if range is not None:
         kind = (click.IntRange if isinstance(range["min"], int) else click.FloatRange)(**range)

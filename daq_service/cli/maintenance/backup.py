@@ -89,6 +89,8 @@ def back_up(
 ) -> Copied:
     """Copy new data of a folder to a backup; each copy is read back and compared.
 
+    Corrupt files go to the backup's quarantine and lost sets are listed; neither stops the backup.
+
     Raises
     ------
     StorageError
@@ -129,7 +131,11 @@ def back_up(
 
 
 def _mark_destination(destination: Path, experiment: dict[str, object] | None) -> None:
-    """Mark a new destination for this test, and raise an error for that of another test."""
+    """Create the destination with a marker of this test, or check the one that it has.
+
+    Removes unfinished files of an earlier backup. Raises StorageError if the test has not started, or the
+    folder is not empty, holds another test, or a recorder has run in it.
+    """
     if experiment is None:
         raise StorageError("the test has not begun; there is nothing to copy")
     experiment = to_current_row("experiment", experiment)
@@ -161,7 +167,7 @@ def _mark_destination(destination: Path, experiment: dict[str, object] | None) -
 
 
 def _read_history(folder: Path) -> bytes:
-    """Read the history before the catalogue is copied: it must not contain more."""
+    """Read the history, b"" without one; before the catalogue is copied, since it must not contain more."""
     try:
         return read_shared(folder / HISTORY_FILE)
     except FileNotFoundError:
@@ -169,7 +175,7 @@ def _read_history(folder: Path) -> bytes:
 
 
 def _copy_journal(folder: Path, destination: Path, copied: Copied) -> Iterator[Path]:
-    """Copy the used part of each segment."""
+    """Copy the used part of each journal segment and yield the path of each copy."""
     for number, content in read_segments(folder):
         ends = [frame.end for frame in parse_frames(content)]
         # Without the room for what is to come.
@@ -186,7 +192,10 @@ def _copy_sets(
     copied: Copied,
     progress: Callable[[int, int], None],
 ) -> None:
-    """Copy new files of sets; put corrupt ones into the quarantine."""
+    """Copy new files of sets; put corrupt ones into the backup's quarantine and list them in ``copied``.
+
+    A file that the backup has with equal size is not copied again.
+    """
     files = to_references(path.name for path in (folder / SETS_FOLDER).glob("*.h5"))
     for number, (set_key, file) in enumerate(files.items()):
         progress(number, len(files))
@@ -210,7 +219,7 @@ def _list_lost_sets(
 ) -> list[Finding]:
     """List the sets with rows that have neither a file nor journal frames.
 
-    Files first, in one listing: only for those that are not among them the journal is read.
+    Files are listed first: the copied journal is read only if some are missing.
     """
     named = {finding.file for finding in copied.damage}
     files = {f"{SETS_FOLDER}/{path.name}" for path in (folder / SETS_FOLDER).glob("*.h5")} | named
@@ -226,7 +235,7 @@ def _list_lost_sets(
 
 
 def _copy_others(folder: Path, destination: Path, copied: Copied) -> None:
-    """Copy the other files: configuration, supply counters, logs, quarantine."""
+    """Copy the other files: configuration, supply counters, logs, quarantine; skip those that vanish."""
     for name in sorted(OWN_NAMES - LEFT_OUT):
         place = folder / name
         paths = sorted(place.rglob("*")) if place.is_dir() else [place]
@@ -239,12 +248,12 @@ def _copy_others(folder: Path, destination: Path, copied: Copied) -> None:
 
 
 def _write_copy(target: Path, content: bytes, copied: Copied) -> None:
-    """Write a copy unless it exists, and read it back.
+    """Write a copy durably unless an equal one exists, read it back from the disk, and count it.
 
     Raises
     ------
     OSError
-        It is not on the disk as it was written.
+        It cannot be written, or reads differently; then it is removed.
     """
     if target.exists() and target.stat().st_size == len(content) and read_shared(target) == content:
         return
@@ -258,7 +267,10 @@ def _write_copy(target: Path, content: bytes, copied: Copied) -> None:
 
 
 def _drop_from_cache(path: Path) -> None:
-    """Drop a file from the system's cache, so that the next read is from the disk."""
+    """Drop a file from the system's cache, so that the next read is from the disk.
+
+    Does nothing where Python has no `os.posix_fadvise` (Windows, macOS). Raises OSError if it fails.
+    """
     if hasattr(os, "posix_fadvise"):
         descriptor = os.open(path, os.O_RDONLY)
         try:
@@ -268,7 +280,7 @@ def _drop_from_cache(path: Path) -> None:
 
 
 def _sync_file(path: Path) -> None:
-    """Flush a file to the disk."""
+    """Flush a file to the disk (fsync); raise OSError if that fails."""
     descriptor = os.open(path, os.O_RDWR | O_BINARY)
     try:
         os.fsync(descriptor)

@@ -32,7 +32,11 @@ OPTIONS_OF_EXPORT: Mapping[str, Collection[str]] = {
 
 
 def run_verify(*, data_dir: Path, as_json: bool) -> int:
-    """Check a folder; return 4 if something is corrupt."""
+    """Run `solimon verify`: check a folder, print the findings, return 4 if something is corrupt, else 0.
+
+    Nothing is written. Runs with low priority while a recorder owns the folder. Raises StorageError if the
+    folder holds no test.
+    """
     from daq_service.cli.maintenance.verify import verify_folder
 
     _lower_priority(data_dir)
@@ -51,7 +55,15 @@ def run_verify(*, data_dir: Path, as_json: bool) -> int:
 
 
 def run_repair(*, data_dir: Path, apply: bool, backup: Path | None, as_json: bool) -> int:
-    """Repair a folder or list the steps; return 4 while something stays corrupt."""
+    """Run `solimon repair`: print the steps, execute them if ``apply``; return 4 while corruption remains.
+
+    Raises
+    ------
+    BusyError
+        ``apply``, and a recorder owns the folder.
+    StorageError
+        The folder holds no test, or a step fails.
+    """
     from daq_service.cli.maintenance.repair import execute_step, plan_repair
     from daq_service.cli.maintenance.verify import verify_folder
 
@@ -75,7 +87,10 @@ def run_repair(*, data_dir: Path, apply: bool, backup: Path | None, as_json: boo
 
 
 def run_backup(*, destination: Path, data_dir: Path, as_json: bool) -> int:
-    """Copy a folder; return 4 if a file in it is corrupt or a set is lost."""
+    """Run `solimon backup`: copy a folder; return 4 if a file in it is corrupt or a set is lost, else 0.
+
+    Raises the errors of `backup.back_up`.
+    """
     from daq_service.cli.maintenance.backup import back_up
 
     _lower_priority(data_dir)
@@ -100,7 +115,11 @@ def run_export(
     as_json: bool,
     **options: Any,
 ) -> int:
-    """Write one file of a test, a table or waveforms; return 4 if a set's file is unreadable."""
+    """Run `solimon export`: write one file of a test, a table or waveforms.
+
+    Returns 4 if a set's file is unreadable and therefore left out, otherwise 0. Raises UsageError unless
+    exactly one kind is chosen with options that belong to it; otherwise the errors of the export functions.
+    """
     kinds = {"hdf5": hdf5, "table": table, "waveforms": waveforms}
     chosen = [name for name, value in kinds.items() if value is not None]
     if len(chosen) != 1:
@@ -139,14 +158,17 @@ def run_export(
 
 
 def _print_files(files: Sequence[ExportedTable], *, as_json: bool) -> int:
-    """Print the paths of the exported files."""
+    """Print path, table and size of each exported file, or JSON; return 0."""
     lines = [f"{item.file}: table {item.table} ({item.n_bytes / 1e6:.1f} MB)" for item in files]
     print_result({"ok": True, "files": list(map(asdict, files))}, lines, as_json=as_json)
     return EXIT_OK
 
 
 def run_acceptance_report(*, data_dir: Path, **options: Any) -> int:
-    """Write an acceptance report; return 6 if it does not pass."""
+    """Run `solimon acceptance-report` with low priority; return 6 if the report does not pass, else 0.
+
+    Raises the errors of `write_acceptance_report`.
+    """
     from daq_service.cli.maintenance.acceptance.command import write_acceptance_report
 
     _lower_priority(data_dir)
@@ -154,27 +176,30 @@ def run_acceptance_report(*, data_dir: Path, **options: Any) -> int:
 
 
 def _format_findings(damage: Sequence[Finding]) -> list[str]:
-    """Format each finding of corruption as a line."""
+    """Format each finding of corruption as a line: kind, file, description."""
     return [f"{finding.kind:<18} {finding.file}: {finding.description}" for finding in damage]
 
 
 def _join_counts(counts: dict[str, int]) -> str:
-    """Join counts with their names."""
+    """Join counts and their names to one text, such as ``3 files, 2 sets in journal``."""
     return ", ".join(f"{number} {name.replace('_', ' ')}" for name, number in counts.items())
 
 
 def _lower_priority(folder: Path) -> None:
-    """Lower the priority of this process while a recorder runs."""
+    """Set the lowest scheduling priority for this process while a recorder runs on the folder.
+
+    Does nothing on Windows. The priority is not restored.
+    """
     if is_owned(folder) and hasattr(os, "nice"):
         os.nice(LOWEST_PRIORITY)
 
 
 def _progress_printer(what: str) -> Callable[[int, int], None]:
-    """Create a function that prints the progress to standard error."""
+    """Create a function that prints how many of the planned ``what`` are done, to standard error."""
     terminal, printed_s = sys.stderr.isatty(), time.monotonic()
 
     def print_progress(done: int, planned: int) -> None:
-        """Print the number of finished steps: continuously on a terminal, otherwise from time to time."""
+        """Rewrite the progress line on a terminal; otherwise print a line every `PROGRESS_EVERY_S`."""
         nonlocal printed_s
         text, now_s = f"{done} of {planned} {what}", time.monotonic()
         if terminal:

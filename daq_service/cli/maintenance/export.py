@@ -97,10 +97,12 @@ def export_hdf5(
 ) -> Exported:
     """Write one HDF5 file of a test, also of one that runs.
 
+    Unreadable sets and sets without a file are left out and listed in the result.
+
     Raises
     ------
     UsageError
-        There is no test in the folder; the file exists, or would lie among what is the test's own.
+        There is no test in the folder; the file exists, or would be among what is the test's own.
     StorageError
         No set has a file yet, or the catalogue cannot be read.
     StorageUnavailableError
@@ -147,12 +149,13 @@ def export_hdf5(
 
 
 def refuse_target(folder: Path, target: Path, *, overwrite: bool) -> None:
-    """Raise UsageError for a target that must not be written.
+    """Raise an error for an output file that must not be written; the check changes nothing.
 
     Raises
     ------
     UsageError
-        There is no test in the folder; the file exists, or would lie among what is the test's own.
+        There is no test in the folder; the target's folder is missing; the target exists without
+        ``overwrite`` or is no file, or would be among the test's own files.
     StorageError
         The test's catalogue is lost.
     """
@@ -174,7 +177,10 @@ def refuse_target(folder: Path, target: Path, *, overwrite: bool) -> None:
 def _list_arrays(
     folder: Path, files: Mapping[SetKey, SetReference], progress: Callable[[int, int], None]
 ) -> tuple[dict[Sampling, list[Block]], int, dict[str, str]]:
-    """Return the arrays of all files, the number of sets without a file, and the unreadable files."""
+    """Return the record arrays by sampling, the number of sets without a file yet, and the unreadable files.
+
+    A set that is still in the journal counts as without a file. Unreadable files have their reason.
+    """
     blocks, waiting, left_out = dict[Sampling, list[Block]](), 0, dict[str, str]()
     journaled = FolderSetReader(folder).sets()
     for number, (set_key, file) in enumerate(sorted(files.items())):
@@ -196,7 +202,10 @@ def _list_arrays(
 def _read_shot_columns(
     catalogue: Catalogue, sampling: Sampling, blocks: Sequence[Block], sets: Sequence[SetRow]
 ) -> Columns:
-    """Collect the columns of shots and their results, in the order of the shots."""
+    """Collect the columns of shots and their results, in the order of the records in the blocks.
+
+    A record without a row has missing values (`_to_columns`). Reads `_SETS_AT_ONCE` sets at a time.
+    """
     due_h = {row.set_index: row.due_h for row in sets}
     kind: type[FeatureRow] | type[ThicknessRow] = ThicknessRow if sampling.is_echo else FeatureRow
     parts = []
@@ -220,7 +229,10 @@ def _read_shot_columns(
 
 
 def _read_set_columns(catalogue: Catalogue, position: str, sets: Sequence[SetRow]) -> Columns:
-    """Collect the columns of a position's sets and their results, in the order of the sets."""
+    """Collect the columns of a position's sets and their results, in the order of ``sets`` (not empty).
+
+    A set without a result has missing values (`_to_columns`).
+    """
     kinds: tuple[type[FeatureRow | AssessmentRow | ThicknessRow], ...] = (FeatureRow, AssessmentRow)
     if sets[0].method == PULSE_ECHO:
         kinds = (ThicknessRow,)
@@ -246,13 +258,16 @@ def _read_set_columns(catalogue: Catalogue, position: str, sets: Sequence[SetRow
 
 
 def _select_result_columns(kind: type[Row]) -> tuple[str, ...]:
-    """Collect the columns of results, without keys and nested values."""
+    """Return the names of a result row's columns, without keys and nested values."""
     nested = ("contributions", "statistics", "limits", "averages")
     return tuple(name for name in kind.__slots__ if name not in (*_NO_RESULT, *nested))
 
 
 def _to_columns(rows: Sequence[Row | None], kind: type[Row], names: Sequence[str]) -> dict[str, Column]:
-    """Convert values to arrays by column; missing ones are NaN, -1, or an empty text."""
+    """Convert rows to one array or list of strings per column; missing values are NaN, -1, or "".
+
+    Rows may be None, and then all their values are missing.
+    """
     forms = {column.name: choose_form(column.type) for column in list_columns(kind)}
     columns: dict[str, Column] = {}
     for name in names:
@@ -265,7 +280,7 @@ def _to_columns(rows: Sequence[Row | None], kind: type[Row], names: Sequence[str
 
 
 def _concatenate_column(parts: Sequence[Column]) -> Column:
-    """Concatenate the parts of a column to one array."""
+    """Concatenate the parts of a column, arrays or lists of strings, in order."""
     if isinstance(parts[0], list):
         return [value for part in parts for value in part]
     return np.concatenate(parts)

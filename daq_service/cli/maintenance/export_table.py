@@ -38,7 +38,7 @@ class ExportedTable:
 def export_table(
     folder: Path, choice: Choice, targets: Sequence[Path], *, overwrite: bool = False
 ) -> list[ExportedTable]:
-    """Write the chosen table to each of the files, also for a running test.
+    """Write the chosen table to each of the files, also for a running test; return one result per file.
 
     Raises
     ------
@@ -58,7 +58,9 @@ def export_table(
 def export_records(
     folder: Path, choice: RecordChoice, targets: Sequence[Path], *, overwrite: bool = False
 ) -> list[ExportedTable]:
-    """Write the chosen records in volts to each of the files, also for a running test.
+    """Write the chosen records in V to each of the files, also for a running test.
+
+    Records are held in memory. Returns one result per file, of the table ``waveforms``.
 
     Raises
     ------
@@ -70,7 +72,7 @@ def export_records(
     read: list[RecordSlice] = []
 
     def make_file(catalogue: Catalogue, fresh: Freshness, form: str) -> Parts:
-        """Build the parts of an export in a format; read the records only once."""
+        """Encode the records in a format; they are read at the first call only."""
         if not read:
             archive = FolderSetReader(folder)
             read.append(read_record_slice(catalogue, archive, choice, most_bytes=MOST_RECORD_BYTES))
@@ -82,7 +84,10 @@ def export_records(
 def _write_targets(
     folder: Path, position: str | None, table: str, targets: Sequence[Path], make: Make, *, overwrite: bool
 ) -> list[ExportedTable]:
-    """Write a table to each target in the format of its suffix."""
+    """Write a table to each target in the format of its suffix, and return the files written.
+
+    Raises UsageError before the first write if a target or the position is refused.
+    """
     forms = [_format_of_target(target) for target in targets]
     for target in targets:
         refuse_target(folder, target, overwrite=overwrite)
@@ -100,7 +105,7 @@ def _write_targets(
 
 
 def _format_of_target(target: Path) -> str:
-    """Return the export format of a target's suffix."""
+    """Return the export format of a target's suffix, in any case; raise UsageError for an unknown one."""
     form = {"hdf5": "h5"}.get(target.suffix[1:].lower(), target.suffix[1:].lower())
     if form not in FORMATS:
         raise UsageError(f"{target} has no known ending; choose from {', '.join(FORMATS)}")

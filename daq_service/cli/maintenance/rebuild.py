@@ -12,7 +12,19 @@ from daq_service.processes.printing import print_result
 
 
 def rebuild_and_print(*, data_dir: Path, as_json: bool) -> None:
-    """Rebuild the catalogue and print the result; progress goes to standard error."""
+    """Run `solimon rebuild`: rebuild the catalogue from the sets and print the result.
+
+    Progress goes to standard error; the old catalogue is kept in the folder.
+
+    Raises
+    ------
+    BusyError
+        A recorder owns the folder.
+    CatalogueError, NoDataYetError
+        It cannot be rebuilt, or no test has started.
+    StorageError
+        The folder is missing or cannot be written.
+    """
     from daq_service.recording.reassessment.rebuild import rebuild_folder_catalogue
 
     folder = data_dir.absolute()

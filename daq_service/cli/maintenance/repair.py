@@ -47,7 +47,9 @@ class Step:
 
 
 def plan_repair(folder: Path, report: Report, backup: Path | None) -> list[Step]:
-    """List the repair step for each corruption and for unfinished files.
+    """List the repair step for each corrupt file and for unfinished files; nothing is changed.
+
+    Unfinished files come first, then the others by name.
 
     Parameters
     ----------
@@ -74,7 +76,10 @@ def plan_repair(folder: Path, report: Report, backup: Path | None) -> list[Step]
 def _plan_file_repair(
     folder: Path, file: SetReference, journal: Mapping[SetKey, JournaledSet], backup: Path | None
 ) -> Step:
-    """Choose the repair step for a corrupt or missing file of a set."""
+    """Choose the repair step for a corrupt or missing file of a set.
+
+    In this order: the journal, the backup, quarantine if the set has no rows; otherwise nothing.
+    """
     ((set_key, _),) = to_references([Path(file).name]).items()
     journaled = journal.get(set_key)
     if journaled is not None and journaled.is_whole and journaled.reference == file:
@@ -97,7 +102,7 @@ def _plan_file_repair(
 
 
 def _read_rows(folder: Path, set_key: SetKey) -> RowsOfSet | None:
-    """Read the rows of a set; return None if the catalogue is unreadable."""
+    """Read the rows of a set in all tables; None if the catalogue is unreadable."""
     try:
         with UnchangedCatalogue(folder) as catalogue:
             return RowsOfSet(**{table: catalogue.of_set(table, set_key) for table in TABLES})
@@ -106,7 +111,7 @@ def _read_rows(folder: Path, set_key: SetKey) -> RowsOfSet | None:
 
 
 def _read_results(folder: Path, set_key: SetKey) -> Results:
-    """Read the results for the file; empty without a catalogue."""
+    """Read a set's results for its file; empty, with a logged warning, if the catalogue is unreadable."""
     try:
         with open_catalogue(folder) as catalogue:
             return read_set_results(catalogue, set_key)
@@ -116,7 +121,7 @@ def _read_results(folder: Path, set_key: SetKey) -> Results:
 
 
 def _reason_against_backup(backup: Path, file: SetReference, rows: RowsOfSet | None) -> str:
-    """Return why a backup's file is not suitable; empty if it is the lost file."""
+    """Return why a backup's file cannot replace the lost one; empty if it is intact and fits the rows."""
     if not (backup / file).is_file():
         return f"{backup / file} is not there"
     if rows is None:
@@ -131,10 +136,12 @@ def _reason_against_backup(backup: Path, file: SetReference, rows: RowsOfSet | N
 def execute_step(folder: Path, step: Step, backup: Path | None) -> None:
     """Execute one repair step; the caller holds the lock of the folder.
 
+    A file that is replaced moves to the quarantine; only unfinished ones are deleted.
+
     Raises
     ------
     OSError, ArchiveError
-        It could not be done, and everything is as it was or set aside.
+        The step failed; every file is as it was or in the quarantine.
     """
     path, file = folder / step.file, SetReference(step.file)
     if step.does == "remove":

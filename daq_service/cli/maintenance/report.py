@@ -21,14 +21,16 @@ def write_report(
     overwrite: bool,
     as_json: bool,
 ) -> None:
-    """Write the report of a data folder, or of the folder of a configuration.
+    """Run `solimon report`: write the HTML report of a data folder, or of the folder of a configuration.
+
+    Hours limit the range; None: open. The default file is ``report_FOLDER.html`` in the working directory.
 
     Raises
     ------
     UsageError
         There is no test, the range is empty or too long, or the file is there already.
     StorageError
-        The catalogue cannot be read, or the file not be written.
+        The catalogue cannot be read, or the file cannot be written.
     """
     folder = where if where.is_dir() else data_folder(load_settings(where).storage, where, None)
     target = out or Path(f"report_{folder.name}.html")

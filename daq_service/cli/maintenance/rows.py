@@ -35,14 +35,14 @@ class RowsOfSet:
 def find_row_differences(
     rows: RowsOfSet, record: SetRecord, file: SetReference, lost: frozenset[int]
 ) -> Iterator[tuple[int | None, str]]:
-    """Yield the differences between rows and file, with the id of the shot.
+    """Yield the differences between rows and file as texts, each with the id of its shot or None.
 
     Parameters
     ----------
     record
-        What can be read of the file.
+        The readable part of the file.
     lost
-        Ids of the shots in it that cannot.
+        Ids of its unreadable shots; with any, columns of sets and stored results are not compared.
     """
     of_position = {row["position"]: row for row in rows.sets}
     for position in record.positions:
@@ -86,12 +86,12 @@ def find_row_differences(
 
 
 def _to_current_row(kind: type[R], row: Found) -> R:
-    """Create a row of the present kind from a stored one, without columns that it does not have."""
+    """Create a row of a current kind from a stored one, without columns that the kind does not have."""
     return kind(**{name: row[name] for name in kind.__slots__ if name in row})
 
 
 def _decode_flags(row: Found) -> list[str]:
-    """Decode the quality flags of a shot."""
+    """Decode the quality flags of a shot; corrupt JSON gives one flag, its text."""
     try:
         found = json.loads(row["flags"])
     except (TypeError, ValueError):  # corrupt: then it differs from the file
@@ -102,7 +102,10 @@ def _decode_flags(row: Found) -> list[str]:
 def _find_shot_differences(
     found: Sequence[Found], record: SetRecord, lost: frozenset[int]
 ) -> Iterator[tuple[int | None, str]]:
-    """Yield the differences between stored and catalogued shots."""
+    """Yield the differences between stored shots and their rows, each with the id of its shot.
+
+    Rows of shots in ``lost`` are no differences.
+    """
     by_sequence = {row["sequence"]: row for row in found}
     for item in record.records:
         outcome: Outcome = "superseded" if record.outcomes.get(item.sequence) == "superseded" else "accepted"
@@ -120,14 +123,14 @@ def _find_shot_differences(
 
 
 def _find_column_differences(where: str, row: Found, wanted: Found) -> Iterator[str]:
-    """Yield the columns of a row that differ from the file; columns that one of them lacks are ignored."""
+    """Yield a text for each column whose value differs from the file; skip columns that one of them lacks."""
     for name in wanted.keys() & row.keys():
         if row[name] != wanted[name]:
             yield f"{where}: {name} is {row[name]!r}, in the file {wanted[name]!r}"
 
 
 def _check_results(rows: RowsOfSet, position: str, method: str) -> Iterator[str]:
-    """Yield a message if the results do not match the stored shots."""
+    """Yield a text for each table of results whose rows do not match the stored shots of a position."""
     shots = {row["sequence"] for row in rows.shots if row["position"] == position}
     if method == PULSE_ECHO:
         read = [row["sequence"] for row in rows.thickness if row["position"] == position]

@@ -151,7 +151,10 @@ class FolderCheck:
 
 
 def check_catalogue(state: FolderCheck) -> Iterator[Finding]:
-    """Check pages, indices and foreign keys, and find shots without a set."""
+    """Check pages, indices and foreign keys, and yield shots without a set; yield a missing catalogue.
+
+    Damage without a row goes to ``state.unreadable`` and is reported by `check_references`.
+    """
     if state.catalogue is None:
         yield Finding("catalogue", FILE_NAME, f"it is not there; {MADE_AGAIN} in its place")
         return
@@ -171,7 +174,7 @@ def check_catalogue(state: FolderCheck) -> Iterator[Finding]:
 
 
 def check_experiment(state: FolderCheck) -> Iterator[Finding]:
-    """Check the files from which a lost catalogue is rebuilt."""
+    """Yield damage of experiment.json and history.jsonl, and disagreements with the catalogue."""
     try:
         stored = read_experiment(state.folder)
     except CatalogueError as error:
@@ -205,9 +208,10 @@ def check_experiment(state: FolderCheck) -> Iterator[Finding]:
 
 
 def _find_missing_events(state: FolderCheck, last_id: int, *, running: bool) -> Iterator[str]:
-    """Yield the events of the catalogue that are missing at the end of the history.
+    """Yield at most one text on events of the catalogue that are missing at the end of the history.
 
-    A recorder appends them within a second and before it ends; after a crash the next start does.
+    A recorder appends them within a second and before it ends, after a crash at the next start: a delay up to
+    `MOST_BEHIND_S` without such an end is none.
     """
     try:
         lacking = [] if state.catalogue is None else state.catalogue.read_events_after(last_id)
@@ -224,7 +228,7 @@ def _find_missing_events(state: FolderCheck, last_id: int, *, running: bool) -> 
 
 
 def check_logs(state: FolderCheck) -> Iterator[Finding]:
-    """Check audit log and notification log for changed or missing lines."""
+    """Yield changed, missing or unreadable lines of audit log and notification log; skip a missing log."""
     for kind, (file, remedy) in LOGS.items():
         try:
             damage = parse_lines(read_shared(state.folder / file), name=file).damage
@@ -237,7 +241,10 @@ def check_logs(state: FolderCheck) -> Iterator[Finding]:
 
 
 def check_frames(state: FolderCheck) -> Iterator[Finding]:
-    """Check each frame of the journal twice, since a frame may be incomplete while it is written."""
+    """Check the frames of the journal and yield damage that a second reading shows, too.
+
+    A frame may be incomplete while it is written. Stores the journal in ``state``.
+    """
     first = check_journal(state.folder)
     state.journal = check_journal(state.folder) if first.damages else first
     state.checked |= {"frames": state.journal.n_frames, "bytes": state.journal.n_bytes}
@@ -249,7 +256,7 @@ def check_frames(state: FolderCheck) -> Iterator[Finding]:
 
 
 def check_sets(state: FolderCheck) -> Iterator[Finding]:
-    """Check every file and every complete set of the journal, and its rows."""
+    """Check every file, and every set that is only in the journal, and compare each with its rows."""
     paths = sorted(path for path in (state.folder / SETS_FOLDER).glob("*.h5") if to_references([path.name]))
     for number, path in enumerate(paths):
         state.progress(number, len(paths))
@@ -267,7 +274,7 @@ def check_sets(state: FolderCheck) -> Iterator[Finding]:
 
 
 def _check_file(state: FolderCheck, set_key: SetKey, reference: SetReference) -> Iterator[Finding]:
-    """Check the file of a set and compare it with its rows."""
+    """Check the file of a set and compare it with its rows; yield nothing if it is missing."""
     rows = _read_set_rows(state, set_key)
     sha256 = None if rows is None else stored_sha256(rows.sets, reference)
     try:
@@ -291,12 +298,12 @@ def _check_file(state: FolderCheck, set_key: SetKey, reference: SetReference) ->
 
 
 def stored_sha256(rows: Sequence[Found], reference: SetReference) -> str | None:
-    """Return the SHA-256 of a set's file that its rows state; None if there is none."""
+    """Return the SHA-256 of a set's file that its rows contain, in hexadecimal; None if there is none."""
     return next((row.get("file_sha256") for row in rows if row["file"] == reference), None)
 
 
 def _read_set_rows(state: FolderCheck, set_key: SetKey) -> RowsOfSet | None:
-    """Read the rows of a set; None if the catalogue is unreadable, which is reported once."""
+    """Read the rows of a set; None if the catalogue is missing or unreadable, noted in ``state``."""
     if state.catalogue is None:
         return None
     try:
@@ -313,7 +320,11 @@ def _compare_with_rows(
     record: SetRecord,
     lost: frozenset[int],
 ) -> Iterator[Finding]:
-    """Compare a set with its rows."""
+    """Compare the name, configuration and rows of a set with its record and yield the differences.
+
+    A record with a foreign name or configuration is not compared further. Missing rows are damage only if
+    later sets have some.
+    """
     named, due_s = parse_set_keys([reference.rpartition("/")[2]]), record.due_utc_ns // NS_PER_S
     if (named, parse_due_utc_ns(reference)) != ({record.set_key}, due_s * NS_PER_S):
         description = (
@@ -347,7 +358,7 @@ def _compare_with_rows(
 
 
 def check_references(state: FolderCheck) -> Iterator[Finding]:
-    """Check that every set with rows is a file or in the journal."""
+    """Yield each set with rows that is neither a file nor in the journal, and what is unreadable."""
     for set_key in sorted(state.sets_with_rows):
         rows = _read_set_rows(state, set_key)
         files = {row["file"] for row in rows.sets if isinstance(row["file"], str)} if rows else set()
@@ -381,7 +392,9 @@ class Report:
 
 
 def verify_folder(folder: Path, progress: Callable[[int, int], None] = lambda done, planned: None) -> Report:
-    """Check all data in a data folder, even while a test runs.
+    """Check all data in a data folder and return the report; nothing is written, a test may run.
+
+    ``progress`` is called with the number of set files that are done, and of all.
 
     Raises
     ------
@@ -407,7 +420,7 @@ def verify_folder(folder: Path, progress: Callable[[int, int], None] = lambda do
 
 
 def _list_noteworthy(state: FolderCheck) -> list[str]:
-    """List unusual but not corrupt files: unfinished, foreign or quarantined ones."""
+    """List notes on unfinished, foreign or quarantined files, caches, and sets without rows yet."""
     others = [path.name for path in (state.folder / SETS_FOLDER).glob("*") if not to_references([path.name])]
     unfinished = sorted(name for name in others if name.endswith(TEMPORARY_SUFFIX))
     foreign = sorted(set(others) - set(unfinished))

@@ -40,7 +40,7 @@ class AlarmAnswer(TypedDict):
 
 
 def _alarm_of_refused() -> AlarmAnswer:
-    """Return the alarm entry of a table that could not be assessed."""
+    """Return the alarm entry of a table that could not be assessed: no rows, no guaranteed rate."""
     return {"rows": [], "rate_guaranteed": False, "why": "refused", "limit": None}
 
 
@@ -76,7 +76,7 @@ class Sensor:
     rows: Sequence[dict[str, float | None]] | None = None
 
     def as_json(self) -> dict[str, object]:
-        """Convert the result to a JSON object, without keys that do not apply."""
+        """Convert the result to a JSON object, without optional keys that are None."""
         optional = ("default_because", "rows")
         return {
             name: value for name, value in vars(self).items() if name not in optional or value is not None
@@ -96,7 +96,15 @@ def run_assess(
     false_discovery_rate: float,
     as_json: bool,
 ) -> None:
-    """Assess every table; report tables that cannot be assessed with the reason."""
+    """Run `solimon assess`: assess every table and print the results as text or JSON.
+
+    A file that is no table gets a result with the reason. ``budget`` is in false alarms per year.
+
+    Raises
+    ------
+    UsageError
+        Invalid options, at once; a missing file or column, after the other results are printed.
+    """
     if (baseline_rows is None) == (baseline_where is None):
         raise UsageError("say what is the baseline: --baseline-rows N or --baseline-where COLUMN=VALUE")
     where = None
@@ -145,7 +153,10 @@ def run_assess(
 
 @contextmanager
 def _provide_map(tables: tuple[Path, ...]) -> Iterator[Map]:
-    """Provide a `map` over tables, in processes for many files, with progress on a terminal."""
+    """Provide a function like `map`, with processes and, on a terminal, progress for many files.
+
+    Fewer than `FEW_FILES` files or one core give `map` itself. The processes end with the context.
+    """
     workers = min(count_usable_cores(), -(-len(tables) // FILES_A_TASK))
     if len(tables) < FEW_FILES or workers < 2:
         yield map
@@ -166,7 +177,7 @@ def _provide_map(tables: tuple[Path, ...]) -> Iterator[Map]:
 def assess_table_or_error(
     path: Path, *, read: Read, budget: Budget, with_rows: bool
 ) -> tuple[Sensor, UsageError | None]:
-    """Assess one table, or return the error of reading it, so that the other tables are assessed."""
+    """Assess one table; return its result and None, or a refused result and the UsageError of reading it."""
     try:
         return assess_one_table(path, read=read, budget=budget, with_rows=with_rows), None
     except UsageError as error:
@@ -174,7 +185,11 @@ def assess_table_or_error(
 
 
 def assess_one_table(path: Path, *, read: Read, budget: Budget, with_rows: bool) -> Sensor:
-    """Assess one table and return the result for JSON."""
+    """Assess one table and return the result for JSON; a baseline that cannot be used is its ``refused``.
+
+    Warns on standard error if the last row is baseline, so that nothing is assessed. Raises UsageError if the
+    table cannot be read.
+    """
     table = read(path)
     assessed = assess_sequence(table.vectors, table.in_baseline, table.names, budget, textbooks=with_rows)
     answer = Sensor(
@@ -216,7 +231,7 @@ def assess_one_table(path: Path, *, read: Read, budget: Budget, with_rows: bool)
 
 
 def _result_rows(assessed: Assessed) -> list[dict[str, float | None]]:
-    """Return one result per row of the table."""
+    """Return the statistics of each row of the table for JSON; NaN becomes None."""
     columns = {
         "distance_squared": assessed.distances_squared,
         "mewma_textbook": assessed.mewma_textbook,
@@ -230,7 +245,7 @@ def _result_rows(assessed: Assessed) -> list[dict[str, float | None]]:
 
 
 def describe_sensor(answer: Sensor, budget: float, sets_per_day: float) -> str:
-    """Format the result of a transducer as lines of text."""
+    """Format the result of a transducer as lines of text; ``budget`` in false alarms per year."""
     if answer.refused is not None:
         return f"{answer.file}: refused: {answer.refused}"
     alarm, lines = answer.alarm, [answer.file]

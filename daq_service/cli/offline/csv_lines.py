@@ -23,16 +23,17 @@ class NoTableError(UsageError):
 
 
 def read_csv_lines(path: Path) -> tuple[list[str], list[str]]:
-    """Read the leading comments of a file and its other non-empty lines.
+    """Read the leading comment lines of a file and its other non-empty lines.
 
-    It is in UTF-8, or in UTF-16 as a spreadsheet's "Unicode text". A spreadsheet's line ``sep=;`` is none.
+    The file is in UTF-8, or in UTF-16 as a spreadsheet's "Unicode text". A spreadsheet's line ``sep=;`` is
+    dropped.
 
     Raises
     ------
     NoTableError
-        It is in neither.
+        The file is in neither encoding.
     OSError
-        It cannot be read.
+        The file cannot be read.
     """
     content = read_shared(path)
     wide = len(content) % 2 == 0 and content[:2] in (b"\xff\xfe", b"\xfe\xff", content[:1] + b"\0")
@@ -50,31 +51,31 @@ def read_csv_lines(path: Path) -> tuple[list[str], list[str]]:
 
 
 def finite_or_none(value: float) -> float | None:
-    """Convert a number for JSON, which has no NaN and no infinity; None replaces them."""
+    """Return a number for JSON, which has no NaN and no infinity: None replaces them."""
     return value if math.isfinite(value) else None
 
 
 def is_comment(line: str) -> bool:
-    """Return whether a line starts with the comment sign of instruments and `numpy.savetxt`."""
+    """Return whether a line starts, after blanks, with ``#`` as comments of instruments and NumPy do."""
     return line.lstrip().startswith("#")
 
 
 def map_npy(path: Path, form: str, *, one_row: bool = False) -> NDArray[Any]:
-    """Map the array of a `.npy` file into memory.
+    """Map the array of a `.npy` file into memory, read-only; shape (rows, columns), or (n,) with ``one_row``.
 
     Parameters
     ----------
     form
         What rows and columns are, for messages.
     one_row
-        It may be one row alone.
+        Accept an array of one dimension, too.
 
     Raises
     ------
     NoTableError
-        It is no such array of numbers.
+        The file has no such array of real numbers.
     OSError
-        It cannot be read.
+        The file cannot be read.
     """
     try:
         with np.errstate(over="ignore"):  # of a claimed shape; mapped, a claim takes no memory

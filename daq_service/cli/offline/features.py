@@ -69,7 +69,15 @@ def run_features(
     psw_window_s: str | None,
     as_json: bool,
 ) -> None:
-    """Extract the features of each record of each file, and print them."""
+    """Run `solimon features`: extract the features of each record of each file and print them.
+
+    Times are in s. Files that are refused are reported after the results.
+
+    Raises
+    ------
+    UsageError
+        An option is invalid; or, after the results, the error of the first refused file.
+    """
     parameters = FileParameters(
         rate_hz=rate_hz,
         pretrigger_s=pretrigger_s,
@@ -107,7 +115,10 @@ def run_features(
 
 
 def _parse_increasing_pair(option: str, form: str, text: str | None) -> tuple[float, float] | None:
-    """Parse two increasing numbers of an option."""
+    """Parse the text ``LOW,HIGH`` of an option to two increasing finite numbers; None stays None.
+
+    Raises UsageError, which names the option, for any other text.
+    """
     if text is None:
         return None
     try:
@@ -122,12 +133,15 @@ def _parse_increasing_pair(option: str, form: str, text: str | None) -> tuple[fl
 def extract_file_features(
     path: Path, parameters: FileParameters, transducer: TransducerParameters
 ) -> list[ShotFeatures]:
-    """Extract the features of a file's records, compared with its transducer's own waves.
+    """Extract the features of a file's records, compared with their transducer's own waves, in file order.
+
+    Records without a wave to be sought are flagged as disturbed; inverted ones are reported on standard
+    error.
 
     Raises
     ------
     UsageError
-        The file cannot be read, or no wave can be sought in a record of it.
+        The file cannot be read, or no wave can be sought in any record.
     """
     file = open_records(path, parameters)
     settings = _choose_settings(path, file, transducer)
@@ -170,7 +184,11 @@ def extract_file_features(
 def _choose_settings(
     path: Path, file: RecordFile, transducer: TransducerParameters
 ) -> dict[str, ExtractionSettings]:
-    """Build the extraction settings by position: given values, or a width measured from the records."""
+    """Build the extraction settings by position: the given ISW width, or the median of measured ones.
+
+    Widths are measured in about `LOOKED_AT` records; without a plausible one the default is used. Raises
+    UsageError for invalid settings.
+    """
     widths_s: dict[str, list[float]] = defaultdict(list)
     for record in file.records(-(-file.n // LOOKED_AT)):
         found = widths_s[record.position]
@@ -197,7 +215,10 @@ def _choose_settings(
 
 
 def _extract_record(where: str, record: Record, settings: ExtractionSettings) -> ShotFeatures:
-    """Extract the features of a record; flag a record with invalid values."""
+    """Extract the features of a record; one with values above `LARGEST_V` is flagged as disturbed.
+
+    Raises UsageError, which names the record, if no wave can be sought in it.
+    """
     if not (np.abs(record.volts_v) < LARGEST_V).all():
         return apply_flags(ShotFeatures(), {DISTURBED})  # samples are missing, or no volts
     try:
@@ -219,7 +240,10 @@ def _extract_record(where: str, record: Record, settings: ExtractionSettings) ->
 def _combine_templates(
     transducer: TransducerParameters, found: Template | None, width_s: float
 ) -> Template | None:
-    """Combine given and learned parameters of the template; given ones have priority."""
+    """Combine given and learned parameters of the template; given ones have priority.
+
+    None if nothing was learned and no ISW amplitude (V) is given.
+    """
     height_v = transducer.isw_amplitude_v
     if found is None:
         return None if height_v is None else Template(isw_fwhm_s=width_s, isw_amplitude_v=height_v)
@@ -231,7 +255,7 @@ def _combine_templates(
 
 
 def _describe_template(template: Template) -> str:
-    """Describe the template with which the records are compared."""
+    """Describe the template that the records are compared with: ISW width (us) and height (V)."""
     early = template.earliest_tof_s
     since = "" if early is None else f", reflections from {1e6 * early:.0f} us on"
     width_us, height_v = 1e6 * template.isw_fwhm_s, template.isw_amplitude_v
@@ -239,7 +263,7 @@ def _describe_template(template: Template) -> str:
 
 
 def _shot_to_json(shot: ShotFeatures) -> dict[str, object]:
-    """Convert a shot to a JSON object, with null for missing values."""
+    """Convert the features of a shot to a JSON object with flags and SDs; null for missing values."""
     return {
         "flags": list(shot.flags),
         "quality": shot.quality,
@@ -249,7 +273,7 @@ def _shot_to_json(shot: ShotFeatures) -> dict[str, object]:
 
 
 def _print_table(path: Path, shots: Sequence[ShotFeatures]) -> None:
-    """Print a table of the features of a file."""
+    """Print the features of a file's records as a table on standard output."""
     from rich.table import Table
 
     table = Table(title=f"{to_one_line(str(path))}, extractor {EXTRACTOR_VERSION}")
@@ -266,7 +290,7 @@ def _print_table(path: Path, shots: Sequence[ShotFeatures]) -> None:
 
 
 def _format_with_sd(value: float, sd: float, factor: float, digits: int) -> str:
-    """Format a value with its standard deviation."""
+    """Format ``factor * value (factor * sd)``; "-" for a missing value, no parentheses for a missing SD."""
     if not math.isfinite(value):
         return "-"
     text = f"{factor * value:.{digits}f}"

@@ -117,7 +117,10 @@ class Fleet(TypedDict):
 
 
 def read_deviations(path: Path, read: Read) -> Deviations:
-    """Read a table and compute its deviations from the baseline."""
+    """Read a table and return its deviations from the baseline in SD, clipped to `FARTHEST_SD`.
+
+    Raises UsageError if the table cannot be read.
+    """
     table = read(path)
     z, _ = standardized(table.vectors, table.in_baseline)
     z = np.clip(z, -FARTHEST_SD, FARTHEST_SD).astype(np.float32)
@@ -127,7 +130,15 @@ def read_deviations(path: Path, read: Read) -> Deviations:
 def assess_individually(
     path: Path, read: Read, shared: FloatArray, usual: Usual, budget: Budget, period: int
 ) -> IndividualResult:
-    """Assess a transducer without the shared deviation, with at least the usual autocorrelation and tails."""
+    """Assess a transducer without the shared deviation, with at least the usual autocorrelation and tails.
+
+    Parameters
+    ----------
+    shared
+        Shared deviation in SD of each baseline, shape (rows, features), at least as many rows as the table.
+    period
+        Number of sets after the baseline that the chances refer to.
+    """
     table = read(path)
     _, sd = standardized(table.vectors, table.in_baseline)
     vectors = table.vectors - sd * shared[: len(table.vectors)]
@@ -146,7 +157,7 @@ def assess_individually(
 
 
 def _first_row_after_baseline(table: Deviations) -> int:
-    """Return the index of the first row after the baseline."""
+    """Return the index of the row after the last baseline row; the number of rows without a baseline."""
     healthy = np.flatnonzero(table.in_baseline)
     return int(healthy[-1]) + 1 if healthy.size else len(table.in_sd)
 
@@ -161,14 +172,16 @@ def assess_fleet(
 ) -> Fleet:
     """Assess all tables together and return the result for JSON.
 
+    Raises UsageError if the tables differ in features or one cannot be read.
+
     Parameters
     ----------
     mapped
-        As `map`: perhaps over processes.
+        Like `map`, possibly over processes.
     rate
-        Part of the raised sensors that may be healthy, on average.
-    alone
-        Rows at which each sensor's own chart alarms.
+        False discovery rate: mean fraction of the raised sensors that may be healthy.
+    own_alarms
+        Rows at which each sensor's own chart alarms, in the order of ``paths``.
     """
     first: list[Deviations] = list(mapped(partial(read_deviations, read=read), paths))
     names = first[0].names
@@ -253,7 +266,7 @@ def _rate_not_verified_reason(of_sensors: Sequence[str], sensors: int, kept_sd: 
 
 
 def _stack_tables(parts: Sequence[np.ndarray], n_rows: int) -> np.ndarray:
-    """Stack tables to one array; missing rows are NaN."""
+    """Stack tables of shape (rows, features) to (tables, ``n_rows``, features); missing rows are NaN."""
     stacked = np.full((len(parts), n_rows, parts[0].shape[1]), np.nan, dtype=np.float32)
     for k, part in enumerate(parts):
         stacked[k, : len(part)] = part
@@ -261,7 +274,7 @@ def _stack_tables(parts: Sequence[np.ndarray], n_rows: int) -> np.ndarray:
 
 
 def describe_fleet(answer: Fleet) -> str:
-    """Format the result of the fleet as lines of text."""
+    """Format the result of the fleet as lines of text: raised sensors, shared changes, alarms kept back."""
     sensors = f"fleet of {answer['sensors']} sensors, {answer['judged']} judged"
     raised = (
         f"{len(answer['raised'])} raised, of which at most {answer['false_discovery_rate']:.0%} are false"

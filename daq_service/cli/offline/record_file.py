@@ -72,7 +72,8 @@ def open_records(path: Path, parameters: FileParameters) -> RecordFile:
     Raises
     ------
     UsageError
-        It is no such file; also while records are read, naming the record.
+        The file is missing, unreadable, in no known format, or without a record; also while records are read,
+        naming the record.
     """
     reader = {
         ".npy": _open_npy,
@@ -100,7 +101,7 @@ def open_records(path: Path, parameters: FileParameters) -> RecordFile:
 
 
 def _open_npy(path: Path, parameters: FileParameters) -> RecordFile:
-    """Open the records of a `.npy` file."""
+    """Open the records of a `.npy` file, shape (records, samples) or (samples,); integers are ADC counts."""
     array = map_npy(path, "records x samples", one_row=True)
     table = np.atleast_2d(array)
     if not table.shape[1]:
@@ -113,7 +114,10 @@ def _open_npy(path: Path, parameters: FileParameters) -> RecordFile:
 
 
 def _open_csv(path: Path, parameters: FileParameters) -> RecordFile:
-    """Open the records of a CSV file."""
+    """Open the records of a CSV file, one per line; a header and an index column are skipped.
+
+    If the first record has only integers, values are ADC counts.
+    """
     _, lines = read_csv_lines(path)
     names = _split_cells(lines[0]) if lines else []
     numbered = [str(k) for k in range(len(names))]
@@ -124,7 +128,7 @@ def _open_csv(path: Path, parameters: FileParameters) -> RecordFile:
     scaled = _make_scaling(path, parameters, counts=counts, ends=None)
 
     def read_csv_records(every: int) -> Iterator[Record]:
-        """Yield every n-th record; raise UsageError for a line that is no record."""
+        """Yield every n-th record; raise UsageError for a line without numbers. Other cells become NaN."""
         for number, line in list(enumerate(lines))[::every]:
             if is_comment(line):
                 raise UsageError(f"{path}, record {number}: {line[:40]!r} is a comment; {COMMENTS}")
@@ -137,14 +141,17 @@ def _open_csv(path: Path, parameters: FileParameters) -> RecordFile:
 
 
 def _split_cells(line: str) -> list[str]:
-    """Split a line of CSV into cells."""
+    """Split a line of CSV at its separator, the first of `SEPARATORS` that it contains.
+
+    With a semicolon or tab, commas become decimal points.
+    """
     separator = next((one for one in SEPARATORS if one in line.strip()), ",")
     cells = line.strip().rstrip(separator).split(None if separator == " " else separator)
     return [cell.replace(",", ".") for cell in cells] if separator in ";\t" else cells
 
 
 def _is_number(cell: str) -> bool:
-    """Return whether a cell is a number."""
+    """Return whether Python can convert a cell to a float; NaN and infinity count."""
     try:
         float(cell)
     except ValueError:
@@ -155,7 +162,11 @@ def _is_number(cell: str) -> bool:
 def _make_scaling(
     path: Path, parameters: FileParameters, *, counts: bool, ends: tuple[float, float] | None
 ) -> Callable[[NDArray[np.generic]], Record]:
-    """Create the function that converts values of a file without metadata to a record."""
+    """Create the function that converts values of a file without metadata to a record in V.
+
+    Missing parameters are those of the paper. Raises UsageError for counts without ``volts_per_count``, or
+    rails without it.
+    """
     if counts and parameters.volts_per_count is None:
         raise UsageError(
             f"{path} holds whole numbers, which are counts of an ADC: give --volts-per-count, and with it "
@@ -168,7 +179,7 @@ def _make_scaling(
     pretrigger_s = PAPER_PRETRIGGER_S if parameters.pretrigger_s is None else parameters.pretrigger_s
 
     def scale_values(values: NDArray[np.generic]) -> Record:
-        """Convert values to a record in volts."""
+        """Convert values to a record in volts; mark it as clipped if one reaches the rails."""
         volts = values.astype(np.float64)
         clipped = _is_clipped(volts, rails)
         if parameters.volts_per_count is not None:
@@ -184,11 +195,11 @@ def _make_scaling(
 
 
 def _open_hdf5(path: Path, _: FileParameters) -> RecordFile:
-    """Open the records of a set's HDF5 file."""
+    """Open the solitary-wave records of a set's HDF5 file, which is read completely."""
     shots = [one for one in read_records(path, read_shared(path)) if isinstance(one, Shot)]
 
     def read_hdf5_records(every: int) -> Iterator[Record]:
-        """Yield every n-th record of the file."""
+        """Yield every n-th record of the file with its position."""
         for shot in shots[::every]:
             waveform = shot.waveform
             yield Record(
@@ -203,7 +214,10 @@ def _open_hdf5(path: Path, _: FileParameters) -> RecordFile:
 
 
 def _open_tdms(path: Path, parameters: FileParameters) -> RecordFile:
-    """Open the records of a TDMS file."""
+    """Open the records of a TDMS file, channel by channel; the group is the position.
+
+    Raises UsageError if npTDMS or a parameter is missing.
+    """
     from hardware_drivers.playback.tdms_records import list_channel_records
 
     mapping = TdmsMapping(
@@ -222,7 +236,7 @@ def _open_tdms(path: Path, parameters: FileParameters) -> RecordFile:
         raise UsageError(f"{error} (--rate-hz, --pretrigger-s, --volts-per-count, --rail-counts)") from error
 
     def read_tdms_records() -> Iterator[Record]:
-        """Yield each record of the channels."""
+        """Yield each record of the channels in V, in file order."""
         for one in channels:
             ends = parameters.rails
             if ends is None and one.conversion.polynomial is None:
@@ -242,5 +256,5 @@ def _open_tdms(path: Path, parameters: FileParameters) -> RecordFile:
 
 
 def _is_clipped(values: NDArray[np.generic], ends: tuple[float, float] | None) -> bool:
-    """Return whether values reach the ends of the input range."""
+    """Return whether a value reaches an end of the input range; False if the range is unknown."""
     return ends is not None and bool(values.min() <= ends[0] or values.max() >= ends[1])

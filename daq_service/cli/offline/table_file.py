@@ -99,9 +99,10 @@ def read_table(
     Raises
     ------
     NoTableError
-        The file holds no table, or a column of it holds nearly numbers.
+        The file holds no table, has repeated names or malformed numbers, or no row is baseline by
+        ``baseline_where``.
     UsageError
-        There is no such file, or it has no such column; with what it has.
+        There is no such file, or it has no such column of numbers; with what it has.
     """
     columns, decimal = _read_columns(path)
     healthy_by = baseline_where[0] if baseline_where else None
@@ -150,7 +151,10 @@ def read_table(
 
 
 def _reason_to_leave_out(name: str, column: Column, numbers: NDArray[np.float64] | None) -> str:
-    """Return the reason why a column is not a feature; empty for a feature and an unnamed empty column."""
+    """Return the reason why a column is no feature; empty for a feature and an unnamed empty column.
+
+    Reasons: its name, cells that are no numbers, identifiers with leading zeros, monotonic values.
+    """
     if not name:
         return "" if numbers is not None and np.isnan(numbers).all() else "it has no name"
     if ROWS_BY_NAME.fullmatch(re.split(r"[\[(]", name)[0].strip().lower().rstrip(".:")):
@@ -166,13 +170,16 @@ def _reason_to_leave_out(name: str, column: Column, numbers: NDArray[np.float64]
 
 
 def _describe_left_out(name: str, column: Column, reason: str) -> LeftOut:
-    """Describe a column that is not used as a feature."""
+    """Describe an unused column by name, reason and its first cell that is not missing."""
     row = next((row for row, cell in enumerate(column) if not _is_missing(cell)), 0)
     return {"name": name, "reason": reason, "row": row, "cell": str(column[row])}
 
 
 def _refuse_malformed_numbers(path: Path, name: str, column: Column, decimal: str) -> None:
-    """Raise UsageError for a column of numbers mixed with text, or with two decimal marks."""
+    """Raise NoTableError for a column of numbers with units, thousands marks or two decimal marks.
+
+    A column with mostly other texts is accepted.
+    """
     known = {row: cell for row, cell in enumerate(column) if not _is_missing(cell)}
     mixed = decimal == "," and {",", "."} <= {*"".join(map(str, known.values()))}
     nearly = [row for row, cell in known.items() if _is_malformed_number(cell, decimal, mixed=mixed)]
@@ -185,14 +192,21 @@ def _refuse_malformed_numbers(path: Path, name: str, column: Column, decimal: st
 
 
 def _is_malformed_number(cell: object, decimal: str, *, mixed: bool) -> bool:
-    """Return whether a text looks like a number with additional characters."""
+    """Return whether a cell is a number with additional characters, such as ``3 mm``, but no date.
+
+    With ``mixed`` decimal marks, numbers with thousands marks count, too.
+    """
     if not isinstance(cell, str) or _to_number(cell, decimal) is not None:
         return isinstance(cell, timedelta) or (mixed and THOUSANDS.fullmatch(str(cell)) is not None)
     return NEARLY.fullmatch(cell.strip()) is not None and not DATE.match(cell.strip())
 
 
 def _read_columns(path: Path) -> Columns:
-    """Read each column by its name, and the decimal mark of the texts."""
+    """Read all columns by name, and the decimal mark of the texts, in the format of the suffix.
+
+    Raises UsageError for another suffix or an unreadable file, NoTableError for none or more than `MOST_ROWS`
+    rows.
+    """
     reader = {".csv": _read_csv, ".parquet": _read_parquet, ".npy": _read_npy}.get(path.suffix.lower())
     if reader is None:
         ending = path.suffix or "one without ending"
@@ -209,7 +223,11 @@ def _read_columns(path: Path) -> Columns:
 
 
 def _read_csv(path: Path) -> Columns:
-    """Read the columns of a CSV file and its decimal mark."""
+    """Read the columns of a CSV file as texts, and its decimal mark: a comma unless commas separate.
+
+    Raises NoTableError for an empty file, late comments, rows of another length, or a row of totals at the
+    end.
+    """
     comments, lines = read_csv_lines(path)
     separator = next((one for one in SEPARATORS if lines and one in lines[0]), ",")
     cells = partial(csv.reader, delimiter=separator, skipinitialspace=True)
@@ -243,7 +261,7 @@ def _read_csv(path: Path) -> Columns:
 
 
 def _remove_empty_ends(header: list[str], body: list[list[str]]) -> None:
-    """Remove empty cells at the ends of lines, and empty lines at the end."""
+    """Remove trailing empty columns and trailing empty rows, in place."""
     while body and not any(map(str.strip, body[-1])):
         body.pop()
     width = max((k for row in (header, *body) for k, cell in enumerate(row, 1) if cell.strip()), default=0)
@@ -252,7 +270,10 @@ def _remove_empty_ends(header: list[str], body: list[list[str]]) -> None:
 
 
 def _remove_unit_row(path: Path, header: list[str], body: list[list[str]], decimal: str) -> list[list[str]]:
-    """Remove a row of units below the names; raise UsageError for a second row of names."""
+    """Return the rows without a row of units below the names.
+
+    Raises NoTableError if that row names columns without a name.
+    """
     first, second = (*body, [], [])[:2]
     if not len(header) == len(first) > 0 or any(is_comment(one) or _is_number(one, decimal) for one in first):
         return body
@@ -268,7 +289,11 @@ def _remove_unit_row(path: Path, header: list[str], body: list[list[str]], decim
 def _split_names_and_rows(
     last_comment: list[str], rows: list[list[str]], decimal: str
 ) -> tuple[list[str], list[list[str]]]:
-    """Split lines into column names (from the first line, or the last comment) and data rows."""
+    """Return the column names and the data rows of a CSV file.
+
+    Names come from the first line, from the last comment, or, if the first line has numbers only, are column
+    numbers from 0.
+    """
     header = [cell.strip() for cell in rows[0]]
     numbered = [str(k) for k in range(len(header))]
     numbers = [_is_number(cell, decimal) for cell in header]
@@ -281,14 +306,17 @@ def _split_names_and_rows(
 
 
 def _refuse_repeated_names(path: Path, names: Sequence[str]) -> None:
-    """Raise UsageError for repeated column names."""
+    """Raise NoTableError if a column name occurs twice; empty names may repeat."""
     named = [name for name in names if name]
     if len(set(named)) < len(named):
         raise NoTableError(f"{path}: each column must be named once; they are {','.join(names)[:80]!r}")
 
 
 def _read_parquet(path: Path) -> Columns:
-    """Read the columns of a Parquet file."""
+    """Read the columns of a Parquet file: arrays of numbers, lists of other objects.
+
+    Raises NoTableError for another file or more than `MOST_CELLS` cells, UsageError without pyarrow.
+    """
     from daq_service.web.tables.formats import import_pyarrow
 
     arrow = import_pyarrow()
@@ -314,13 +342,13 @@ def _read_parquet(path: Path) -> Columns:
 
 
 def _read_npy(path: Path) -> Columns:
-    """Read the columns of a `.npy` file."""
+    """Map the columns of a `.npy` file of shape (rows, features), named by their numbers from 0."""
     array = map_npy(path, "rows x features")
     return {str(k): array[:, k] for k in range(array.shape[1])}, "."
 
 
 def _to_numbers(column: Column, decimal: str) -> NDArray[np.float64] | None:
-    """Convert a column to numbers, NaN if missing; None if most cells are not numbers."""
+    """Convert a column to float64, NaN if missing or overload; None if most cells are not numbers."""
     if isinstance(column, np.ndarray):
         return _replace_overload(column.astype(np.float64))
     cells = [None if _is_missing(cell) else cell for cell in column]
@@ -332,18 +360,18 @@ def _to_numbers(column: Column, decimal: str) -> NDArray[np.float64] | None:
 
 
 def _replace_overload(values: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Replace the values for overload and missing readings by NaN."""
+    """Replace instrument values for overload (9.9E37) and for no reading (-999) by NaN."""
     over = np.abs(np.abs(values) - OVERLOAD) < 0.011 * OVERLOAD
     return np.asarray(np.where(over | np.isin(values, NO_READINGS), np.nan, values))
 
 
 def _is_missing(cell: object) -> bool:
-    """Return whether a cell has no value."""
+    """Return whether a cell is None, empty, or a text for a missing value, such as ``n/a`` or ``OL``."""
     return cell is None or (isinstance(cell, str) and MISSING.fullmatch(cell.strip()) is not None)
 
 
 def _to_number(cell: object, decimal: str) -> float | None:
-    """Convert a cell to a number; None if it is not one."""
+    """Convert a cell to a float; None if it is not a number (truth values and ``1_2`` are not)."""
     if isinstance(cell, bool) or (isinstance(cell, str) and "_" in cell):  # 1_2 is Python's way, and a name
         return None
     number = cell.replace(decimal, ".") if isinstance(cell, str) else cell
@@ -354,17 +382,17 @@ def _to_number(cell: object, decimal: str) -> float | None:
 
 
 def _is_number(cell: str, decimal: str) -> bool:
-    """Return whether a cell is a number."""
+    """Return whether a cell can be converted to a float with this decimal mark."""
     return _to_number(cell, decimal) is not None
 
 
 def _first_non_number(column: Column, decimal: str) -> object:
-    """Find the first cell that is not a number."""
+    """Return the first cell that is neither missing nor a number; raise StopIteration if there is none."""
     return next(cell for cell in column if not _is_missing(cell) and _to_number(cell, decimal) is None)
 
 
 def _select_equal_rows(column: Column, value: str, decimal: str) -> NDArray[np.bool_]:
-    """Find the rows whose cell equals a value, as text or as a number."""
+    """Return a mask of the rows whose cell equals a value: as a number, or as text in any case."""
     wanted = _to_numbers([value], decimal)
     numbers = _to_numbers(column, decimal)
     if numbers is not None and wanted is not None and np.isfinite(wanted[0]):
@@ -373,6 +401,6 @@ def _select_equal_rows(column: Column, value: str, decimal: str) -> NDArray[np.b
 
 
 def _join_names(names: Iterable[object]) -> str:
-    """Join names, shortened if there are many."""
+    """Join names with commas; of more than `NAMES_SHOWN` only the first ones, and the total number."""
     texts = list(map(str, names))
     return ", ".join(texts[:NAMES_SHOWN]) + (f" ... ({len(texts)})" if len(texts) > NAMES_SHOWN else "")

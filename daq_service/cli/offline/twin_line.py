@@ -41,19 +41,22 @@ class AssessedSet:
 
     @property
     def raised(self) -> frozenset[str]:
-        """Return the kinds of the active alarms."""
+        """Return the kinds of the active alarms after this set; empty if there are none."""
         return frozenset(one.kind for one in self.position_result.conditions if one.present)
 
 
 def build_twin(settings: Settings) -> Specimen:
-    """Build the twin of a configuration, which `simulate_assessed_sets` of multiple positions share."""
+    """Build the twin of a configuration; `simulate_assessed_sets` of multiple positions can share it."""
     return build_specimen(settings.twin, transducers=build_transducers(settings), probed_thickness_m={})
 
 
 def simulate_assessed_sets(
     settings: Settings, position: str, specimen: Specimen | None = None
 ) -> Iterator[AssessedSet]:
-    """Strike and assess each scheduled set of a transducer, until the schedule or its wall ends.
+    """Strike and assess each scheduled set of a transducer and yield it.
+
+    Ends with the schedule, or after a set that raises "no_reflection" or disables the transducer. A specimen
+    is built if None.
 
     Raises
     ------

@@ -42,7 +42,7 @@ class Row:
 
     @property
     def deviation_shown(self) -> str:
-        """Return the deviation as text."""
+        """Return the deviation as text: in %, or in the unit; "none" if rounding only, "-" if missing."""
         if self.deviation is None:
             return "-"
         if _is_rounding_only(self.deviation, self.paper):
@@ -61,10 +61,12 @@ def compare_item(
 ) -> list[Row]:
     """Compare the paper's quantities of one item with ours, with a reason for missing ones.
 
+    Returns one row per quantity, in the order of the paper's list.
+
     Parameters
     ----------
     origin
-        Of the measurements, as in `diagnosis.cause_of`.
+        Of the measurements: ``shipped``, ``twin`` or ``specimen`` (see `diagnosis`).
     missing_reason
         Why quantities are not in `found`.
     """
@@ -75,7 +77,10 @@ def compare_item(
 
 
 def count_by_result(rows: Sequence[Row]) -> dict[str, int]:
-    """Count the paper's values by result: agree (to rounding), deviate, words only, not available."""
+    """Count the paper's values by result: agree (to rounding), deviate, words only, not available.
+
+    "values" is their total.
+    """
     counts = {"values": len(rows), "agree": 0, "deviate": 0, "words": 0, "not_available": 0}
     for row in rows:
         if row.ours is None:
@@ -88,7 +93,10 @@ def count_by_result(rows: Sequence[Row]) -> dict[str, int]:
 
 
 def _compare_value(value: PaperValue, ours: Found, *, origin: str) -> Row:
-    """Compare one value of the paper with ours."""
+    """Compare one value of the paper with ours: deviation in its unit and in %, and the cause.
+
+    The relative deviation is None if the paper's value is 0, missing, or in %.
+    """
     deviation = None if ours.value is None or value.value is None else ours.value - value.value
     relative = None
     if deviation is not None and value.value and value.unit != "%":
@@ -112,18 +120,21 @@ def _compare_value(value: PaperValue, ours: Found, *, origin: str) -> Row:
 
 
 def _is_rounding_only(deviation: float, paper: float | None) -> bool:
-    """Return whether a deviation is only a rounding error."""
+    """Return whether a deviation is below 1e-9, relative to the paper's value if that exceeds 1."""
     return abs(deviation) < 1e-9 * max(1.0, abs(paper or 0.0))
 
 
 def _cause_of_deviation(value: PaperValue, ours: Found, *, agrees: bool, origin: str) -> str:
-    """Return the reason for a deviation; empty if the values agree."""
+    """Return the reason for a deviation; empty if we have no value or the values agree.
+
+    The reason that the twin was given the value is returned in any case.
+    """
     cause = "" if ours.value is None else cause_of(value, origin=origin)
     return "" if agrees and not cause.startswith(GIVEN) else cause
 
 
 def _format_paper_value(value: PaperValue) -> str:
-    """Format a value of the paper as printed."""
+    """Format a value of the paper as printed, with its qualification in parentheses."""
     number = "" if value.value is None else f"{value.value:.{value.decimals}f}"
     sign = "±" if value.wording.startswith("+-") else ""
     qualification = value.wording.removeprefix("+-").strip("; ")
@@ -135,7 +146,7 @@ def _format_paper_value(value: PaperValue) -> str:
 
 
 def _format_our_value(number: float, value: PaperValue) -> str:
-    """Format our value with one digit more than the paper's; integers if the paper's is one."""
+    """Format our value with one digit more than the paper's; an integer if both values are integers."""
     decimals = value.decimals + 1 if value.value is not None else 2
     if value.value is not None and value.decimals == 0 and float(number).is_integer():
         decimals = 0

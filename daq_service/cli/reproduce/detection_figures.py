@@ -23,7 +23,10 @@ READ_WITHIN_H = 5.0
 
 
 def draw_fig14(material: item.Material) -> item.Product:
-    """Draw the Mahalanobis squared distance over the test."""
+    """Draw the Mahalanobis squared distance of each transducer over the test, with its limits.
+
+    Raises NotAvailableError if no baseline was frozen.
+    """
     test, names = material.test, material.transducers
     baseline_h = test.settings.baseline.hours
     if all(test.pulses[name].baseline is None for name in names):
@@ -51,7 +54,7 @@ def draw_fig14(material: item.Material) -> item.Product:
 
 
 def _draw_distances(axis: Axes, pulses: Series, baseline_h: float, colour: str) -> None:
-    """Draw the distances of a position with its limits."""
+    """Draw the distances of a position with our limits and, for B to D, the paper's; logarithmic axis."""
     axis.axvspan(0.0, baseline_h, color=style.GREEN, alpha=0.12, lw=0, label="baseline")
     last_h = float(pulses.hour_h[-1]) if pulses.hour_h.size else 0.0
     if last_h > SPLIT_H:
@@ -70,7 +73,10 @@ def _draw_distances(axis: Axes, pulses: Series, baseline_h: float, colour: str) 
 
 
 def _outlier_percentage(pulses: Series, outlier: str, from_h: float) -> tuple[float | None, int]:
-    """Compute the percentage of outliers of the sets assessed after an hour, and their number."""
+    """Compute the percentage of outliers among the sets assessed after an hour, and the number of these sets.
+
+    The percentage is None without such sets; baseline sets do not count.
+    """
     outliers = pulses.values[outlier]
     is_assessed = (pulses.hour_h > from_h) & np.isfinite(outliers) & (pulses.values["in_baseline"] == 0.0)
     n = int(is_assessed.sum())
@@ -78,7 +84,7 @@ def _outlier_percentage(pulses: Series, outlier: str, from_h: float) -> tuple[fl
 
 
 def _describe_outliers(pulses: Series) -> str:
-    """Describe the percentages of outliers of the positions."""
+    """Describe a position's percentages of outliers after `SPLIT_H` by both limits; equal ones once."""
     parts = []
     for limit, outlier in (("mean + 3 SD", "outlier_mean_3sd"), ("the exact limit", "outlier")):
         share, n = _outlier_percentage(pulses, outlier, SPLIT_H)
@@ -89,7 +95,7 @@ def _describe_outliers(pulses: Series) -> str:
 
 
 def _fig14_values(test: Evidence) -> dict[str, item.Found]:
-    """Return the computed values of figure 14, or the reason why they are missing."""
+    """Return the computed values of figure 14, each missing one with its reason."""
     values = {"smallest_loss": _loss_at_first_alarm(test)}
     for name in "BCD":
         pulses = test.pulses.get(name)
@@ -119,7 +125,10 @@ def _fig14_values(test: Evidence) -> dict[str, item.Found]:
 
 
 def _loss_at_first_alarm(test: Evidence) -> item.Found:
-    """Return the loss that the ultrasonic probe measured when the first transducer raised its alarm."""
+    """Return the thickness loss in mm that the probe read near the first wall alarm of any transducer.
+
+    A value with a reason instead if there is no alarm, probe or reading.
+    """
     alarms = [(p.first_alarm_h, name) for name, p in test.pulses.items() if p.first_alarm_h is not None]
     if not alarms:
         return item.no_value(f"no alarm about the wall up to hour {test.last_h:g}")
@@ -134,7 +143,7 @@ def _loss_at_first_alarm(test: Evidence) -> item.Found:
 
 
 def _median_near(probe: Series, column: str, hour: float) -> float | None:
-    """Return the median of the readings near an hour; None if there are none."""
+    """Return the median of the readings within `READ_WITHIN_H` of an hour; None if there are none."""
     near = probe.values[column][np.abs(probe.hour_h - hour) <= READ_WITHIN_H]
     return float(np.nanmedian(near)) if np.isfinite(near).any() else None
 
@@ -143,7 +152,10 @@ def _median_near(probe: Series, column: str, hour: float) -> float | None:
 
 
 def draw_fig15(material: item.Material) -> item.Product:
-    """Draw travel time, thickness and loss of the first ultrasonic probe."""
+    """Draw travel time, thickness and loss of the first ultrasonic probe, with the twin's true wall.
+
+    Raises NotAvailableError without a pulse-echo position.
+    """
     test = material.test
     if not test.echoes:
         raise item.NotAvailableError("the test has no position with method pulse_echo")
@@ -188,7 +200,7 @@ def draw_fig15(material: item.Material) -> item.Product:
 
 
 def _draw_paper_reading(wall: Axes, loss: Axes) -> None:
-    """Draw the thickness reading and the core thickness of the paper."""
+    """Draw the paper's thickness reading at `READ_H` and its core thickness, and both as losses (mm)."""
     initial_mm = printed_number("fig15", "initial")
     for hour, quantity, marker, label in (
         (READ_H, "thickness_300", "D", "paper, read at 300 h"),
@@ -200,7 +212,7 @@ def _draw_paper_reading(wall: Axes, loss: Axes) -> None:
 
 
 def _read_true_thickness(test: Evidence, position: str) -> tuple[FloatArray, FloatArray] | None:
-    """Return the hours and the true thickness of the twin; None for a real specimen."""
+    """Return the hours and the true thickness in m of the twin's averaged sets; None for a real specimen."""
     known = [
         (trace.hour_h, trace.truth["thickness_m"])
         for trace in test.traces.get(position, ())
@@ -213,7 +225,7 @@ def _read_true_thickness(test: Evidence, position: str) -> tuple[FloatArray, Flo
 
 
 def _fit_line(probe: Series) -> tuple[float, float] | None:
-    """Fit the loss in m at hour 0 and its slope in m/h by least squares."""
+    """Fit the loss in m at hour 0 and its slope in m/h by least squares; None for fewer than two hours."""
     loss_m = probe.values["thickness_loss_m"]
     present = np.isfinite(loss_m)
     if np.unique(probe.hour_h[present]).size < 2:
@@ -223,7 +235,7 @@ def _fit_line(probe: Series) -> tuple[float, float] | None:
 
 
 def _fig15_values(test: Evidence, probe: Series, line: tuple[float, float] | None) -> dict[str, item.Found]:
-    """Return the computed values of figure 15."""
+    """Return the computed values of figure 15 for position A, each missing one with its reason."""
     names = ("thickness_300", "loss_300", "core", "linearity", "initial")
     if probe.position != "A":
         return dict.fromkeys(names, item.no_value("the test has no pulse-echo position A"))
@@ -253,7 +265,7 @@ def _fig15_values(test: Evidence, probe: Series, line: tuple[float, float] | Non
 
 
 def _compute_r_squared(probe: Series, line: tuple[float, float]) -> float:
-    """Compute R^2 of a line through the loss."""
+    """Compute R^2 of a line (start, slope) through the finite losses."""
     present = np.isfinite(probe.values["thickness_loss_m"])
     hours, loss = probe.hour_h[present], probe.values["thickness_loss_m"][present]
     residual = loss - (line[0] + line[1] * hours)

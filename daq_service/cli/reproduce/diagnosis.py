@@ -22,7 +22,9 @@ _CAUSES = {name: cause.text for cause in TEXTS.causes for name in cause.of}
 
 
 def cause_of(value: PaperValue, *, origin: str) -> str:
-    """Return the reason for a deviation from the paper.
+    """Return the documented reason for a deviation from the paper; empty if none is documented.
+
+    The most specific text counts: the longest beginning of ``item.quantity``.
 
     Parameters
     ----------

@@ -30,7 +30,10 @@ _COLUMNS = (
 
 
 def draw_equations(material: Material) -> Product:
-    """Draw the autocorrelation lag, its coefficient and the area under the PSW over the test."""
+    """Draw the autocorrelation lag, its coefficient and the area under the PSW over the test.
+
+    The notes contain the results of the checks of eqs 16 and 17 and of the autocorrelation.
+    """
     test, names = material.test, material.transducers
     figure, axes = create_sheet(1, 3, height_in=3.0)
     for name in names:
@@ -53,7 +56,7 @@ def draw_equations(material: Material) -> Product:
 
 
 def _list_check_results(test: Evidence) -> Sequence[str]:
-    """Describe the results of the checks in sentences."""
+    """Describe the results of the checks in sentences, one per check and position that has data."""
     sentences = []
     for name, pulses in test.pulses.items():
         error = _check_equation_16(pulses)
@@ -79,7 +82,10 @@ def _list_check_results(test: Evidence) -> Sequence[str]:
 
 
 def _check_equation_16(pulses: Series) -> tuple[float, int] | None:
-    """Compute the largest relative difference of stored distances from eq. 16, and their number."""
+    """Return the largest relative difference of stored distances from eq. 16, and the number of vectors.
+
+    None without a frozen baseline or a complete vector.
+    """
     baseline = pulses.baseline
     if baseline is None or None in baseline.mean:
         return None
@@ -98,9 +104,10 @@ def _check_equation_16(pulses: Series) -> tuple[float, int] | None:
 
 
 def _check_equation_17(probe: Series, ultrasound: UltrasoundSettings) -> tuple[float, int] | None:
-    """Compute the spread of ``th / (UT - D)``, which eq. 17 makes constant, and the number of readings.
+    """Return the relative spread of ``th / (UT - D)``, constant by eq. 17, and the number of readings.
 
-    None if the path between two elements is corrected: then eq. 17 was not used.
+    None for fewer than two readings, or if the path between two elements is corrected: then eq. 17 was not
+    used.
     """
     thickness_m, travel_time_s = probe.values["thickness_m"], probe.values["travel_time_s"]
     present = np.isfinite(thickness_m) & np.isfinite(travel_time_s)
@@ -111,7 +118,10 @@ def _check_equation_17(probe: Series, ultrasound: UltrasoundSettings) -> tuple[f
 
 
 def _check_autocorrelation(pulses: Series, traces: Sequence[Trace]) -> tuple[float, int] | None:
-    """Compute the largest deviation in us of the averaged records' lag, and the number of records."""
+    """Return the largest deviation in us of the averaged records' lag from the stored one, and their number.
+
+    None without such records.
+    """
     row_of = {int(index): row for row, index in enumerate(pulses.set_index)}
     distances = []
     for trace in traces:
@@ -128,7 +138,10 @@ def _check_autocorrelation(pulses: Series, traces: Sequence[Trace]) -> tuple[flo
 
 
 def _compute_lag_s(trace: Trace, isw_s: float, psw_s: float) -> float:
-    """Compute the lag in s of the highest autocorrelation near the peaks' distance, with a parabola."""
+    """Compute the lag in s of the highest autocorrelation within `SEARCH_S` of the peaks' distance.
+
+    The record is averaged over `BLOCK_S` first; a parabola through three points refines the lag.
+    """
     step_s = float(trace.time_s[1] - trace.time_s[0])
     every = max(1, round(BLOCK_S / step_s))
     n = trace.volts.size // every

@@ -129,7 +129,7 @@ class Evidence:
 
     @property
     def last_h(self) -> float:
-        """Return the hour of the last set of any position."""
+        """Return the hour of the last set of any position; 0 without sets."""
         series = (*self.pulses.values(), *self.echoes.values())
         return max((float(one.hour_h[-1]) for one in series if one.hour_h.size), default=0.0)
 
@@ -137,10 +137,12 @@ class Evidence:
 def read_evidence(folder: Path, *, with_traces: bool = True) -> Evidence:
     """Read the sets, readings and traces that the reproduction needs from a data folder.
 
+    Unreadable sets are left out of the traces and listed in ``trouble``.
+
     Raises
     ------
     StorageError
-        The folder holds no test, one of another version, or is damaged.
+        The folder holds no test, no set, one of another version, or is damaged.
     """
     try:
         with open_catalogue(folder) as catalogue:
@@ -185,7 +187,7 @@ def read_evidence(folder: Path, *, with_traces: bool = True) -> Evidence:
 
 
 def _read_series(catalogue: Catalogue, position: str, settings: PositionSettings) -> Series:
-    """Read the sets of a position as arrays."""
+    """Read the sets of a position as arrays by column; missing values are NaN."""
     columns = {}
     if settings.method == PULSE_ECHO:
         found = catalogue.columns(ThicknessRow, ["set_index", "due_h", *ECHOES], position=position)
@@ -218,7 +220,10 @@ def _to_float_array(values: Sequence[float | bool | None]) -> FloatArray:
 def _average_traces(
     archive: SetReader, sets: Sequence[SetRow]
 ) -> tuple[dict[str, list[Trace]], tuple[str, ...]]:
-    """Average records of sets evenly spread over the hours, first and last included."""
+    """Average the records of up to `TRACES` sets evenly spread over the hours, first and last included.
+
+    Returns the traces by position, and a sentence for each set that cannot be read.
+    """
     files = {row.set_index: SetReference(row.file) for row in sets if row.file is not None}
     hour_of = {row.set_index: row.due_h for row in sets}
     stored = sorted(files)
@@ -241,7 +246,10 @@ def _average_traces(
 
 
 def _average_records(record: SetRecord, position: str) -> Trace | None:
-    """Average the accepted records of a set at a position."""
+    """Average the accepted records of a set at a position sample by sample, in V; None if there are none.
+
+    Records that differ from the first in length, rate or pretrigger are left out.
+    """
     accepted = [
         shot
         for shot in record.records

@@ -23,7 +23,7 @@ _ERRORS = {kind.exit_code: kind for kind in (UsageError, RigError, StorageError,
 def load_twin_settings(seed: int | None) -> Settings:
     """Read the shipped configuration, with the paper's alarm rule instead of the control chart.
 
-    The environment is on top, and another seed if one is given.
+    Environment variables override it, and the seed unless it is None. Raises UsageError for an invalid value.
     """
     given = {} if seed is None else {"twin": {"seed": seed}}
     return load_settings(None, overrides={**BY_SETS, **given})
@@ -34,6 +34,8 @@ def run_test(
 ) -> bool:
     """Record until the end of the schedule, or until `stop`; do not change a complete folder.
 
+    Blocks; the recorder runs in a child process under a supervisor.
+
     Parameters
     ----------
     progress
@@ -42,19 +44,19 @@ def run_test(
     Returns
     -------
     bool
-        True when every set is recorded.
+        True when every set is recorded, False if `stop` was set.
 
     Raises
     ------
     SolimonError
-        The recorder ended with an error (its message is on standard error).
+        The recorder ended with an error (its message is on standard error), or the folder cannot be used.
     """
     prepare_data_folder(folder)
     config = write_configuration(settings, folder)
     log_to(folder / "logs" / "supervisor.log")
 
     def on_message(child: str, message: Message) -> None:
-        """Pass a progress message of the recorder to the callback."""
+        """Pass a progress message of the recorder to the callback; ignore other messages."""
         del child
         if message["event"] == "progress":
             progress(int(message["done"]), int(message["planned"]), float(message["due_h"]))

@@ -57,14 +57,14 @@ class Found:
 
 
 def our_value(value: float | None, words: str = "", *, reason: str = "") -> Found:
-    """Create a computed value; None or NaN becomes "not available" with the reason."""
+    """Create a computed value; None, NaN or infinity becomes a missing one with the reason."""
     if value is None or not math.isfinite(value):
         return Found(words=words, reason=reason or "not a finite number")
     return Found(value=float(value), words=words)
 
 
 def no_value(reason: str) -> Found:
-    """Create a missing value with its reason."""
+    """Create a missing value with the reason that the report shows."""
     return Found(reason=reason)
 
 
@@ -81,12 +81,15 @@ class Table:
             raise ValueError(f"columns of a table differ in length: {lengths}")
 
     def rows(self) -> Iterator[tuple[object, ...]]:
-        """Yield the rows of the table."""
+        """Iterate over the rows of the table, each with one value per column."""
         return zip(*self.columns.values(), strict=True)
 
 
 def stack_columns(test: Evidence, columns: Callable[[Series], Mapping[str, FloatArray]]) -> Table:
-    """Stack columns of the sets of all transducers, with position, set and hour."""
+    """Stack columns of the sets of all transducers, with position, set and hour, into one table.
+
+    All transducers must have the same columns.
+    """
     table: dict[str, list[object]] = {}
     for name, pulses in test.pulses.items():
         part = {"set_index": pulses.set_index, "due_h": pulses.hour_h, **columns(pulses)}
@@ -112,12 +115,14 @@ class Material:
     results: Mapping[str, object]
 
     def result(self, name: str) -> Any:
-        """Return the result of a computation by name.
+        """Return the result of a job by the item's name for it.
 
         Raises
         ------
         NotAvailableError
             The model refused or failed.
+        KeyError
+            The item has no such job.
         """
         value = self.results[name]
         if isinstance(value, Exception):
@@ -126,14 +131,14 @@ class Material:
 
     @property
     def test(self) -> Evidence:
-        """Return the evidence of the test, for an item that needs it."""
+        """Return the evidence of the test; raise NotAvailableError if there is none."""
         if self.evidence is None:
             raise NotAvailableError("no test was run or read")
         return self.evidence
 
     @property
     def transducers(self) -> list[str]:
-        """Return the names of the solitary-wave transducers of the test, of which the item needs one."""
+        """Return the names of the solitary-wave transducers with sets; raise NotAvailableError if none."""
         if not self.test.pulses:
             raise NotAvailableError("the test has no solitary-wave transducer")
         return list(self.test.pulses)
@@ -182,5 +187,5 @@ class Item:
 
     @property
     def caption(self) -> Caption:
-        """Return title and caption."""
+        """Return title and caption of the item; raise KeyError if ``texts.toml`` has none."""
         return TEXTS.captions[self.name]

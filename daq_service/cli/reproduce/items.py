@@ -20,7 +20,7 @@ ITEMS = (
 
 
 def choose_items(only: str | None) -> tuple[Item, ...]:
-    """Parse item names separated by commas and return the items; None means all.
+    """Parse item names separated by commas and return the items in the paper's order; None means all.
 
     Raises
     ------

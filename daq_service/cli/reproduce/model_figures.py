@@ -45,7 +45,7 @@ class _Curve:
 def _draw_curves(
     styles: Mapping[str, _Curve], curves: _Curves, *, height_in: float
 ) -> tuple[Figure, list[Axes]]:
-    """Draw ToF and AR over the varied quantity."""
+    """Draw ToF (us) and AR over the varied quantity in two panels; return figure and axes."""
     figure, axes = style.create_sheet(1, 2, height_in=height_in)
     for name, points in curves.items():
         curve, columns = styles[name], np.transpose(points)
@@ -58,7 +58,7 @@ def _draw_curves(
 
 
 def _make_curve_table(curves: _Curves, varied: str) -> item.Table:
-    """Build a table of the points of all curves."""
+    """Build a table of the points of all curves, in order; ``varied`` names the column of the abscissa."""
     rows = [(name, *point) for name, points in curves.items() for point in points]
     names = ("curve", varied, "tof_us", "amplitude_ratio")
     return item.Table(columns={name: [row[k] for row in rows] for k, name in enumerate(names)})
@@ -68,7 +68,10 @@ def _make_curve_table(curves: _Curves, varied: str) -> item.Table:
 
 
 def draw_fig10(material: item.Material) -> item.Product:
-    """Draw the coefficient of restitution and the contact time over lambda."""
+    """Draw the coefficient of restitution and the contact time over the inelasticity parameter lambda.
+
+    Raises NotAvailableError if a job failed.
+    """
     columns: dict[str, list[float]] = material.result("curve")
     case_3: dict[str, list[float]] = material.result("case_3")
     figure, axes = style.create_sheet(1, 2, height_in=3.0)
@@ -104,7 +107,7 @@ def draw_fig10(material: item.Material) -> item.Product:
 
 
 def _worst_percent(columns: Mapping[str, Sequence[float]], approximate: str, exact: str) -> float:
-    """Compute the largest deviation of an approximation, %."""
+    """Compute the largest relative deviation of an approximation from the exact column, %, without NaN."""
     return 100.0 * float(np.nanmax(np.abs(np.divide(columns[approximate], columns[exact]) - 1.0)))
 
 
@@ -112,12 +115,12 @@ def _worst_percent(columns: Mapping[str, Sequence[float]], approximate: str, exa
 
 
 def _simulate_over_isw(chain: ChainParameters) -> item.Job:
-    """Define the job that simulates a chain over the amplitude of the incident wave."""
+    """Create the job that simulates a chain over the amplitude of the incident wave."""
     return item.Job(function=models.compute_pulses_over_isw, arguments=(chain, _PLATE, models.ISW_STEPS))
 
 
 def _compute_zener_over_isw(*, closed_form: bool) -> item.Job:
-    """Define the job that computes Zener's model over the amplitude of the incident wave."""
+    """Create the job that computes Zener's model over the amplitude of the incident wave."""
     return item.Job(function=models.compute_zener_over_isw, arguments=(models.ISW_STEPS, closed_form))
 
 
@@ -143,7 +146,10 @@ _ISW_MARKS = (
 
 
 def draw_fig12(material: item.Material) -> item.Product:
-    """Draw ToF and AR over the amplitude of the incident wave."""
+    """Draw ToF and AR over the relative amplitude of the incident wave, with the paper's values.
+
+    Raises NotAvailableError if a job failed.
+    """
     curves: _Curves = {name: material.result(name) for name in _ISW_CURVES}
     figure, axes = _draw_curves(_ISW_CURVES, curves, height_in=4.1)
     for panel, text, quantity, side in _ISW_MARKS:
@@ -165,7 +171,7 @@ def draw_fig12(material: item.Material) -> item.Product:
 
 
 def _fig12_values(curves: _Curves) -> dict[str, item.Found]:
-    """Return the computed values of figure 12."""
+    """Return our values of figure 12: nominal ToF (us) and AR, and their changes at 0.8 and 1.2 ISW in %."""
     at = {name: {round(point[0], 6): point[1:] for point in points} for name, points in curves.items()}
     nominal, strong, zener = (at[name][1.0] for name in ("disk", "disk_gamma", "zener_eq8"))
     found = {}
@@ -187,7 +193,7 @@ def _fig12_values(curves: _Curves) -> dict[str, item.Found]:
 def _simulate_over_depth(
     chain: ChainParameters, plate: PlateParameters, patch: CorrosionParameters, depths: tuple[float, ...]
 ) -> item.Job:
-    """Define the job that simulates a chain over the depth of a patch."""
+    """Create the job that simulates a chain over the relative depths of a patch."""
     return item.Job(function=models.compute_pulses_over_depth, arguments=(chain, plate, patch, depths))
 
 
@@ -220,7 +226,10 @@ _DEPTH_CURVES = {
 
 
 def draw_fig13(material: item.Material) -> item.Product:
-    """Draw ToF and AR over the relative depth of the patch."""
+    """Draw ToF and AR over the relative depth of the patch, with the paper's end values.
+
+    A curve whose job failed is left out and named in the notes.
+    """
     curves: dict[str, list[models.Point]] = {}
     absent: dict[str, str] = {}
     for name in _DEPTH_CURVES:
@@ -252,7 +261,7 @@ def draw_fig13(material: item.Material) -> item.Product:
 
 
 def _fig13_values(curves: _Curves, absent: Mapping[str, str]) -> dict[str, item.Found]:
-    """Return the computed values of figure 13."""
+    """Return ToF (us) and AR of each curve at depths 0 and 0.8; those of absent curves with the reason."""
     ends = [
         (f"{kind}_{ending}", k, depth)
         for k, kind in ((1, "tof"), (2, "ar"))
@@ -266,7 +275,7 @@ def _fig13_values(curves: _Curves, absent: Mapping[str, str]) -> dict[str, item.
 
 
 def _describe_minimum(name: str, points: Sequence[models.Point]) -> str:
-    """Describe the depth, among the computed ones, at which the amplitude ratio is minimal."""
+    """Describe the minimum of a curve's amplitude ratio over the computed depths, and its last value."""
     depth, _, lowest = min(points, key=lambda point: point[2] if math.isfinite(point[2]) else math.inf)
     return (
         f"{_DEPTH_CURVES[name].label.capitalize()}: AR is least, {lowest:.3f}, at a depth of "

@@ -61,7 +61,7 @@ class ForceTrace:
 def compute_pulses_over_depth(
     chain: ChainParameters, plate: PlateParameters, patch: CorrosionParameters, depths: tuple[float, ...]
 ) -> list[Pulse]:
-    """Compute one shot for each depth of the patch."""
+    """Simulate one shot for each relative depth of the patch, in order."""
     model = ShotModel(chain, plate, patch)
     return [_compute_pulse(model, depth, chain.drop_height_m) for depth in depths]
 
@@ -69,7 +69,11 @@ def compute_pulses_over_depth(
 def compute_pulses_over_isw(
     chain: ChainParameters, plate: PlateParameters, ratios: tuple[float, ...]
 ) -> list[Point]:
-    """Compute shots with `ratios` of the nominal ISW, each found by its drop height."""
+    """Simulate shots with these ratios of the nominal ISW peak force, each found by its drop height.
+
+    Returns (ratio, time of flight in us, amplitude ratio) for each. Raises ValueError or RuntimeError if no
+    drop height is found within `LONGEST_SEARCH` steps.
+    """
     model = ShotModel(chain, plate, CorrosionParameters())
     nominal_n = _compute_pulse(model, 0.0, chain.drop_height_m).isw_peak_n
     found = []
@@ -91,6 +95,8 @@ def compute_pulses_over_isw(
 def compute_zener_over_isw(ratios: tuple[float, ...], closed_form: bool) -> list[Point]:
     """Compute Zener's model over the ISW's amplitude, ``F ~ v^(6/5) ~ h^(3/5)`` as in Table 2.
 
+    Returns (ratio, time of flight in us, amplitude ratio) for each ratio.
+
     Parameters
     ----------
     closed_form
@@ -105,7 +111,10 @@ def compute_zener_over_isw(ratios: tuple[float, ...], closed_form: bool) -> list
 
 
 def compute_impact_over_inelasticity(inelasticities: tuple[float, ...]) -> dict[str, list[float]]:
-    """Compute restitution and contact time by eq. 8 and eqs 10 and 12; NaN if not valid."""
+    """Compute restitution and contact time by eq. 8 and by eqs 10 and 12, one value per lambda.
+
+    Returns columns by name, dimensionless; eq. 10 is NaN above lambda = 1.
+    """
     columns: dict[str, list[float]] = {
         name: [] for name in ("inelasticity", "e_eq8", "e_eq10", "tau_c_eq8", "tau_c_eq12")
     }
@@ -120,10 +129,10 @@ def compute_impact_over_inelasticity(inelasticities: tuple[float, ...]) -> dict[
 
 
 def compute_forces_along_chain(plate: PlateParameters) -> list[ForceTrace]:
-    """Compute the force at every body between striker and last sphere.
+    """Simulate the force in N at every body between striker and last sphere, from the top.
 
-    The chain is of equal spheres, sensor included, so it does not matter where the sensor is called:
-    each body in turn is, and all shots are the same one.
+    The chain is of equal spheres, sensor included, so it does not matter where the sensor is called: each
+    body in turn is, and all shots are the same one.
     """
     chain = ChainParameters(sensor="sphere")
     bodies = chain.spheres_above + 1 + chain.spheres_below
@@ -136,12 +145,12 @@ def compute_forces_along_chain(plate: PlateParameters) -> list[ForceTrace]:
 
 
 def compute_impact_speed(chain: ChainParameters, plate: PlateParameters) -> float:
-    """Compute the speed of the striker at impact, m/s."""
+    """Compute the speed of the striker at impact, m/s, after its free fall onto the chain."""
     return build_chain(chain, plate).impact_speed_m_per_s
 
 
 def _compute_pulse(model: ShotModel, depth: float, drop_height_m: float) -> Pulse:
-    """Simulate a shot and measure its peaks."""
+    """Simulate a shot and measure its peaks; ToF and ratio are NaN without a reflected wave."""
     summary = summarise_pulses(model.shot(depth_fraction=depth, drop_height_m=drop_height_m))
     return Pulse(
         depth_fraction=depth,
@@ -174,7 +183,7 @@ class MeshLines:
 
 
 def build_mindlin_mesh(plate: PlateParameters) -> MeshLines:
-    """Create the mesh of the Mindlin plate theory."""
+    """Build the mesh lines of the Mindlin plate without corrosion."""
     patch = CorrosionParameters()
     built = build_plate(plate, patch)
     return MeshLines(
@@ -190,7 +199,7 @@ def build_mindlin_mesh(plate: PlateParameters) -> MeshLines:
 
 
 def build_solid_mesh(plate: PlateParameters, depth_fraction: float) -> MeshLines:
-    """Create the mesh of the solid plate with the default patch at a depth."""
+    """Build the mesh lines of the solid plate with the default patch at a relative depth."""
     patch = CorrosionParameters(depth_fraction=depth_fraction)
     built = build_solid_plate(plate, patch)
     x_m, y_m = built.x.breaks_m, built.y.breaks_m
@@ -207,5 +216,5 @@ def build_solid_mesh(plate: PlateParameters, depth_fraction: float) -> MeshLines
 
 
 def compute_zener_on_thickness(thickness_m: float) -> ZenerReflection:
-    """Compute Zener's model on a plate of another thickness; a very thick one acts as a rigid wall."""
+    """Compute Zener's reflection on a plate of this thickness, m; a very thick one acts as a rigid wall."""
     return compute_reflection(ChainParameters(), replace(PlateParameters(), thickness_m=thickness_m))

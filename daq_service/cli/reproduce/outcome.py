@@ -74,12 +74,12 @@ class Outcome:
 
     @property
     def rows(self) -> list[Row]:
-        """Return the rows of all finished items, in order."""
+        """Return the comparison rows of all finished items, in order."""
         return [row for section in self.sections for row in section.rows]
 
 
 def describe_run() -> Facts:
-    """Collect the facts of a reproduction before it has a test, such as versions."""
+    """Return the facts of a reproduction before it has a test: package versions and machine."""
     return {
         "seed": None,
         "configuration_hash": None,
@@ -94,7 +94,7 @@ def describe_run() -> Facts:
 
 
 def add_test_facts(facts: Facts, test: Evidence) -> None:
-    """Add the facts of the test."""
+    """Add name, counts, seed, configuration and folder of the test to the facts, in place."""
     facts |= {
         "seed": test.seed,
         "configuration_hash": test.configuration_hash,
@@ -107,6 +107,8 @@ def add_test_facts(facts: Facts, test: Evidence) -> None:
 
 def write_outcome(run: Outcome, names: Sequence[str], *, interrupted: bool) -> dict[str, object]:
     """Write the report and the JSON file, and return the contents of the latter.
+
+    Raises StorageUnavailableError if the disk refuses.
 
     Parameters
     ----------
@@ -168,7 +170,7 @@ def write_outcome(run: Outcome, names: Sequence[str], *, interrupted: bool) -> d
 
 
 def _describe_counts(counts: Mapping[str, int]) -> str:
-    """Describe the counts of the comparison in words."""
+    """Describe the counts of `count_by_result` in one sentence."""
     return (
         f"{counts['values']}: {counts['agree']} agree to rounding, {counts['deviate']} deviate, "
         f"{counts['words']} are words in the paper, {counts['not_available']} are not available here"
@@ -176,7 +178,7 @@ def _describe_counts(counts: Mapping[str, int]) -> str:
 
 
 def print_result(result: Mapping[str, Any]) -> None:
-    """Print the result of `write_outcome` for a person."""
+    """Print the result of `write_outcome` on standard output: comparison table, slips, seed, versions."""
     rows = result["comparison"]
     if rows:
         click.echo(f"{'':<8}{'quantity':<66}{'paper':>26}{'ours':>15}  {'unit':<5}{'deviation':>15}  cause")

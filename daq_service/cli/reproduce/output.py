@@ -20,7 +20,7 @@ DATA_FOLDER = "data"
 
 
 def prepare_output(folder: Path) -> None:
-    """Create the folder, or accept one of an earlier reproduction, whose files are replaced.
+    """Create the folder and mark it, or accept one of an earlier reproduction, whose files are replaced.
 
     Raises
     ------
@@ -42,7 +42,7 @@ def prepare_output(folder: Path) -> None:
 
 
 def format_csv(table: Table) -> bytes:
-    """Encode columns as CSV: a header, then one line per row; missing values are empty cells.
+    """Encode columns as CSV in UTF-8: a header, then one line per row; missing values are empty cells.
 
     Floats are written with all their digits, so that they read back as the same numbers.
     """
@@ -55,7 +55,10 @@ def format_csv(table: Table) -> bytes:
 
 
 def _format_cell(value: object) -> str:
-    """Format a value as a cell of a CSV file."""
+    """Format a value as a CSV cell: None and NaN empty, whole floats as integers.
+
+    Texts that a spreadsheet would take for a formula are escaped.
+    """
     if value is None:
         return ""
     if isinstance(value, float):  # numpy's float64 too

@@ -40,7 +40,7 @@ class PaperValue:
 
 
 def _parse_paper_value(value: str, **texts: str) -> PaperValue:
-    """Parse a row of the file of the paper's values."""
+    """Parse a row of the file of the paper's values; the digits after the point give ``decimals``."""
     decimals = len(value.partition(".")[2])
     return PaperValue(value=float(value) if value else None, decimals=decimals, **texts)
 
@@ -52,12 +52,15 @@ _BY_NAME = {(value.item, value.quantity): value for value in PAPER_VALUES}
 
 
 def find_paper_value(item: str, quantity: str) -> PaperValue:
-    """Return a value of the paper by name; raise KeyError for an unknown name."""
+    """Return a value of the paper by item and quantity; raise KeyError for an unknown name."""
     return _BY_NAME[item, quantity]
 
 
 def printed_number(item: str, quantity: str) -> float:
-    """Return a number as printed in the paper; raise ValueError if the paper prints none."""
+    """Return a number as printed in the paper, in its unit.
+
+    Raises ValueError if the paper prints no number, KeyError for an unknown name.
+    """
     value = find_paper_value(item, quantity).value
     if value is None:
         raise ValueError(f"the paper prints no number for {quantity} of {item}")
@@ -65,5 +68,5 @@ def printed_number(item: str, quantity: str) -> float:
 
 
 def paper_values(item: str) -> tuple[PaperValue, ...]:
-    """List all values of the paper for an item."""
+    """Return all values of the paper for an item, in the order of the file; empty for an unknown item."""
     return tuple(value for value in PAPER_VALUES if value.item == item)

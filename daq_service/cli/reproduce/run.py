@@ -59,7 +59,17 @@ class _StoppedError(Exception):
 def reproduce(
     *, out: Path | None, data_dir: Path | None, only: str | None, seed: int | None, as_json: bool
 ) -> int:
-    """Run `solimon reproduce` and return its exit code."""
+    """Run `solimon reproduce`, print the comparison, and return the exit code: 0, or 130 if interrupted.
+
+    The default ``out`` is a new folder in the working directory. Blocks for minutes if the test is run.
+
+    Raises
+    ------
+    UsageError
+        ``seed`` and ``data_dir`` are both given, or an item does not exist.
+    StorageError
+        The output folder, or the test's, cannot be used.
+    """
     if seed is not None and data_dir is not None:
         raise UsageError(
             "--seed is for a new test on the twin; the test of --from has been run: leave one out"
@@ -148,12 +158,12 @@ def reproduce_into(
 
 
 def _run_and_read(settings: Settings, folder: Path, stop: threading.Event, report: Report) -> Evidence:
-    """Run the test on the twin and read its results."""
+    """Run the test on the twin and read its results; raise `_StoppedError` if it was interrupted."""
     report(f"test on the twin (seed {settings.twin.seed}) in {folder}")
     last_tenth = -1
 
     def progress(done: int, planned: int, due_h: float) -> None:
-        """Report the progress of the test at each tenth."""
+        """Report the progress of the test at each tenth of the sets."""
         nonlocal last_tenth
         tenth = 10 * done // max(planned, 1)
         if tenth > last_tenth:
@@ -166,7 +176,10 @@ def _run_and_read(settings: Settings, folder: Path, stop: threading.Event, repor
 
 
 def _wait_for_result(future: Future[T], stop: threading.Event) -> T:
-    """Wait for a result or an interruption."""
+    """Wait without limit for a result and return it, or raise its error.
+
+    Raises `_StoppedError` once ``stop`` is set, which is checked every `POLL_S`.
+    """
     while not future.done():
         if stop.wait(POLL_S):
             raise _StoppedError
@@ -184,7 +197,10 @@ def _make_item(
     stop: threading.Event,
     report: Report,
 ) -> None:
-    """Wait for the inputs of an item, compute it, and write its files."""
+    """Wait for the inputs of an item, compute it, write its files, and add its section to ``run``.
+
+    An item that is not available gets a section with the reason. Raises `_StoppedError` on an interruption.
+    """
     results: dict[str, object] = {}
     for name, job in item.jobs.items():
         try:
@@ -216,7 +232,7 @@ def _make_item(
 def _write_item(
     run: Outcome, item: Item, product: Product, pictures: Mapping[str, bytes], *, origin: str
 ) -> Section:
-    """Write the files of an item and return its section of the report."""
+    """Write figures and CSV files of an item and return its section of the report."""
     stem = f"fig{int(item.name[3:]):02d}" if item.name.startswith("fig") else item.name
     contents = {f"{stem}.{ending}": content for ending, content in pictures.items()}
     for ending, table in product.tables.items():
@@ -234,7 +250,10 @@ def _write_item(
 
 
 def _describe_origin(test: Evidence | None) -> str:
-    """Return the origin of the measurements: a specimen, a twin, or the shipped configuration."""
+    """Return the origin of the measurements: "specimen", "twin" or "shipped".
+
+    "shipped" is the twin with the shipped settings, up to seed and alarm rule; also without a test.
+    """
     if test is not None and not test.from_twin:
         return "specimen"
     if test is None:

@@ -27,7 +27,7 @@ _PLATE = PlateParameters()
 
 
 def _mirror_grid_lines(lines_m: FloatArray) -> FloatArray:
-    """Mirror grid lines to both sides of the center, in mm."""
+    """Mirror grid lines in m, starting at 0, to both sides of the center; return mm, center once."""
     return 1e3 * np.concatenate((-lines_m[:0:-1], lines_m))
 
 
@@ -40,7 +40,7 @@ def _draw_grid(
     width: float,
     colour: str,
 ) -> None:
-    """Draw the lines of a tensor grid within a square window."""
+    """Draw the lines of a tensor grid within a square window, both axes in mm."""
     low, high = window_mm
     x, y = (places[(places >= 1.0001 * low) & (places <= 1.0001 * high)] for places in (x_mm, y_mm))
     lines = [[(value, low), (value, high)] for value in x]
@@ -52,13 +52,16 @@ def _draw_grid(
 
 
 def _draw_patch(axis: Axes, from_mm: float, size_mm: float) -> None:
-    """Draw the outline of the corroded patch."""
+    """Draw the outline of the square corroded patch from its lower left corner, in mm."""
     corner = (from_mm, from_mm)
     axis.add_patch(Rectangle(corner, size_mm, size_mm, fill=False, ec=VERMILLION, lw=1.4, zorder=3))
 
 
 def draw_fig5(material: Material) -> Product:
-    """Draw the mesh of the plate theory, and a wave in the chain: down, reflected, up."""
+    """Draw the mesh of the plate theory, and a wave in the chain: down, reflected, up.
+
+    Raises NotAvailableError if a job failed.
+    """
     mesh: models.MeshLines = material.result("mesh")
     traces: Sequence[models.ForceTrace] = material.result("chain")
     figure, axes = create_sheet(2, 2, height_in=6.6, height_ratios=(1.0, 1.1))
@@ -119,7 +122,10 @@ def draw_fig5(material: Material) -> Product:
 
 
 def draw_fig6(material: Material) -> Product:
-    """Draw the mesh of the solid plate in plan and section."""
+    """Draw the mesh of the solid plate in plan and section.
+
+    Raises NotAvailableError if a job failed.
+    """
     mesh: models.MeshLines = material.result("mesh")
     speed_m_per_s: float = material.result("impact_speed")
     figure, axes = create_sheet(1, 2, height_in=3.4, width_ratios=(1.0, 1.25))

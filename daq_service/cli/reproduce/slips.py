@@ -31,17 +31,17 @@ _Numbers = Mapping[str, object]
 
 
 def _undamped_chain(chain: ChainParameters) -> ChainParameters:
-    """Return the parameters of the chain without dashpots."""
+    """Return the parameters of the chain with both damping coefficients 0."""
     return replace(chain, damping_n_s_per_m=0.0, contact_damping_n_s_per_m=0.0)
 
 
 def _pristine_shot(chain: ChainParameters, plate: PlateParameters = _PLATE) -> Job:
-    """Define the job that simulates one shot on the pristine plate."""
+    """Create the job that simulates one shot on the plate without corrosion."""
     return Job(function=models.compute_pulses_over_depth, arguments=(chain, plate, _PATCH, (0.0,)))
 
 
 def _shot_on_element(size_m: float) -> Job:
-    """Define the job that simulates one shot with the contact on a mesh element of this size."""
+    """Create the job that simulates one shot with a contact element of this size, m."""
     return _pristine_shot(_DISK, replace(_PLATE, contact_element_m=size_m))
 
 
@@ -80,6 +80,7 @@ class _Values(dict[str, object]):
     """What a sentence names: the numbers of a finding, else the first pulse of the job of this name."""
 
     def __init__(self, material: Material, numbers: Mapping[str, object]) -> None:
+        """Store the numbers of a finding, and the material whose jobs give missing names."""
         super().__init__(numbers)
         self._material = material
 
@@ -89,7 +90,7 @@ class _Values(dict[str, object]):
 
 
 def _only_shot(material: Material, name: str) -> models.Pulse:
-    """Return the only shot of a simulation by name."""
+    """Return the first shot of the simulation job with this name; raise NotAvailableError if it failed."""
     shot: models.Pulse = material.result(name)[0]
     return shot
 
@@ -100,7 +101,7 @@ def _format_percent(new: float, old: float) -> float:
 
 
 def _check_dashpot(material: Material) -> _Numbers:
-    """Compute the overlap of two spheres at the peak of the incident wave, m and um."""
+    """Compute the overlap of two spheres at the peak of the incident wave, in m and um."""
     overlap_m = indentation_m(
         _only_shot(material, "sphere").isw_peak_n,
         sphere_on_sphere_stiffness(_SPHERE.radius_m, _SPHERE.youngs_modulus_pa, _SPHERE.poisson_ratio),
@@ -109,20 +110,20 @@ def _check_dashpot(material: Material) -> _Numbers:
 
 
 def _check_bracket(_: Material) -> _Numbers:
-    """Compute the contact stiffness as printed and with the correct bracket."""
+    """Compute the contact stiffness by the printed bracket and, in N/m^(3/2), by the correct one."""
     E, nu, radius = _PLATE.youngs_modulus_pa, _PLATE.poisson_ratio, _SPHERE.radius_m
     as_printed = 4.0 * math.sqrt(radius) / 3.0 * 2.0 / plane_modulus_pa(E, nu)
     return {"as_printed": as_printed, "right": sphere_on_flat_stiffness(radius, E, nu, E, nu)}
 
 
 def _check_shear_modulus(_: Material) -> _Numbers:
-    """Compute the finding on the printed shear modulus."""
+    """Compute the plate's shear modulus in GPa as printed and with the factor 2 in the denominator."""
     E, nu = _PLATE.youngs_modulus_pa, _PLATE.poisson_ratio
     return {"printed_gpa": E / (1.0 + nu) / 1e9, "right_gpa": shear_modulus_pa(E, nu) / 1e9}
 
 
 def _check_locking(material: Material) -> _Numbers:
-    """Check whether any setting or limit gives the paper's time of flight and amplitude ratio together."""
+    """Find the setting or limit whose ToF and AR together are nearest to the paper's."""
     tof_us, ar = printed_number("fig12", "tof"), printed_number("fig12", "ar")
     candidates = {label: _only_shot(material, name) for name, (label, _) in _CANDIDATES.items()}
 
@@ -135,7 +136,7 @@ def _check_locking(material: Material) -> _Numbers:
 
 
 def _check_monotonicity(material: Material) -> _Numbers:
-    """Find the depth with the minimal amplitude ratio, and check that the ToF rises with depth."""
+    """Find the depth with the minimal amplitude ratio, and whether the ToF rises with each depth."""
     shots: list[models.Pulse] = material.result("disk_depths")
     minimum = min(shots, key=lambda shot: shot.amplitude_ratio)
     rises = all(after.tof_us > before.tof_us for before, after in pairwise(shots))
@@ -150,7 +151,7 @@ def _check_monotonicity(material: Material) -> _Numbers:
 
 
 def _check_equation_13(material: Material) -> _Numbers:
-    """Compare the time of flight of eq. 13 with that of the simulated wall."""
+    """Compare the time of flight of eq. 13 in us with that of the simulated wall; the difference in %."""
     equation_us = 1e6 * material.result("zener_wall").tof_s
     return {
         "equation_us": equation_us,
@@ -159,7 +160,10 @@ def _check_equation_13(material: Material) -> _Numbers:
 
 
 def _check_thresholds(material: Material) -> _Numbers:
-    """Compute how many false alarms the limit mean + 3 SD gives with each baseline."""
+    """Compute the false-alarm rate of the limit mean + 3 SD for each baseline, as sentences.
+
+    Raises NotAvailableError if no baseline has such a limit.
+    """
     sentences = []
     for name, pulses in material.test.pulses.items():
         baseline = pulses.baseline
@@ -181,7 +185,7 @@ def _check_thresholds(material: Material) -> _Numbers:
 
 
 def _check_row_5(_: Material) -> _Numbers:
-    """Compute the amplitude ratio of row 5 of table 2 from the rounded and the printed values."""
+    """Compute the amplitude ratio of row 5 of table 2 from the rounded and from the printed restitution."""
     rounded_e, inelasticity = (
         printed_number("table2", "restitution_5"),
         printed_number("table2", "inelasticity_5"),
@@ -195,7 +199,7 @@ def _check_row_5(_: Material) -> _Numbers:
 
 
 def _check_thinner_plate(_: Material) -> _Numbers:
-    """Compare the wall loss of the ultrasonic reading with that of the core."""
+    """Compare the wall losses of the ultrasonic reading and of the core, mm and %."""
     initial, read, core = (printed_number("fig15", name) for name in ("initial", "thickness_300", "core"))
     end_h = printed_number("table1", "end")
     return {
@@ -209,7 +213,7 @@ def _check_thinner_plate(_: Material) -> _Numbers:
 
 
 def _check_energy(_: Material) -> _Numbers:
-    """Compute the finding on the energy of the measured amplitude ratio."""
+    """Compute the energy ratio that the measured amplitude ratio implies, AR^(5/3)."""
     ar = printed_number("fig12", "ar_measured")
     return {"ar": ar, "energy": ar ** (5.0 / 3.0)}
 
@@ -222,7 +226,10 @@ def _check_gamma(material: Material) -> _Numbers:
 
 
 def _check_salt_water(_: Material) -> _Numbers:
-    """Compute the added mass of a half-space of liquid on a bending plate, rho_w / k per area."""
+    """Compute the added mass of a half-space of liquid on a bending plate, rho_w / k per area.
+
+    Returned as a text of percentages of the plate's mass per area at 5 and 10 kHz.
+    """
     surface = _PLATE.density_kg_per_m3 * _PLATE.thickness_m
     bending = bending_stiffness_n_m(_PLATE.youngs_modulus_pa, _PLATE.poisson_ratio, _PLATE.thickness_m)
     ratios = []
@@ -255,7 +262,7 @@ SLIPS = TEXTS.slips
 
 
 def make_slips(material: Material) -> Product:
-    """List each slip of the paper with our finding, or the reason why there is none here."""
+    """Build the table of the paper's slips with our finding, or the reason why there is none here."""
     columns = {
         "where": [slip.where for slip in SLIPS],
         "printed": [slip.prints for slip in SLIPS],
@@ -266,7 +273,7 @@ def make_slips(material: Material) -> Product:
 
 
 def _finding_of(slip: Slip, material: Material) -> str:
-    """Compose the finding of a slip, or the reason why there is none."""
+    """Compose the sentence with our finding on a slip, or the reason why it is not available."""
     try:
         numbers = _FINDINGS[slip.finding](material) if slip.finding else {}
         return slip.sentence.format_map(_Values(material, numbers))

@@ -41,27 +41,30 @@ PAPER_MARK: Mapping[str, Any] = {
 def create_sheet(
     rows: int = 1, columns: int = 1, *, height_in: float, **options: Any
 ) -> tuple[Figure, list[Axes]]:
-    """Create a figure and its axes in reading order."""
+    """Create a figure of width `WIDTH_IN` and its axes in reading order; height in inches."""
     figure = Figure(figsize=(WIDTH_IN, height_in), layout="constrained")
     axes = figure.subplots(rows, columns, squeeze=False, **options)
     return figure, list(np.ravel(axes))
 
 
 def choose_colour(position: str, positions: Sequence[str]) -> str:
-    """Return the color of a position; the paper's letters have fixed ones."""
+    """Return the color of a position as hexadecimal text; the paper's letters have fixed ones.
+
+    Raises ValueError if the position is not in the list.
+    """
     if position in OF_POSITION:
         return OF_POSITION[position]
     return COLOURS[list(positions).index(position) % len(COLOURS)]
 
 
 def name_panels(axes: Sequence[Axes], titles: Sequence[str]) -> None:
-    """Add letters and titles to the panels, as the paper does."""
+    """Set the titles of the panels with the letters (a) to (j), as the paper does; at most ten."""
     for letter, axis, title in zip("abcdefghij", axes, titles, strict=False):
         axis.set_title(f"({letter}) {title}")
 
 
 def position_panels(positions: Sequence[str], label: str, *, height_in: float) -> tuple[Figure, list[Axes]]:
-    """Create a panel over the hours of the test for each position."""
+    """Create a figure with a panel over the hours of the test for each position, on common axes."""
     figure, axes = create_sheet(1, len(positions), height_in=height_in, sharex=True, sharey=True)
     for axis in axes:
         axis.set_xlabel("hour of the test (h)")
@@ -71,7 +74,7 @@ def position_panels(positions: Sequence[str], label: str, *, height_in: float) -
 
 
 def add_legend(figure: Figure, *, ncols: int) -> None:
-    """Add a legend of all panels, each label once."""
+    """Add a legend of all panels below the figure, each label once."""
     handles = {
         label: handle
         for axis in figure.axes
@@ -84,7 +87,10 @@ METADATA: Any = {"png": {"Software": None}, "svg": {"Date": None, "Creator": "so
 
 
 def render_figure(figure: Figure, endings: Sequence[str] = tuple(METADATA)) -> dict[str, bytes]:
-    """Render a figure as PNG and SVG, by file ending; call this within `RULES`."""
+    """Render a figure and return the bytes by file ending, PNG and SVG unless others are given.
+
+    The same figure gives the same bytes. Call this within `RULES`; the layout is fixed afterwards.
+    """
     pictures = {}
     for ending in endings:
         buffer = io.BytesIO()

@@ -10,7 +10,10 @@ from simulator.zener.table_2 import Table2Row, table_2
 
 
 def make_table1(material: Material) -> Product:
-    """Build table 1: measuring method, size of the corroded square and sets of each position."""
+    """Build table 1: measuring method, size of the corroded square and sets of each position.
+
+    Raises NotAvailableError without a test.
+    """
     test = material.test
     places = dict(sorted({**test.pulses, **test.echoes}.items()))
     table = Table(
@@ -32,7 +35,7 @@ def make_table1(material: Material) -> Product:
 
 
 def _compute_loss_at_d(material: Material) -> Found:
-    """Return the wall loss at D from the truth of the twin, %."""
+    """Return the wall loss at D in % from the last truth of the twin; without one, the reason."""
     known = [trace for trace in material.test.traces.get("D", ()) if "depth_fraction" in trace.truth]
     if not known:
         return no_value("nobody measured the wall at D")
@@ -40,7 +43,10 @@ def _compute_loss_at_d(material: Material) -> Found:
 
 
 def make_table2(material: Material) -> Product:
-    """Build table 2: Zener's model over the drop height, rounded as in the paper."""
+    """Build table 2: Zener's model over the drop height, rounded as in the paper.
+
+    The note counts the printed numbers that agree. Raises NotAvailableError if the job failed.
+    """
     rows: tuple[Table2Row, ...] = material.result("rows")
     columns = {field.name: [float(getattr(row, field.name)) for row in rows] for field in fields(Table2Row)}
     values = {

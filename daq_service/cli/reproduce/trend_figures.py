@@ -30,7 +30,7 @@ class _Fit:
 
     @property
     def values(self) -> dict[str, float]:
-        """Return the values at hour 0 and at the last point, and the change in percent."""
+        """Return the values at hour 0 and at the last point, in the axis's unit, and the change in %."""
         start, end = self.trend.constant, float(self.trend.at(self.last_h))
         return {"start": start, "end": end, "change": 100.0 * (end / start - 1.0)}
 
@@ -40,7 +40,10 @@ _Fits = Mapping[str, _Fit | str]
 
 
 def draw_feature(material: item.Material, feature: Trended) -> item.Product:
-    """Draw a feature of all transducers with fits and the paper's values."""
+    """Draw a feature of all transducers over the test with second-order fits and the paper's values.
+
+    Raises NotAvailableError if the test has no transducer.
+    """
     test, names = material.test, material.transducers
     fits = {name: _fit_position(test.pulses[name], feature) for name in names}
     figure, axes = position_panels(names, feature.label, height_in=3.3)
@@ -49,7 +52,7 @@ def draw_feature(material: item.Material, feature: Trended) -> item.Product:
     add_legend(figure, ncols=3)
 
     def columns(pulses: Series) -> dict[str, FloatArray]:
-        """Build the columns of a transducer: the feature and its fit."""
+        """Build the columns of a transducer: the feature and its fit, NaN without one; in SI units."""
         fit, hours = fits[pulses.position], pulses.hour_h
         fitted = fit.trend.at(hours) / feature.scale if isinstance(fit, _Fit) else np.full(hours.size, np.nan)
         return {feature.column: pulses.values[feature.column], f"fit_of_{feature.column}": fitted}
@@ -67,7 +70,7 @@ def draw_feature(material: item.Material, feature: Trended) -> item.Product:
 
 
 def _fit_position(pulses: Series, feature: Trended) -> _Fit | str:
-    """Fit the sets of a position, or return the reason why there is no fit."""
+    """Fit a parabola to the sets of a position, or return the reason why there is no fit."""
     values = feature.scale * pulses.values[feature.column]
     try:
         trend = fit_trend(pulses.hour_h, values)
@@ -77,7 +80,7 @@ def _fit_position(pulses: Series, feature: Trended) -> _Fit | str:
 
 
 def _draw_feature_panel(axis: Axes, pulses: Series, feature: Trended, fit: _Fit | str, colour: str) -> None:
-    """Draw a feature of one transducer in its panel."""
+    """Draw a feature of one transducer with its fit and, if printed, the paper's start and end."""
     values, label = feature.scale * pulses.values[feature.column], "sets, mean of the valid strikes"
     axis.plot(pulses.hour_h, values, ".", color=colour, alpha=0.45, ms=2.5, label=label)
     last_h = float(pulses.hour_h[-1])
@@ -96,7 +99,10 @@ def _draw_feature_panel(axis: Axes, pulses: Series, feature: Trended, fit: _Fit 
 
 
 def _make_fit_table(fits: _Fits) -> item.Table:
-    """Build a table of coefficients in the axis's unit: constant + linear t + quadratic t^2, t in h."""
+    """Build a table of coefficients in the axis's unit: constant + linear t + quadratic t^2, t in h.
+
+    Positions without a fit are left out.
+    """
     rows = {name: fit for name, fit in fits.items() if isinstance(fit, _Fit)}
     trends = [fit.trend for fit in rows.values()]
     return item.Table(
@@ -114,7 +120,7 @@ def _make_fit_table(fits: _Fits) -> item.Table:
 
 
 def _value_of_fit(fits: _Fits, position: str, what: str) -> item.Found:
-    """Return a value of a position's fit, or the reason why it is missing."""
+    """Return "start", "end" or "change" of a position's fit, or the reason why it is missing."""
     fit = fits.get(position)
     if fit is None:
         return item.no_value(f"the test has no solitary-wave position {position}")

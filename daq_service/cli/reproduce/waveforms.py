@@ -27,7 +27,10 @@ ROOM = 1.8
 
 
 def draw_fig7(material: item.Material) -> item.Product:
-    """Draw averaged waveforms, later ones higher, with the marks of the features."""
+    """Draw averaged waveforms of each transducer, later ones higher, with the times of the features.
+
+    Raises NotAvailableError if no waveform can be read.
+    """
     test = material.test
     names = [name for name in test.pulses if test.traces.get(name)]
     if not names:
@@ -58,7 +61,7 @@ def draw_fig7(material: item.Material) -> item.Product:
 
 
 def _draw_waterfall(axis: Axes, traces: Sequence[Trace], pulses: Series, last_h: float, colour: str) -> None:
-    """Draw the averaged records of a position and the times of their features."""
+    """Draw the averaged records of a position over time, lifted to their hour, and the feature times."""
     spacing_h = last_h / max(len(traces), 2)
     height_v = max(float(np.ptp(trace.volts)) for trace in traces) or 1.0
     hours = np.array([trace.hour_h for trace in traces])
@@ -88,12 +91,15 @@ def _draw_waterfall(axis: Axes, traces: Sequence[Trace], pulses: Series, last_h:
 
 
 def _sample_step(trace: Trace) -> int:
-    """Compute the step between drawn samples."""
+    """Compute the distance of drawn samples, in samples: about `STEP_S`, at least 1."""
     return max(1, round(STEP_S / float(trace.time_s[1] - trace.time_s[0])))
 
 
 def _make_trace_table(traces: Sequence[Trace]) -> item.Table:
-    """Build a table of all traces of a position at the times of the first one; pad shorter ones."""
+    """Build a table of all traces of a position in V at the times of the first one, `STEP_S` apart.
+
+    Shorter traces are padded with None, longer ones cut.
+    """
     first = traces[0].time_s
     every = _sample_step(traces[0])
     times_s = [round(float(t), 9) for t in first[::every]]
@@ -106,7 +112,10 @@ def _make_trace_table(traces: Sequence[Trace]) -> item.Table:
 
 
 def _time_from_contact(test: Evidence, names: Sequence[str]) -> dict[str, item.Found]:
-    """Compute the time from the striker's contact; a record's zero is the trigger instead."""
+    """Return the median time in us from the striker's contact to the ISW, which only the twin knows.
+
+    A record's zero is its trigger instead: without the twin a reason is returned.
+    """
     times = [
         trace.truth["isw_time_s"]
         for name in names
@@ -123,7 +132,7 @@ def _time_from_contact(test: Evidence, names: Sequence[str]) -> dict[str, item.F
 
 
 def _hour_of_first_alarm(test: Evidence, position: str) -> item.Found:
-    """Return the hour of the first alarm at a position."""
+    """Return the hour of the first wall alarm at a position, or the reason why there is none."""
     if position not in test.pulses:
         return item.no_value(f"the test has no solitary-wave position {position}")
     hour = test.pulses[position].first_alarm_h

@@ -75,6 +75,8 @@ class Bench:
     def wire(self, position: str, wiring: TransducerWiring) -> Waveform:
         """Add a transducer with the range of a first record, and record its input at rest.
 
+        On an error the transducers are as before, and none is current.
+
         Raises
         ------
         ValueError
@@ -97,12 +99,14 @@ class Bench:
         return record
 
     def look(self, position: str) -> Waveform:
-        """Record the input of a transducer at rest and store the record."""
+        """Record the input of a transducer at rest, store and return the record; raise as `wire`."""
         self.quiet[position] = record = self._on_boards(position, lambda free: free.quiet())
         return record
 
     def watch(self) -> tuple[str | None, Waveform | None]:
-        """Record an input at rest for the page; the stored records do not change.
+        """Record the current input at rest for the page; the stored records do not change.
+
+        Returns position and record, or (None, None) before a transducer is wired.
 
         Raises
         ------
@@ -115,14 +119,14 @@ class Bench:
         return position, self._on_boards(position, lambda free: free.quiet())
 
     def strike(self, position: str) -> None:
-        """Strike once and keep the complete record.
+        """Strike once and store the complete record; blocks up to `READ_TIMEOUT_S`.
 
         Raises
         ------
         BusyError
             A recorder owns the data folder.
         ConfigurationError
-            The coil's counter cannot start the acquisition: neither a holdoff nor this look is possible.
+            The coil's counter cannot start the acquisition: neither a holdoff nor this record is possible.
         """
         with hold_folder(self.data_folder) as owner:
             refuse_while_owned("a strike", owner)
@@ -135,12 +139,14 @@ class Bench:
             self.strikes += 1
 
     def take_range(self, position: str, range_v: float) -> None:
-        """Set another input range for a transducer and record its input."""
+        """Set another input range in V for a transducer and record its input at rest; raise as `wire`."""
         self.transducers[position] = replace(self.transducers[position], range_v=range_v)
         self.look(position)
 
     def proposal(self) -> Proposal | None:
         """Assess all strikes so far and return the proposed values; None before the first strike.
+
+        Uses the newest record at rest and of a strike of each transducer.
 
         Raises
         ------
@@ -158,7 +164,11 @@ class Bench:
         return propose_settings(known, pulse_s=self.pulse_s, fall_s=fall_s(self.drop_height_m))
 
     def newest(self) -> dict[str, object]:
-        """Return the newest strike, and the shot in it that the proposed values would record."""
+        """Return the newest strike for the page, and the shot that the proposed values would cut from it.
+
+        Both None before a strike; the shot None without a trigger level or trigger; ``error`` has an analysis
+        error.
+        """
         position, strike = self.position, self.struck.get(self.position or "")
         if position is None or strike is None:
             return {"strike": None, "shot": None}
@@ -185,12 +195,15 @@ class Bench:
         return answer | prepare_shot_for_page(shot, extract_features(shot), rising=proposal.rising)
 
     def ranges_v(self, wiring: TransducerWiring) -> list[float]:
-        """List the ranges -r .. +r of the transducer's board in V, rising."""
+        """List the symmetric input ranges -r .. +r of the transducer's board as r in V, rising."""
         board = self.boards[wiring.board_serial]
         return sorted(high for low, high in board.ranges_v if math.isclose(-low, high))
 
     def parameters(self, position: str | None = None) -> DaqmxParameters:
-        """Build the driver's parameters with the chosen values, of all transducers or of one."""
+        """Build the driver's parameters with the chosen values, of all transducers or of one.
+
+        Those of one position ignore the chosen values. Raises ValueError if values do not go together.
+        """
         wirings = self.transducers if position is None else {position: self.transducers[position]}
         rate_hz = min(
             PAPER_RATE_HZ, *(self.boards[wiring.board_serial].max_rate_hz for wiring in wirings.values())
@@ -226,7 +239,7 @@ class Bench:
         )
 
     def choose(self, proposal: Proposal) -> None:
-        """Accept a proposal, with or without a person's changes.
+        """Store a proposal, with or without a person's changes, and set its input ranges.
 
         Raises
         ------
@@ -244,22 +257,25 @@ class Bench:
             raise
 
     def table(self) -> dict[str, object]:
-        """Build the table [rig.daqmx] of the configuration file."""
+        """Build the table [rig.daqmx] of the configuration file, without keys that are None."""
         return {name: value for name, value in asdict(self.parameters()).items() if value is not None}
 
     def close(self) -> None:
-        """Close the open input and release the boards."""
+        """Close the open input, release the boards and end their thread; waits for running work."""
         self._thread.submit(self._close_input).result()
         self._thread.shutdown()
 
     def _on_boards(self, position: str, work: Callable[[FreeInput], T]) -> T:
-        """Run work in the thread of the boards and return its result."""
+        """Run work in the thread of the boards, wait for it, and return its result or raise its error."""
         return self._thread.submit(self._work_with_input, position, self.parameters(position), work).result()
 
     def _work_with_input(
         self, position: str, parameters: DaqmxParameters, work: Callable[[FreeInput], T]
     ) -> T:
-        """Open the input of a position if necessary, and run work with it."""
+        """Run work with the input of a position, opened again if position or parameters changed.
+
+        After an error the input is closed.
+        """
         from hardware_drivers.daqmx.pulse_record import FreeInput
 
         if self._free is None or (self._free.position, self._free.parameters) != (position, parameters):
@@ -272,12 +288,12 @@ class Bench:
             raise
 
     def _close_input(self) -> None:
-        """Close the open input."""
+        """Close the open input; nothing if none is open."""
         free, self._free = self._free, None
         if free is not None:
             free.close()
 
 
 def compute_noise_rms_v(record: Waveform) -> float:
-    """Compute the noise of a record in V rms, hum included."""
+    """Compute the noise of a record in V rms about its mean, hum included."""
     return float(np.std(record.volts()))

@@ -33,11 +33,11 @@ class Boards:
 
     @property
     def wired(self) -> Mapping[str, TransducerWiring]:
-        """Return the wiring by position."""
+        """Return the wiring of the transducers by position."""
         return self.bench.transducers
 
     def introduce(self, flags: Flags, *, asks: bool) -> None:
-        """Read drop height and pulse from the options, or ask for them."""
+        """Set drop height (m) and pulse (s) from the options; ask for a missing one if ``asks``."""
         for name, text, bounds in (
             ("drop_height_m", "Height from which the strikers fall, m", (0.0, 1.0)),
             ("pulse_s", "Time a coil is on, s (it lifts the striker)", (1e-3, 0.5)),
@@ -50,7 +50,10 @@ class Boards:
                 setattr(self.bench, name, value)
 
     def wire(self, position: str, text: str) -> None:
-        """Wire a transducer given as ``BOARD/INPUT/COUNTER`` and print its input at rest."""
+        """Wire a transducer given as ``BOARD/INPUT/COUNTER`` and print its input at rest.
+
+        Raises ValueError for an impossible wiring, InstrumentError if the input cannot be read.
+        """
         wiring = parse_wiring(self.bench.boards, text)
         record = self.bench.wire(position, wiring)
         self.dialogue.report(
@@ -60,7 +63,10 @@ class Boards:
         )
 
     def ask_wiring(self, position: str) -> None:
-        """Ask for the wiring of a transducer until its input can be read."""
+        """Ask for board, input, counter and terminal of a transducer until its input can be read.
+
+        Raises UsageError if no board, input or counter is left, or the answers end.
+        """
         boards, transducers = self.bench.boards, self.bench.transducers.values()
         taken = {(one.board_serial, one.input) for one in transducers}
         taken |= {(one.coil_serial, one.counter) for one in transducers}
@@ -92,7 +98,11 @@ class Boards:
         """Do nothing, since each input is read when it is wired."""
 
     def strike(self, position: str) -> None:
-        """Strike once; print the survey and its remedies."""
+        """Strike once; print the survey of the coil's spike and its remedies.
+
+        A clipped record selects a wider input range. Raises the errors of `Bench.strike`, and AnalysisError
+        if the record cannot be assessed.
+        """
         self.bench.strike(position)
         proposal = self.bench.proposal()
         assert proposal is not None, "it was struck"
@@ -111,7 +121,10 @@ class Boards:
             self.dialogue.report(f"{position}      clipped; strike again, now in +-{range_v:g} V")
 
     def strike_each(self, positions: Collection[str]) -> None:
-        """Strike each transducer once, and again while a waveform is clipped."""
+        """Strike each transducer once, and again in a wider range while a waveform is clipped.
+
+        Raises the errors of `Bench.strike`.
+        """
         for position in positions:
             self.bench.strike(position)
         while (proposal := self.bench.proposal()) is not None and proposal.again:
@@ -120,11 +133,14 @@ class Boards:
                 self.bench.strike(position)
 
     def conclude(self, *, asks: bool) -> None:
-        """Propose values of the configuration from the strikes."""
+        """Propose values of the configuration from the strikes, and ask to accept them if ``asks``."""
         assess_strikes(self.dialogue, self.bench, asks=asks)
 
     def contents(self, others: Tables, off: set[KeyPath]) -> Contents:
-        """Return the values, the switched-off tables and the head of the configuration file."""
+        """Return the values, the switched-off tables and the head of the configuration file.
+
+        Raises UsageError if a position is both a transducer and a probe.
+        """
         values, _ = read_laboratory()
         methods = dict.fromkeys(others.get("niscope", {}).get("probes", {}), PULSE_ECHO)
         if clash := set(methods) & set(self.wired):
@@ -137,7 +153,10 @@ class Boards:
         return values, {*off, ("rig", "daqmx", "watchdog")}, head
 
     def result(self) -> Mapping[str, object]:
-        """Return the boards, their wiring and the proposal as an object for ``--json``."""
+        """Return the boards, their wiring and the proposal as an object for ``--json``.
+
+        The proposal is None before the first strike.
+        """
         proposal = self.bench.proposal()
         return {
             "boards": {serial: board.product for serial, board in self.bench.boards.items()},
@@ -149,17 +168,17 @@ class Boards:
         }
 
     def _ask_choice(self, name: str, text: str, choices: Sequence[str]) -> str:
-        """Ask for one of several choices."""
+        """Ask for one of several choices, the first by default; raise UsageError if there are none."""
         if not choices:
             raise UsageError(f"{text}: nothing is left to choose; add a board, or end with fewer positions")
         return self.dialogue.ask(name, text, str, default=choices[0], choices=choices)
 
 
 def _make_number_parser(low: float, high: float) -> Callable[[str], float]:
-    """Create a parser of numbers within bounds."""
+    """Create a parser of numbers above ``low`` and up to ``high``; it raises ValueError outside."""
 
     def parse_number(text: str) -> float:
-        """Parse a number; raise ValueError outside the bounds."""
+        """Parse a number; raise ValueError for other text or outside the bounds."""
         value = float(text)
         if not low < value <= high:
             raise ValueError(f"{value:g} is not within {low:g} .. {high:g}")

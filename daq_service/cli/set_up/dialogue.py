@@ -69,7 +69,10 @@ class Dialogue:
     _reads: bool = False
 
     def report(self, text: str = "") -> None:
-        """Print a line on standard error, since standard output may be read by a program."""
+        """Print a line on standard error and keep it for the page, which shows the last `KEPT_LINES`.
+
+        Standard output may be read by a program.
+        """
         click.echo(text, err=True)
         self.lines = [*self.lines, text][-KEPT_LINES:]
 
@@ -82,12 +85,16 @@ class Dialogue:
         default: str = "",
         choices: Sequence[str] = (),
     ) -> T:
-        """Ask a question until an answer is valid, and return the parsed answer.
+        """Ask a question until an answer is valid, and return the parsed answer; blocks without limit.
+
+        The first answer counts, from the terminal or the page; an empty one means ``default``.
 
         Parameters
         ----------
         parse
-            Makes a value of the answer, or raises ValueError with what is wrong.
+            Convert the answer to a value, or raise ValueError with what is wrong, which is printed.
+        choices
+            Permitted answers; empty: any.
 
         Raises
         ------
@@ -118,11 +125,11 @@ class Dialogue:
                 self._waiting = None
 
     def ask_yes_or_no(self, name: str, text: str, *, default: str) -> bool:
-        """Ask a question that is answered by yes or no."""
+        """Ask a question with the choices yes and no; return True for yes. Blocks until answered."""
         return self.ask(name, text, lambda answer: answer == "yes", default=default, choices=("yes", "no"))
 
     def answer(self, number: int, text: str) -> bool:
-        """Accept an answer of the page; return False if another question is waiting."""
+        """Queue an answer of the page; return False if it is not to the question that waits now."""
         with self._lock:
             if self._waiting is None or number != self.number:
                 return False
@@ -130,14 +137,17 @@ class Dialogue:
         return True
 
     def as_row(self) -> Mapping[str, object]:
-        """Convert the state of the dialogue to a JSON object for the page."""
+        """Convert the state to a JSON object for the page: the waiting question or None, and the lines."""
         with self._lock:
             waiting, number = self._waiting, self.number
         question = None if waiting is None else {"number": number, **asdict(waiting)}
         return {"question": question, "lines": self.lines}
 
     def _next_answer(self, question: Question) -> str:
-        """Wait for the next valid answer and return it."""
+        """Wait without limit for the next answer to this question and return it without outer spaces.
+
+        Answers to earlier questions are dropped. Raises UsageError at the end of the terminal's input.
+        """
         while True:
             try:
                 answer = self._answers.get(timeout=LOOK_S)
@@ -156,7 +166,7 @@ class Dialogue:
             return answer.text.strip()
 
     def _read_terminal(self) -> None:
-        """Start the thread that reads the terminal."""
+        """Start the daemon thread that reads standard input, once only."""
         if not self._reads:
             self._reads = True
             threading.Thread(
@@ -164,7 +174,10 @@ class Dialogue:
             ).start()
 
     def _queue_lines(self, stream: TextIO) -> None:
-        """Add the lines of a stream to the queue of answers."""
+        """Add the lines of a stream to the queue of answers until it ends (body of the reading thread).
+
+        A typed line answers only the question shown at that time; a piped one answers the next.
+        """
         typed = stream.isatty()
         for line in stream:
             # What a person typed to an earlier question, or while the rig was at work, answers no later one.

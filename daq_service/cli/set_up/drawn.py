@@ -12,7 +12,9 @@ COLUMNS = 1000
 
 
 def compute_envelope(record: Waveform, first_s: float = 0.0) -> dict[str, object]:
-    """Compute the lowest and highest voltage in each of `COLUMNS` sections of a record.
+    """Compute the lowest and highest voltage in each of at most `COLUMNS` sections of a record.
+
+    Returns arrays in V, start and section length in s, and the input range in V.
 
     Parameters
     ----------
@@ -34,7 +36,10 @@ def compute_envelope(record: Waveform, first_s: float = 0.0) -> dict[str, object
 def prepare_shot_for_page(
     shot: Waveform, features: ShotFeatures, *, rising: bool = True
 ) -> dict[str, object]:
-    """Convert a shot to a JSON object for drawing, with marks of its waves and its flags."""
+    """Convert a shot to a JSON object for drawing: envelope, marks of ISW and PSW (s, V), flags.
+
+    Heights are negative for a falling wave; NaN for a missing one.
+    """
     sign = 1.0 if rising else -1.0
     marks = {
         "ISW": (features.isw_time_s, sign * features.isw_amplitude_v),

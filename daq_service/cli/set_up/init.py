@@ -40,7 +40,15 @@ def write_configuration(
     switch_off: Sequence[str],
     as_json: bool,
 ) -> None:
-    """Run `solimon init`: write a configuration file and its schema."""
+    """Run `solimon init`: write a configuration file and its schema, and print what is left to fill in.
+
+    Existing files are never overwritten. Placeholders are not validated.
+
+    Raises
+    ------
+    UsageError
+        An option, key, table or value is invalid, or a file exists or cannot be written.
+    """
     if (source is not None) != (kind == "playback"):
         raise UsageError("--source names the recording of `init playback`, and belongs to it alone")
     values, off = (
@@ -65,7 +73,7 @@ def write_configuration(
 
 
 def format_schema() -> str:
-    """Return the contents of ``config/settings.schema.json`` as text."""
+    """Return the JSON Schema of the configuration as text, as in ``config/settings.schema.json``."""
     return json.dumps(build_settings_schema(), indent=1) + "\n"
 
 
@@ -73,7 +81,7 @@ def format_schema() -> str:
 
 
 def read_laboratory() -> tuple[Tables, set[KeyPath]]:
-    """Read the values of the shipped laboratory.toml, and the tables that it switches off."""
+    """Read all values of the shipped laboratory.toml, and the paths of the tables that it switches off."""
     text = find_config_file("laboratory.toml").read_text(encoding="utf-8")
     values, active = tomllib.loads(uncomment_tables(text)), flatten(tomllib.loads(text))
     tables = {key[:depth] for key in flatten(values) for depth in range(1, len(key))}
@@ -81,12 +89,15 @@ def read_laboratory() -> tuple[Tables, set[KeyPath]]:
 
 
 def _read_twin_values() -> Tables:
-    """Read the values of the shipped configuration of the twin."""
+    """Read the values of the shipped simulated.toml, the configuration of the twin, as nested tables."""
     return tomllib.loads(find_config_file("simulated.toml").read_text(encoding="utf-8"))
 
 
 def _make_playback_values(source: Path) -> Tables:
-    """Build the configuration of a recorded test, or that of the paper for other files."""
+    """Build the configuration that plays back a recorded test, or other files with the paper's values.
+
+    Raises UsageError if the source is missing or its configuration is of another version.
+    """
     if not source.exists():
         raise UsageError(f"{source} is not there; give the folder or file of the recording")
     playback: Tables = {"source": str(source.absolute()), "format": "archive"}
@@ -113,7 +124,10 @@ def _make_playback_values(source: Path) -> Tables:
 
 
 def _assign_values(values: Tables, assignments: Sequence[str]) -> Tables:
-    """Replace values by ``KEY=VALUE``; a ``*`` in a key matches any part."""
+    """Return the values with those of each ``KEY=VALUE`` replaced; ``*`` in a key matches any text.
+
+    Raises UsageError if no key matches or a value is not valid TOML.
+    """
     keys = {".".join(path): path for path in flatten(values)}
     filled = flatten(values)
     for assignment in assignments:
@@ -127,7 +141,7 @@ def _assign_values(values: Tables, assignments: Sequence[str]) -> Tables:
 
 
 def _parse_value_like(text: str, *, like: object) -> object:
-    """Parse a text to a value of the type of another one."""
+    """Return the text if ``like`` is a string, otherwise parse it as TOML; raise UsageError if invalid."""
     if isinstance(like, str):
         return text
     try:
@@ -137,7 +151,7 @@ def _parse_value_like(text: str, *, like: object) -> object:
 
 
 def _find_table(values: Tables, name: str) -> KeyPath:
-    """Return the path of a table from its name."""
+    """Return the path of a table from its dotted name; raise UsageError, with a near name, if none."""
     tables = {".".join(key[:depth]): key[:depth] for key in flatten(values) for depth in range(1, len(key))}
     if name not in tables:
         raise _unknown_name_error(name, tables, "--with or --without TABLE")
@@ -145,18 +159,18 @@ def _find_table(values: Tables, name: str) -> KeyPath:
 
 
 def _unknown_name_error(name: str, known: Collection[str], option: str) -> UsageError:
-    """Create the error for an unknown name."""
+    """Create the UsageError for an unknown name of an option, with the nearest known one."""
     near = difflib.get_close_matches(name, known, n=1, cutoff=0.6)
     return UsageError(f"{option}: there is no {name!r} here" + (f"; did you mean {near[0]}?" if near else ""))
 
 
 def _remove_tables(values: Tables, off: Collection[KeyPath]) -> Tables:
-    """Remove the switched-off tables from the values."""
+    """Return the values without the tables that are switched off."""
     return nest_tables({key: value for key, value in flatten(values).items() if not _is_in_tables(key, off)})
 
 
 def _is_in_tables(key: KeyPath, tables: Collection[KeyPath]) -> bool:
-    """Return whether a key is in one of the tables."""
+    """Return whether a key is one of these tables or within one."""
     return any(key[: len(table)] == table for table in tables)
 
 
@@ -164,12 +178,12 @@ def _is_in_tables(key: KeyPath, tables: Collection[KeyPath]) -> bool:
 
 
 def _read_head(name: str) -> str:
-    """Return the comment at the top of a kind of file, which a person reads first."""
+    """Read the comment at the top of a kind of configuration file, which a person reads first."""
     return (Path(__file__).parent / "heads" / f"{name}.txt").read_text(encoding="utf-8").rstrip()
 
 
 def format_head(instruments: Collection[str], struck: Collection[str]) -> str:
-    """Compose the comment at the top of a file of `solimon setup`: instruments and strikes."""
+    """Format the comment at the top of a file of `solimon setup`: instruments, and positions struck."""
     sentence = (
         f"From strikes of {', '.join(struck)}."
         if struck
@@ -179,7 +193,10 @@ def format_head(instruments: Collection[str], struck: Collection[str]) -> str:
 
 
 def refuse_to_overwrite(file: Path) -> Path:
-    """Raise an error if a file would be overwritten; return the path of the schema."""
+    """Return the path of the schema; raise UsageError if a file would be overwritten.
+
+    Also if the name does not end in ``.toml``. An equal schema may exist.
+    """
     if file.suffix != ".toml":
         raise UsageError(f"{file} will hold TOML: let its name end in .toml")
     schema = file.absolute().parent / SCHEMA
@@ -194,12 +211,19 @@ def refuse_to_overwrite(file: Path) -> Path:
 
 
 def validate_new_file(values: Tables, off: Collection[KeyPath], file: Path) -> Settings:
-    """Validate the values of a new file; raise UsageError as for a file that is read."""
+    """Return the settings of the values of a new file, without the tables ``off``.
+
+    Raises UsageError as for a file that is read; nothing is written.
+    """
     return validate_settings(_remove_tables(values, off), file.absolute())
 
 
 def write_file(file: Path, values: Tables, *, head: str, off: Collection[KeyPath]) -> None:
-    """Write a commented configuration and its schema."""
+    """Write a commented configuration, and its schema into the same folder.
+
+    Tables in ``off`` are written as comments. Raises UsageError if a file exists or cannot be written; the
+    schema may then remain.
+    """
     schema, text = refuse_to_overwrite(file), format_commented_toml(values, head=head, switched_off=off)
     try:
         schema.write_text(format_schema(), encoding="utf-8", newline="\n")

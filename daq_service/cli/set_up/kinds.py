@@ -35,7 +35,7 @@ NOT_INSTRUMENTS = frozenset({"twin", "playback"})
 
 
 def list_other_kinds() -> dict[str, Offer]:
-    """List the installed kinds, other than NI boards, that digitize or strike."""
+    """Return the installed kinds, other than NI boards, that digitize or strike, by name."""
     excluded = NOT_INSTRUMENTS | {"daqmx"}
     return {
         name: offer
@@ -71,11 +71,11 @@ class Kinds:
     # For the page ------------------------------------------------------------------------------------
 
     def watch(self) -> tuple[str | None, Waveform | None]:
-        """Return the position of the page without a record: nothing is recorded between strikes."""
+        """Return the position of the page and None: nothing is recorded between strikes."""
         return self.position, None
 
     def newest(self) -> dict[str, object]:
-        """Return the newest record of the page's position."""
+        """Return the newest record of the page's position for drawing; values None before a strike."""
         trial = self.trials.get(self.position or "")
         if trial is None or trial.record is None or trial.features is None:
             return {"strike": None, "shot": None}
@@ -89,7 +89,7 @@ class Kinds:
     # For the dialogue --------------------------------------------------------------------------------
 
     def introduce(self, flags: Flags, *, asks: bool) -> None:
-        """Print the roles and parameters of each instrument."""
+        """Print the roles and parameters of each instrument if ``asks``; nothing otherwise."""
         for name, offer in self.offers.items() if asks else ():
             texts = [
                 f"{key} = {schema['default']}" if "default" in schema else f"{key} (needed)"
@@ -100,12 +100,12 @@ class Kinds:
             )
 
     def wire(self, position: str, text: str) -> None:
-        """Wire a transducer given as ``DIGITIZER/STRIKER``."""
+        """Wire a transducer given as ``DIGITIZER/STRIKER``, or one name for both; names are not checked."""
         digitizer, slash, striker = text.partition("/")
         self.wired[position] = {"digitizer": digitizer, "striker": striker if slash else digitizer}
 
     def ask_wiring(self, position: str) -> None:
-        """Ask for the instruments of a transducer and for parameters."""
+        """Ask for the instruments of a transducer and for parameters until valid, and check them."""
         self.wired[position] = {role: self._ask_instrument(position, role) for role in ROLES_OF_A_TRANSDUCER}
         self.position = position
         self._ask_parameters()
@@ -117,19 +117,22 @@ class Kinds:
         Raises
         ------
         UsageError
-            What is missing or wrong.
+            The settings so far are incomplete or invalid.
         """
         settings = self.settings()
         self._print_checks(run_rig_checks(settings, list_instruments(settings), set(), lambda what: None))
 
     def strike(self, position: str) -> None:
-        """Strike once, print the checks and ask for changes."""
+        """Strike once, print the checks, propose a trigger level, and ask for changed parameters.
+
+        Raises BusyError if a recorder owns the data folder.
+        """
         trial = self._strike_and_check(position)
         self._propose_level(position, trial)
         self._ask_parameters()
 
     def strike_each(self, positions: Collection[str]) -> None:
-        """Strike each transducer once; raise RigError if one gives no waveform."""
+        """Strike each transducer once; raise RigError if one gives no waveform, BusyError as `strike`."""
         for position in positions:
             if self._strike_and_check(position).record is None:
                 raise RigError(f"{position} gave no record; fix what is reported above, then run it again")
@@ -138,7 +141,10 @@ class Kinds:
         """Do nothing, since each strike is assessed by itself."""
 
     def contents(self, others: Tables, off: set[KeyPath]) -> Contents:
-        """Return the values with all defaults, the switched-off tables and the head of the file."""
+        """Return the values with all defaults, the switched-off tables and the head of the file.
+
+        Raises UsageError if the values are invalid.
+        """
         values = self._values_of_file(others)
         for item in list_instruments(validate_new_file(values, off, self.file)):
             if item.name in self.offers:
@@ -157,6 +163,8 @@ class Kinds:
 
     def give(self, text: str) -> None:
         """Set a parameter ``INSTRUMENT.KEY=VALUE``; without VALUE restore its default.
+
+        The value is parsed as TOML, or is text if that fails; its range is checked later.
 
         Raises
         ------
@@ -182,11 +190,14 @@ class Kinds:
             table.pop(keys[-1], None)
 
     def settings(self) -> Settings:
-        """Build the settings so far; raise UsageError that describes a missing or wrong value."""
+        """Build the settings so far; raise UsageError that describes a missing or invalid value."""
         return validate_new_file(self._values_of_file({}), set(), self.file)
 
     def _values_of_file(self, others: Tables) -> Tables:
-        """Build the values of the new file; `others` are further tables of [rig]."""
+        """Build the values of the new file; `others` are further tables of [rig].
+
+        Instruments without a position are left out.
+        """
         values, _ = read_laboratory()
         rig = {name: value for name, value in values["rig"].items() if not isinstance(value, Mapping)}
         used = {name for roles in self.wired.values() for name in roles.values()}
@@ -202,12 +213,14 @@ class Kinds:
         }
 
     def _strike_and_check(self, position: str) -> Trial:
-        """Strike once like a normal shot, store the result and print its checks.
+        """Strike once like a normal shot, store the result, print and return it.
 
         Raises
         ------
         BusyError
             A recorder owns the data folder.
+        UsageError
+            The settings so far are invalid.
         """
         with hold_folder(self.data_folder) as owner:
             refuse_while_owned("a strike", owner)
@@ -218,7 +231,7 @@ class Kinds:
         return trial
 
     def _ask_instrument(self, position: str, role: Role) -> str:
-        """Ask which instrument has a role at a position; skip the question if only one can."""
+        """Ask which instrument has a role at a position; skip the question if only one can have it."""
         able = [name for name, offer in self.offers.items() if role in offer.roles]
         if len(able) == 1:
             self.dialogue.report(f"{position}      {role}: {able[0]}")
@@ -227,7 +240,7 @@ class Kinds:
         return self.dialogue.ask(f"{position}.{role}", text, str, default=able[0], choices=able)
 
     def _ask_parameters(self) -> None:
-        """Ask for parameters until they are valid and no change is requested."""
+        """Ask for parameters until they are valid and no further change is requested."""
 
         def parse(text: str) -> bool:
             """Set a parameter from a text; return True for "-", which ends the questions."""
@@ -247,7 +260,10 @@ class Kinds:
             ends = self.dialogue.ask("parameter", text, parse, default="-" if good else "")
 
     def _propose_level(self, position: str, trial: Trial) -> None:
-        """Propose a tenth of the incident wave as trigger level, if the digitizer has this parameter."""
+        """Propose a tenth of the incident wave as trigger level (V), and set it if the person agrees.
+
+        Nothing if the level fits or the digitizer has no such parameter.
+        """
         digitizer = self.wired[position]["digitizer"]
         unfit = [check.values for check in trial.checks if check.state == "warn" and LEVEL in check.values]
         if not unfit or LEVEL not in _known_parameters(digitizer):
@@ -259,7 +275,7 @@ class Kinds:
             self.parameters[digitizer][LEVEL] = proposed_v
 
     def _print_checks(self, checks: Iterable[Check]) -> None:
-        """Print the results of an instrument's checks."""
+        """Print state, name, finding and remedy of each check."""
         for check in checks:
             remedy = f"; {check.remedy}" if check.remedy else ""
             self.dialogue.report(f"{check.state:<6} {check.name}: {check.found}{remedy}")
@@ -268,13 +284,13 @@ class Kinds:
 def parse_named_kinds(
     dialogue: Dialogue, names: Sequence[str], assignments: Sequence[str], file: Path, folder: Path
 ) -> Kinds:
-    """Build the named instruments with given parameters.
+    """Build the named instruments with parameters given as ``INSTRUMENT.KEY=VALUE``.
 
     Raises
     ------
     UsageError
         One is not installed, or neither digitizes nor strikes; nothing digitizes, or nothing strikes; or a
-        parameter is none.
+        parameter does not exist.
     """
     available = list_other_kinds()
     try:
@@ -310,7 +326,7 @@ def parse_named_kinds(
 
 
 def _known_parameters(instrument: str) -> Tables:
-    """Return the parameters of an instrument as JSON Schema by name."""
+    """Return the parameters of an installed kind as JSON Schema by name; empty if it has none."""
     kind, _ = find_kind(instrument)
     properties: Tables = TypeAdapter[object](kind.parameters).json_schema().get("properties", {})
     return properties

@@ -18,7 +18,9 @@ from daq_service.processes.notifications.webhook import Outcome, post_message
 
 
 def run_test(*, config: Path | None, receiver: str | None, as_json: bool) -> int:
-    """Send a test message to one receiver, or to all, and print the results.
+    """Run `solimon notify test`: send a test message to one receiver, or to all, and print the results.
+
+    Returns 0 if every message was accepted, otherwise 6.
 
     Raises
     ------

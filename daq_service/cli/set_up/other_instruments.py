@@ -22,19 +22,23 @@ T = TypeVar("T")
 def ask_for_others(
     dialogue: Dialogue, probes: Mapping[str, str] | None, supply: str, climate: str, *, asks: bool
 ) -> tuple[Tables, set[KeyPath]]:
-    """Ask for further instruments; return tables of [rig] and the tables to switch off.
+    """Connect probes, supply and climate probe; return tables of [rig] and the tables to switch off.
+
+    Instruments without an option are asked for if ``asks``.
 
     Parameters
     ----------
     probes
-        ``RESOURCE[/CHANNEL]`` by position; None: of these instruments there can be none.
+        ``RESOURCE[/CHANNEL]`` by position; None: the rig cannot have probes.
     supply, climate
-        Ports.
+        Serial ports; empty: not given.
 
     Raises
     ------
     InstrumentError
-        What the flags name does not answer.
+        An instrument named by an option does not respond.
+    UsageError
+        The answers at the terminal end.
     """
     tables: Tables = {}
     known = _find_probes(probes or {})
@@ -69,10 +73,10 @@ def ask_for_others(
 def _ask_for_address(
     dialogue: Dialogue, name: str, text: str, connect: Callable[[str], dict[str, T]]
 ) -> dict[str, T]:
-    """Ask for an address until an instrument answers there, or there is none."""
+    """Ask for an address until an instrument responds there; return its table, empty for "-"."""
 
     def parse(address: str) -> dict[str, T]:
-        """Connect to an address; raise ValueError with the instrument's error."""
+        """Connect to an address; raise ValueError with the instrument's error. "-" gives an empty table."""
         try:
             return {} if address == "-" else connect(address)
         except InstrumentError as error:
@@ -82,7 +86,10 @@ def _ask_for_address(
 
 
 def _find_probes(addresses: Mapping[str, str]) -> dict[str, ProbeWiring]:
-    """Connect to each probe's board and read its serial number."""
+    """Connect to each probe's board and return its wiring with the serial number, by position.
+
+    Raises InstrumentError if a board does not respond.
+    """
     found = {}
     for name, address in addresses.items():
         from hardware_drivers.niscope.pulse_echo import open_niscope
@@ -97,7 +104,10 @@ def _find_probes(addresses: Mapping[str, str]) -> dict[str, ProbeWiring]:
 
 
 def _identify_supply(port: str) -> Tables:
-    """Read the identity of the supply, and nothing else."""
+    """Read the identity of the supply at a port and return its table of [rig]; nothing is switched.
+
+    Raises InstrumentError if it does not respond.
+    """
     from hardware_drivers.serial_port.power_supply import ScpiPowerSupply
 
     line = SerialLineParameters(port=port)
@@ -108,7 +118,10 @@ def _identify_supply(port: str) -> Tables:
 
 
 def _identify_climate_probe(port: str) -> Tables:
-    """Read the identity of the climate probe."""
+    """Read the identity of the climate probe at a port and return its table of [rig].
+
+    Raises InstrumentError if it does not respond.
+    """
     from hardware_drivers.serial_port.climate_probe import ScpiClimateProbe
 
     line = SerialLineParameters(port=port)
@@ -119,11 +132,11 @@ def _identify_climate_probe(port: str) -> Tables:
 
 
 def _identity_pattern(identity: Mapping[str, str]) -> str:
-    """Build a regular expression of maker, model and serial number, for any firmware version."""
+    """Build a regular expression of maker, model and serial number; any firmware version matches."""
     parts = [identity[name] for name in ("maker", "model", "serial_number") if identity[name]]
     return ",".join(re.escape(part) for part in parts)
 
 
 def _to_parameter_table(parameters: ProbeWiring | SupplyParameters | ClimateParameters) -> Tables:
-    """Convert parameters to a table, without those that are not set."""
+    """Convert parameters to a configuration table, without those that are None."""
     return {name: value for name, value in asdict(parameters).items() if value is not None}

@@ -31,26 +31,31 @@ class Scope(Protocol):
 
     @property
     def position(self) -> str | None:
-        """Return the position of the transducer that is set up now."""
+        """Return the position of the transducer that is set up now; None before the first."""
         ...
 
     @property
     def strikes(self) -> int:
-        """Return the number of strikes so far."""
+        """Return the number of strikes so far, by which the page notices a new one."""
         ...
 
     def watch(self) -> tuple[str | None, Waveform | None]:
-        """Return a position and its record at rest; the record is None if it needs a strike."""
+        """Return a position and its record at rest; the record is None if it needs a strike.
+
+        Raises InstrumentError if the input cannot be read.
+        """
         ...
 
     def newest(self) -> dict[str, object]:
-        """Return the newest strike, prepared for drawing by `drawn`."""
+        """Return the newest strike prepared for drawing by `drawn`; values None before the first."""
         ...
 
 
 @contextmanager
 def serve_page(dialogue: Dialogue, scope: Scope, port: int) -> Iterator[str]:
-    """Serve the page while the context is open and provide its address; send it the final state.
+    """Serve the page on loopback while the context is open, and provide its address.
+
+    At the end an open page has up to `FAREWELL_S` to receive the final state. Port 0 takes a free one.
 
     Raises
     ------
@@ -86,42 +91,43 @@ class Audience:
     """Tracks whether a page is open, and whether it has received the final state."""
 
     def __init__(self) -> None:
+        """Start without an open page, before the end of the set-up."""
         self.done = False
         self._last_request_s = -FAREWELL_S
         self._received_end = threading.Event()
 
     def note_request(self) -> None:
-        """Record that a page has asked for the state."""
+        """Store the time of a page's request; after the end, note that it has received the final state."""
         self._last_request_s = time.monotonic()
         if self.done:
             self._received_end.set()
 
     def wait_for_page(self) -> None:
-        """Wait until an open page has received the final state."""
+        """Wait at most `FAREWELL_S` until a recently active page has received the final state."""
         self.done = True
         if time.monotonic() - self._last_request_s < FAREWELL_S:
             self._received_end.wait(FAREWELL_S)
 
 
 def build_page_app(dialogue: Dialogue, scope: Scope, audience: Audience) -> FastAPI:
-    """Create the web application of the page, protected like the dashboard."""
+    """Build the web application of the set-up page, protected like the dashboard."""
     app = FastAPI(openapi_url=None, docs_url=None, redoc_url=None, default_response_class=JsonAnswer)
     app.add_middleware(RequestGuard)
     problem.install_error_handlers(app)
 
     @app.get("/")
     async def get_page(request: Request) -> Response:
-        """Return the HTML of the page."""
+        """Return the HTML of the page, which needs no login."""
         return assets.answer_asset("setup.html", request)
 
     @app.get("/static/{name:path}")
     async def get_asset(name: str, request: Request) -> Response:
-        """Return a file of the page, such as a script or a style sheet."""
+        """Return a file of the page, such as a script or a style sheet; 404 if there is none."""
         return assets.answer_asset(name, request)
 
     @app.get("/api/state")
     async def get_state() -> JsonAnswer:
-        """Return the state of the dialogue for the page."""
+        """Return the dialogue, the position and the number of strikes for the page."""
         state = {**dialogue.as_row(), "position": scope.position, "strikes": scope.strikes}
         answer = JsonAnswer({**state, "done": audience.done})
         audience.note_request()
@@ -129,7 +135,7 @@ def build_page_app(dialogue: Dialogue, scope: Scope, audience: Audience) -> Fast
 
     @app.post("/api/answer")
     async def post_answer(number: int = Body(), text: str = Body(max_length=200)) -> JsonAnswer:
-        """Accept the answer to a question; respond with a conflict if another one waits."""
+        """Accept the answer to a question, 200 characters at most; respond 409 if another one waits."""
         if not dialogue.answer(number, text):
             raise problem.conflict("Another question waits by now.", "Answer the one that is shown.")
         return JsonAnswer({"taken": True})
@@ -137,7 +143,7 @@ def build_page_app(dialogue: Dialogue, scope: Scope, audience: Audience) -> Fast
     # A POST, since it uses the boards: the guard lets no other site's page ask for it.
     @app.post("/api/record")
     def post_record() -> JsonAnswer:
-        """Record at rest and return the envelope of the record, or the instrument's error."""
+        """Record the input at rest and return the envelope of the record, or the instrument's error."""
         try:
             position, record = scope.watch()
         except InstrumentError as error:
@@ -148,7 +154,7 @@ def build_page_app(dialogue: Dialogue, scope: Scope, audience: Audience) -> Fast
 
     @app.get("/api/strike")
     def get_strike() -> JsonAnswer:
-        """Return the newest strike for drawing."""
+        """Return the newest strike prepared for drawing."""
         return JsonAnswer(scope.newest())
 
     return app

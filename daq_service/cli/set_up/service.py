@@ -37,7 +37,16 @@ def write_services(
     out: Path,
     as_json: bool,
 ) -> None:
-    """Write the files of system services and print how to install them."""
+    """Run `solimon service`: write the files of system services and print how to install them.
+
+    Nothing is installed; existing files are replaced. ``user`` None: who called sudo, otherwise the present
+    user.
+
+    Raises
+    ------
+    UsageError
+        The configuration is invalid, or the folder cannot be written.
+    """
     settings, folder = settings_and_folder(config, data_dir)
     user = user or os.environ.get("SUDO_USER") or _current_user_name()
     describe = build_systemd_units if manager == "systemd" else build_windows_tasks
@@ -57,13 +66,13 @@ def write_services(
 
 
 def _current_user_name() -> str:
-    """Return the name of the present user, with the domain on Windows."""
+    r"""Return the name of the present user, as ``DOMAIN\user`` on Windows."""
     domain = os.environ.get("USERDOMAIN")
     return f"{domain}\\{getpass.getuser()}" if domain else getpass.getuser()
 
 
 def _installation_commands(manager: str, files: Sequence[PurePath]) -> list[str]:
-    """Return the commands that install the service files."""
+    """Return the shell commands that install the service files: one for systemd, one per Windows task."""
     if manager == "systemd":
         names = " ".join(file.name for file in files)
         copy = f"sudo cp {shlex.join(map(str, files))} /etc/systemd/system/"
@@ -78,7 +87,10 @@ def _installation_commands(manager: str, files: Sequence[PurePath]) -> list[str]
 def build_systemd_units(
     settings: Settings, config: PurePath, folder: PurePath, *, user: str, name: str
 ) -> dict[str, str]:
-    """Build the systemd units of recorder, web service and supply process, by file name."""
+    """Build the systemd units of recorder, web service and supply process, as text by file name.
+
+    Watchdog and start timeouts follow from the slowest call of the configured instruments.
+    """
     longest_s = math.ceil(compute_longest_call_s(settings) + settings.rig.stall_timeout_s)
     supply = settings.rig.driven
     reply_s = 0 if supply is None else math.ceil(longest_answer_time_s(supply))
@@ -106,23 +118,23 @@ def build_systemd_units(
 
 
 def _read_template(file: str) -> str:
-    """Read the text of a template."""
+    """Read the text of a service template shipped with this package."""
     return (Path(__file__).parent / "services" / file).read_text(encoding="utf-8")
 
 
 def _service_command_line(command: str, config: PurePath, folder: PurePath) -> list[str]:
-    """Build the command line of a service; a recorder stays after its last set for commands."""
+    """Build the argument list of a service; a recorder stays after its last set for commands."""
     linger = ["--linger"] if command == "record" else []
     return [*PROGRAM, command, str(config), "--data-dir", str(folder), *linger]
 
 
 def _escape_percent(text: str) -> str:
-    """Escape percent signs, which systemd would expand."""
+    """Double percent signs, which systemd would expand."""
     return text.replace("%", "%%")
 
 
 def _quote_word(text: str) -> str:
-    """Quote a word of a command line for systemd."""
+    """Quote a word of a command line for systemd: quotes, backslashes, dollar and percent signs."""
     if text.replace("/", "").replace("-", "").replace(".", "").replace("_", "").isalnum():
         return text
     escaped = text.replace("\\", "\\\\").replace('"', '\\"').replace("$", "$$")
@@ -135,7 +147,7 @@ def _quote_word(text: str) -> str:
 def build_windows_tasks(
     settings: Settings, config: PurePath, folder: PurePath, *, user: str, name: str
 ) -> Mapping[str, str]:
-    """Build the Windows tasks of the supervisor and of the supply process, by file name."""
+    """Build the Windows tasks of the supervisor and of the supply process, as XML by file name."""
     commands, template = {name: "run"}, _read_template("task.xml")
     if settings.rig.driven is not None:
         commands[f"{name}-supply-process"] = "supply-process"

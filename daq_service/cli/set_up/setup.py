@@ -56,7 +56,20 @@ def run_setup(
     pulse_s: float | None,
     strike: bool,
 ) -> None:
-    """Run `solimon setup`: find, wire and strike instruments, and write the configuration."""
+    """Run `solimon setup`: find, wire and strike instruments, and write the configuration.
+
+    Asks questions at the terminal and on a page unless transducers are given as options. Existing files are
+    never overwritten; nothing is written before the end.
+
+    Raises
+    ------
+    UsageError
+        Options, wiring or values are invalid, the file exists, or the answers end.
+    BusyError
+        A recorder owns the data folder, or another program holds an instrument or the port.
+    RigError
+        No instrument is found, one fails, or a record cannot be assessed.
+    """
     refuse_to_overwrite(file)
     flags = Flags(
         transducers=_parse_named_options(transducers),
@@ -96,7 +109,7 @@ def run_setup(
 
 @contextmanager
 def _translate_driver_errors() -> Iterator[None]:
-    """Translate a driver's errors to those with the exit codes of the command."""
+    """Convert errors of drivers and analysis in the context to BusyError or RigError of the command."""
     try:
         yield
     except driver_errors.BusyError as error:
@@ -106,7 +119,10 @@ def _translate_driver_errors() -> Iterator[None]:
 
 
 def _parse_named_options(given: Sequence[str]) -> dict[str, str]:
-    """Parse options of the form ``NAME=VALUE``."""
+    """Parse options ``NAME=VALUE`` to a dict; the last of equal names counts.
+
+    Raises UsageError if the name is not letters and digits or the value is empty.
+    """
     named = {}
     for text in given:
         name, equals, value = text.partition("=")
@@ -124,7 +140,9 @@ def _parse_named_options(given: Sequence[str]) -> dict[str, str]:
 def find_boards(
     dialogue: Dialogue, data_folder: Path, transport: Literal["library", "grpc"], grpc_address: str
 ) -> Bench:
-    """Find the boards of this computer and print them.
+    """Find the NI boards of this computer or of a gRPC server and print them.
+
+    The result has all boards, since any may drive a coil.
 
     Parameters
     ----------
@@ -134,7 +152,7 @@ def find_boards(
     Raises
     ------
     RigError
-        There is none that can trigger on a wave: what was looked for, what was met, what to do.
+        No board can trigger on a wave: what was looked for, what was found, what to do.
     """
     from hardware_drivers.daqmx.survey import survey_boards
 
@@ -154,7 +172,7 @@ def find_boards(
 
 
 def _describe_boards(survey: Survey) -> str:
-    """Describe the boards that were found, as text."""
+    """Describe why no board is usable: failed findings, boards without analog trigger, or none listed."""
     failed = [finding for finding in survey.findings if finding.state == "fail"]
     if failed:
         return "; ".join(f"{finding.subject}: {finding.detail}, {finding.remedy}" for finding in failed)
@@ -169,7 +187,10 @@ def _describe_boards(survey: Survey) -> str:
 def write_and_validate(
     dialogue: Dialogue, instruments: Instruments, file: Path, others: Tables, off: set[KeyPath]
 ) -> dict[str, object]:
-    """Write the configuration and its schema, validate it, and print the next steps."""
+    """Validate the configuration, write it with its schema, and print the next steps.
+
+    Returns the object for ``--json``. Raises UsageError for invalid values or a file that exists.
+    """
     values, off, head = instruments.contents(others, off)
     settings = validate_new_file(values, off, file)
     write_file(file, values, head=head, off=off)

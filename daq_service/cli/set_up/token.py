@@ -18,7 +18,17 @@ from daq_service.web.auth.tokens import Token, create_token, find_tokens_file, r
 def run_create(
     *, name: str, role: Role, days: float | None, config: Path | None, data_dir: Path | None, as_json: bool
 ) -> None:
-    """Create an access token and print it; only its hash is stored."""
+    """Run `solimon token create`: create an access token and print it; only its hash is stored.
+
+    Valid for ``days``; None: until revoked. Writes an audit entry.
+
+    Raises
+    ------
+    UsageError
+        The name or the configuration is refused.
+    StorageError
+        The folder cannot be written.
+    """
     path, audit = _token_files(config, data_dir)
     token, text = create_token(path, name, role, days=days)
     _add_audit_entry(audit, "create_token", name=name, role=role, days=days)
@@ -31,7 +41,7 @@ def run_create(
 
 
 def run_list(*, config: Path | None, data_dir: Path | None, as_json: bool) -> None:
-    """Print all access tokens without their secrets."""
+    """Run `solimon token list`: print name, role, state and end of all access tokens, not their secrets."""
     path, _ = _token_files(config, data_dir)
     tokens = [_describe_token(token) for token in read_tokens(path)]
     if as_json:
@@ -45,7 +55,10 @@ def run_list(*, config: Path | None, data_dir: Path | None, as_json: bool) -> No
 
 
 def run_revoke(*, name: str, config: Path | None, data_dir: Path | None, as_json: bool) -> None:
-    """Revoke an access token."""
+    """Run `solimon token revoke`: revoke an access token and write an audit entry.
+
+    Raises UsageError if there is no such token.
+    """
     path, audit = _token_files(config, data_dir)
     token = revoke_token(path, name)
     _add_audit_entry(audit, "revoke_token", name=name)
@@ -55,21 +68,21 @@ def run_revoke(*, name: str, config: Path | None, data_dir: Path | None, as_json
 
 
 def _token_files(config: Path | None, data_dir: Path | None) -> tuple[Path, Audit]:
-    """Return the paths of the token file and the audit log of a test."""
+    """Return the path of the token file and the audit log of a test; create the data folder if missing."""
     settings, folder = settings_of_folder(config, data_dir)
     prepare_data_folder(folder)
     return find_tokens_file(settings.web, folder), Audit(folder)
 
 
 def _add_audit_entry(audit: Audit, action: str, **arguments: object) -> None:
-    """Append the command to the audit log."""
+    """Append the command with the present user as its author to the audit log."""
     audit.add(
         author=user_name(), role=CLAIMED, source=TERMINAL, what=action, arguments=arguments, result="done"
     )
 
 
 def _describe_token(token: Token) -> dict[str, object]:
-    """Convert a token to an object without its secret."""
+    """Convert a token to a JSON object with its state, without the hash of its secret."""
     shown = asdict(token) | {"state": token.state}
     del shown["sha256"]
     return shown

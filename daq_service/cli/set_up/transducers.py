@@ -35,36 +35,46 @@ class Instruments(Protocol):
 
     @property
     def wired(self) -> Mapping[str, object]:
-        """Return the wiring by position."""
+        """Return the wiring of the transducers by position; empty before the first."""
         ...
 
     def introduce(self, flags: Flags, *, asks: bool) -> None:
-        """Print the instruments, and read or ask for the values that all transducers share."""
+        """Print the instruments, and read or (if ``asks``) ask for the values that all transducers share."""
 
     def wire(self, position: str, text: str) -> None:
-        """Wire a transducer as an option states; raise ValueError if that is impossible."""
+        """Wire a transducer as an option states.
+
+        Raises ValueError if that is impossible, InstrumentError if an instrument fails.
+        """
 
     def ask_wiring(self, position: str) -> None:
-        """Ask for the wiring of a transducer until it works."""
+        """Ask for the wiring of a transducer until it works; raise UsageError if the answers end."""
 
     def check(self) -> None:
-        """Check the transducers that were wired by options."""
+        """Check the transducers that were wired by options; raise UsageError if one cannot work."""
 
     def strike(self, position: str) -> None:
-        """Strike once and print the result."""
+        """Strike once and print the result.
+
+        Raises BusyError if a recorder owns the data folder, InstrumentError or AnalysisError if no record can
+        be assessed.
+        """
 
     def strike_each(self, positions: Collection[str]) -> None:
-        """Strike each transducer without a question."""
+        """Strike each transducer without a question; raise the errors of `strike`."""
 
     def conclude(self, *, asks: bool) -> None:
-        """Propose values of the configuration from the strikes."""
+        """Propose values of the configuration from the strikes, and ask to accept them if ``asks``."""
 
     def contents(self, others: Tables, off: set[KeyPath]) -> Contents:
-        """Return values, switched-off tables and head of the file; `others` are tables of [rig]."""
+        """Return values, switched-off tables and head of the file; `others` are tables of [rig].
+
+        Raises UsageError for invalid values.
+        """
         ...
 
     def result(self) -> Mapping[str, object]:
-        """Return the object that ``--json`` prints."""
+        """Return the object that ``--json`` prints: instruments, wiring, strikes."""
         ...
 
 
@@ -74,7 +84,9 @@ def set_up_transducers(dialogue: Dialogue, instruments: Instruments, flags: Flag
     Raises
     ------
     UsageError
-        A flag names a wiring that is impossible.
+        An option names a wiring that is impossible, or the answers end.
+    InstrumentError, BusyError, RigError
+        A strike of the options fails.
     """
     asks = not flags.transducers
     instruments.introduce(flags, asks=asks)
@@ -94,7 +106,7 @@ def set_up_transducers(dialogue: Dialogue, instruments: Instruments, flags: Flag
 
 
 def _ask_for_transducers(dialogue: Dialogue, instruments: Instruments) -> None:
-    """Ask for the wiring of each transducer and strike it on request."""
+    """Ask for each transducer until the person ends, and strike it on request; print failed strikes."""
     while (position := _ask_position(dialogue, instruments.wired)) is not None:
         instruments.ask_wiring(position)
         while _ask_whether_to_strike(dialogue, position):
@@ -105,7 +117,10 @@ def _ask_for_transducers(dialogue: Dialogue, instruments: Instruments) -> None:
 
 
 def make_positions_table(methods: Mapping[str, str]) -> dict[str, dict[str, str]]:
-    """Build [positions] from measuring methods by position, with the labels of the paper's positions."""
+    """Build [positions] from measuring methods by position, with the labels of the paper's positions.
+
+    Other positions have an empty label.
+    """
     labels = {name: place["label"] for name, place in read_laboratory()[0]["positions"].items()}
     return {
         name: {"method": method, "label": labels.get(name, ""), "serial_number": ""}
@@ -114,11 +129,11 @@ def make_positions_table(methods: Mapping[str, str]) -> dict[str, dict[str, str]
 
 
 def _ask_position(dialogue: Dialogue, taken: Mapping[str, object]) -> str | None:
-    """Ask for one more transducer; return None if there is none."""
+    """Ask for the name of one more transducer; None if the person ends, possible after the first."""
     text_of_question = "Position of a solitary-wave transducer" + (", - to end" if taken else "")
 
     def parse(text: str) -> str | None:
-        """Parse a new position; raise ValueError for an invalid or used name."""
+        """Parse a new position; None for "-"; raise ValueError for an invalid or used name."""
         if text == "-" and taken:
             return None
         if not text.isalnum() or text in taken:
@@ -131,6 +146,6 @@ def _ask_position(dialogue: Dialogue, taken: Mapping[str, object]) -> str | None
 
 
 def _ask_whether_to_strike(dialogue: Dialogue, position: str) -> bool:
-    """Ask whether to strike; return False by default."""
+    """Ask whether to strike this transducer; return False for the default answer."""
     text, choices = f"Strike {position} once, all hands out of the rig? Or go on", ("strike", "go on")
     return dialogue.ask(f"{position}.strike", text, str, default="go on", choices=choices) == "strike"

@@ -21,7 +21,11 @@ REMEDIES: Mapping[Trouble, str] = {
 
 
 def assess_strikes(dialogue: Dialogue, bench: Bench, *, asks: bool) -> None:
-    """Propose values from the strikes; return them, or the values that the person enters."""
+    """Propose values from the strikes and store the accepted or entered ones in ``bench``.
+
+    Only prints if nothing was struck or no trigger level can be proposed. Raises RigError if, without
+    questions, the values do not go together.
+    """
     proposal = bench.proposal()
     if proposal is None:
         dialogue.report("nothing was struck: level, slope, ranges and holdoff are not yet your rig's own")
@@ -48,7 +52,7 @@ def assess_strikes(dialogue: Dialogue, bench: Bench, *, asks: bool) -> None:
 
 
 def _ask_for_values(dialogue: Dialogue, bench: Bench, proposal: Proposal) -> Proposal:
-    """Ask for each value, with the proposed one as the default."""
+    """Ask for each value, with the proposed one as the default; return the changed proposal."""
 
     def number(name: str, text: str, default: float | None) -> float | None:
         """Ask for a number; "-" gives None."""
@@ -79,7 +83,10 @@ def _ask_for_values(dialogue: Dialogue, bench: Bench, proposal: Proposal) -> Pro
 
 
 def format_values(proposal: Proposal) -> list[str]:
-    """Format the proposed values, one per line."""
+    """Format ranges (V), trigger, pre-trigger (us) and holdoff (ms) of a proposal, one per line.
+
+    The proposal must have a trigger level.
+    """
     ranges = ", ".join(f"{name} +-{range_v:g} V" for name, range_v in proposal.range_v.items())
     holdoff = "none" if proposal.holdoff_s is None else f"{proposal.holdoff_s * 1e3:.3g} ms"
     return [

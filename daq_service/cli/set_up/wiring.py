@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
 
 def describe_board(board: BoardFacts) -> str:
-    """Describe a board in one line."""
+    """Describe a board in one line: product, inputs, maximum rate, symmetric ranges, counters, trigger."""
     ranges = ", ".join(
         f"{high:g}" for low, high in sorted(board.ranges_v, key=lambda ends: ends[1]) if high == -low
     )
@@ -25,19 +25,23 @@ def describe_board(board: BoardFacts) -> str:
 
 
 def list_coil_counters(board: BoardFacts) -> list[str]:
-    """List the counters of a board that can time a pulse."""
+    """Return the names of the board's counters that can time a pulse (``ctr0`` and so on)."""
     return [name for name in (path.rpartition("/")[2] for path in board.counters) if name.startswith("ctr")]
 
 
 def default_pulse_terminal(board: BoardFacts, counter: str) -> str:
-    """Return the default output terminal of a counter for the board's family."""
+    """Return the default output terminal of a counter: ``CtrNOut`` if the board has it, otherwise a PFI."""
     number = int(counter[3:])
     counter_output = f"Ctr{number}Out"
     return counter_output if f"/{board.name}/{counter_output}" in board.terminals else f"PFI{12 + number}"
 
 
 def parse_wiring(boards: Mapping[str, BoardFacts], text: str) -> TransducerWiring:
-    """Parse ``BOARD/INPUT/COUNTER[/TERMINAL]`` or ``BOARD/INPUT/COIL_BOARD/COUNTER[/TERMINAL]``."""
+    """Parse ``BOARD/INPUT/COUNTER[/TERMINAL]`` or ``BOARD/INPUT/COIL_BOARD/COUNTER[/TERMINAL]``.
+
+    Serial numbers are padded to 8 digits; a missing terminal is the default one. Raises ValueError for
+    another form, an unknown board, input or counter, or a board without analog trigger.
+    """
     board, *ends = text.split("/")
     serial = board.upper().zfill(8)
     coil_serial = ends.pop(1).upper().zfill(8) if len(ends) > 2 and ends[2].startswith("ctr") else serial
@@ -67,5 +71,5 @@ def parse_wiring(boards: Mapping[str, BoardFacts], text: str) -> TransducerWirin
 
 
 def list_analog_inputs(board: BoardFacts) -> list[str]:
-    """List the analog inputs of a board."""
+    """Return the names of a board's analog inputs, such as ``ai0``."""
     return [path.rpartition("/")[2] for path in board.inputs]

@@ -24,12 +24,16 @@ PIPE_COLUMNS = 1000
 
 
 def run_status(*, config: Path | None, data_dir: Path | None, as_json: bool, watch: bool) -> int:
-    """Print the status of a test and return the exit code.
+    """Run `solimon status`: print the status of a test once, or repeatedly until Ctrl-C with ``watch``.
+
+    Returns 0, or 130 after ``watch``.
 
     Raises
     ------
     UsageError
-        The folder does not exist or has no test, or ``--watch`` has no terminal.
+        The folder is missing or holds other files, or ``watch`` has no terminal.
+    StorageError
+        The catalogue is lost, or cannot be read.
     """
     folder, facts = _read_status(config, data_dir)
     if as_json and not watch:
@@ -57,14 +61,14 @@ def run_status(*, config: Path | None, data_dir: Path | None, as_json: bool, wat
 
 
 def _read_status(config: Path | None, data_dir: Path | None) -> tuple[Path, dict[str, object]]:
-    """Read the status of a data folder."""
+    """Return the data folder and its status for JSON; raise UsageError for a foreign folder."""
     settings, folder = settings_of_folder(config, data_dir)
     refuse_other_folders(folder)
     return folder, describe_status(folder, settings)
 
 
 def _watch_status(console: Console, config: Path | None, data_dir: Path | None) -> int:
-    """Print the status repeatedly until Ctrl-C; after an error, print it and try again."""
+    """Show the status every `WATCH_EVERY_S` until Ctrl-C and return 130; errors are shown and retried."""
     from rich.live import Live
 
     last: RenderableType = ""
@@ -79,7 +83,7 @@ def _watch_status(console: Console, config: Path | None, data_dir: Path | None) 
 
 
 def _status_table_or_error(config: Path | None, data_dir: Path | None) -> RenderableType:
-    """Compose the table of the status, or the error of reading it."""
+    """Return the table of the status, or the message of a solimon error that prevents reading it."""
     from daq_service.cli.status.table import compose_status
 
     try:

@@ -54,6 +54,8 @@ GAPS_A_POSITION = 5
 def describe_status(folder: Path, settings: Settings) -> dict[str, object]:
     """Read recorder, counts, gaps, commands, disk, supply, and the newest rows of each position.
 
+    Returns an object for JSON; before the first data most values are None or empty.
+
     Raises
     ------
     StorageError
@@ -128,7 +130,7 @@ def describe_status(folder: Path, settings: Settings) -> dict[str, object]:
 
 
 def _newest_climate(row: EnvironmentRow | None) -> dict[str, object] | None:
-    """Return the climate of the newest set; None without a probe or without a set."""
+    """Return quality, age (s), temperature (°C) and humidity of the newest set; None without a probe."""
     if row is None or row.climate_quality == "absent":
         return None
     names = ("climate_quality", "climate_age_s", "temperature_c", "relative_humidity")
@@ -136,7 +138,10 @@ def _newest_climate(row: EnvironmentRow | None) -> dict[str, object] | None:
 
 
 def _lost_rows_error(folder: Path, catalogue: Catalogue) -> dict[str, str]:
-    """Return an error if the catalogue is an older copy that lacks events of the history."""
+    """Return a description by file if the catalogue lacks events of the history; empty if it has all.
+
+    Also if the history cannot be read. Only its last `END_BYTES` are read.
+    """
     try:
         lacking = describe_missing_event(read_history(folder, tail_bytes=END_BYTES), catalogue)
     except OSError as error:
@@ -145,7 +150,7 @@ def _lost_rows_error(folder: Path, catalogue: Catalogue) -> dict[str, str]:
 
 
 def _newest_rows(latest: LatestRows) -> dict[str, object]:
-    """Read the newest rows of a position."""
+    """Convert the newest rows and active alarms of a position to objects for JSON; None for missing."""
     names = ("last_set", "last_feature", "last_assessment", "last_thickness")
     rows_by_name = {name: None if (row := getattr(latest, name)) is None else as_dict(row) for name in names}
     return {
@@ -157,7 +162,7 @@ def _newest_rows(latest: LatestRows) -> dict[str, object]:
 
 
 def _present_state(settings: Settings, fresh: Freshness, last: LatestRows) -> dict[str, object]:
-    """Compute the values that change with time: state, age, limits, the interval of a thickness."""
+    """Compute the values that change with time: state, data age (h), staleness, limit, control chart."""
     age_h = find_data_age_h(last, fresh)
     chart = find_chart(last.last_assessment, settings.alarms)
     return {
@@ -170,7 +175,7 @@ def _present_state(settings: Settings, fresh: Freshness, last: LatestRows) -> di
 
 
 def _design_rate_of(row: BaselineRow | None) -> dict[str, object] | None:
-    """Return the design false-alarm rate of a baseline and whether it is verified; None without baseline."""
+    """Return size, state, design false-alarm rate and doubts of a baseline; None without a baseline."""
     if row is None:
         return None
     names = ("false_alarms_per_sensor_year", "rate_verified", "rate_not_verified_reason")
@@ -187,7 +192,7 @@ def _design_rate_of(row: BaselineRow | None) -> dict[str, object] | None:
 def _count_confirmations(
     catalogue: Catalogue, transducers: Sequence[str], maximum_a_day: int, fresh: Freshness
 ) -> dict[str, object]:
-    """Return the number of confirmation sets, the newest result, and how many are left today."""
+    """Return the number of confirmation sets, the newest result, and how many are left today by position."""
     rows = catalogue.rows(SetRow, purpose="confirmation")
     newest = max(rows, key=lambda row: row.due_utc_ns, default=None)
     last = None
@@ -206,7 +211,7 @@ def _count_confirmations(
 
 
 def _open_commands(catalogue: Catalogue) -> list[dict[str, object]]:
-    """List the commands that wait for the recorder or are executed, without expired ones."""
+    """List the commands that are pending or started, without expired ones; remaining time in s."""
     waiting = catalogue.rows(CommandRow, states={"pending", "started"})
     commands_with_time = [(row, remaining_now_s(row)) for row in waiting]
     names = ("id", "kind", "author", "arguments", "state")
@@ -218,7 +223,7 @@ def _open_commands(catalogue: Catalogue) -> list[dict[str, object]]:
 
 
 def _newest_gaps(catalogue: Catalogue) -> list[dict[str, object]]:
-    """List the newest incomplete sets with positions and reasons."""
+    """List the newest incomplete sets, at most `GAPS_A_POSITION`, oldest first, with positions and reason."""
     found: dict[tuple[int, str, str | None, float], list[str]] = {}
     for row in catalogue.read_newest_gaps(GAPS_A_POSITION):
         found.setdefault((row.set_index, row.state, row.reason, row.due_h), []).append(row.position)

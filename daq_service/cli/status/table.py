@@ -40,7 +40,10 @@ LARGEST_IN_FULL = 1e4
 
 
 def compose_status(facts: Facts, folder: str) -> RenderableType:
-    """Compose the complete output of the status from `facts.describe_status`."""
+    """Compose the status from `facts.describe_status` for rich: head lines, positions, alarms, checks.
+
+    Control characters are escaped.
+    """
     facts, folder = escape_all_to_one_line(facts), to_one_line(folder)
     head = Table.grid(padding=(0, 2, 0, 0))
     for name, text, style in _yield_head_lines(facts, folder):
@@ -55,7 +58,7 @@ def compose_status(facts: Facts, folder: str) -> RenderableType:
 
 
 def _yield_head_lines(facts: Facts, folder: str) -> Iterator[tuple[str, str, str]]:
-    """Yield the name, text and style of each line above the tables."""
+    """Yield the name, text and style of each line above the tables; lines without content are left out."""
     yield "data", folder, ""
     yield "recorder", facts["recorder"], STYLES[facts["recorder_state"]]
     if facts["now_h"] is not None:
@@ -113,7 +116,7 @@ def _yield_head_lines(facts: Facts, folder: str) -> Iterator[tuple[str, str, str
 
 
 def _yield_baseline_lines(positions: Mapping[str, Facts]) -> Iterator[str]:
-    """Yield the design false-alarm rates of the baselines, equal ones in one line."""
+    """Yield baseline quality and design false-alarm rates, equal texts of several positions in one line."""
     alike: dict[str, list[str]] = {}
     for name, row in positions.items():
         baseline = row["baseline"]
@@ -131,7 +134,7 @@ def _yield_baseline_lines(positions: Mapping[str, Facts]) -> Iterator[str]:
 
 
 def _yield_diagnosis_lines(positions: Mapping[str, Facts]) -> Iterator[tuple[str, str]]:
-    """Yield the diagnosis of each position's newest set that differs from the baseline."""
+    """Yield text and style for each position whose newest set has a diagnosis other than OK."""
     for name, row in positions.items():
         assessment = row["last_assessment"]
         if not _is_of_same_set(row["last_feature"], assessment) or assessment["diagnosis"] in (None, OK):
@@ -144,7 +147,7 @@ def _yield_diagnosis_lines(positions: Mapping[str, Facts]) -> Iterator[tuple[str
 
 
 def _format_confirmations(facts: Facts) -> str:
-    """Describe the number of confirmation sets, the newest result, and how many are left today."""
+    """Format the number of confirmation sets, how many are left today, and the newest result."""
     remaining = ", ".join(f"{name} {number}" for name, number in facts["left_today"].items())
     last = facts["last"]
     last_text = "" if last is None else f". The last was at {last['position']}. {describe_confirmation(last)}"
@@ -152,7 +155,7 @@ def _format_confirmations(facts: Facts) -> str:
 
 
 def _yield_gap_lines(gaps: Sequence[Facts]) -> Iterator[str]:
-    """Yield adjacent gaps of one reason in one line."""
+    """Yield one line per run of adjacent gaps with equal state, reason and positions."""
     for (state, reason, where), group in groupby(
         gaps, key=lambda gap: (gap["state"], gap["reason"], ", ".join(gap["positions"]))
     ):
@@ -167,7 +170,7 @@ def _yield_gap_lines(gaps: Sequence[Facts]) -> Iterator[str]:
 
 
 def describe_disk_space(disk: Facts) -> str:
-    """Describe the free space, the needed space, and when the disk will be full."""
+    """Describe the free space, the needed space (GB), and the hour at which the disk will be full."""
     level = {"ample": "", "stop": "; nothing more is stored until some is freed"}.get(disk["level"], "; low")
     needed = disk["needed_bytes"]
     rest = "" if needed is None else f", about {needed / 1e9:.2f} GB still to come"
@@ -176,7 +179,7 @@ def describe_disk_space(disk: Facts) -> str:
 
 
 def _create_table(*columns: str) -> Table:
-    """Create an empty table with columns."""
+    """Create an empty table with these column titles in the style of the status."""
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False, collapse_padding=True, header_style="bold")
     for column in columns:
         table.add_column(column)
@@ -184,7 +187,7 @@ def _create_table(*columns: str) -> Table:
 
 
 def _make_position_table(positions: Mapping[str, Facts]) -> Table:
-    """Build the table of positions."""
+    """Build the table of positions: state, newest result, limit, chart, quality, age, last set."""
     table = _create_table("position", "state", "result", "limit", "chart", "quality", "age", "last set")
     for name, row in positions.items():
         result, limit, quality = _format_result(row)
@@ -204,7 +207,7 @@ def _make_position_table(positions: Mapping[str, Facts]) -> Table:
 
 
 def _format_result(row: Facts) -> tuple[str, str, str]:
-    """Format result, limit and quality of a position's newest data, by its method."""
+    """Format result, limit and quality of a position's newest data, by its method; "-" if missing."""
     echo, feature, assessment = row["last_thickness"], row["last_feature"], row["last_assessment"]
     if echo is not None:
         wall_m, low_m, high_m = (echo[name] for name in ("thickness_m", "interval_low_m", "interval_high_m"))
@@ -227,12 +230,12 @@ def _format_result(row: Facts) -> tuple[str, str, str]:
 
 
 def _is_of_same_set(feature: Facts | None, assessment: Facts | None) -> bool:
-    """Return whether an assessment belongs to the set of these features."""
+    """Return whether both exist and the assessment belongs to the set of these features."""
     return feature is not None and assessment is not None and assessment["set_index"] == feature["set_index"]
 
 
 def _format_chart(row: Facts) -> str:
-    """Format the statistic and the limit of the control chart."""
+    """Format statistic and limit of the control chart; "-" if the newest set has no chart or assessment."""
     chart = row["chart"]
     if chart is None or not _is_of_same_set(row["last_feature"], row["last_assessment"]):
         return "-"
@@ -240,14 +243,14 @@ def _format_chart(row: Facts) -> str:
 
 
 def _yield_first_checks(alarms: Sequence[Facts]) -> Iterator[Text]:
-    """Yield the first checks for each kind of active alarm."""
+    """Yield the numbered checks for each kind of active alarm that is not suppressed, once per kind."""
     for kind in dict.fromkeys(row["kind"] for row in alarms if row["suppressed"] is None):
         if kind in GUIDANCE:
             yield Text(f"{kind}: checks: {join_numbered_steps(GUIDANCE[kind].checks)}")
 
 
 def _describe_alarm_state(row: Facts) -> str:
-    """Describe the state of an alarm, with end and reason of a suppression."""
+    """Describe the state of an alarm, with end, author and reason of a suppression."""
     state: str = row["state"].replace("_", " ")
     if row["suppressed"] is None:
         return state
@@ -257,7 +260,7 @@ def _describe_alarm_state(row: Facts) -> str:
 
 
 def _make_alarm_table(alarms: Sequence[Facts]) -> Table:
-    """Build the table of alarms."""
+    """Build the table of alarms: priority, position, state, age, kind and message."""
     table = _create_table("alarm", "priority", "where", "state", "age", "what")
     for row in alarms:
         table.add_row(

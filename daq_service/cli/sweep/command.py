@@ -63,8 +63,14 @@ def sweep(request: SweepRequest, columns: Columns, *, as_json: bool) -> None:
 
     Raises
     ------
-    UsageError, StorageError, BusyError, KeyboardInterrupt
-        As `make_plan` and `run_sweep`.
+    UsageError
+        Axes, options or outputs are invalid; a combination is refused.
+    StorageError
+        The disk refuses, or the work file is of another sweep.
+    BusyError
+        The same sweep is running.
+    KeyboardInterrupt
+        A signal stopped it; finished rows are kept.
     """
     if request.waveforms and request.model == "zener":
         raise UsageError("--waveforms: Zener's model has none; leave it out")
@@ -100,7 +106,10 @@ def sweep(request: SweepRequest, columns: Columns, *, as_json: bool) -> None:
 
 
 def _read_axes(request: SweepRequest) -> list[Axis]:
-    """Read the axes of a sweep from its file or its options."""
+    """Return the axes of a sweep from its file or its options.
+
+    Raises UsageError if both are given, one is invalid, or a swept key is also an option.
+    """
     if request.sweep_file is not None:
         if request.sweeps or request.depths is not None:
             raise UsageError("--sweep-file holds every shot: give it without --sweep and --depths")
@@ -113,14 +122,17 @@ def _read_axes(request: SweepRequest) -> list[Axis]:
 
 
 def _describe_sweep(request: SweepRequest) -> list[str]:
-    """Return the specification as given, without paths."""
+    """Return the specification of a sweep as its arguments, with file names instead of paths."""
     shorthand = [] if request.depths is None else [f"{DEPTH_KEY}={request.depths}"]
     rows = [] if request.sweep_file is None else [f"--sweep-file {request.sweep_file.name}"]
     return [*shorthand, *request.sweeps, *rows, *(["--zip"] if request.element_wise else [])]
 
 
 def _print_table(table: SweepTable, outputs: Sequence[Path], columns: Columns, *, as_json: bool) -> None:
-    """Print the table, or its facts as JSON."""
+    """Print the table with the number of failed rows and the content hash; facts and rows as JSON.
+
+    Rows are not printed if they were written to files.
+    """
     if as_json:
         shots = {} if outputs else {"shots": table.rows()}
         click.echo(json.dumps({**table.facts, "outputs": [str(path) for path in outputs], **shots}))
@@ -135,7 +147,7 @@ def _print_table(table: SweepTable, outputs: Sequence[Path], columns: Columns, *
 
 
 def _print_rows(table: SweepTable, columns: Columns) -> None:
-    """Print the swept keys and the model's main numbers."""
+    """Print swept keys, the model's main results and the status of each row as aligned columns."""
     printed = {key: [key, *(str(value) for value in values)] for key, values in table.swept.items()}
     for key, title, unit, form in columns:
         if key in table.results:

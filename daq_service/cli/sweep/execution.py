@@ -39,13 +39,15 @@ def compute_plan(
 ) -> None:
     """Compute rows of a plan, until all are finished or `stop` is set.
 
+    Blocks; a stop is noticed within `STOP_SEEN_WITHIN_S`, and then running tasks are awaited.
+
     Parameters
     ----------
     rows
         Those still to be done; refused ones are left out by the caller.
     keep
-        Called in this thread with outcomes, in the order in which they are ready. Once `stop` is set it
-        still gets what is under way.
+        Called in this thread with outcomes, in the order in which they are ready. Once `stop` is set it still
+        gets what is under way.
 
     Raises
     ------
@@ -78,7 +80,8 @@ def compute_plan(
 def group_tasks(rows: Sequence[Row], workers: int) -> list[Task]:
     """Group rows by plate, then by chain; the first task of each plate comes first.
 
-    So every plate is reduced once, by the worker of its first task, and read from the cache afterwards.
+    So every plate is reduced once, by the worker of its first task, and read from the cache afterwards. A
+    task has at most `ROWS_PER_TASK` rows; refused rows must be left out.
     """
     plates: dict[object, dict[object, list[Row]]] = {}
     for row in rows:

@@ -31,12 +31,12 @@ ZENER_KEYS = TypeAdapter(dict[str, tuple[str, ...]]).validate_python(load_table(
 
 @cache
 def list_known_keys() -> tuple[str, ...]:
-    """List all keys of the physics as in the configuration."""
+    """Return all keys of chain, plate and corrosion as in the configuration, tables included."""
     return tuple(key for name, section in SECTIONS.items() for key in _yield_keys(section, name))
 
 
 def _yield_keys(section: type, above: str) -> Iterator[str]:
-    """Yield the keys of a section and of the tables below it."""
+    """Yield the dotted keys of a section and, recursively, of the tables below it."""
     hints = get_type_hints(section)
     for field in fields(section):
         key = f"{above}.{field.name}"
@@ -47,7 +47,10 @@ def _yield_keys(section: type, above: str) -> Iterator[str]:
 
 
 def _list_tables(hint: object) -> list[type]:
-    """List the dataclasses that a value of this type may be: tables in the configuration."""
+    """Return the dataclasses that a value of this type may be: tables in the configuration.
+
+    Empty for a plain value.
+    """
     if get_origin(hint) is Annotated:
         return _list_tables(get_args(hint)[0])
     if get_origin(hint) in (Union, types.UnionType):
@@ -109,7 +112,7 @@ def change_section(section: Any, changes: Mapping[tuple[str, ...], object]) -> A
 
 
 def read_value_at(section: object, path: tuple[str, ...]) -> object:
-    """Return the value of a key below its section."""
+    """Return the value at a path of attribute names below a section; AttributeError if there is none."""
     for name in path:
         section = getattr(section, name)
     return section
@@ -119,7 +122,7 @@ _ADAPTERS: Mapping[type, TypeAdapter[Any]] = {section: TypeAdapter(section) for 
 
 
 def _describe_validation_error(error: ValidationError) -> str:
-    """Format the messages of a validation error in one line."""
+    """Format the messages of a validation error in one line, each with its key and value."""
     problems = []
     for problem in error.errors():
         where = ".".join(str(part) for part in problem["loc"])

@@ -23,14 +23,14 @@ OTHERWISE = "write .csv or .h5"
 
 
 def check_outputs(paths: Sequence[Path], *, waveforms: bool) -> None:
-    """Check before the computation that the outputs can be written.
+    """Check before the computation that the outputs can be written; existing files are accepted.
 
     Raises
     ------
     UsageError
         An unknown or repeated name, a format that is not installed, or waveforms without HDF5.
     StorageError
-        There is no such folder.
+        There is no such folder, or the name is a folder.
     """
     for path in paths:
         if path.suffix.lower() not in SUFFIXES:
@@ -53,17 +53,17 @@ def check_outputs(paths: Sequence[Path], *, waveforms: bool) -> None:
 
 
 def list_output_files(path: Path) -> tuple[Path, ...]:
-    """List all files of an output."""
+    """Return all files of an output: a CSV file has one of facts, too, which comes first."""
     return (facts_path_of_csv(path), path) if path.suffix.lower() == ".csv" else (path,)
 
 
 def facts_path_of_csv(path: Path) -> Path:
-    """Return the path of the facts for a CSV file."""
+    """Return the path of the facts for a CSV file: its name with ``.json`` appended."""
     return path.with_name(path.name + ".json")
 
 
 def write_output(path: Path, table: SweepTable) -> None:
-    """Write one output in the format of its name.
+    """Write one output in the format of its name, replacing an existing file; CSV with its facts file.
 
     Raises
     ------
@@ -98,7 +98,10 @@ def format_csv(table: SweepTable) -> str:
 
 
 def format_parquet(table: SweepTable) -> bytes:
-    """Encode the table as Parquet; its metadata hold the facts under the key ``solimon``."""
+    """Encode the table as Parquet; its metadata hold the facts under the key ``solimon``.
+
+    Raises UsageError without pyarrow.
+    """
     arrow = import_pyarrow(OTHERWISE)
     from pyarrow import parquet
 
@@ -109,7 +112,7 @@ def format_parquet(table: SweepTable) -> bytes:
 
 
 def _write_file(path: Path, content: bytes) -> None:
-    """Write a file durably to the disk."""
+    """Write a file durably to the disk, complete or not at all; raise StorageError if that fails."""
     try:
         write_durably(path, content, temporary=path.with_name(path.name + ".part"))
     except OSError as error:

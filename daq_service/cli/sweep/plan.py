@@ -64,7 +64,7 @@ class Plan:
 
     @property
     def identity(self) -> str:
-        """Return the SHA-256 of the sweep and of the code that computes it."""
+        """Return the SHA-256, in hexadecimal, of the sweep and of the code that computes it."""
         rows = [[row.key or row.reason, [_to_json_value(value) for value in row.values]] for row in self.rows]
         return _hash_json([self.model, self.keys, self.waveforms, rows, compute_code_version()])
 
@@ -78,7 +78,7 @@ def make_plan(
     skip_invalid: bool = False,
     waveforms: bool = False,
 ) -> Plan:
-    """Combine the axes, the last one changing fastest, and check every combination.
+    """Combine the axes, the last one changing fastest, check every combination, and return the plan.
 
     Parameters
     ----------
@@ -115,13 +115,13 @@ def make_plan(
 
 
 def describe_row(keys: Sequence[str], row: Row) -> str:
-    """Describe a row by its number and values."""
+    """Describe a row by its number, from 1, and its swept values, for messages."""
     values = ", ".join(f"{key} = {value}" for key, value in zip(keys, row.values, strict=True))
     return f"row {row.index + 1} ({values})"
 
 
 def _check_size(axes: Sequence[Axis], element_wise: bool, waveforms: bool) -> None:
-    """Raise an error for axes of different lengths or too many rows."""
+    """Raise UsageError for element-wise axes of different lengths or too many rows."""
     lengths = [len(axis.values) for axis in axes]
     if element_wise and len(set(lengths)) > 1:
         counts = ", ".join(f"{axis.key} {len(axis.values)}" for axis in axes)
@@ -138,14 +138,14 @@ def _check_size(axes: Sequence[Axis], element_wise: bool, waveforms: bool) -> No
 def _yield_rows(
     model: Model, base: Specimen, keys: tuple[str, ...], combined: Iterable[tuple[object, ...]]
 ) -> Iterator[Row]:
-    """Yield the rows; a section that combinations share is created and hashed once."""
+    """Yield the rows in order, refused ones with their reason; a shared section is built and hashed once."""
     paths = [tuple(key.split(".")) for key in keys]
     places = {name: [k for k, path in enumerate(paths) if path[0] == name] for name in SECTIONS}
     bases = dict(zip(SECTIONS, base, strict=True))
 
     @cache
     def make_section(name: str, given: str) -> tuple[Any, str, str]:
-        """Create a section from values as JSON: the section, its hash, or the reason why it is invalid."""
+        """Build a section from values as JSON; return it, its hash, and why it is invalid or ""."""
         values = json.loads(given)
         changes = {paths[k][1:]: value for k, value in zip(places[name], values, strict=True)}
         try:
@@ -170,7 +170,7 @@ def _yield_rows(
 
 @cache
 def compute_code_version() -> str:
-    """Compute the SHA-256 of the twin's source and of the versions of its libraries."""
+    """Compute the SHA-256, in hexadecimal, of the twin's source and of its libraries' versions; cached."""
     from simulator.numerics.source import hash_source
 
     return _hash_json(
@@ -182,17 +182,17 @@ def compute_code_version() -> str:
 
 
 def _to_json_value(value: object) -> object:
-    """Convert a swept value to JSON: a table of parameters becomes its content."""
+    """Convert a swept value to JSON data: a table of parameters becomes a dict or list."""
     return (
         value if isinstance(value, (bool, int, float, str, type(None))) else json.loads(to_json_text(value))
     )
 
 
 def to_json_text(value: object) -> str:
-    """Encode a value of the configuration as JSON, parameter tables included."""
+    """Encode a value of the configuration as compact JSON with sorted keys, dataclasses included."""
     return json.dumps(value, sort_keys=True, separators=(",", ":"), default=asdict)
 
 
 def _hash_json(content: object) -> str:
-    """Compute the SHA-256 of an object's JSON."""
+    """Compute the SHA-256, in hexadecimal, of an object's compact JSON."""
     return hashlib.sha256(to_json_text(content).encode()).hexdigest()

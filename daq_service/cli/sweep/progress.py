@@ -37,6 +37,7 @@ class Progress:
         machine: MachineClock = MACHINE,
         what: str = "rows",
     ) -> None:
+        """Start the time, and print how many rows were finished before, if any."""
         self._total = total
         self._done = self._found = done
         self._stream = sys.stderr if stream is None else stream
@@ -50,7 +51,7 @@ class Progress:
             self._stream.flush()
 
     def advance(self, rows: int) -> None:
-        """Count finished rows and print the progress if it is due."""
+        """Count finished rows and print the progress if due: every `REDRAW_INTERVAL_S` or at each tenth."""
         self._done += rows
         now = self._machine.mono_s()
         finished = self._done == self._total
@@ -67,7 +68,7 @@ class Progress:
         self._stream.flush()
 
     def _format_progress(self, now: float) -> str:
-        """Format the progress with rate and remaining time."""
+        """Format done rows, percent, rate and remaining time; the last two only after a first row."""
         percent = 100.0 * self._done / self._total
         text = f"{self._done} of {self._total} {self._what} ({percent:.0f} %)"
         elapsed = now - self._started
@@ -80,7 +81,7 @@ class Progress:
 
 
 def _format_duration(seconds: float) -> str:
-    """Format a duration in hours, minutes or seconds."""
+    """Format a duration in s as hours and minutes, minutes and seconds, or seconds."""
     minutes, rest = divmod(round(seconds), 60)
     hours, minutes = divmod(minutes, 60)
     return (

@@ -37,14 +37,18 @@ class SweepOptions:
 def run_sweep(
     plan: Plan, options: SweepOptions, origin: Mapping[str, object], stop: threading.Event
 ) -> SweepTable:
-    """Compute unfinished rows, write the outputs, remove the work file.
+    """Compute unfinished rows, write the outputs, remove the work file, and return the table.
+
+    Without outputs nothing is written.
 
     Raises
     ------
     UsageError
-        An output that cannot be, that exists, or parameters of a row that cannot go together.
+        An output is invalid or exists, or parameters of a row cannot go together.
     StorageError
         A disk that refuses, or a work file of another sweep.
+    BusyError
+        The same sweep is running.
     KeyboardInterrupt
         `stop` was set before the end; finished rows are kept in the work file.
     """
@@ -63,7 +67,7 @@ def run_sweep(
 
 
 def _refuse_to_overwrite(plan: Plan, options: SweepOptions, work: Path | None) -> None:
-    """Raise an error for existing outputs, unless an interrupted run of this sweep wrote them."""
+    """Raise UsageError for existing outputs, unless an interrupted run of this sweep wrote them."""
     if options.overwrite or (work is not None and is_work_file_of(work, plan)):
         return
     for output in options.outputs:
@@ -75,7 +79,10 @@ def _refuse_to_overwrite(plan: Plan, options: SweepOptions, work: Path | None) -
 def _compute_outcomes(
     plan: Plan, options: SweepOptions, work: WorkFile | None, stop: threading.Event
 ) -> list[Outcome]:
-    """Compute or read the outcome of each row in order: refused, finished and computed ones."""
+    """Return the outcome of each row in order: refused, finished earlier, or computed now.
+
+    New outcomes are stored at once. Raises UsageError for an invalid row, KeyboardInterrupt if stopped.
+    """
     outcomes = {row.index: _refused_outcome(plan, row) for row in plan.rows if row.specimen is None}
     if work is not None:
         outcomes |= work.finished
@@ -83,7 +90,7 @@ def _compute_outcomes(
     progress = Progress(len(plan.rows), len(outcomes))
 
     def keep_outcome(new: Sequence[Outcome]) -> None:
-        """Store new outcomes and count them; raise an error for contradictory parameters."""
+        """Store new outcomes and count them; raise UsageError if one is invalid and not to be skipped."""
         if work is not None:
             work.keep(new)
         outcomes.update((outcome.index, outcome) for outcome in new)
@@ -107,7 +114,7 @@ def _compute_outcomes(
 
 
 def _refused_outcome(plan: Plan, row: Row) -> Outcome:
-    """Create the outcome of a row whose parameters are invalid."""
+    """Create the outcome of a row whose parameters are invalid: NaN and the reason."""
     return Outcome(
         index=row.index,
         numbers=(math.nan,) * len(RESULTS[plan.model]),
@@ -116,7 +123,7 @@ def _refused_outcome(plan: Plan, row: Row) -> Outcome:
 
 
 def _refuse_invalid(plan: Plan, options: SweepOptions, outcomes: Sequence[Outcome]) -> None:
-    """Raise an error for contradictory parameters that only the model detects."""
+    """Raise UsageError for the first invalid outcome, unless invalid rows are to be skipped."""
     if options.skip_invalid:
         return
     for outcome in outcomes:
@@ -129,7 +136,7 @@ def _refuse_invalid(plan: Plan, options: SweepOptions, outcomes: Sequence[Outcom
 
 
 def _remove_work_file(path: Path) -> None:
-    """Remove the work file."""
+    """Remove the work file after the outputs are written; raise StorageError if that fails."""
     try:
         retry(path.unlink)
     except OSError as error:

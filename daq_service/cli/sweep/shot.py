@@ -79,7 +79,9 @@ class Outcome:
 
 
 def compute_rows(model: str, rows: Sequence[tuple[int, Specimen]], waveforms: bool = False) -> list[Outcome]:
-    """Compute rows of a plan, in a process or thread of an executor.
+    """Compute rows of a plan, in a process or thread of an executor; return the outcomes in order.
+
+    A row that cannot be computed has a status instead of an error.
 
     Parameters
     ----------
@@ -94,7 +96,7 @@ def compute_rows(model: str, rows: Sequence[tuple[int, Specimen]], waveforms: bo
 
 
 def _compute_outcome(model: str, index: int, specimen: Specimen, waveforms: bool) -> Outcome:
-    """Compute one shot; return its numbers, or its status if there are none."""
+    """Compute one shot; NaN and the reason as status if it is invalid or the model fails."""
     no_numbers = (math.nan,) * len(RESULTS[model])
     try:
         if model == "zener":
@@ -117,7 +119,10 @@ def _compute_outcome(model: str, index: int, specimen: Specimen, waveforms: bool
 
 
 def coupled_shot(chain: ChainParameters, plate: PlateParameters, corrosion: CorrosionParameters) -> ShotForce:
-    """Integrate chain and plate together; prepared models are cached."""
+    """Integrate chain and plate together and return the sensor's force; prepared models are cached.
+
+    Raises SimulatorError if parameters do not go together or the integration fails.
+    """
     return _build_model(chain, plate, replace(corrosion, depth_fraction=0.0)).shot(
         depth_fraction=corrosion.depth_fraction
     )
@@ -125,7 +130,7 @@ def coupled_shot(chain: ChainParameters, plate: PlateParameters, corrosion: Corr
 
 @lru_cache(maxsize=PREPARED_KEPT)
 def _build_model(chain: ChainParameters, plate: PlateParameters, outline: CorrosionParameters) -> ShotModel:
-    """Build the model of a chain on a plate whose reduction is cached."""
+    """Build the shot model of a chain on an uncorroded plate; `PREPARED_KEPT` models are cached."""
     # One for each chain: step and length of a shot follow from its drop height and tilt, too.
     return ShotModel(chain, plate, outline, prepared_plate=_cached_plate_modes(plate, outline))
 
@@ -134,18 +139,23 @@ class _CachedPlate:
     """Modal plate that caches the modes of each depth for all chains."""
 
     def __init__(self, modal: ModalPlate) -> None:
+        """Wrap the plate's ``modes`` in a cache of `DEPTHS_KEPT` depths."""
         self.modes: Callable[[float], PlateModes] = lru_cache(maxsize=DEPTHS_KEPT)(modal.modes)
 
 
 @lru_cache(maxsize=PREPARED_KEPT)
 def _cached_plate_modes(plate: PlateParameters, outline: CorrosionParameters) -> _CachedPlate | None:
-    """Return the cached modes of a plate; None for a model without modes."""
+    """Return a plate that caches its modes by depth, itself cached; None for a model without modes."""
     modal = prepare_modal_plate(plate, outline, DEFAULT_CACHE_FOLDER)
     return None if modal is None else _CachedPlate(modal)
 
 
 def summarise_coupled_shot(force: ShotForce) -> dict[str, float | None]:
-    """Compute peaks, times and integration quality of a shot; None if nothing was reflected."""
+    """Return peaks (N), times (us) and integration quality of a shot by key of `RESULTS`.
+
+    Values of the reflected wave are None if there is none. Raises NoSolitaryWaveError without an incident
+    wave.
+    """
     return {
         **asdict(summarise_pulses(force)),
         "preload_n": force.preload_n,
@@ -157,6 +167,6 @@ def summarise_coupled_shot(force: ShotForce) -> dict[str, float | None]:
 def compute_zener_impact(
     chain: ChainParameters, plate: PlateParameters, corrosion: CorrosionParameters
 ) -> dict[str, float | None]:
-    """Compute Zener's impact of the last sphere."""
+    """Compute Zener's impact of the last sphere: ToF (us) and dimensionless results by key of `RESULTS`."""
     row = asdict(compute_reflection(chain, plate, depth_fraction=corrosion.depth_fraction))
     return {"tof_us": 1e6 * row.pop("tof_s"), **row}

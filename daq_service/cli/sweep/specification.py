@@ -32,12 +32,13 @@ class Axis:
 
 
 def parse_axis(text: str) -> Axis:
-    """Parse one axis of the form ``KEY=VALUES``.
+    """Parse one axis of the form ``KEY=VALUES``; the key is not checked.
 
     Raises
     ------
     UsageError
-        The text does not follow the grammar, or a range cannot be made.
+        The text does not follow the grammar, a range cannot be made, or there are more than `LARGEST_COUNT`
+        values.
     """
     key, equals, listed = text.partition("=")
     if not equals or not key.strip() or not listed.strip():
@@ -53,12 +54,13 @@ def parse_axis(text: str) -> Axis:
 
 
 def read_sweep_file(path: Path) -> tuple[Axis, ...]:
-    """Read a CSV file whose header names keys and whose rows are shots, as one axis a column.
+    """Read a CSV file whose header names keys and whose rows are shots, as one axis per column.
 
     Raises
     ------
     UsageError
-        The file cannot be read, has no shots, or a row has another number of cells than the header.
+        The file cannot be read, has no shots, an empty cell, or a row with another number of cells than the
+        header.
     """
     try:
         with path.open(encoding="utf-8-sig", newline="") as file:
@@ -84,7 +86,7 @@ def read_sweep_file(path: Path) -> tuple[Axis, ...]:
 
 
 def _split_items(text: str) -> list[str]:
-    """Split a text at the commas outside brackets and quotes."""
+    """Split a text at the commas outside brackets and quotes; items without outer spaces, may be empty."""
     items, depth, quoted, start = [], 0, False, 0
     for place, letter in enumerate(text):
         if letter == '"':
@@ -100,7 +102,10 @@ def _split_items(text: str) -> list[str]:
 
 
 def _parse_item_values(item: str, text: str) -> Sequence[object]:
-    """Parse one item of an axis: a value, or a range FIRST:LAST:COUNT."""
+    """Parse one item of an axis: a value, or a range FIRST:LAST:COUNT, evenly or ``log:`` spaced.
+
+    Raises UsageError for an invalid range or more than `LARGEST_COUNT` values; ``text`` is for messages.
+    """
     parts = item.split(":")
     if len(parts) == 1 or item[0] in '[{"':
         return [_parse_value(item)]
@@ -130,7 +135,10 @@ def _parse_item_values(item: str, text: str) -> Sequence[object]:
 
 
 def space_evenly(first: float, last: float, count: int, *, logarithmic: bool = False) -> list[float]:
-    """Compute equally spaced values with both ends; inner ones have 15 digits, for a third of 0.9 is 0.3."""
+    """Compute ``count`` equally spaced values, in the logarithm if ``logarithmic``, with both ends.
+
+    Inner ones have 15 digits, so that a third of 0.9 is 0.3.
+    """
     with np.errstate(all="ignore"):
         values = np.geomspace(first, last, count) if logarithmic else np.linspace(first, last, count)
     if count < 3:
@@ -151,5 +159,5 @@ def _parse_value(text: str) -> object:
 
 
 def _too_many_values_message(text: str) -> str:
-    """Compose the message that a sweep has too many values."""
+    """Format the error message for a sweep ``text`` with more than `LARGEST_COUNT` values."""
     return f"--sweep is {text!r}: more than {LARGEST_COUNT} values; make it coarser or split the sweep"

@@ -46,17 +46,17 @@ class SweepTable:
 
     @property
     def columns(self) -> dict[str, Column]:
-        """Return all columns in the order of the file."""
+        """Return all columns in the order of the file: swept keys, results, status."""
         return {**self.swept, **self.results, "status": self.status}
 
     def rows(self) -> list[dict[str, object]]:
-        """Convert the rows for JSON: None if there is no number."""
+        """Return the rows as dicts by column for JSON; NaN becomes None."""
         columns = {name: _to_plain_list(values) for name, values in self.columns.items()}
         return [dict(zip(columns, cells, strict=True)) for cells in zip(*columns.values(), strict=True)]
 
 
 def make_table(plan: Plan, outcomes: Sequence[Outcome], origin: Mapping[str, object]) -> SweepTable:
-    """Arrange the outcomes of a plan, given in the order of its rows, as a table.
+    """Arrange the outcomes of a plan, given in the order of its rows, as a table with its provenance.
 
     Parameters
     ----------
@@ -93,7 +93,7 @@ def make_table(plan: Plan, outcomes: Sequence[Outcome], origin: Mapping[str, obj
 
 
 def hash_table(plan: Plan, outcomes: Sequence[Outcome]) -> str:
-    """Compute the SHA-256 of the table: one line of JSON for the column names, then one per row.
+    """Compute the SHA-256, in hexadecimal, of a line of JSON for the column names, then one per row.
 
     Numbers are written with the digits that give them back exactly, so the hash is that of their bits.
     """
@@ -104,12 +104,15 @@ def hash_table(plan: Plan, outcomes: Sequence[Outcome]) -> str:
 
 
 def _encode_row(cells: list[object]) -> bytes:
-    """Encode a row as a line of JSON."""
+    """Encode a row as a line of compact JSON with a line feed, for hashing."""
     return f"{to_json_text(cells)}\n".encode()
 
 
 def _unify_column(values: list[object]) -> Column:
-    """Convert a column of one kind of numbers to numbers; text or a mixture becomes text."""
+    """Convert a column to int64, float64 (also int and float mixed) or bool, otherwise to texts.
+
+    In a list of texts, other values are encoded as JSON.
+    """
     kinds = {type(value) for value in values}
     if kinds <= {int, float} and kinds != {int}:
         return np.array(values, dtype=np.float64)
@@ -121,7 +124,7 @@ def _unify_column(values: list[object]) -> Column:
 
 
 def _to_plain_list(values: Column) -> Sequence[object]:
-    """Convert a column to a list; NaN becomes None."""
+    """Convert a column to a list of Python values; NaN becomes None."""
     if isinstance(values, list):
         return values
     cells = values.tolist()
@@ -129,5 +132,5 @@ def _to_plain_list(values: Column) -> Sequence[object]:
 
 
 def format_facts(table: SweepTable) -> str:
-    """Encode the facts as JSON, always with the same bytes."""
+    """Encode the facts of a table as indented JSON with sorted keys; equal facts give equal text."""
     return json.dumps(table.facts, sort_keys=True, indent=1, default=list) + "\n"

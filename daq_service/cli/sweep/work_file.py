@@ -32,7 +32,7 @@ FORMAT = 1
 
 
 def work_file_path(output: Path) -> Path:
-    """Return the path of the work file for the (first) output of a sweep."""
+    """Return the path of the work file for the (first) output of a sweep: ``.work`` is appended."""
     return output.with_name(output.name + WORK_SUFFIX)
 
 
@@ -76,7 +76,7 @@ class WorkFile:
 
 @contextlib.contextmanager
 def open_work_file(path: Path, plan: Plan) -> Iterator[WorkFile]:
-    """Open or create the work file of a plan and lock it.
+    """Open or create the work file of a plan and lock it; the lock ends with the context.
 
     Raises
     ------
@@ -101,7 +101,11 @@ def open_work_file(path: Path, plan: Plan) -> Iterator[WorkFile]:
 
 
 def _read_or_start(path: Path, file: IO[bytes], plan: Plan) -> WorkFile:
-    """Read the finished rows of a work file, or write its header."""
+    """Read the finished rows of a work file and remove a truncated last line, or write its header.
+
+    Corrupt lines are counted and logged. Raises StorageError if it belongs to another sweep or cannot be
+    written.
+    """
     file.seek(0)
     stored = file.read()
     whole = stored.rfind(b"\n") + 1
@@ -135,7 +139,7 @@ def _read_or_start(path: Path, file: IO[bytes], plan: Plan) -> WorkFile:
 
 
 def is_work_file_of(path: Path, plan: Plan) -> bool:
-    """Return whether a file is the unfinished work file of the plan."""
+    """Return whether a file is the unfinished work file of the plan; False if missing or unreadable."""
     try:
         with path.open("rb") as file:
             header = _parse_checksum_line(file.readline().rstrip(b"\n"))
@@ -145,7 +149,7 @@ def is_work_file_of(path: Path, plan: Plan) -> bool:
 
 
 def _outcome_to_json(plan: Plan, outcome: Outcome) -> dict[str, object]:
-    """Convert an outcome to a JSON object."""
+    """Convert an outcome to a JSON object; the force is compressed and encoded as base64."""
     content = {
         "row": outcome.index,
         "key": plan.rows[outcome.index].key,
@@ -162,7 +166,7 @@ def _outcome_to_json(plan: Plan, outcome: Outcome) -> dict[str, object]:
 
 
 def _outcome_from_json(plan: Plan, content: Mapping[str, Any]) -> Outcome | None:
-    """Convert a JSON object to an outcome; return None if it does not belong to the plan."""
+    """Convert a JSON object to an outcome; None if its row does not belong to the plan."""
     index = content["row"]
     if not 0 <= index < len(plan.rows) or plan.rows[index].key != content["key"]:
         return None
@@ -180,20 +184,20 @@ def _outcome_from_json(plan: Plan, content: Mapping[str, Any]) -> Outcome | None
 
 
 def _write_all(file: IO[bytes], content: bytes) -> None:
-    """Write all bytes to an unbuffered file."""
+    """Write all bytes to an unbuffered file, which may take several calls; raise OSError if one fails."""
     rest = memoryview(content)
     while rest:
         rest = rest[file.write(rest) :]
 
 
 def _format_checksum_line(content: Mapping[str, object]) -> bytes:
-    """Encode JSON as a line with its checksum."""
+    """Encode an object as a line: SHA-256, blank, compact JSON."""
     text = json.dumps(content, separators=(",", ":")).encode()
     return hashlib.sha256(text).hexdigest().encode() + b" " + text + b"\n"
 
 
 def _parse_checksum_line(line: bytes) -> Mapping[str, Any] | None:
-    """Decode the JSON of a line; return None if its checksum is wrong."""
+    """Parse the JSON of a line; None if its checksum is wrong."""
     digest, _, text = line.partition(b" ")
     if hashlib.sha256(text).hexdigest().encode() != digest:
         return None

@@ -32,14 +32,16 @@ def write_acceptance_report(
     overwrite: bool,
     progress: Callable[[int, int], None],
 ) -> int:
-    """Write the acceptance report of a folder; return 6 if it does not pass.
+    """Write the acceptance report of a folder; return 6 if it does not pass, 0 if it does.
+
+    Prints it as lines, or as JSON if ``to_json`` is ``-``; writes the HTML page and a JSON file where given.
 
     Raises
     ------
     UsageError
-        There is no test in the folder, no such limit, or a file to be written is there or among the test's.
+        There is no test in the folder, no such limit, or a file to be written exists or is among the test's.
     StorageError
-        The catalogue cannot be read, or a file not be written.
+        The catalogue or its configuration cannot be read, or a file cannot be written.
     """
     criteria = apply_limits(limits)
     json_file = None if to_json in (None, STANDARD_OUTPUT) else Path(str(to_json))
@@ -68,7 +70,7 @@ def write_acceptance_report(
 
 
 def _format_lines(report: AcceptanceReport) -> list[str]:
-    """Format the acceptance report as lines for a terminal."""
+    """Format the comparisons as aligned lines, followed by the notes and the outcome."""
     rows = [
         (item.state, item.quantity.text, format_limit(item), format_quantity(item.quantity), item.reason)
         for item in report.comparisons

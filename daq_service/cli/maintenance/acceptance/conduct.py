@@ -39,14 +39,17 @@ QUANTILES: Mapping[str, Callable[[Sequence[float]], float]] = {
 
 
 def list_recorder_starts(evidence: Evidence) -> list[tuple[EventRow, EventRow | None]]:
-    """List the starts of the recorder, each with the previous event: an orderly end, or an earlier start."""
+    """List the starts of the recorder in order, each with the process event before it.
+
+    That is an orderly end or, after a crash, an earlier start; None for the first start.
+    """
     events = [row for row in evidence.service if row.kind in PROCESS_EVENTS]
     following = zip([None, *events], events, strict=False)
     return [(row, before) for before, row in following if row.kind == "recorder_started"]
 
 
 def restart_table(evidence: Evidence) -> Table:
-    """Build the table of all starts of the recorder except the first."""
+    """Build the table of the recorder's starts except the first: hour, kind of end, state before."""
     rows = [
         (
             evidence.hour(row.utc_ns),
@@ -59,7 +62,10 @@ def restart_table(evidence: Evidence) -> Table:
 
 
 def recorder_quantities(evidence: Evidence) -> Iterator[Quantity]:
-    """Yield the quantities of the recorder: time span, restarts and unplanned ends."""
+    """Yield the quantities of the recorder: time span in h, restarts and unplanned ends.
+
+    A recorder that does not respond now counts as an unplanned end, unless the folder is a copy.
+    """
     recorder_starts = list_recorder_starts(evidence)
     n_crashes = sum(before is not None and before.kind not in FAREWELLS for _, before in recorder_starts)
     is_gone = (
@@ -75,7 +81,7 @@ def recorder_quantities(evidence: Evidence) -> Iterator[Quantity]:
 def _compute_quantiles(
     name: str, values: Sequence[float], missing: str, *, applies: bool = True
 ) -> Iterator[Quantity]:
-    """Yield the median, the 99th percentile and the maximum of values in s."""
+    """Yield median, 99th percentile and maximum of values in s; without values the reason ``missing``."""
     for part, function in QUANTILES.items():
         yield make_quantity(
             f"{name}_{part}_s", function(values) if values else None, missing, applies=applies
@@ -83,7 +89,10 @@ def _compute_quantiles(
 
 
 def time_quantities(evidence: Evidence) -> Iterator[Quantity]:
-    """Yield the quantities of start delays and durations of sets, and of processing time."""
+    """Yield the quantiles of start delays and durations of sets, and of processing time, s.
+
+    Start delays do not apply to a test in simulated time.
+    """
     real, times = evidence.experiment.clock == "wall", list_set_times(evidence)
     if real:
         yield from _compute_quantiles("start_delay", [late for _, late, _ in times], "no set has begun")
@@ -96,7 +105,11 @@ def time_quantities(evidence: Evidence) -> Iterator[Quantity]:
 
 
 def growth_quantities(evidence: Evidence, name: str) -> Iterator[Quantity]:
-    """Yield the maximum of readings and their slope per 1,000 sets, of the recorder's longest run."""
+    """Yield the maximum of a machine reading and its slope per 1,000 sets with a 95 % interval.
+
+    The slope is that of the recorder process with most readings, without its warm-up; it has no value with
+    fewer than `FEWEST_READINGS`.
+    """
     readings_of_name = select_readings(evidence, name)
     missing = NOT_AVAILABLE if read_readings(evidence) else NOT_KEPT
     yield make_quantity(f"{name}_max", max((value for _, value in readings_of_name), default=None), missing)
@@ -119,7 +132,7 @@ def growth_quantities(evidence: Evidence, name: str) -> Iterator[Quantity]:
 
 
 def disk_quantities(evidence: Evidence) -> Iterator[Quantity]:
-    """Yield the size of the files, their growth compared with the forecast, and the free space."""
+    """Yield size and growth per 1,000 sets of the files, its ratio to the forecast, and free space; bytes."""
     sizes, forecast_bytes = list(evidence.file_bytes.values()), evidence.forecast_bytes
     mean, missing = (sum(sizes) / len(sizes) if sizes else None), "no set has a file yet"
     over_forecast = None if mean is None else mean / forecast_bytes
@@ -131,7 +144,10 @@ def disk_quantities(evidence: Evidence) -> Iterator[Quantity]:
 
 
 def clock_quantities(evidence: Evidence) -> Iterator[Quantity]:
-    """Yield the clock's steps, its doubtful times, and the deviation of its UTC from the test time."""
+    """Yield the clock's steps (s), its unverified times, and the deviation of its UTC from the test time (s).
+
+    They do not apply to a test in simulated time.
+    """
     real = evidence.experiment.clock == "wall"
     steps = [abs(row.payload["step_s"]) for row in evidence.service if row.kind == CLOCK_STEP]
     doubts = sum(fault.kind == "clock_unverified" for fault in list_faults(evidence))

@@ -36,12 +36,12 @@ class AcceptanceReport:
 
     @property
     def outcome(self) -> str:
-        """Pass, fail or incomplete."""
+        """Return the outcome of all criteria: "pass", "fail" or "incomplete"."""
         return overall_outcome(self.comparisons)
 
 
 def build_report(evidence: Evidence, criteria: Sequence[Criterion]) -> AcceptanceReport:
-    """Compute the contents of the report."""
+    """Compute quantities, comparisons, tables and series of the acceptance report from its evidence."""
     quantities = [
         *sets.count_sets_and_records(evidence),
         *conduct.time_quantities(evidence),
@@ -74,7 +74,10 @@ def build_report(evidence: Evidence, criteria: Sequence[Criterion]) -> Acceptanc
 
 
 def _describe_identity(evidence: Evidence) -> dict[str, str]:
-    """Return the data that identify the test, its configuration and its computer."""
+    """Return the texts that identify the test, its configuration, versions and computer, by label.
+
+    Versions of consecutive recorders are listed once each, in order.
+    """
     experiment, provenance = evidence.experiment, evidence.provenance
     runs = [row.payload for row in evidence.service if row.kind == "recorder_started"]
     versions = dict.fromkeys(_join_names_and_values(run.get("versions", {})) for run in runs)
@@ -108,12 +111,12 @@ def _describe_identity(evidence: Evidence) -> dict[str, str]:
 
 
 def _join_names_and_values(values: Mapping[str, object]) -> str:
-    """Join names and values to one text."""
+    """Join names and values to one text: ``rig simulated, seed 7``; empty without values."""
     return ", ".join(f"{name} {value}" for name, value in values.items())
 
 
 def _list_notes(evidence: Evidence) -> list[str]:
-    """List notes on missing or special data."""
+    """List notes on sets without machine readings, simulated time, a running test, and `verify`."""
     machine_readings, notes = read_readings(evidence), []
     indices = {row.set_index for row in evidence.sets if row.n_taken}
     n_lacking = len(indices) - len({reading.set_index for reading in machine_readings} & indices)
@@ -135,7 +138,10 @@ def _list_notes(evidence: Evidence) -> list[str]:
 
 
 def report_to_json(report: AcceptanceReport) -> dict[str, object]:
-    """Convert the report to a JSON object; units are values or endings of names."""
+    """Convert the report to a JSON object; units are values or endings of names.
+
+    Its key ``solimon_acceptance_report`` has the version of the format, `SHAPE`.
+    """
     return {
         "solimon_acceptance_report": SHAPE,
         "made_utc": report.made_utc,

@@ -31,12 +31,12 @@ class Comparison:
 
 
 def apply_limits(given: Sequence[str]) -> tuple[Criterion, ...]:
-    """Return the criteria with limits given as ``NAME=VALUE`` or ``NAME=off``.
+    """Return the default criteria with the limits given as ``NAME=VALUE``; ``NAME=off`` removes a limit.
 
     Raises
     ------
     UsageError
-        No such criterion, or no number.
+        There is no such criterion, or the value is not a finite number.
     """
     limits: dict[str, float | None] = {item.quantity: item.limit for item in DEFAULTS}
     for text in given:
@@ -55,9 +55,10 @@ def apply_limits(given: Sequence[str]) -> tuple[Criterion, ...]:
 
 
 def compare_criteria(criteria: Iterable[Criterion], quantities: Mapping[str, Quantity]) -> list[Comparison]:
-    """Compare each criterion with its quantity and return the results.
+    """Compare each criterion with its quantity and return the results in the order of the criteria.
 
     A quantity with an interval passes if the complete interval meets the limit, and fails if none of it does.
+    Raises KeyError for a criterion without a quantity.
     """
     return [
         Comparison(criterion=item, quantity=quantities[item.quantity], state=state, reason=reason)
@@ -67,7 +68,10 @@ def compare_criteria(criteria: Iterable[Criterion], quantities: Mapping[str, Qua
 
 
 def _assess_criterion(criterion: Criterion, quantity: Quantity) -> tuple[State, str]:
-    """Return the state of a criterion, and the reason if it does not apply or lacks data."""
+    """Return the state of a criterion and its reason, which is empty for "pass" and "fail".
+
+    "undecided": the quantity has no value, or its interval contains the limit.
+    """
     if criterion.limit is None:
         return "left out", "no limit is set"
     if not quantity.applies:
@@ -84,6 +88,6 @@ def _assess_criterion(criterion: Criterion, quantity: Quantity) -> tuple[State, 
 
 
 def overall_outcome(comparisons: Sequence[Comparison]) -> Outcome:
-    """Return "fail" if a criterion fails, "pass" if all applicable ones pass, otherwise "incomplete"."""
+    """Return "fail" if a criterion fails, "incomplete" if one is undecided, otherwise "pass"."""
     states = {item.state for item in comparisons}
     return "fail" if "fail" in states else "incomplete" if "undecided" in states else "pass"

@@ -82,12 +82,14 @@ class Evidence:
     verified: Report | None = None
 
     def hour(self, utc_ns: int) -> float:
-        """Convert a time to hours of the test."""
+        """Convert a UTC time in ns to hours of the test, since its hour 0."""
         return (utc_ns - self.experiment.epoch_utc_ns) / NS_PER_H
 
 
 def read_evidence(folder: Path, verified: Report | None = None) -> Evidence:
-    """Read the data of the report from a folder without changing it.
+    """Read the data of the acceptance report from a folder without changing it.
+
+    Blocks while the catalogue is copied to a temporary folder; the test may be running.
 
     Raises
     ------
@@ -141,7 +143,10 @@ _ENDED = tuple(word for word, _ in FAREWELLS.values())
 
 @contextmanager
 def _open_catalogue_copy(folder: Path) -> Iterator[Catalogue]:
-    """Open a copy of the catalogue in one state; an older version is migrated in the copy only."""
+    """Open a temporary copy of the catalogue in one state; an older version is migrated in the copy only.
+
+    The copy is deleted at the end. Raises CatalogueError, which names the folder, if it cannot be opened.
+    """
     with tempfile.TemporaryDirectory(prefix="solimon-") as path:
         with UnchangedCatalogue(folder) as source:
             source.copy_to(Path(path) / FILE_NAME)
@@ -154,7 +159,10 @@ def _open_catalogue_copy(folder: Path) -> Iterator[Catalogue]:
 
 
 def _count_records(catalogue: Catalogue) -> tuple[Counter[tuple[int, str]], Counter[str]]:
-    """Count accepted records by set and position, and all by their flags."""
+    """Count the accepted records by set and position, and the quality flags of all records.
+
+    Reads `SHOTS_AT_ONCE` rows at a time.
+    """
     accepted, flags, last = Counter[tuple[int, str]](), Counter[str](), 0
     while rows := catalogue.rows(ShotRow, after_id=last, limit=SHOTS_AT_ONCE):
         accepted.update((row.set_index, row.position) for row in rows if row.outcome == "accepted")
@@ -171,7 +179,10 @@ def _evaluation_time_ns(
     *,
     ended: bool,
 ) -> int:
-    """Return the time until which sets are due: for an ended or simulated test, that of its last event."""
+    """Return the UTC time in ns until which sets are due.
+
+    For an ended or simulated test that is its last event or set, otherwise the present time of the test.
+    """
     last = max([experiment.epoch_utc_ns, *(row.utc_ns for row in service), *(row.due_utc_ns for row in sets)])
     if ended or experiment.clock != "wall":
         return last
@@ -179,14 +190,14 @@ def _evaluation_time_ns(
 
 
 def _count_due_sets(planned: Sequence[DueSet], sets: Sequence[SetRow], now_ns: int) -> int:
-    """Count the sets that must have rows; one set may still be in progress."""
+    """Count the sets that must have rows: one is due when its successor starts, or when it has rows."""
     n_with_rows = max((row.set_index + 1 for row in sets), default=0)
     n_ended = sum(following.due_utc_ns <= now_ns for following in planned[1:])
     return max(n_with_rows, n_ended)
 
 
 def _read_provenance(folder: Path) -> Mapping[str, object]:
-    """Read the provenance of the newest readable set."""
+    """Read the provenance of the newest readable set; empty if there is none. Unreadable ones are logged."""
     reader = FolderSetReader(folder)
     for reference in list(reader.sets().values())[::-1]:
         try:
@@ -197,7 +208,7 @@ def _read_provenance(folder: Path) -> Mapping[str, object]:
 
 
 def _read_file_sizes(folder: Path, sets: Sequence[SetRow]) -> dict[int, int]:
-    """Return the sizes of existing files by set index; a set still in the journal has no file."""
+    """Return the sizes in bytes of existing files by set index; a set still in the journal has no file."""
     sizes = {}
     for row in sets:
         if row.file is not None and row.set_index not in sizes:

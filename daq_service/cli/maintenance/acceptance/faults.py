@@ -25,7 +25,7 @@ class Fault:
 
 
 def list_faults(evidence: Evidence) -> list[Fault]:
-    """List the faults in order; an alarm that is active again counts as a new fault."""
+    """List the periods of diagnostic alarms by start; an alarm that is active again counts as a new one."""
     faults_by_alarm: dict[int, list[Fault]] = {}
     for event in evidence.alarm_events:
         if event.payload["alarm_class"] != "diagnostic":
@@ -47,7 +47,7 @@ def list_faults(evidence: Evidence) -> list[Fault]:
 
 
 def fault_table(evidence: Evidence) -> Table:
-    """Build the table of faults by kind."""
+    """Build the table of faults by kind: number, longest and total hours, active ones, last message."""
     kinds: defaultdict[str, list[Fault]] = defaultdict(list)
     for fault in list_faults(evidence):
         kinds[fault.kind].append(fault)
@@ -62,7 +62,7 @@ def fault_table(evidence: Evidence) -> Table:
 
 
 def damage_table(evidence: Evidence) -> Table:
-    """Build the table of the specimen's alarms, which are findings and not faults."""
+    """Build the table of damage alarms, which are findings on the specimen and not faults."""
     rows = [
         (row.kind, row.position or "", row.priority, row.state, row.raised_h, row.message)
         for row in evidence.alarms
@@ -72,7 +72,7 @@ def damage_table(evidence: Evidence) -> Table:
 
 
 def clock_step_table(evidence: Evidence) -> Table:
-    """Build the table of steps of the computer's UTC."""
+    """Build the table of steps of the computer's UTC: hour, step and deviation after it, s."""
     rows = [
         (evidence.hour(row.utc_ns), row.payload["step_s"], row.payload["ahead_s"])
         for row in evidence.service
@@ -82,7 +82,10 @@ def clock_step_table(evidence: Evidence) -> Table:
 
 
 def fault_quantities(evidence: Evidence) -> Iterator[Quantity]:
-    """Yield the numbers of active faults and of files found corrupt."""
+    """Yield the numbers of active faults, of files found corrupt, and of files read again.
+
+    The number of findings of `verify` does not apply if it was not run.
+    """
     yield make_quantity("faults_standing", sum(fault.until_ns is None for fault in list_faults(evidence)))
     corrupt = {row.payload["file"] for row in evidence.service if row.kind == "data_corrupt"}
     yield make_quantity("files_found_damaged", len(corrupt))

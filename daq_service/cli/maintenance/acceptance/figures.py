@@ -19,7 +19,10 @@ DASHED = ("forecast", "planned")
 
 
 def draw_series(series: Series, gaps: Iterable[tuple[float, float]] = ()) -> bytes:
-    """Draw a series as a PNG image; ``gaps`` are shaded ranges of hours."""
+    """Draw a series over the hours of the test as a PNG image and return its bytes.
+
+    ``gaps`` are shaded ranges of hours.
+    """
     scale, unit = choose_display_unit(series.text.unit, max(map(abs, series.values), default=0.0))
     with mpl.rc_context(RULES):
         figure = Figure(figsize=SIZE_IN, layout="constrained")

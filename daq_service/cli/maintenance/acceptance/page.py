@@ -14,7 +14,10 @@ SCALES = ((1e9, "GB"), (1e6, "MB"), (1e3, "kB"))
 
 
 def choose_display_unit(unit: str, value: float) -> tuple[float, str]:
-    """Return the factor and the name of the display unit of a value; bytes get the largest unit that fits."""
+    """Return the factor and the name of the display unit of a value; bytes get the largest unit that fits.
+
+    A unit that does not start with B has the factor 1 and keeps its name.
+    """
     if not unit.startswith("B"):
         return 1.0, unit
     scale, name = next(((scale, name) for scale, name in SCALES if abs(value) >= scale), (1.0, "B"))
@@ -22,7 +25,7 @@ def choose_display_unit(unit: str, value: float) -> tuple[float, str]:
 
 
 def render_report(report: AcceptanceReport, pictures: Mapping[str, bytes]) -> bytes:
-    """Build the HTML page of the report.
+    """Build the HTML page of the report, encoded.
 
     Parameters
     ----------
@@ -43,7 +46,7 @@ def render_report(report: AcceptanceReport, pictures: Mapping[str, bytes]) -> by
 
 
 def _list_number_columns(table: Table) -> list[str]:
-    """Return the names of the columns that contain numbers."""
+    """Return the names of the columns with a number in the first row; none for an empty table."""
     first = table.rows[0] if table.rows else ()
     return [
         name for name, value in zip(table.text.columns, first, strict=False) if isinstance(value, int | float)
@@ -53,7 +56,8 @@ def _list_number_columns(table: Table) -> list[str]:
 def format_with_interval(unit: str, *values: float | int | None) -> str:
     """Format a number with its unit; further numbers are its interval.
 
-    Four figures; bytes in the largest unit that fits the first.
+    Four digits; bytes in the largest unit that fits the first. A missing value gives `NOT_KNOWN`; an interval
+    with a missing end is left out.
     """
     value, *ends = values
     if value is None:
@@ -69,12 +73,12 @@ def format_with_interval(unit: str, *values: float | int | None) -> str:
 
 
 def format_quantity(item: Quantity) -> str:
-    """Format a quantity with its interval, if there is one."""
+    """Format a quantity with its unit and, if there is one, its interval; `NOT_KNOWN` without a value."""
     return format_with_interval(item.unit, item.value, item.low, item.high)
 
 
 def format_limit(item: Comparison) -> str:
-    """Format the limit of a criterion; empty if it is not required."""
+    """Format the limit of a criterion as ``at most 5 s``; empty if none is required."""
     criterion = item.criterion
     return (
         ""

@@ -65,7 +65,10 @@ def make_quantity(
     applies: bool = True,
     **facts: object,
 ) -> Quantity:
-    """Create a quantity with its texts; ``facts`` fill the placeholders of its method."""
+    """Create a quantity with its texts; ``facts`` fill the placeholders of its method.
+
+    Raises KeyError if ``texts.toml`` has no such quantity.
+    """
     text, (low, high) = TEXTS.quantities[name], interval
     return Quantity(
         text.section, name, text.text, text.unit, text.how.format(**facts), value, missing, low, high, applies
@@ -81,7 +84,7 @@ class Table:
 
     @property
     def text(self) -> TableText:
-        """Return title, columns, and the text of an empty table."""
+        """Return title, columns, and the text of an empty table; raise KeyError for an unknown name."""
         return TEXTS.tables[self.name]
 
 
@@ -116,12 +119,15 @@ class Series:
 
     @property
     def text(self) -> SeriesText:
-        """Return title, unit and source."""
+        """Return title, unit and source of the series; raise KeyError for an unknown name."""
         return TEXTS.series[self.name]
 
 
 def compute_quantile(values: Sequence[float], part: float) -> float:
-    """Return the smallest value that at least this fraction of the values does not exceed."""
+    """Return the smallest value that at least the fraction ``part`` (0 to 1) of the values does not exceed.
+
+    Raises IndexError if there are no values.
+    """
     return float(np.quantile(np.asarray(values, dtype=np.float64), part, method="inverted_cdf"))
 
 
@@ -139,12 +145,13 @@ def estimate_growth(set_indices: Sequence[int], values: Sequence[float]) -> Grow
     """Compute the median slope of all pairs (Theil and Sen) with its 95 % interval (Sen 1968).
 
     A step or a burst moves it little. Neighbours are alike, so the interval of a short test is too narrow
-    where memory moves in waves; medians of neighbours in a long one are less so.
+    where memory moves in waves; medians of neighbours in a long one (above `MOST_BLOCKS` readings) are less
+    so.
 
     Returns
     -------
     Growth or None
-        None of fewer than `FEWEST_READINGS`.
+        Slope per 1,000 sets; None for fewer than `FEWEST_READINGS` values.
     """
     if len(values) < FEWEST_READINGS:
         return None

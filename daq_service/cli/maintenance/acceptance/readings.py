@@ -25,12 +25,12 @@ class Reading:
 
     @property
     def recorder(self) -> tuple[int, int]:
-        """Process id and start time, which identify a recorder."""
+        """Return process id and start time (ns of UTC), which identify the recorder process."""
         return self.payload["process"], self.payload["recorder_wall_utc_ns"]
 
 
 def read_readings(evidence: Evidence) -> list[Reading]:
-    """List the machine readings in the order of their sets."""
+    """Return the machine readings that belong to a set, in the order of their sets."""
     found = [
         Reading(set_index=row.set_index, hour=evidence.hour(row.utc_ns), payload=row.payload)
         for row in evidence.machine
@@ -40,7 +40,10 @@ def read_readings(evidence: Evidence) -> list[Reading]:
 
 
 def select_readings(evidence: Evidence, name: str) -> list[tuple[Reading, float]]:
-    """Select the readings that have a value of this name."""
+    """List the readings that have a value of this name, each with the value, in the order of their sets.
+
+    Raises KeyError if a reading has no such key.
+    """
     return [
         (reading, reading.payload[name])
         for reading in read_readings(evidence)
@@ -49,12 +52,15 @@ def select_readings(evidence: Evidence, name: str) -> list[tuple[Reading, float]
 
 
 def sum_stage_times_s(reading: Reading) -> float:
-    """Return the wall time of extraction, storage, assessment and commit of a set, s."""
+    """Return the wall time in s that a set took after striking: extraction, storage, assessment, commit."""
     return float(sum(s for stage, s in reading.payload["stage_s"].items() if stage != "strike_and_read_s"))
 
 
 def list_set_times(evidence: Evidence) -> list[tuple[float, float, float]]:
-    """Return the due hour, the start delay in s and the duration in s of each set with a record."""
+    """Return the due hour, the start delay in s and the duration in s of each set with a record.
+
+    In the order of the set indices; sets that have not ended are left out.
+    """
     found = {}
     for row in evidence.sets:
         if row.started_utc_ns is not None and row.ended_utc_ns is not None:

@@ -20,7 +20,10 @@ from daq_service.cli.maintenance.acceptance.sets import count_records_by_set
 
 
 def yield_series(evidence: Evidence) -> Iterator[Series]:
-    """Yield a series over the test for each stored quantity."""
+    """Yield a series over the hours of the test for each stored quantity.
+
+    One without data has no values and a reason.
+    """
     yield count_records_by_set(evidence)
     times, real = list_set_times(evidence), evidence.experiment.clock == "wall"
     hours, late, took = ([one[k] for one in times] for k in range(3))
@@ -56,6 +59,6 @@ def yield_series(evidence: Evidence) -> Iterator[Series]:
 
 
 def _hours_and_values(evidence: Evidence, name: str) -> tuple[list[float], list[float]]:
-    """Return the hours and values of the readings that have a value."""
+    """Return the hours and values of the readings that have a value of this name, in set order."""
     found = select_readings(evidence, name)
     return [reading.hour for reading, _ in found], [value for _, value in found]

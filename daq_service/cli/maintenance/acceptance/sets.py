@@ -27,12 +27,12 @@ class Gap:
 
     @property
     def hours(self) -> float:
-        """Return the length in h."""
+        """Return the length of the gap in h."""
         return self.until_h - self.from_h
 
 
 def group_by_set(rows: Sequence[SetRow]) -> Mapping[int, list[SetRow]]:
-    """Group rows by their set."""
+    """Group rows by their set index; the order of rows is kept."""
     found: defaultdict[int, list[SetRow]] = defaultdict(list)
     for row in rows:
         found[row.set_index].append(row)
@@ -40,12 +40,15 @@ def group_by_set(rows: Sequence[SetRow]) -> Mapping[int, list[SetRow]]:
 
 
 def list_gaps(evidence: Evidence) -> list[Gap]:
-    """List the gaps in order; a set with all transducers disabled is not a gap."""
+    """List the gaps among the due sets in order; a set with all transducers disabled is not a gap.
+
+    A set without rows counts as missed with the reason `UNTOLD`.
+    """
     rows, found = group_by_set(evidence.sets), list[Gap]()
     missed_sets, reasons, from_h = list[DueSet](), dict[str, None](), 0.0
 
     def close_gap(until_h: float) -> None:
-        """End the current gap at an hour and store it, if it has sets."""
+        """Store the current gap with this end hour, if it has sets, and start an empty one."""
         if missed_sets:
             found.append(Gap(sets=tuple(missed_sets), reasons=tuple(reasons), from_h=from_h, until_h=until_h))
         missed_sets.clear()
@@ -66,7 +69,10 @@ def list_gaps(evidence: Evidence) -> list[Gap]:
 
 
 def count_sets_and_records(evidence: Evidence) -> list[Quantity]:
-    """Compute the numbers of planned, recorded, valid and missed sets and records, and of gaps."""
+    """Compute the numbers of planned, recorded, valid and missed sets and records, and of gaps.
+
+    Fractions have no value where the total is 0.
+    """
     rows, found = group_by_set(evidence.sets), list_gaps(evidence)
     taken = {index: set_rows for index, set_rows in rows.items() if any(row.n_taken for row in set_rows)}
     partial = [
@@ -103,12 +109,12 @@ def count_sets_and_records(evidence: Evidence) -> list[Quantity]:
 
 
 def _compute_fraction(part: int, total: int) -> float | None:
-    """Compute the fraction of a total; None if the total is 0."""
+    """Compute the fraction ``part / total``; None if the total is 0."""
     return part / total if total else None
 
 
 def gap_table(evidence: Evidence) -> Table:
-    """Build the table of gaps with their reasons."""
+    """Build the table of gaps: first set, number of sets, start, end and length in h, reasons."""
     rows = [
         (gap.sets[0].set_index, len(gap.sets), gap.from_h, gap.until_h, gap.hours, "; ".join(gap.reasons))
         for gap in list_gaps(evidence)
@@ -117,7 +123,7 @@ def gap_table(evidence: Evidence) -> Table:
 
 
 def shortfall_table(evidence: Evidence) -> Table:
-    """Build the table of missing records in sets with records, by reason."""
+    """Build the table of missing records in sets that have records, by state and reason."""
     found: defaultdict[tuple[str, str], list[SetRow]] = defaultdict(list)
     with_records = {row.set_index for row in evidence.sets if row.n_taken}
     for row in evidence.sets:
@@ -138,12 +144,12 @@ def shortfall_table(evidence: Evidence) -> Table:
 
 
 def flag_table(evidence: Evidence) -> Table:
-    """Build the table of shots by quality flag."""
+    """Build the table of the number of records by quality flag, the most frequent first."""
     return Table("flags", Counter(evidence.flags).most_common())
 
 
 def count_records_by_set(evidence: Evidence) -> Series:
-    """Build the series of recorded and valid records per set."""
+    """Build the series of planned, recorded and valid records per scheduled set, over the due hours."""
     hours = {due.set_index: due.due_h for due in evidence.planned}
     lines: dict[str, Counter[int]] = {name: Counter() for name in ("planned", "taken", "valid")}
     for row in evidence.sets:

@@ -21,13 +21,13 @@ NOT_SHOWN = (*NOT_COMPARED, "averages")
 
 
 def format_title(found: Explained) -> str:
-    """Compose the title of the alarm's page."""
+    """Format the title of the alarm's page: ``Alarm 3: signal change at position B``."""
     where = f" at position {found.alarm.position}" if found.alarm.position else ""
     return f"Alarm {found.alarm.id}: {found.alarm.kind.replace('_', ' ')}{where}"
 
 
 def describe_recomputation(found: Explained) -> str:
-    """Describe the result of the recomputation."""
+    """Describe in sentences whether the recomputation raises the same alarm, or why there is none."""
     recomputed = found.again
     if recomputed is None:
         return f"This alarm is not recomputed: {found.why_not}. It is told as it is stored."
@@ -47,7 +47,7 @@ def describe_recomputation(found: Explained) -> str:
 
 
 def render_page(found: Explained, pictures: Sequence[Picture]) -> bytes:
-    """Build the HTML page of an alarm."""
+    """Build the HTML page of an alarm, encoded, with its evidence, assessment, guidance and figures."""
     recomputed = () if found.again is None else found.again.assessments
     of_set = next((row for row in recomputed if row.set_index == found.alarm.raised_set_index), None)
     assessment = {} if of_set is None else as_dict(of_set)
@@ -68,7 +68,7 @@ def render_page(found: Explained, pictures: Sequence[Picture]) -> bytes:
 
 
 def collect_facts(found: Explained) -> dict[str, object]:
-    """Collect the contents of the page, and the rows behind it, as plain values."""
+    """Collect the contents of the page and the rows behind it as values for JSON (with NumPy arrays)."""
     recomputed, guidance = found.again, GUIDANCE.get(found.alarm.kind)
     return {
         "test": found.experiment.name,
@@ -87,7 +87,7 @@ def collect_facts(found: Explained) -> dict[str, object]:
 
 
 def _recomputed_facts(recomputed: Recomputed) -> dict[str, object]:
-    """Collect the recomputed values."""
+    """Collect the recomputed alarms, differences, baseline, assessments and mean records for JSON."""
     pulses = recomputed.pulses
     return {
         "n_sets": recomputed.n_sets,
@@ -103,13 +103,13 @@ def _recomputed_facts(recomputed: Recomputed) -> dict[str, object]:
 
 
 def _evidence_sentences(found: Explained) -> list[str]:
-    """Describe the evidence in sentences."""
+    """Describe the stored evidence of the alarm in sentences, with the baseline if it was recomputed."""
     baseline = None if found.again is None else found.again.baseline
     return evidence_sentences(found.alarm, {} if baseline is None else {baseline.id or 0: baseline})
 
 
 def _facts_with_value(facts: Mapping[str, object]) -> Iterator[tuple[str, object]]:
-    """Yield the name and value of each fact that has a value."""
+    """Yield the name and value of each fact that is not None; drop None within mappings, too."""
     for name, value in facts.items():
         if isinstance(value, Mapping):
             yield name, {key: item for key, item in value.items() if item is not None}

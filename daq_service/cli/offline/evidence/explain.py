@@ -21,14 +21,17 @@ from daq_service.shared_file import write_output
 
 
 def run_explain(*, alarm_id: int, data_dir: Path, out: Path | None, overwrite: bool, as_json: bool) -> None:
-    """Write the evidence page of an alarm of a folder, and print its path.
+    """Run `solimon explain`: write page and JSON file of an alarm of a folder, and print their paths.
+
+    The test's folder is only read. The default ``out`` is a new folder in the working directory.
 
     Raises
     ------
     UsageError
-        There is no such alarm, its features are of another extractor, or the files are there already.
+        There is no such alarm, its features are of another extractor, ``out`` is within the test's folder, or
+        the files exist.
     StorageError
-        A set that counts cannot be read, or the files not be written.
+        A set that counts cannot be read, or a file cannot be written.
     """
     folder = out or new_folder_path(f"alarm-{alarm_id}")
     if folder.absolute().resolve().is_relative_to(data_dir.absolute().resolve()):

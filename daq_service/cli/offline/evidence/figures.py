@@ -41,7 +41,10 @@ class Picture:
 
 
 def draw_evidence(found: Explained) -> list[Picture]:
-    """Draw the evidence of the alarm; return nothing without a recomputation."""
+    """Draw mean records, quantities and contributions of an alarm, those that have data.
+
+    Returns no picture without a recomputation.
+    """
     if found.again is None:
         return []
     pictures = [
@@ -53,7 +56,7 @@ def draw_evidence(found: Explained) -> list[Picture]:
 
 
 def _draw_mean_records(found: Explained, pulses: Pulses) -> Picture:
-    """Draw the mean record of the set and that of the baseline."""
+    """Draw the mean record (V) of the alarm's set and that of the baseline with its SD over time."""
     time_us = 1e6 * pulses.time_s
     with mpl.rc_context(RULES):
         figure, axis = _create_figure(1.6)
@@ -81,6 +84,7 @@ class _Panel:
         limits: Mapping[str, float | None],
         factor: float = 1.0,
     ) -> None:
+        """Store points and limits times ``factor``, without missing values."""
         present = [(hour, factor * value) for hour, value in points if value is not None]
         self.label = label
         self.hours = [hour for hour, _ in present]
@@ -89,7 +93,7 @@ class _Panel:
 
 
 def _draw_quantities(found: Explained, recomputed: Recomputed) -> Picture | None:
-    """Draw the quantities of all sets up to the alarm."""
+    """Draw the quantities of all sets up to the alarm, one panel each; None if no set has a value."""
     panels = [panel for panel in _yield_panels(found, recomputed) if panel.values]
     if not panels:
         return None
@@ -113,7 +117,7 @@ def _draw_quantities(found: Explained, recomputed: Recomputed) -> Picture | None
 
 
 def _draw_panel(axis: Axes, panel: _Panel) -> None:
-    """Draw one panel of a figure."""
+    """Draw values and limits on an axis; logarithmic if a value exceeds `LOG_FROM` times the lowest limit."""
     axis.plot(panel.hours, panel.values, linestyle="none", marker="o", color=BLUE)
     for (label, limit), style in zip(panel.limits.items(), _STYLES, strict=False):
         axis.axhline(limit, label=label, **style)
@@ -131,7 +135,10 @@ _STYLES: Sequence[Mapping[str, Any]] = (
 
 
 def _yield_panels(found: Explained, recomputed: Recomputed) -> Iterable[_Panel]:
-    """Yield the panels for the kind of alarm: statistics, thickness, or numbers of shots."""
+    """Yield the panels for the kind of alarm: thickness (mm), numbers of shots, or statistics with limits.
+
+    Nothing for a statistical alarm without a baseline.
+    """
     evidence, rule = found.alarm.evidence, found.alarm.evidence.get("rule") or {}
     if found.alarm.kind == "thickness_low":
         read = [(row.due_h, getattr(row, "thickness_m", None)) for row in recomputed.measured]
@@ -155,7 +162,7 @@ def _yield_panels(found: Explained, recomputed: Recomputed) -> Iterable[_Panel]:
 
 
 def _draw_contributions(parts: Mapping[str, float | None]) -> Picture | None:
-    """Draw the contributions of the features to the statistic."""
+    """Draw the contributions of the features to the statistic in %, the largest on top; None without any."""
     known = {name: part for name, part in parts.items() if part is not None}
     if not known:
         return None
@@ -172,6 +179,6 @@ def _draw_contributions(parts: Mapping[str, float | None]) -> Picture | None:
 
 
 def _create_figure(panels: float) -> tuple[Figure, Axes]:
-    """Create a figure with one axis."""
+    """Create a figure with one axis, as high as this number of panels."""
     figure = Figure(figsize=(WIDTH_IN, 0.35 + PANEL_IN * panels), layout="constrained")
     return figure, figure.subplots()

@@ -27,7 +27,17 @@ def run_replay(
     workers: int | None,
     as_json: bool,
 ) -> None:
-    """Reassess a stored test and print the differences; the folder is only read."""
+    """Run `solimon replay`: reassess a stored test with changed settings and print the differences.
+
+    The folder is only read.
+
+    Raises
+    ------
+    UsageError
+        A setting or an option is invalid, or stored features differ in extractor.
+    StorageError
+        There is no test, or a set of it cannot be read.
+    """
     if not extract and (executor or workers):
         raise UsageError("--executor and --workers do the work of --extract; give it, or leave them out")
     by = None
@@ -38,7 +48,7 @@ def run_replay(
 
 
 def describe_replay(found: Replayed) -> Iterable[str]:
-    """Yield the result as lines of text."""
+    """Yield the changes of alarms, baselines and sets as lines of text; one line if nothing changes."""
     source = "from the waveforms" if found.extracted else "as stored"
     settings_text = ", ".join(f"{key} = {json.dumps(value)}" for key, value in found.changed.items())
     yield f"{found.experiment}: {found.sets} sets judged again with {settings_text or 'the same settings'}"
@@ -65,9 +75,9 @@ def describe_replay(found: Replayed) -> Iterable[str]:
 
 
 def _count_differing_sets(found: Iterable[Difference]) -> Iterable[str]:
-    """Yield one line per position with the number of differing sets per column.
+    """Yield one line per table and position with the number of differing sets per column.
 
-    A column of named values is represented by the name that differs in most sets.
+    A column of named values is represented by the name that differs in most sets. Baselines are left out.
     """
     by_place: dict[tuple[str, str], dict[str, Difference]] = {}
     for row in found:
@@ -88,10 +98,10 @@ def _count_differing_sets(found: Iterable[Difference]) -> Iterable[str]:
 
 
 def _format_onset(onset: Onset) -> str:
-    """Format the set and the hour of an onset."""
+    """Format the set and the hour of an alarm's onset: ``set 12, hour 6.00``."""
     return f"set {onset.set_index}, hour {onset.hour:.2f}"
 
 
 def _format_significant(value: float | None) -> str:
-    """Format a value with six significant digits."""
+    """Format a value with six significant digits; None gives "none"."""
     return "none" if value is None else f"{value:.6g}"
