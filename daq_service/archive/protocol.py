@@ -25,11 +25,11 @@ class SetReader(Protocol):
     name: str
 
     def sets(self) -> Mapping[SetKey, SetReference]:
-        """Return every complete set: index to reference, in the order of the sets."""
+        """Return every complete set: key to reference, in the order of the sets."""
         ...
 
     def n_bytes(self) -> int:
-        """Return the size of the complete sets in bytes."""
+        """Return the size of the complete sets in bytes, of those without a file that of their counts."""
         ...
 
     def read_set(self, reference: SetReference, *, skip_damaged: bool = False) -> SetRecord:
@@ -100,7 +100,7 @@ class Archive(SetReader, Protocol):
         ...
 
     def append(self, item: Shot | PulseEchoRecord | MissedShot, utc_ns: int) -> None:
-        """Add a record or a missed record to a started set; acknowledged by `sync`."""
+        """Add a record or a missed record to a started set; the next `sync` acknowledges it."""
         ...
 
     def sync(self) -> list[int]:
@@ -114,7 +114,7 @@ class Archive(SetReader, Protocol):
         ...
 
     def open_sets(self) -> Mapping[SetKey, OpenSet]:
-        """Return the unfinished sets of an earlier process by index."""
+        """Return the unfinished sets of an earlier process by key."""
         ...
 
     def resume_set(self, opened: OpenSet) -> None:
@@ -126,7 +126,7 @@ class Archive(SetReader, Protocol):
         ...
 
     def places(self, set_key: SetKey) -> Places:
-        """Return the byte ranges of a set's durable frames in the journal."""
+        """Return the byte range of a set's durable frames in each segment of the journal."""
         ...
 
     def settle(self, set_key: SetKey) -> None:

@@ -133,7 +133,10 @@ def to_reference(set_key: SetKey, due_utc_ns: int) -> SetReference:
 
 
 def parse_due_utc_ns(reference: SetReference) -> int:
-    """Parse the due time of a set from its reference, to the second; nanoseconds of UTC."""
+    """Parse the due time of a set from its reference, to the second, in ns of UTC.
+
+    The reference must be valid (AssertionError).
+    """
     match = _NAME.fullmatch(reference.rpartition("/")[2])
     assert match is not None, f"{reference} is no reference of a set"
     return parse_utc(match[2])

@@ -77,7 +77,7 @@ class ComputerLoadWatch:
         self._last_seconds: dict[str, float] = {}
 
     def read(self, seconds: Mapping[str, float]) -> dict[str, Any]:
-        """Return a reading as the payload of its event; ``seconds`` of the line so far by stage."""
+        """Read the load now, as the payload of its event; ``seconds`` is the time so far by stage."""
         space, before = self._space(), self._last_seconds
         self._last_seconds = dict(seconds)
         real = isinstance(self._clock, WallClock)

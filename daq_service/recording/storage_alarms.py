@@ -39,12 +39,12 @@ class StorageAlarms:
             self._disk.on_change = self._report_space
 
     def find_overdue_reason(self, due_utc_ns: int) -> str:
-        """Return the reason why the time of a set passed: disk, catalogue, or sleep of the computer."""
+        """Return why the time of a set passed: trouble of the disk, or else sleep of the computer."""
         is_over = self._persistence.trouble is None and self._trouble_until_ns < due_utc_ns
         return OVERSLEPT if is_over else f"the recorder waited for the disk: {self._reported_trouble}"
 
     def watch_web(self) -> None:
-        """Watch the web service."""
+        """Raise or clear the alarm of a missing web service when that changes; retry later on a disk error."""
         is_missing = None if self._web is None else self._web.is_missing()
         if is_missing in (None, self._web_is_missing):
             return
@@ -54,7 +54,7 @@ class StorageAlarms:
             self._web_is_missing = is_missing
 
     def start_verification(self) -> None:
-        """Find stored sets that are missing; report them and the files in quarantine."""
+        """Start the check of stored sets; report those that are missing and the files in quarantine."""
         if self._verification is not None:
             alarm = self._set_assessor.alarms.get((None, "data_corrupt"))
             stands = alarm is not None and alarm.state in ("unacknowledged", "acknowledged")
@@ -62,7 +62,10 @@ class StorageAlarms:
         self._report_corruption(at_the_start=True)
 
     def store_in_reserve(self) -> None:
-        """Store what waits in the space that is reserved for a stop; what no disk takes is lost."""
+        """Run the queued jobs in the space that is reserved for a stop, if the disk has refused them.
+
+        Jobs that are refused again are lost, which is logged.
+        """
         if self._persistence.trouble is not None and self._disk is not None:
             self._disk.free_reserve()
             self._persistence.run_queued_jobs()
@@ -70,7 +73,7 @@ class StorageAlarms:
             log.error("%d jobs are lost that no disk took: %s", len(self._persistence), trouble.message)
 
     def report(self) -> None:
-        """Report what the background tasks have found."""
+        """Report what the background tasks have found: sets without a file, and corruption."""
         if self._finalizer is not None:
             self._report_finalizing(self._finalizer.trouble)
         if self._persistence.trouble is None:

@@ -79,7 +79,7 @@ class Frame:
     sound: bool
 
     def read_facts(self) -> dict[str, Any]:
-        """Return the facts as a dictionary."""
+        """Parse the facts of a sound frame as a dictionary; ValueError if they are no JSON."""
         facts: dict[str, Any] = json.loads(self.facts)
         return facts
 
@@ -87,7 +87,7 @@ class Frame:
 def build_begin_frame(
     set_key: SetKey, *, due_utc_ns: int, started_utc_ns: int, disabled: Mapping[str, str]
 ) -> Buffers:
-    """Build the frame for the start of a set."""
+    """Build the frame for the start of a set; ``disabled`` holds the reason by position."""
     facts = {"due_utc_ns": due_utc_ns, "disabled": dict(disabled)}
     return _build_frame(Kind.BEGIN, set_key, facts, utc_ns=started_utc_ns)
 
@@ -169,7 +169,7 @@ def build_end_frame(record: SetRecord) -> Buffers:
 
 
 def build_aside_frame(set_key: SetKey) -> Buffers:
-    """Build the frame that discards the earlier frames of a set."""
+    """Build the frame that makes readers discard the earlier frames of a set."""
     return _build_frame(Kind.ASIDE, set_key, {}, utc_ns=0)
 
 
@@ -185,7 +185,7 @@ def _build_frame(
     counts_crc32: int = 0,
     width: int = 0,
 ) -> Buffers:
-    """Build a frame with its header and checksums."""
+    """Build a frame with its header and checksums; NaN and infinities of the facts are kept."""
     text = orjson.dumps(facts, option=orjson.OPT_SERIALIZE_NUMPY)
     if b"null" in text:
         # orjson writes NaN and infinities as null, json keeps them.
@@ -204,7 +204,10 @@ def _compute_body_crc32(facts: bytes, counts_crc32: int) -> int:
 
 
 def parse_frames(content: bytes, *, of_set: SetKey | None = None) -> Iterator[Frame]:
-    """Parse the frames of a segment, or those of one set; skip bytes that are no frame."""
+    """Parse the frames of a segment, or those of one set; skip bytes that are no frame.
+
+    A frame whose header is valid but whose content is corrupt or truncated is yielded with ``sound`` False.
+    """
     view, offset = memoryview(content), 0
     # Searching one byte is far faster than four in the zeros at the end of a segment.
     while (offset := content.find(MAGIC[:1], offset)) >= 0 and offset + HEADER.size <= len(content):
@@ -240,7 +243,7 @@ def parse_frames(content: bytes, *, of_set: SetKey | None = None) -> Iterator[Fr
 
 
 def decode_record(frame: Frame) -> Shot | PulseEchoRecord:
-    """Decode the record of an intact frame, bit for bit."""
+    """Decode the record of a sound frame, bit for bit: a pulse echo from ``ECHO``, else a shot."""
     facts = frame.read_facts()
     position, shot_index, attempt = facts["key"]
     calibration = facts["calibration"]
@@ -263,7 +266,7 @@ def decode_record(frame: Frame) -> Shot | PulseEchoRecord:
 
 
 def decode_missed(frame: Frame) -> MissedShot:
-    """Decode the missed record of an intact frame."""
+    """Decode the missed record of a sound frame of kind ``MISSED``."""
     facts = frame.read_facts()
     position, shot_index, attempt = facts["key"]
     key = ShotKey.in_set(frame.set_key, position, shot_index, attempt)

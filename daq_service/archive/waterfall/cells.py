@@ -60,7 +60,10 @@ class Frame:
         return self.first * self.cell_s
 
     def part(self, from_s: float | None, to_s: float | None, width: int) -> Frame:
-        """Return the cells of another width that cover a range of times in this frame; none outside."""
+        """Return the cells of another width that cover a range of times in this frame.
+
+        Times in s after the anchor, None is no limit; outside the frame the result has no cells.
+        """
         start, end = self.first * self.width, (self.first + self.n_cells) * self.width
         if from_s is not None:
             start = max(start, math.floor(from_s * self.sample_rate_hz))
@@ -71,7 +74,7 @@ class Frame:
 
 
 def build_frame(waveform: Waveform, alignment: Alignment) -> Frame:
-    """Compute the time frame of all records with the sampling of a waveform.
+    """Compute the cells of all records with the sampling of a waveform, at most 1024 per record.
 
     Aligned at the trigger it covers the complete record; at the first pulse it extends from half a record
     before to one record after the pulse.
@@ -93,7 +96,7 @@ def build_frame(waveform: Waveform, alignment: Alignment) -> Frame:
 
 
 def extract_anchors(results: Results) -> dict[int, float]:
-    """Find the time in s of the first detected pulse or echo, by shot id."""
+    """Find the time in s of the first detected pulse or echo by shot id; omit shots without one."""
     anchors: dict[int, float] = {}
     for table, column in (("features", "isw_time_s"), ("thickness", "travel_time_s")):
         rows = results.get(table, {})
@@ -103,18 +106,21 @@ def extract_anchors(results: Results) -> dict[int, float]:
 
 
 def new_planes(frame: Frame) -> Planes:
-    """Create cells without a sample (NaN)."""
+    """Create the planes of a frame without any sample: NaN, shape (2, n_cells)."""
     return np.full((2, frame.n_cells), np.nan, dtype=np.float32)
 
 
 def merge_planes(rows: Iterable[Planes]) -> Planes:
-    """Compute the extremes over several rows of one frame."""
+    """Compute the extremes over one or more rows of one frame; NaN only where no row has a sample."""
     lows, highs = zip(*rows, strict=True)
     return np.stack([np.fmin.reduce(lows), np.fmax.reduce(highs)])
 
 
 def compute_record_planes(placed: Iterable[tuple[Waveform, float]], frame: Frame) -> Planes:
-    """Compute the cells of records, each with the time of its anchor in s; skip other sampling rates."""
+    """Compute the cells of records in V, each with the time of its anchor in s; NaN without a sample.
+
+    Records of another sampling rate than the frame's are skipped.
+    """
     start, size = frame.first * frame.width, frame.n_cells * frame.width
     # Extremes of each sample of the frame first: far fewer cells remain to reduce.
     low, high = np.full(size, np.inf), np.full(size, -np.inf)
@@ -146,7 +152,7 @@ def compute_planes(
 
 
 def select_accepted_records(record: SetRecord, position: str) -> list[Shot | PulseEchoRecord]:
-    """Select the accepted records of a set at a position."""
+    """Select the accepted records of a set at a position, in their order; empty if none."""
     return [
         item
         for item in record.records

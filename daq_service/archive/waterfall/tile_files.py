@@ -68,7 +68,7 @@ def write_tiles_of_file(
 
 
 def build_tile_row(record: SetRecord, planes: Planes) -> TileRow:
-    """Build the tile row of a set from its cells."""
+    """Build the tile row of one set from its cells, shape (2, n_cells) in V."""
     index, hour = record.set_index, record.due_h
     return TileRow(n_sets=1, first_set=index, last_set=index, first_h=hour, last_h=hour, planes=planes)
 
@@ -90,7 +90,7 @@ def build_tiles(
 
 
 def remove_tiles(folder: Path) -> None:
-    """Remove all tiles of a data folder.
+    """Delete the folder of all tiles of a test, if it exists.
 
     Raises
     ------

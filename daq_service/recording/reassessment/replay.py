@@ -163,7 +163,10 @@ def _describe_unassessed(position: str, recomputed: Catalogue, settings: Setting
 
 
 def _require_one_extractor(versions: Iterable[str]) -> str:
-    """Raise an error for features of different extractors, which are different quantities."""
+    """Return the one extractor version of the features, this version's own for none.
+
+    Raises UsageError for different extractors, whose features are different quantities.
+    """
     found = sorted(set(versions))
     if len(found) > 1:
         raise UsageError(

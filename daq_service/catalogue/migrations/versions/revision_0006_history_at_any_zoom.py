@@ -13,6 +13,7 @@ down_revision = "0005"
 
 
 def upgrade() -> None:
+    """Create the index of alarms by set and the empty table ``trend_blocks``."""
     op.create_index("ix_alarms_position_raised_set_index", "alarms", ["position", "raised_set_index"])
     op.create_table(
         "trend_blocks",

@@ -25,12 +25,12 @@ def upgrade() -> None:
 
 
 def _replace_column(table: str, name: str, old: str, new: str) -> None:
-    """Replace a value of a column and clear the checksums of these rows."""
+    """Replace the value ``old`` of a column by ``new`` and clear the checksums of these rows."""
     op.execute(f"UPDATE {table} SET {name} = '{new}', row_crc32 = NULL WHERE {name} = '{old}'")
 
 
 def _replace_key(table: str, name: str, key: str, old: str, new: str) -> None:
-    """Replace a value in a JSON column and clear the checksums of these rows."""
+    """Replace the value ``old`` at a key of a JSON column by ``new`` and clear these rows' checksums."""
     op.execute(
         f"UPDATE {table} SET {name} = json_set({name}, '$.{key}', '{new}'), row_crc32 = NULL "
         f"WHERE json_extract({name}, '$.{key}') = '{old}'"
