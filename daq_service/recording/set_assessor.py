@@ -101,7 +101,7 @@ class SetAssessor:
             )
 
     def adopt(self) -> None:
-        """Load the newest alarms that the supervisor raised while no recorder stored sets."""
+        """Load the newest alarms that another process raised while no recorder stored sets."""
         rows = self._catalogue.rows(AlarmRow, kind=RECORDER_NOT_RUNNING)
         self.alarms |= {(row.position, row.kind): row for row in rows}
 
@@ -214,7 +214,7 @@ class SetAssessor:
             self.commit(transaction)
 
     def expire_shelves(self, moment: Moment) -> None:
-        """Store the end of expired shelves, on the test's clock or in real time: their alarms notify again."""
+        """Store the end of expired shelves, on the test's clock or in real time; they notify again."""
         shelved = [row for row in self.alarms.values() if row.suppressed == "shelved"]
         changes = [change for row in shelved if (change := end_expired_shelf(row, moment, time.time_ns()))]
         if changes:
@@ -415,7 +415,7 @@ class PositionAssessors:
 
     @states.setter
     def states(self, states: Mapping[str, object]) -> None:
-        """Return the state of each position; set it to continue from an earlier one."""
+        """Set the state of each position that is named; the others keep theirs."""
         for position, state in states.items():
             self[position].state = state
 

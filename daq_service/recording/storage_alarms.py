@@ -44,7 +44,7 @@ class StorageAlarms:
         return OVERSLEPT if is_over else f"the recorder waited for the disk: {self._reported_trouble}"
 
     def watch_web(self) -> None:
-        """Raise or clear the alarm of a missing web service when that changes; retry later on a disk error."""
+        """Raise or clear the alarm of a missing web service when that changes; a disk error delays it."""
         is_missing = None if self._web is None else self._web.is_missing()
         if is_missing in (None, self._web_is_missing):
             return

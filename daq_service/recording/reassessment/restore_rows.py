@@ -116,9 +116,9 @@ def restore_rows(
     progress: Progress,
     features_of: FeaturesOf = extract_shot_features,
 ) -> Restored:
-    """Fill a catalogue that has its experiment and nothing else; return what was damaged, foreign or differing.
+    """Fill a catalogue that has its experiment and nothing else; return counts and findings.
 
-    The caller recomputes the counts. A set that cannot be read gets the rows of the history.
+    The caller recomputes the counts of the catalogue. A set that cannot be read gets the rows of the history.
     """
     return _Restoration(settings, experiment, archive, catalogue, history, features_of).run(progress)
 
