@@ -192,7 +192,10 @@ def name_groups(samplings: Iterable[Sampling]) -> dict[Sampling, str]:
 def _add_shots(
     entry: GroupID, name: str, sampling: Sampling, blocks: Sequence[Block], columns: Columns, folder: str
 ) -> None:
-    """Add the group of an array: virtual dataset, time axis, calibration and columns."""
+    """Add the group of an array: virtual dataset, time axis in s, calibration and columns.
+
+    The rows are those of the blocks in their order; a missing file reads as the lowest count.
+    """
     shot_ids = np.concatenate([np.asarray(block.shot_ids, dtype=np.int64) for block in blocks])
     signal = sampling.signal
     group = add_group(

@@ -65,7 +65,7 @@ class Node:
 
 
 def start_draft(attributes: Mapping[str, Attribute], own_attributes: Mapping[str, Attribute]) -> Node:
-    """Start the draft of a file in memory; return its root."""
+    """Create the root node of a draft with its attributes; ``own_attributes`` differ from file to file."""
     root = Node(path="", draft=[], attributes=dict(attributes), own_attributes=own_attributes)
     root.draft.append(root)
     return root
@@ -105,7 +105,7 @@ def add_field(
 
 
 def build_draft_image(root: Node) -> bytes:
-    """Build the bytes of the HDF5 file that a draft describes."""
+    """Build the bytes of the HDF5 file that a draft describes; equal drafts give equal bytes."""
     key = orjson.dumps([node.structure for node in root.draft], option=orjson.OPT_SERIALIZE_NUMPY)
     file = nexus.open_image(
         _create_skeleton(_Structure(key, root.draft)).fill_values(root.draft), is_own=True, writable=True

@@ -149,7 +149,7 @@ def _group_records(records: Sequence[Record]) -> list[_RecordGroup]:
 
 
 def _add_facts(entry: Node, record: SetRecord) -> None:
-    """Add title, times, identifiers and purpose of the set."""
+    """Add title, times, identifiers, program, purpose and instrument error of the set."""
     provenance = record.provenance
     configuration_hash = str(provenance.get("configuration_hash", ""))
     sequences = [shot.sequence for shot in record.records]
@@ -173,7 +173,7 @@ def _add_facts(entry: Node, record: SetRecord) -> None:
 
 
 def _add_detectors(entry: Node, record: SetRecord, groups: Sequence[_RecordGroup]) -> None:
-    """Add an NXdetector with sampling and calibration for each group."""
+    """Add an NXdetector with sampling, calibration and serial number of the transducer for each group."""
     serial_numbers = {position.position: position.serial_number for position in record.positions}
     instrument = add_group(entry, "instrument", "NXinstrument")
     add_field(instrument, "name", record.rig_kind)
@@ -211,7 +211,7 @@ def _compute_nexus_scale(waveform: Waveform) -> tuple[float, float]:
 
 
 def _add_records(entry: Node, record: SetRecord, groups: Sequence[_RecordGroup]) -> None:
-    """Add an NXdata with counts, time axis and shot ids for each group."""
+    """Add an NXdata with counts, time axis, shot times and ids for each group; chunks hold one record."""
     time_axes: dict[tuple[float, int, int], Node] = {}
     start = format_utc(record.due_utc_ns)
     for group in groups:
@@ -368,7 +368,7 @@ def _add_shots(entry: Node, record: SetRecord) -> None:
 
 
 def _add_positions(entry: Node, record: SetRecord) -> None:
-    """Add a table with the numbers of planned and recorded records per position."""
+    """Add a table with method, labels and the numbers of planned and recorded records per position."""
     positions = record.positions
     positions_of_records = [shot.key.position for shot in record.records]
     table = add_group(entry, "positions", "NXcollection")

@@ -187,7 +187,7 @@ def create_field(
     is_axis: bool,
     attributes: Mapping[str, Attribute],
 ) -> h5d.DatasetID:
-    """Add a dataset as `add_field` does, but without its values."""
+    """Create a dataset as `add_field` does, with attributes and axes but without values; return it."""
     array, data_type = stored
     chunk = choose_chunk(array, chunk)
     properties = _create_compact_properties() if chunk is None else _create_chunked_properties(chunk)

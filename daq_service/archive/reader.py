@@ -87,7 +87,8 @@ class FolderSetReader:
     def read_set(self, reference: SetReference, *, skip_damaged: bool = False) -> SetRecord:
         """Read a set as it was stored, from its file or from the journal.
 
-        Raises CorruptArchiveError for corrupt records, with ``skip_damaged`` only if none is left.
+        Raises CorruptArchiveError if it is unreadable or has corrupt records, with ``skip_damaged`` only if
+        no record is left, and SetNotFoundError if it is missing.
         """
         journaled = self._find_journaled(reference)
         if journaled is None:
@@ -173,7 +174,7 @@ class FolderSetReader:
         return to_references(path.name for path in (self.folder / SETS_FOLDER).glob("set_*.h5"))
 
     def _read_journal(self) -> dict[SetKey, JournaledSet]:
-        """Read the journal; raise `ArchiveError` if that fails."""
+        """Read all journaled sets by key; raise `ArchiveError` if that fails."""
         try:
             return read_journal(self.folder)
         except OSError as error:
@@ -191,8 +192,8 @@ class FolderSetReader:
 def read_set_file(path: Path, *, skip_damaged: bool = False) -> SetRecord:
     """Read the file of a set.
 
-    Raises CorruptArchiveError for corrupt records, with ``skip_damaged`` only if none is left, and
-    SetNotFoundError if there is no file.
+    Raises CorruptArchiveError if it is unreadable or has corrupt records, with ``skip_damaged`` only if no
+    record is left, and SetNotFoundError if there is no file.
     """
     with open_set_file(path) as entry:
         records, damages = _read_records(entry)
@@ -222,7 +223,7 @@ def read_records(path: Path, content: bytes, *, is_own: bool = False) -> list[Sh
 
 
 def examine_file(path: Path, content: bytes) -> tuple[SetRecord | None, list[Damage]]:
-    """Read every record and all metadata of a set file in memory; list also its corrupt parts.
+    """Read every record and all metadata of a set file in memory; list also its corrupt records.
 
     Returns
     -------
@@ -245,7 +246,7 @@ def examine_file(path: Path, content: bytes) -> tuple[SetRecord | None, list[Dam
 
 
 def list_unreadable_parts(path: Path, content: bytes) -> list[Damage]:
-    """List the parts of a set file in memory, other than records, that cannot be read.
+    """List the parts of a set file in memory, other than records, that cannot be read; empty if none.
 
     Raises
     ------
@@ -287,7 +288,10 @@ def _create_corruption_error(path: Path, damages: Sequence[Damage]) -> CorruptAr
 
 
 def _read_waveform(path: Path, position: str, shot_index: int) -> Waveform:
-    """Read the accepted record of a shot from a file; raise an error if it is missing or corrupt."""
+    """Read the accepted record of a shot from a set's file, else that of its last attempt.
+
+    Raises SetNotFoundError if it is missing, CorruptArchiveError if it is corrupt.
+    """
     with open_set_file(path) as entry:
         table = _read_table(entry)
         rows = [
@@ -368,7 +372,7 @@ class RecordGroup:
         return waveform if crc32_read == crc32 else f"CRC-32 is {crc32_read:08x}, stored as {crc32:08x}"
 
     def read_echo_settings(self, row: int) -> dict[str, Any]:
-        """Read the receiver settings of a pulse-echo record by name."""
+        """Read gain in dB, offset in V and number of averages of a pulse-echo record by name."""
         return {
             "gain_db": float(self.data["gain"][row]),
             "offset_v": float(self.data["offset"][row]),
@@ -437,7 +441,7 @@ def _read_columns(table: h5py.Group, *names: str) -> _Columns:
 
 
 def _to_rows(columns: _Columns) -> list[dict[str, Any]]:
-    """Convert columns to rows: one dictionary per row."""
+    """Convert columns of equal length to rows: one dictionary per row."""
     return [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
 
 
@@ -480,7 +484,7 @@ def _build_stamp(table: _Columns, row: int) -> Stamp:
 
 
 def _build_damage(table: _Columns, row: int, reason: str) -> Damage:
-    """Describe the corrupt record of a row."""
+    """Build the description of the corrupt record of a row."""
     return Damage(
         sequence=table["shot_id"][row],
         position=table["position"][row],
@@ -545,7 +549,7 @@ def _read_positions(entry: h5py.Group) -> list[PositionRecord]:
 
 
 def list_record_groups(entry: h5py.Group) -> list[str]:
-    """List the NXdata groups that hold records: those with a detector."""
+    """List the names of the NXdata groups that hold records: those with a detector."""
     return [name for name in entry["instrument"] if name != "name"]
 
 

@@ -148,11 +148,11 @@ def parse_set_keys(names: Iterable[str]) -> set[SetKey]:
 
 
 def to_references(names: Iterable[str]) -> dict[SetKey, SetReference]:
-    """Parse file names: key to reference of each complete set, in the order of the sets."""
+    """Parse the names of set files to references by set key, in order; ignore other names."""
     matches = (match for match in map(_NAME.fullmatch, names) if match)
     return dict(sorted((_to_key(match), SetReference(f"{SETS_FOLDER}/{match[0]}")) for match in matches))
 
 
 def _to_key(match: re.Match[str]) -> SetKey:
-    """Parse the key of a set from a matched file name, also of earlier versions."""
+    """Parse the key of a set from a matched file name; one number in names of earlier versions."""
     return SetKey(int(match[1]), int(match[3])) if match[3] else SetKey.from_number(int(match[1]))

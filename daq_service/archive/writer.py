@@ -85,7 +85,7 @@ class FolderArchive(FolderSetReader):
     def begin_set(
         self, set_key: SetKey, *, due_utc_ns: int, started_utc_ns: int, disabled: Mapping[str, str]
     ) -> None:
-        """Record the start of a set; durable with the next `sync`."""
+        """Add the start of a set to the journal; the next `sync` makes it durable."""
         self._sequences_of[set_key] = set()
         frame = build_begin_frame(
             set_key, due_utc_ns=due_utc_ns, started_utc_ns=started_utc_ns, disabled=disabled
@@ -126,7 +126,10 @@ class FolderArchive(FolderSetReader):
         return [index for index, item in self._journal_writer.left.items() if item.is_whole]
 
     def resume_set(self, opened: OpenSet) -> None:
-        """Continue an open set: new records are added to the durable ones."""
+        """Continue an open set: new records are added to the durable ones.
+
+        A corrupt start frame is added again, with the next `sync`.
+        """
         self._sequences_of[opened.set_key] = {record.sequence for record in opened.records}
         if not opened.is_dated:
             frame = build_begin_frame(
@@ -182,7 +185,10 @@ class FolderArchive(FolderSetReader):
         return self._journal_writer.places(set_key)
 
     def settle(self, set_key: SetKey) -> None:
-        """Remove a set from the journal: it has its own file, or rows without a record."""
+        """Remove a set from the journal: it has its own file, or rows without a record.
+
+        A segment that cannot be deleted is logged and tried again later.
+        """
         self._sequences_of.pop(set_key, None)
         self._journal_writer.settle(set_key)
 
@@ -230,7 +236,7 @@ class FolderArchive(FolderSetReader):
 
 
 def move_to_quarantine(folder: Path, reference: SetReference) -> str:
-    """Move a set's file to the quarantine and return its path there; nothing is overwritten.
+    """Move a set's file to the quarantine and return its path there; another file of its name stays.
 
     Raises
     ------

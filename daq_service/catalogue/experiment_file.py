@@ -120,7 +120,7 @@ def refuse_other_record(
 
 
 def describe_experiment(row: ExperimentRow) -> str:
-    """Describe an experiment by configuration hash and hour 0, which identify it."""
+    """Format configuration hash and hour 0 (UTC) of an experiment, which identify it, for messages."""
     return f"configuration {row.configuration_hash}, hour 0 at {format_utc(row.epoch_utc_ns)}"
 
 

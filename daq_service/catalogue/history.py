@@ -183,7 +183,7 @@ class HistoryFollower:
         self.follow()
 
     def after_set(self, set_key: SetKey) -> None:
-        """Do nothing: the rows of a set follow in `run_for`."""
+        """Do nothing: the rows of a set follow in `run_for` (a `BackgroundTask`)."""
 
     def close(self) -> None:
         """Append the last rows at once; a failure is logged, not raised."""
@@ -309,7 +309,7 @@ def describe_missing_event(history: History, catalogue: Catalogue) -> str:
 
 
 def describe_lost_event(last_id: int) -> str:
-    """Describe the loss of an event that the history has and the catalogue lacks."""
+    """Format the message that the catalogue lacks an event of the history, with the remedy."""
     return (
         f"has lost rows: {HISTORY_FILE} knows event {last_id}; `solimon rebuild` makes the catalogue again "
         "from sets, journal and history"

@@ -195,7 +195,7 @@ class Catalogue:
         self.close()
 
     def close(self) -> None:
-        """Close every connection; may be called again."""
+        """Close every connection of readers and commands; may be called again."""
         self._engine.dispose()
         if self._command_engine is not None:
             self._command_engine.dispose()
@@ -227,7 +227,7 @@ class Catalogue:
         return self._read_rows(SetRow, _build_newest_gaps_query(count))
 
     def read_newest_recorded(self) -> SetRow | None:
-        """Read a row of the newest scheduled set with records; None without one."""
+        """Read the row that was stored last of a scheduled set with a file; None without one."""
         return self._read_newest_row(SetRow, sets.c.file.is_not(None) & is_scheduled(sets))
 
     def list_newest_files(self, n_rows: int) -> dict[SetKey, str]:
@@ -236,7 +236,7 @@ class Catalogue:
             return _read_files(connection, _build_newest_files_query(n_rows))
 
     def count_stored_sets(self, position: str, first_set: int, last_set: int) -> int:
-        """Count the scheduled sets of a position with records, between two indices (inclusive)."""
+        """Count the scheduled sets of a position that have records, between two indices (inclusive)."""
         in_range = is_scheduled(sets) & sets.c.set_index.between(first_set, last_set)
         filtered_sets = (sets.c.position == position) & in_range
         with self.open_snapshot() as connection:
@@ -247,14 +247,14 @@ class Catalogue:
             ).scalar_one()
 
     def read_first_thickness(self, position: str) -> ThicknessRow | None:
-        """Read the first pulse-echo result with a travel time; None without one."""
+        """Read the first scheduled pulse-echo result with a travel time; None without one."""
         table = TABLES[ThicknessRow]
         statement = filter_by(sa.select(table), table, {"position": position})
         rows = self._read_rows(ThicknessRow, statement.where(table.c.travel_time_s.is_not(None)).limit(1))
         return rows[0] if rows else None
 
     def read_baselines_by_id(self) -> dict[int, BaselineRow]:
-        """Read all baselines, by id."""
+        """Read all baselines, also retired ones, by id."""
         return {row.id: row for row in self.rows(BaselineRow) if row.id is not None}
 
     def columns(
@@ -295,7 +295,7 @@ class Catalogue:
             )
 
     def _read_newest_row(self, kind: type[R], condition: sa.ColumnElement[bool] | None = None) -> R | None:
-        """Read the last stored row that meets a condition; None if there is none."""
+        """Read the row with the highest id that meets a condition; None if there is none."""
         table = TABLES[kind]
         statement = sa.select(table).order_by(table.c.id.desc()).limit(1)
         rows = self._read_rows(kind, statement if condition is None else statement.where(condition))
@@ -386,15 +386,15 @@ class Catalogue:
         }
 
     def read_last_environment(self) -> EnvironmentRow | None:
-        """Read the newest row of the environment; None if there is none."""
+        """Read supply and climate of the newest set; None if there are none."""
         return self._read_newest_row(EnvironmentRow)
 
     def baseline(self, position: str) -> BaselineRow | None:
-        """Read the newest baseline of a position; None if there is none."""
+        """Read the newest baseline of a position in any state; None if there is none."""
         return self._read_newest_row(BaselineRow, TABLES[BaselineRow].c.position == position)
 
     def read_newest_baselines(self) -> dict[str, BaselineRow]:
-        """Read the newest baseline of each position that has one."""
+        """Read the newest baseline, in any state, of each position that has one."""
         return {row.position: row for row in self.rows(BaselineRow)}  # the newest is last
 
     def find_newest_id(self, kind: type[AlarmRow] | type[CommandRow]) -> int:
@@ -415,7 +415,7 @@ class Catalogue:
         return self.rows(EventRow, after_id=event_id, topics=topics, limit=limit)
 
     def read_last_service_event(self, *kinds: str) -> EventRow | None:
-        """Read the newest event of the service of one of these kinds; None if there is none."""
+        """Read the newest service event of one of these kinds; None if there is none."""
         last_id = filter_by(sa.select(sa.func.max(events.c.id)), events, {"topic": "service"}).order_by(None)
         newest = last_id.where(events.c.kind.in_(kinds)).scalar_subquery()
         return self._read_newest_row(EventRow, events.c.id == newest)

@@ -159,7 +159,7 @@ def find_lost_rows(connection: sa.Connection) -> Iterator[tuple[int, str]]:
 
 
 def _describe_lost_row(event_id: int | None, kind: type[Row]) -> str:
-    """Describe that the row of an event is missing."""
+    """Format the message that the row of an event is missing, with both tables."""
     return f"row {event_id} of table {events.name} lacks its row of table {TABLES[kind].name}"
 
 
@@ -175,7 +175,10 @@ def _to_stored_form(payload: Payload) -> object:
 
 
 def _build_event_key(event: EventRow) -> Key:
-    """Build the key of the row that an event reports: kind, position and set."""
+    """Build the key of the row that an event reports: kind, position and set.
+
+    Of an event that reports no row, the kind is `EventRow`.
+    """
     return ROW_OF_EVENT.get(event.kind, EventRow), event.position, event.set_key
 
 

@@ -105,7 +105,7 @@ def prepare(statement: CompilerElement, column_keys: Sequence[str] | None = None
 
 
 def find_driver(connection: Connection) -> sqlite3.Connection:
-    """Return the connection of the SQLite driver, in the same transaction."""
+    """Return the SQLite connection below an SQLAlchemy connection, in the same transaction."""
     return connection.connection.driver_connection  # type: ignore[return-value] # the engine is SQLite's
 
 
@@ -199,7 +199,7 @@ def _build_row(kind: type[R], stored: Sequence[Any]) -> R:
 
 
 def _check_checksum(kind: type[Row], stored: Sequence[Any]) -> None:
-    """Raise DamagedRow if stored values do not match their checksum."""
+    """Raise DamagedRow if stored values, the checksum last, do not match it or cannot be encoded."""
     columns = {name: value for name, value in zip(kind.__slots__, stored, strict=False) if value is not None}
     try:
         for name in _BYTES[kind]:
@@ -232,12 +232,17 @@ def to_checked_row(kind: type[R], stored: Sequence[Any]) -> R:
 def read_rows(
     connection: Connection, kind: type[R], statement: Select[Any] | Prepared, **given: object
 ) -> Iterator[R]:
-    """Read the complete rows of a query; raise DamagedRow if one does not match its checksum.
+    """Iterate over the complete rows of a query, each compared with its checksum.
+
+    Parameters
+    ----------
+    given
+        Values of the parameters of the statement.
 
     Raises
     ------
     DamagedRow
-         A row does not match its checksum, or a value has the wrong type.
+         On iteration: a row does not match its checksum, or a value has the wrong type.
     """
     return (_build_row(kind, stored) for stored in read_values(connection, kind, statement, **given))
 
@@ -245,7 +250,7 @@ def read_rows(
 def read_values(
     connection: Connection, kind: type[Row], statement: Select[Any] | Prepared, **given: object
 ) -> Iterator[Sequence[Any]]:
-    """Yield the values of complete rows, the checksum last; raise DamagedRow at a corrupt row."""
+    """Yield the values of complete rows of a query, the checksum last; raise DamagedRow at a corrupt row."""
     try:
         for stored in _execute_query(connection, kind, statement, given):
             _check_checksum(kind, stored)
@@ -275,7 +280,7 @@ def _execute_query(
 
 
 def to_json_text(value: object) -> str:
-    """Serialize the value of a column as JSON: NumPy numbers are accepted, NaN and infinities become null."""
+    """Serialize a column's value as JSON: NumPy numbers are accepted, NaN and infinities become null."""
     return orjson.dumps(value, option=orjson.OPT_SERIALIZE_NUMPY).decode()
 
 
@@ -313,12 +318,12 @@ def begin_write(engine: Engine) -> Iterator[Connection]:
 
 @contextmanager
 def translate_errors(path: Path, action: str) -> Iterator[None]:
-    """Translate errors of SQL to errors of the catalogue.
+    """Translate errors of SQL inside the block to errors of the catalogue.
 
     Raises
     ------
     CatalogueError
-        Contains the file, the action and the remedy.
+        Contains the file, the action and the remedy; `CatalogueDamagedError` for a corrupt row.
     """
     try:
         yield

@@ -172,7 +172,7 @@ class UnchangedCatalogue:
         return sum(self._read_values(f'SELECT count(*) FROM "{table}"')[0] for table in self._list_tables())
 
     def _list_tables(self) -> list[str]:
-        """List the names of the tables."""
+        """List the names of the tables in the file, without those of SQLite."""
         return self._read_values(
             "SELECT name FROM sqlite_master WHERE type = 'table' AND name NOT LIKE 'sqlite_%'"
         )
@@ -186,7 +186,7 @@ class UnchangedCatalogue:
         return self._run_query("SELECT id, kind, wall_utc_ns FROM events WHERE id > ? ORDER BY id", last_id)
 
     def has_event(self, event: EventRow) -> bool:
-        """Return whether an event of the history exists; True if the table is unreadable."""
+        """Return whether an event of the history exists (id, time, kind); True if unreadable."""
         statement = "SELECT kind FROM events WHERE id = ? AND wall_utc_ns = ?"
         try:
             rows = self._run_query(statement, event.id, event.wall_utc_ns)
@@ -200,7 +200,7 @@ class UnchangedCatalogue:
         return {_build_set_key(row) for row in rows if all(isinstance(value, int) for value in row.values())}
 
     def files(self) -> dict[SetKey, str]:
-        """List the files of all rows by key, in order."""
+        """List the distinct files of all rows by set key, in order; sets without a file are missing."""
         rows = self._run_query(f"SELECT DISTINCT {self._key_columns}, file FROM sets WHERE file IS NOT NULL")
         return dict(sorted((_build_set_key(row), row["file"]) for row in rows))
 
@@ -211,12 +211,12 @@ class UnchangedCatalogue:
 
     @property
     def _key_columns(self) -> str:
-        """Return the SQL columns of the key of a set."""
+        """Return the SQL columns of a set's key, with 0 as unscheduled index before revision 0016."""
         return f"set_index, {'' if self._has_unscheduled_index else '0 AS '}unscheduled_index"
 
     @cached_property
     def _positions(self) -> list[str]:
-        """Return the positions that have sets."""
+        """Return the distinct positions that have sets."""
         return self._read_values("SELECT DISTINCT position FROM sets")
 
     def of_set(self, table: str, set_key: SetKey) -> list[dict[str, Any]]:
@@ -243,7 +243,7 @@ class UnchangedCatalogue:
         return rows
 
     def list_stray_shots(self) -> list[int]:
-        """List the shots (`sequence`) whose set has no row of their position."""
+        """List the ids (`sequence`) of shots whose set has no row at their position."""
         same = "sets.position = shots.position AND sets.set_index = shots.set_index"
         if self._has_unscheduled_index:
             same += " AND sets.unscheduled_index = shots.unscheduled_index"

@@ -137,7 +137,7 @@ class RecorderCatalogue(Catalogue):
 
     @contextmanager
     def _open_transaction(self, action: str) -> Iterator[Connection]:
-        """Open a write transaction and translate its errors to those of the catalogue."""
+        """Open a write transaction; raise its errors as `CatalogueError`, with nothing stored."""
         with translate_errors(self._path, action), begin_write(self._engine) as connection:
             yield connection
 
@@ -266,7 +266,7 @@ class RecorderCatalogue(Catalogue):
                 change_row(connection, replace(row, file_sha256=sha256))
 
     def read_digest(self, set_key: SetKey) -> str | None:
-        """Read the stored SHA-256 of the file of a set; None if there is none."""
+        """Read the stored SHA-256 of a set's file in hexadecimal; None if there is none."""
         has_digest = sets.c.file_sha256.is_not(None)
         statement = select(sets.c.file_sha256).where(*_build_set_condition(set_key), has_digest)
         with self.open_snapshot() as connection:
@@ -274,7 +274,10 @@ class RecorderCatalogue(Catalogue):
         return digest
 
     def recompute_counts(self) -> None:
-        """Recompute and store the numbers of sets, shots, records and events from all rows."""
+        """Recompute and store the numbers of sets, shots, records and events from all rows.
+
+        It reads the complete tables in one transaction.
+        """
         echoes = select(sets.c.position).where(sets.c.method == PULSE_ECHO)
         with self._open_transaction("counting") as connection:
             numbers = {
@@ -305,7 +308,7 @@ class RecorderCatalogue(Catalogue):
         return self.rows(CommandRow, states={"pending", "started"})
 
     def start_command(self, command_id: int) -> None:
-        """Mark a command as started before it is executed.
+        """Mark a pending command as started, durably, before it is executed.
 
         Raises
         ------
@@ -315,7 +318,7 @@ class RecorderCatalogue(Catalogue):
         self._advance_command(command_id, "pending", state="started")
 
     def finish_command(self, command_id: int, state: CommandState, result: str | None = None) -> None:
-        """Store the answer to a command.
+        """Store the answer to a pending or started command, with the time of the computer.
 
         Raises
         ------
@@ -341,7 +344,7 @@ class RecorderCatalogue(Catalogue):
 
 
 def _build_set_condition(key: SetKey) -> tuple[ColumnElement[bool], ...]:
-    """Build the conditions that select the rows of a set."""
+    """Build the conditions that select the rows of a set in table ``sets``."""
     return sets.c.set_index == key.set_index, sets.c.unscheduled_index == key.unscheduled_index
 
 
@@ -439,7 +442,10 @@ def _store_row(connection: Connection, row: AlarmRow | AnnotationRow) -> int:
 
 
 def _change_or_insert(connection: Connection, row: Row) -> int:
-    """Replace the stored row with the same id, or insert a new row; return its id."""
+    """Replace the stored row of the same primary key, or insert a new row; return its id.
+
+    Returns 0 for a replaced row of a kind without id.
+    """
     row_id: int | None = getattr(row, "id", 0)
     if row_id is not None and change_row(connection, row):
         return row_id
@@ -462,7 +468,7 @@ def _change_existing(connection: Connection, row: Row, row_id: int) -> int:
 def _build_dated_events(
     commit: SetCommit, alarm_ids: Sequence[int], annotation_ids: Sequence[int]
 ) -> list[EventRow]:
-    """Build the events with time, and with ids of alarms and annotations in their payload."""
+    """Build the events of a commit with a time, and with the ids of new alarms and annotations."""
     now_ns = time.time_ns()
     complete = []
     for number, event in enumerate(commit.events):

@@ -88,7 +88,7 @@ class TakenSet:
             self.echoes.append(measurement)
 
     def requires_restrike(self, taken: Shot | MissedShot) -> bool:
-        """Return whether the quality check repeats a strike; if so, count the repetition."""
+        """Return whether the quality check repeats a strike; if so, count and log the repetition."""
         position = taken.key.position
         flags = ("missed",) if isinstance(taken, MissedShot) else self.features[taken.sequence].flags
         granted = self.rule.wants(flags, attempt=taken.key.attempt, restrikes_so_far=self.restrikes[position])
@@ -175,7 +175,7 @@ class Activity:
         self._resources.heartbeat.beat("; ".join(filter(None, parts)), at_once=at_once)
 
     def announce(self, doing: str) -> None:
-        """Write an activity to the heartbeat, so that the supervisor can name it if it hangs."""
+        """Set the activity and write it to the heartbeat, so that the supervisor can name it if it hangs."""
         self.doing = doing
         self.beat()
 
@@ -327,7 +327,10 @@ class SetAcquisition:
     # After the last strike ------------------------------------------------------------------------
 
     def find_shortfall(self, position: str, taken: TakenSet, cut_short_reason: str = "") -> str:
-        """Return the reason why a position has fewer records than planned; empty if it has all."""
+        """Return why a position has fewer records than planned; empty if it has all.
+
+        ``cut_short_reason`` comes first, then a disabled position, a pause, the stop of the recorder.
+        """
         end_reason = (
             cut_short_reason
             or self._set_assessor.disabled().get(position)

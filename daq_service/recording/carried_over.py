@@ -73,7 +73,7 @@ class CarriedOver:
         acquisition.next_sequence = max(known) + corrupt.n_lost
 
     def has_strikes_of(self, set_key: SetKey) -> bool:
-        """Return whether an earlier recorder made strikes of a set."""
+        """Return whether an earlier recorder made strikes of a set that has no rows yet."""
         return set_key in self.open_sets or set_key in self._rowless_files
 
     def list_unscheduled_sets(self) -> list[DueSet]:
@@ -176,7 +176,10 @@ class CarriedOver:
 
 
 def restore_taken_set(opened: OpenSet, rule: RestrikeRule) -> TakenSet:
-    """Restore the acquired part of a set from the journal; features are added separately."""
+    """Restore the acquired part of a set from the journal, with its counts of repetitions.
+
+    The features are added separately.
+    """
     taken = TakenSet(
         rule=rule,
         disabled=dict(opened.disabled),

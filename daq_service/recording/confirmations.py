@@ -73,7 +73,7 @@ class Confirmations:
             self.asked[one.due.set_key] = self.waiting[one.due.set_key] = one
 
     def apply_rows(self, stored: SetCommit) -> None:
-        """Update the requests and results with the stored rows of a set."""
+        """Update the waiting requests and the last results with the stored rows of confirmation sets."""
         for row in stored.sets:
             if row.purpose == "confirmation":
                 self.waiting.pop(row.set_key, None)
@@ -115,7 +115,11 @@ class Confirmations:
             self.add(reason, planned, position, moment, transaction)
 
     def order(self, planned: DueSet, position: str, author: str, note: str, moment: Moment) -> SetCommit:
-        """Build the request of a person for a set; raise ValueError with the reason if it is rejected."""
+        """Build the request of a person for a set, to be committed.
+
+        Raises ValueError with the reason: the next scheduled set is too near, or there are too many since the
+        last.
+        """
         if too_late := find_overlap(self.find_room_ns(planned, moment.utc_ns), self.set_ns):
             raise ValueError(f"{too_late}: that one says the same")
         transaction = SetCommit()

@@ -162,7 +162,10 @@ class DueSets:
         return self._waiting.run_between_sets() and not self._list_requested_sets()
 
     def _yield_unscheduled_sets(self, scheduled: DueSet | None) -> Iterator[DueSet]:
-        """Yield the unscheduled sets that precede a scheduled one; None: after the last one."""
+        """Yield the unscheduled sets that precede a scheduled one (None: all that are requested).
+
+        Each is yielded once; one whose file exists only gets its rows. None after a stop.
+        """
         for due in self._list_requested_sets():
             if not self._stop.is_set() and (scheduled is None or due.set_index < scheduled.set_index):
                 self._started_unscheduled.add(due.set_key)

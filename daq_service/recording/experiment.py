@@ -73,7 +73,7 @@ def _read_experiment_from_files(archive: SetReader) -> ExperimentRow | None:
 
 
 def find_foreign_reason(record: SetRecord, experiment: ExperimentRow) -> str:
-    """Return the reason why a set is not of this test; empty if it is."""
+    """Return why a set is not of this test (configuration, hour 0); empty if it is."""
     stored = record.provenance.get("configuration_hash", experiment.configuration_hash)
     if stored != experiment.configuration_hash:
         return f"configuration {stored} instead of {experiment.configuration_hash}"

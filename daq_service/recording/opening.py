@@ -94,7 +94,11 @@ class OpeningAlarm:
         self._reported = False
 
     def report_condition(self, trouble: InstrumentError | None) -> None:
-        """Report the error that prevents the opening, None for none; store the alarm if the disk permits."""
+        """Raise the alarm for an error that prevents the opening, or clear it with None.
+
+        A disk error is logged; the next call stores the alarm. Changes are also reported to the starting
+        program.
+        """
         condition, moment = build_opening_condition(trouble), self._moment()
         try:
             change = self._update_stored_alarm(condition, moment)

@@ -61,7 +61,7 @@ def _request_set(
 
 
 def listen_to_instruments(resources: Resources, persistence: Persistence, activity: Activity) -> None:
-    """Report from now on what an instrument asks a person to do; an empty text withdraws it."""
+    """Report from now on what an instrument asks a person to do: in the heartbeat and as events."""
 
     def report(text: str, key: ShotKey | None) -> None:
         """Show a request in the heartbeat and report it as an event; an empty text ends it."""

@@ -57,7 +57,7 @@ class Persistence:
 
     @property
     def has_room(self) -> bool:
-        """Return whether there is memory for another set."""
+        """Return whether the queued jobs hold less memory than the configured limit."""
         return self._n_bytes < self._limit_bytes
 
     # Shots and sets -------------------------------------------------------------------------------
@@ -87,7 +87,7 @@ class Persistence:
                 self._acknowledged(shot_id)
 
     def skip_acknowledged_shots(self, shot_ids: Iterable[int]) -> None:
-        """Skip the report of shots that an earlier recorder has acknowledged."""
+        """Mark shots that an earlier recorder acknowledged, so that they are not reported again."""
         self._reported_ids.update(shot_ids)
 
     def store(self, record: SetRecord) -> StoredSet:
@@ -105,7 +105,9 @@ class Persistence:
     # The queue ------------------------------------------------------------------------------------
 
     def do(self, job: Callable[[], None], *, n_bytes: int = 0) -> None:
-        """Run a job after all queued jobs; at once if none waits.
+        """Run a job after all queued jobs: at once, unless the disk refuses at present.
+
+        A refused job stays queued.
 
         Parameters
         ----------

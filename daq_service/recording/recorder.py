@@ -201,7 +201,10 @@ class Recorder:
         features: Mapping[int, ShotFeatures],
         load: Mapping[str, Any] | None,
     ) -> SetCommit:
-        """Write the set durably, then assess it; return rows, alarms and events as one transaction."""
+        """Write the set durably, then assess it; return rows, alarms and events as one transaction.
+
+        Errors of the disk are raised; the call may be repeated.
+        """
         stored = self._persistence.store(record)
         self._cost.add_set(asdict(stored.timings))
         self._activity.doing = f"assessing {due}"
@@ -213,7 +216,7 @@ class Recorder:
         return transaction
 
     def commit(self, transaction: SetCommit) -> None:
-        """Store the rows, alarms and events of a set in one transaction."""
+        """Store the rows, alarms and events of a set in one transaction; raise errors of the catalogue."""
         with self._cost.of("commit_s"):
             self._set_assessor.store(transaction)
 
@@ -240,9 +243,9 @@ class Recorder:
         return cut and not taken.is_complete(self._set_assessor.n_planned) and self._persistence.acknowledge()
 
     def _end(self) -> bool:
-        """Store the end of the run with its cost and the state of the supply; return whether it is complete.
+        """Store the end of the run with its cost and the end of the drive; return whether it is complete.
 
-        Without a supervisor the supply is left on, since the process of the drive watches it.
+        Without a supervisor the supply stays as it is: the process of the drive watches it.
         """
         finished, is_unsupervised = not self._stop.is_set(), self._resources.options.unsupervised.is_set()
         # A supervisor that was killed is no end of the test: the drive's process watches the supply.

@@ -169,7 +169,10 @@ def _create_clock(
 def _add_background_tasks(
     bare: Resources, folder: Path, archive: FolderArchive, history: HistoryFollower
 ) -> Resources:
-    """Add the work between sets; sets that the last recorder left in the journal get their files first."""
+    """Return the resources with the tasks between sets added.
+
+    Complete sets with rows that the last recorder left in the journal get their files first.
+    """
     catalogue, note_file = bare.catalogue, partial(_store_file_digest, bare.catalogue, history)
     experiment = build_experiment_identity(catalogue.read_experiment())
     disk = DiskWatch(folder, bare.settings.storage, usage=bare.host.disk_usage)
@@ -330,7 +333,10 @@ def _store_stop(
 
 
 def _find_downtime_reason(catalogue: RecorderCatalogue, beat: Beat | None, restart_reason: str) -> str:
-    """Return why no recorder ran until now, by the supervisor, the catalogue or the heartbeat."""
+    """Return why no recorder ran until now, by the supervisor, the catalogue or the heartbeat.
+
+    The supervisor's reason comes first; without any trace the recorder was starting.
+    """
     if restart_reason:
         return f"the recorder {restart_reason}"
     last_event = catalogue.read_last_service_event(*PROCESS_EVENTS)

@@ -277,7 +277,7 @@ class SetAssessor:
         return transaction
 
     def commit(self, transaction: SetCommit) -> None:
-        """Store rows, alarms and events in one transaction, then report them."""
+        """Store rows, alarms and events in one transaction, then report them; raises as `store`."""
         self.store(transaction)
         self.publish(transaction)
 
@@ -300,7 +300,7 @@ class SetAssessor:
             self.alarms[(row.position, row.kind)] = replace(row, id=alarm_id)
 
     def publish(self, transaction: SetCommit) -> None:
-        """Update the state with a stored transaction, and report its alarms and gaps."""
+        """Update delays and requested sets with a stored transaction, and report its alarms and gaps."""
         for event in transaction.events:
             self.apply_stored_event(event)
         self.confirmations.apply_rows(transaction)
@@ -396,7 +396,7 @@ class PositionAssessors:
         return self._assessors[position]
 
     def enable(self, position: str) -> None:
-        """Reset the reason why a transducer was disabled: a person has enabled it."""
+        """Clear the reason why a transducer was disabled: a person has enabled it."""
         self[position].enable()
         self.enabled = True
 

@@ -80,7 +80,7 @@ class StorageAlarms:
             self._report_corruption()
 
     def _report_space(self, space: DiskSpace) -> None:
-        """Report the level of the volume: an event at each change, an alarm at the last two."""
+        """Log and store the level of the volume, with an alarm at the levels "alarm" and "stop"."""
         log.warning("%s: level %s", space.description, space.level)
         self._persistence.say(DISK_SPACE, asdict(space))
         condition = space_condition(
@@ -89,7 +89,7 @@ class StorageAlarms:
         self._store_alarm(condition)
 
     def _store_alarm(self, condition: Condition) -> None:
-        """Store an alarm now, or as soon as the catalogue takes it."""
+        """Update an alarm now, or queue it if the disk refuses."""
         job = partial(self._set_assessor.update_alarm, condition, self._moment())
         try:
             job()
@@ -98,7 +98,10 @@ class StorageAlarms:
             self._persistence.do(job)
 
     def report_trouble(self, trouble: Trouble | None) -> None:
-        """Raise or clear the alarm if the catalogue accepts it; the heartbeat always reports the trouble."""
+        """Raise (or with None clear) the storage alarm, if the catalogue accepts it.
+
+        A short trouble is stored afterwards, as raised and cleared.
+        """
         self._trouble_until_ns = self._moment().utc_ns
         if trouble is not None:
             self._reported_trouble = trouble.message
@@ -114,7 +117,7 @@ class StorageAlarms:
             self._reported_finalizing = ""  # what still has no file is reported again
 
     def _report_finalizing(self, trouble: str) -> None:
-        """Raise or clear the alarm of sets that get no file; nothing of them is at risk."""
+        """Raise or clear the alarm of sets that get no file; they are safe in the journal."""
         if bool(trouble) == bool(self._reported_finalizing) or self._persistence.trouble is not None:
             return
         message = trouble or self._reported_finalizing
@@ -122,7 +125,7 @@ class StorageAlarms:
         self._store_alarm(storage_condition(message, present=bool(trouble), waits_in="journal"))
 
     def _report_corruption(self, *, at_the_start: bool = False) -> None:
-        """Raise or clear the alarm of corrupt or missing sets, and report each new one."""
+        """Raise or clear the alarm of corrupt or missing sets, and store an event of each new one."""
         damaged = dict(self._archive.journal_damage.files)
         for helper in (self._finalizer, self._verification):
             damaged |= {} if helper is None else helper.damaged

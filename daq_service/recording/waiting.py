@@ -50,7 +50,7 @@ class Waiting:
         persistence.on_change = self._report_trouble
 
     def run_between_sets(self) -> bool:
-        """Run the background tasks, heartbeat and requests between sets; return False to stop."""
+        """Run retries, background tasks, alarms and requests between sets; return False to stop."""
         seconds = (self.free_until_ns - self._resources.rig.clock.utc_ns()) / NS_PER_S
         self._persistence.run_for(seconds)
         for task in self._resources.tasks:  # none that can wait, while the disk takes nothing

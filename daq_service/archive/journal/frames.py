@@ -93,7 +93,7 @@ def build_begin_frame(
 
 
 def build_record_frame(record: Shot | PulseEchoRecord) -> Buffers:
-    """Build the frame of a record with all data that the file of its set needs."""
+    """Build the frame of a record with all that the file of its set needs; its counts are not copied."""
     waveform, calibration = record.waveform, record.waveform.calibration
     facts: dict[str, Any] = {
         "key": [record.key.position, record.key.shot_index, record.key.attempt],
@@ -130,7 +130,7 @@ def build_record_frame(record: Shot | PulseEchoRecord) -> Buffers:
 
 
 def build_missed_frame(missed: MissedShot, utc_ns: int) -> Buffers:
-    """Build the frame of a strike or echo that left no record."""
+    """Build the frame of a strike or echo that left no record, with cause and reason."""
     key = {"key": [missed.key.position, missed.key.shot_index, missed.key.attempt]}
     facts = {**key, "cause": missed.cause, "reason": missed.reason}
     return _build_frame(Kind.MISSED, missed.key.set_key, facts, utc_ns=utc_ns)
@@ -199,7 +199,7 @@ def _build_frame(
 
 def _compute_body_crc32(facts: bytes, counts_crc32: int) -> int:
     # File and catalogue use the CRC-32 of the counts, too: it is computed once.
-    """Compute the CRC-32 of the facts and of the CRC-32 of the counts."""
+    """Compute the CRC-32 of the facts, continued with the CRC-32 of the counts."""
     return zlib.crc32(_CRC.pack(counts_crc32), zlib.crc32(facts))
 
 

@@ -87,7 +87,7 @@ class JournaledSet:
 
     @property
     def has_records(self) -> bool:
-        """Return whether the set has an intact record."""
+        """Return whether the set has an intact record in the journal."""
         return bool(self.shots)
 
     def find_sequence(self, position: str, shot_index: int) -> int | None:
@@ -166,7 +166,7 @@ _PLAIN = (
 
 
 def _parse_missed(set_key: SetKey, facts: Mapping[str, Any]) -> MissedShot:
-    """Parse a missed record from an entry of the end frame."""
+    """Parse a missed record from an entry of the end frame; KeyError if the entry lacks a key."""
     key = ShotKey.in_set(set_key, facts["position"], facts["shot_index"], facts["attempt"])
     return MissedShot(key=key, cause=facts["cause"], reason=facts["reason"])
 
@@ -183,7 +183,7 @@ def parse_segment_number(file: str) -> int:
 
 
 def list_strays(folder: Path) -> list[Path]:
-    """List the files of the journal's folder that hold frames but lack a segment's name."""
+    """List the files of the journal's folder that hold frames but lack a segment's name; read them all."""
     others = (path for path in (folder / JOURNAL_FOLDER).glob("*") if not _NAME.fullmatch(path.name))
     return [path for path in others if path.is_file() and any(parse_frames(read_shared(path)))]
 

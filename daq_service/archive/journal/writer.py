@@ -136,10 +136,14 @@ class Journal:
     def set_aside(self, set_key: SetKey, name: str) -> None:
         """Copy the segments of a set to the quarantine under its name; the set may then start again.
 
+        Its frames are discarded by a synced frame.
+
         Raises
         ------
         OSError
             It stays as it is.
+        KeyError
+            The journal has no frame of it.
         """
         item = read_journal(self._folder, of_set=set_key)[set_key]
         for number in item.segments:

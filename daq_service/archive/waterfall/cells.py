@@ -142,7 +142,11 @@ def compute_record_planes(placed: Iterable[tuple[Waveform, float]], frame: Frame
 def compute_planes(
     record: SetRecord, position: str, alignment: Alignment, anchors: Mapping[int, float], frame: Frame
 ) -> Planes:
-    """Compute the cells of all accepted records of a set at a position that have an anchor."""
+    """Compute the cells in V of all accepted records of a set at a position that have an anchor.
+
+    ``anchors`` holds the time of the first pulse or echo in s by shot id; a record without one is skipped,
+    unless the alignment is the trigger.
+    """
     placed = [
         (item.waveform, 0.0 if alignment == "trigger" else anchors[item.sequence])
         for item in select_accepted_records(record, position)
@@ -161,7 +165,7 @@ def select_accepted_records(record: SetRecord, position: str) -> list[Shot | Pul
 
 
 def coarsen(planes: Planes, frame: Frame, part: Frame) -> Planes:
-    """Combine cells of a finer frame to those of a coarser one, or of a part of it.
+    """Combine cells of a finer frame to those of a coarser one, or of a part of it; NaN outside the finer.
 
     Parameters
     ----------

@@ -32,7 +32,7 @@ class Index(Protocol):
     """Queries of a waterfall to the catalogue."""
 
     def count_stored_sets(self, first: int, last: int) -> int:
-        """Count the sets of the position that have records, with indices from ``first`` to ``last``."""
+        """Count the sets of the position that have records, with indices from first to last (inclusive)."""
         ...
 
     def file(self, set_index: int) -> SetReference | None:
@@ -184,7 +184,7 @@ class WaterfallReader:
         return planes.astype(np.float32), len(rows), reading.pending
 
     def compute_row(self, tiles: Tiles, index: Index, set_index: int, file: SetReference) -> TileRow:
-        """Compute the row of a set from its records.
+        """Compute the row of a set from its readable records, without the cache.
 
         Raises
         ------
@@ -198,7 +198,7 @@ class WaterfallReader:
         return build_tile_row(record, planes)
 
     def find_cached_row(self, tiles: Tiles, set_index: int) -> TileRow | None:
-        """Find a row in the cache; None if it is not there."""
+        """Find the row of a set for the frame of the tiles in the cache; None if it is not there."""
         with self._lock:
             return self._memory.get((tiles.position, repr((tiles.alignment, tiles.frame)), set_index))
 

@@ -76,7 +76,7 @@ def build_tile_row(record: SetRecord, planes: Planes) -> TileRow:
 def build_tiles(
     folder: Path, experiment: str, record: SetRecord, position: str, alignment: Alignment
 ) -> Tiles | None:
-    """Build the tiles with the frame of the records of a set; None if it has none of the position."""
+    """Build the tiles with the frame of a set's records; None if it has no accepted one of the position."""
     records = select_accepted_records(record, position)
     if not records:
         return None

@@ -94,7 +94,7 @@ class Tiles:
             yield from self._decode_rows(width, start, self._read_slots(width, tile, start, end))
 
     def _decode_rows(self, width: int, start: int, content: memoryview) -> Iterator[tuple[int, TileRow]]:
-        """Decode the intact rows in the bytes of slots from ``start`` on."""
+        """Yield number and row of the intact rows in the bytes of slots from number ``start`` on."""
         for offset in range(0, len(content), self._slot_bytes):
             number = start + offset // self._slot_bytes
             row = self._decode_row(content[offset : offset + self._slot_bytes])
@@ -106,7 +106,10 @@ class Tiles:
         return next((row for _, row in self.rows(width, range(number, number + 1))), None)
 
     def has_set(self, set_index: int) -> bool:
-        """Return whether a set has its row, and all coarser rows count the sets of their four finer ones."""
+        """Return whether a set has its row, and all coarser rows count the sets of their four finer ones.
+
+        False if a row is missing or corrupt.
+        """
         row = self.row(1, set_index)
         for finer_width, width in pairwise(WIDTHS):
             if row is None:
@@ -119,7 +122,7 @@ class Tiles:
         return row is not None
 
     def write_row(self, row: TileRow, *, complete_blocks_only: bool = False) -> None:
-        """Write the row of a set and update the coarser rows above it.
+        """Write the row of a set and update the coarser rows above it; replace an existing row.
 
         Parameters
         ----------
@@ -170,7 +173,7 @@ class Tiles:
         return _HEADER_BYTES + number % ROWS_OF_A_TILE * self._slot_bytes
 
     def _decode_row(self, slot: memoryview) -> TileRow | None:
-        """Decode the row of a slot; None if it is not sound."""
+        """Decode the row of a slot; None if it is truncated, empty or does not match its CRC-32."""
         if len(slot) < self._slot_bytes:
             return None
         crc32, _, n_sets, first_set, last_set, first_h, last_h = _FACTS.unpack_from(slot)
@@ -228,7 +231,7 @@ def _build_header(tiles: Tiles) -> bytes:
 
 
 def compute_slot_bytes(n_cells: int) -> int:
-    """Compute the size in bytes of a row in its tile."""
+    """Compute the size in bytes of a row in its tile: 64, and 8 per cell."""
     return _FACTS.size + 2 * 4 * n_cells
 
 

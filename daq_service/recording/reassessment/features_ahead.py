@@ -55,7 +55,7 @@ class ExtractedAhead:
         return record
 
     def _start_extraction(self, reference: SetReference) -> None:
-        """Read a set and start the extraction of its features."""
+        """Read a set and submit the extraction of its features to the executor; raise as ``read``."""
         record = self.read(reference)
         # Without truth and settings of a shot: extraction does not use them.
         records = [(shot.sequence, shot.key, shot.stamp, shot.waveform) for shot in record.shots]

@@ -86,7 +86,7 @@ def changed(configuration: Mapping[str, Any], given: Mapping[KeyPath, Any]) -> S
 
 
 def _is_replaced(path: KeyPath, given: Mapping[KeyPath, Any]) -> bool:
-    """Return whether a key, a parent or a child of it is given."""
+    """Return whether a given key is this key, a parent or a child of it."""
     return any(path[: len(one)] == one or one[: len(path)] == path for one in given)
 
 

@@ -184,7 +184,7 @@ class _Reassessment:
             self._assessor.commit(self._assessor.assessed(due, record, file, self._features(record)))
 
     def _store_set_without_records(self, rows: list[SetRow]) -> None:
-        """Store the rows of a set without records; failed strikes may raise alarms."""
+        """Store the rows of a set without records; missed strikes of a scheduled one may raise alarms."""
         self._assessor.commit(SetCommit(sets=[replace(row, id=None) for row in rows]))
         for row in rows:
             if row.purpose is None and row.state != "disabled" and row.n_missed:
@@ -202,7 +202,10 @@ class _Reassessment:
         repeat_action(event, self._assessor.assessors, self._settings.positions)
 
     def _repeat_baseline_action(self, stored: BaselineRow) -> None:
-        """Repeat a person's action on a baseline; its numbers are those of this assessment."""
+        """Repeat a person's action on a baseline; its numbers are those of this assessment.
+
+        A baseline that is not there is added as a new one, with as many sets as these settings require.
+        """
         rows = {row.id: row for row in self._again.rows(BaselineRow, position=stored.position)}
         if (present := rows.get(stored.id)) is not None:
             step = {name: getattr(stored, name) for name in LIFE}

@@ -174,7 +174,7 @@ def _sync_file(path: Path) -> None:
 
 
 def _update_copies(folder: Path, progress: Progress | None) -> list[str]:
-    """Update experiment.json, history and tiles (None: not these); return what the tiles lack."""
+    """Update experiment.json, history and (unless ``progress`` is None) tiles; list what the tiles lack."""
     with open_catalogue(folder, writer=True) as catalogue:
         experiment = catalogue.read_experiment()
         ensure_experiment_file(folder, experiment)
@@ -188,7 +188,7 @@ def _update_copies(folder: Path, progress: Progress | None) -> list[str]:
 
 
 def _collect_warnings(history: History, kept: Salvaged, found: Restored, not_tiled: list[str]) -> list[str]:
-    """Return the warnings about history, old catalogue, sets and tiles, ten of each at most."""
+    """Format warnings about history, old catalogue, sets and tiles, at most ten of each."""
 
     def some(lines: Iterable[str], what: str) -> list[str]:
         """Prefix lines with their subject; of more than ten, give the number of the others."""

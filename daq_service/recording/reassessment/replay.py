@@ -143,7 +143,10 @@ def replay_test(
 
 
 def _describe_unassessed(position: str, recomputed: Catalogue, settings: Settings) -> Iterator[NotAssessed]:
-    """Yield a message if no set of a position follows its baseline, since no alarm reports it."""
+    """Yield one message if all assessed sets of a position belong to its baseline, else none.
+
+    No alarm would report this.
+    """
     found = recomputed.columns(AssessmentRow, ("set_index", "in_baseline"), position=position)
     if not all(found["in_baseline"]) or not found["set_index"]:
         return

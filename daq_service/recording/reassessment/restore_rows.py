@@ -186,7 +186,7 @@ class _Restoration:
             repeat_action(event, self._set_assessor.assessors, self._settings.positions)
 
     def _apply_alarm_event(self, event: EventRow) -> None:
-        """Update the alarms and delays with an event of the history."""
+        """Update alarms, delays and requested sets with an event of the history."""
         self._set_assessor.apply_stored_event(event)
         if event.topic == "alarms" and event.kind != DELAY_EVENT:
             row = full_row(AlarmRow, event, "alarm_id")

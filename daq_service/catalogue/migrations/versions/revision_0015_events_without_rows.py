@@ -15,7 +15,7 @@ _QUALITIES = ("supply_quality", "climate_quality")
 
 
 def upgrade() -> None:
-    """Replace two words in columns, evidence and payloads."""
+    """Replace "refused" and "lost" by the current words in columns, evidence and payloads."""
     _replace_column("commands", "state", "refused", "rejected")
     for name in _QUALITIES:
         _replace_column("environment", name, *NO_COMMUNICATION)
