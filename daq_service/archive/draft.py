@@ -2,7 +2,7 @@
 
 HDF5 takes far longer to create a dataset, its attributes and its scales than to write a few numbers into
 it. A skeleton has everything but the values and the attributes that differ from file to file. It depends on
-the structure alone, so the same content gives the same bytes whatever was made before.
+the structure alone, so the same content gives the same bytes, independent of earlier files.
 """
 
 from __future__ import annotations

@@ -227,7 +227,7 @@ class Catalogue:
         return self._read_rows(SetRow, _build_newest_gaps_query(count))
 
     def read_newest_recorded(self) -> SetRow | None:
-        """Read the row that was stored last of a scheduled set with a file; None without one."""
+        """Read a row of the newest scheduled set with records; None without one."""
         return self._read_newest_row(SetRow, sets.c.file.is_not(None) & is_scheduled(sets))
 
     def list_newest_files(self, n_rows: int) -> dict[SetKey, str]:

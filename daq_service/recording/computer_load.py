@@ -36,7 +36,7 @@ class ComputerLoad:
     clock_ahead_s
         The computer's UTC less the test's time; None on a simulated clock.
     clock_synchronised
-        Whether the system knows that somebody keeps its UTC right; None on a simulated clock.
+        Whether the system reports its UTC as synchronized; None on a simulated clock.
     files_read
         Stored sets that this recorder has read again while nothing was due.
     """

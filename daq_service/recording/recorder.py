@@ -99,10 +99,7 @@ class Recorder:
     def run(self, *, not_running_reason: str, opening: Opening | None = None) -> bool:
         """Take every set that is still due, then wait for their files; return False when ``stop`` came first.
 
-        Parameters
-        ----------
-        opening
-            What this recorder did before, while other sets may have fallen due.
+        ``opening`` is what this recorder did before, while other sets may have fallen due.
         """
         resources, persistence, waiting = self._resources, self._persistence, self.waiting
         done = resources.catalogue.list_committed_sets()
@@ -123,10 +120,7 @@ class Recorder:
         return self._end()
 
     def _process_set(self, due: DueSet) -> None:
-        """Acquire a set and pass it through all stages; record a gap if it cannot be acquired.
-
-        A set that a stop cut short stays open. Raises RigError after an instrument error that will not pass.
-        """
+        """Acquire a set and pass it through all stages, or record a gap; RigError after a lasting error."""
         if hindrance := self._due_sets.find_hindrance(due):
             self._record_gap(due, hindrance)
             return
@@ -201,10 +195,7 @@ class Recorder:
         features: Mapping[int, ShotFeatures],
         load: Mapping[str, Any] | None,
     ) -> SetCommit:
-        """Write the set durably, then assess it; return rows, alarms and events as one transaction.
-
-        Errors of the disk are raised; the call may be repeated.
-        """
+        """Write the set durably, then assess it; return rows, alarms and events as one transaction."""
         stored = self._persistence.store(record)
         self._cost.add_set(asdict(stored.timings))
         self._activity.doing = f"assessing {due}"
@@ -243,10 +234,7 @@ class Recorder:
         return cut and not taken.is_complete(self._set_assessor.n_planned) and self._persistence.acknowledge()
 
     def _end(self) -> bool:
-        """Store the end of the run with its cost and the end of the drive; return whether it is complete.
-
-        Without a supervisor the supply stays as it is: the process of the drive watches it.
-        """
+        """Store the end of the run with its cost and that of the drive; return whether it is complete."""
         finished, is_unsupervised = not self._stop.is_set(), self._resources.options.unsupervised.is_set()
         # A supervisor that was killed is no end of the test: the drive's process watches the supply.
         drive = None if is_unsupervised else self._set_assessor.drive

@@ -132,8 +132,10 @@ class SetAssessor:
 
         Parameters
         ----------
+        features
+            Features of each shot of the record, by sequence.
         file, sha256
-            Where the record lies, and the SHA-256 of the file if it is made.
+            Reference of the record, and the SHA-256 of the file if it is made.
         """
         moment = Moment.of_set(due, record.ended_utc_ns)
         reasons = {position.position: position.cause for position in record.positions}
