@@ -1,6 +1,6 @@
 """Each row carries a checksum, a set the SHA-256 of its file.
 
-Rows of an older catalogue get their checksums when all migrations are done (`sealed.seal_unsealed`).
+Rows of an older catalogue get their checksums when all migrations are done (`migrations.migrate_schema`).
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Blocks of trends, so that no chart reads a whole test; alarms of a set are found in an index.
 
-The blocks are filled when all migrations are done (`pyramid.rebuild_trends`).
+The blocks are filled when all migrations are done (`trends.rebuild_trends`).
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Names of the field, identity of a test, thickness intervals, states of assessors.
 
-Rows whose names or values change get their checksums when all migrations are done (`seal_unsealed`).
+Rows whose names or values change get their checksums when all migrations are done (`migrate_schema`).
 """
 
 from __future__ import annotations

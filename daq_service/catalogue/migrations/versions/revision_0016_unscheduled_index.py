@@ -1,7 +1,7 @@
 """Give the number of an unscheduled set its own column: it was part of ``set_index``.
 
 SQLite cannot change a unique constraint, so tables with the key are copied. Rows of scheduled sets keep their
-checksums, those of unscheduled sets get theirs when all migrations are done (`seal_unsealed`).
+checksums, those of unscheduled sets get theirs when all migrations are done (`migrate_schema`).
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Reason of an incomplete set, name of the MEWMA limit, key of a pause.
 
-Rows that change get their checksums when all migrations are done (`seal_unsealed`).
+Rows that change get their checksums when all migrations are done (`migrate_schema`).
 """
 
 from __future__ import annotations
