@@ -127,6 +127,7 @@ def build_draft_image(root: Node) -> bytes:
 @dataclass(frozen=True, slots=True)
 class _Structure:
     """Key of a structure, by which skeletons are cached, and one draft that has it."""
+
     key: bytes
     draft: Sequence[Node] = field(compare=False)
 

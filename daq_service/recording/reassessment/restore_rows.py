@@ -125,6 +125,7 @@ def restore_rows(
 
 class _Restoration:
     """Restores the sets of a test one after the other; stores their rows in commits of 64 sets."""
+
     def __init__(
         self,
         settings: Settings,
