@@ -256,8 +256,8 @@ class _Restoration:
     def _complete_set_rows(self, stored: Sequence[SetRow], left_out: Mapping[str, str]) -> list[SetRow]:
         """Add to a set's rows the disabled positions and the SHA-256 of its file, in the order of positions.
 
-        A scheduled set gets a disabled row for each position in ``left_out`` without a row. Without any row,
-        as of an unscheduled set, no position is added; a position that the settings lack is dropped.
+        Each position in ``left_out`` without a row gets a disabled one, unless the set is unscheduled or has
+        no row at all. Rows of positions that the settings lack are dropped.
         """
         rows = {row.position: row for row in stored}
         of_the_plan = stored and stored[0].purpose is None
