@@ -28,12 +28,12 @@ _ZLIB_HEADER = b"\x78\x01"
 
 
 def filter_chunk(values: NDArray[Any]) -> bytes:
-    """Shuffle and deflate a chunk and append its checksum.
+    """Shuffle and deflate a chunk; return the bytes with their checksum at the end.
 
     Parameters
     ----------
     values
-        One chunk, C-contiguous, as it lies in the file (little-endian).
+        One chunk, C-contiguous, in the byte order of the file (little-endian).
     """
     size = values.dtype.itemsize
     planes = np.ascontiguousarray(values.reshape(-1).view(np.uint8).reshape(-1, size).T)
@@ -49,7 +49,7 @@ def _deflate(content: bytes) -> bytes:
 
 
 def _deflate_planes(planes: NDArray[np.uint8]) -> bytes:
-    """Compress byte planes to one zlib stream; shape (n_planes, n_bytes)."""
+    """Compress byte planes, shape (n_planes, n_bytes), to one zlib stream; noise is stored as it is."""
     last = len(planes) - 1
     parts = [_ZLIB_HEADER]
     checksum = zlib.adler32(b"")
@@ -66,7 +66,7 @@ def _deflate_planes(planes: NDArray[np.uint8]) -> bytes:
 
 
 def _is_noise(probe: NDArray[np.uint8]) -> bool:
-    """Return whether the entropy is too high for deflate to save more than 3 %."""
+    """Return whether the entropy of a sample exceeds 7.75 bits per byte: deflate would save at most 3 %."""
     counts = np.bincount(probe, minlength=256)
     bits = math.log2(probe.size) - float(_compute_n_log2_n()[counts].sum()) / probe.size
     return bits > _NOISE_BITS_PER_BYTE
@@ -81,7 +81,10 @@ def _compute_n_log2_n() -> NDArray[np.float64]:
 
 
 def _build_stored_blocks(content: bytes, *, final: bool) -> bytes:
-    """Build deflate blocks that hold the bytes uncompressed."""
+    """Build deflate blocks of at most 65 535 bytes that hold the content uncompressed.
+
+    ``final`` marks the last block as the end of the stream.
+    """
     parts: list[bytes] = []
     for first in range(0, len(content), _LONGEST_STORED_BYTES):
         part = content[first : first + _LONGEST_STORED_BYTES]
@@ -104,11 +107,11 @@ def compute_fletcher32(content: bytes) -> int:
 
 
 def _build_countdown(size: int) -> NDArray[np.int64]:
-    """Return the integers size, size - 1, ... 1."""
+    """Return the integers size, size - 1, ... 1, shape (size,): a view of a cached array."""
     return _build_longest_countdown(size.bit_length())[-size:] if size else np.zeros(0, dtype=np.int64)
 
 
 @lru_cache(maxsize=2)
 def _build_longest_countdown(bits: int) -> NDArray[np.int64]:
-    """Build a countdown that covers every size of so many bits; cached."""
+    """Build the integers from 2**bits - 1 down to 1; cached."""
     return np.arange((1 << bits) - 1, 0, -1)

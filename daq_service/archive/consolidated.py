@@ -51,7 +51,7 @@ class Sampling:
 
     @property
     def signal(self) -> str:
-        """Return the name of the array."""
+        """Return the name of the array in its group: ``record`` of pulse echoes, ``waveform`` of strikes."""
         return "record" if self.is_echo else "waveform"
 
 
@@ -91,7 +91,7 @@ class Facts:
 
 
 def list_blocks(folder: Path, file: SetReference) -> list[tuple[Sampling, Block]]:
-    """List the record arrays of a set's file without reading the records.
+    """List the record arrays of a set's file, each with its sampling, without reading the records.
 
     Raises
     ------
@@ -167,7 +167,10 @@ def build_consolidated_image(
 
 
 def _to_relative(target: Path, folder: Path) -> str:
-    """Return the path from the file to the data folder; absolute if it is on another Windows drive."""
+    """Return the path from the file's folder to the data folder, with slashes.
+
+    It is absolute if the two are on different Windows drives.
+    """
     target_folder, data_folder = target.parent.resolve(), folder.resolve()
     return (
         Path(os.path.relpath(data_folder, target_folder))
@@ -177,7 +180,7 @@ def _to_relative(target: Path, folder: Path) -> str:
 
 
 def name_groups(samplings: Iterable[Sampling]) -> dict[Sampling, str]:
-    """Name the group of each record array; equal samplings of a position get numbers."""
+    """Name the group of each record array; further samplings of a position get numbers from 2."""
     names, n_groups = dict[Sampling, str](), dict[str, int]()
     for sampling in samplings:
         base = f"{sampling.position}_{'pulse_echo' if sampling.is_echo else 'waveforms'}"
@@ -189,7 +192,10 @@ def name_groups(samplings: Iterable[Sampling]) -> dict[Sampling, str]:
 def _add_shots(
     entry: GroupID, name: str, sampling: Sampling, blocks: Sequence[Block], columns: Columns, folder: str
 ) -> None:
-    """Add the group of an array: virtual dataset, time axis, calibration and columns."""
+    """Add the group of an array: virtual dataset, time axis in s, calibration and columns.
+
+    The rows are those of the blocks in their order; a missing file reads as the lowest count.
+    """
     shot_ids = np.concatenate([np.asarray(block.shot_ids, dtype=np.int64) for block in blocks])
     signal = sampling.signal
     group = add_group(
@@ -218,7 +224,11 @@ def _add_shots(
 
 
 def _add_scale(group: GroupID, signal: str, blocks: Sequence[Block], shot: h5py.h5d.DatasetID) -> None:
-    """Add each shot's calibration: boards recalibrate themselves during a test."""
+    """Add each shot's calibration: boards recalibrate themselves during a test.
+
+    Coefficients in V, shape (n_shots, n_coefficients), padded with zeros; scaling factor in V and offset in
+    counts for viewers.
+    """
     length = max(block.calibration.coefficients_v.size for block in blocks)
     padded = [
         np.pad(b.calibration.coefficients_v, (0, length - b.calibration.coefficients_v.size)) for b in blocks
@@ -233,7 +243,7 @@ def _add_scale(group: GroupID, signal: str, blocks: Sequence[Block], shot: h5py.
 
 
 def _add_columns(group: GroupID, columns: Columns, *, axis: h5py.h5d.DatasetID | None = None) -> None:
-    """Add a dataset per column with its unit; the first one is the axis unless given."""
+    """Add a dataset per column with its unit; without ``axis`` the first column is the axis of the others."""
     for name, values in columns.items():
         if axis is None:
             axis = add_field(group, name, values, is_axis=True)

@@ -2,7 +2,7 @@
 
 HDF5 takes far longer to create a dataset, its attributes and its scales than to write a few numbers into
 it. A skeleton has everything but the values and the attributes that differ from file to file. It depends on
-the structure alone, so the same content gives the same bytes whatever was made before.
+the structure alone, so the same content gives the same bytes, independent of earlier files.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ class Node:
     link: str = ""
 
     def add(self, name: str, attributes: Mapping[str, Attribute], **facts: Any) -> Node:
-        """Add a node below this one."""
+        """Append a node below this one to the draft and return it; ``facts`` are its other fields."""
         path = f"{self.path}/{name}".lstrip("/")
         self.draft.append(Node(path=path, draft=self.draft, attributes=dict(attributes), **facts))
         return self.draft[-1]
@@ -65,7 +65,7 @@ class Node:
 
 
 def start_draft(attributes: Mapping[str, Attribute], own_attributes: Mapping[str, Attribute]) -> Node:
-    """Start the draft of a file in memory; return its root."""
+    """Create the root node of a draft with its attributes; ``own_attributes`` differ from file to file."""
     root = Node(path="", draft=[], attributes=dict(attributes), own_attributes=own_attributes)
     root.draft.append(root)
     return root
@@ -74,7 +74,7 @@ def start_draft(attributes: Mapping[str, Attribute], own_attributes: Mapping[str
 def add_group(
     parent: Node, name: str, nx_class: str, attributes: Mapping[str, Attribute] | None = None
 ) -> Node:
-    """Add a group of a NeXus class."""
+    """Add a group of a NeXus class to the draft and return its node."""
     return parent.add(name, {"NX_class": nx_class, **(attributes or {})})
 
 
@@ -89,7 +89,10 @@ def add_field(
     own_attributes: Mapping[str, Attribute] | None = None,
     **attributes: Attribute,
 ) -> Node:
-    """Add a dataset, as `nexus.add_field` does in a file."""
+    """Add a dataset to the draft and return its node; arguments as in `nexus.add_field`.
+
+    ``own_attributes`` are those that differ from file to file.
+    """
     return parent.add(
         name,
         attributes,
@@ -102,7 +105,7 @@ def add_field(
 
 
 def build_draft_image(root: Node) -> bytes:
-    """Build the bytes of the HDF5 file that a draft describes."""
+    """Build the bytes of the HDF5 file that a draft describes; equal drafts give equal bytes."""
     key = orjson.dumps([node.structure for node in root.draft], option=orjson.OPT_SERIALIZE_NUMPY)
     file = nexus.open_image(
         _create_skeleton(_Structure(key, root.draft)).fill_values(root.draft), is_own=True, writable=True
@@ -123,6 +126,8 @@ def build_draft_image(root: Node) -> bytes:
 
 @dataclass(frozen=True, slots=True)
 class _Structure:
+    """Key of a structure, by which skeletons are cached, and one draft that has it."""
+
     key: bytes
     draft: Sequence[Node] = field(compare=False)
 
@@ -139,7 +144,7 @@ class _Skeleton:
     lock: threading.Lock
 
     def fill_values(self, draft: Sequence[Node]) -> bytes:
-        """Fill the values of a draft into the skeleton; return the bytes of the file."""
+        """Fill the small datasets of a draft into the skeleton, under its lock; return the file's bytes."""
         with self.lock:
             for node in draft:
                 if node.path in self.small and node.stored is not None:
@@ -149,7 +154,7 @@ class _Skeleton:
 
 @lru_cache(maxsize=_SKELETONS)
 def _create_skeleton(structure: _Structure) -> _Skeleton:
-    """Create the HDF5 skeleton of a structure, without values; cached."""
+    """Create the HDF5 skeleton of a structure, without values; the 32 last used are cached."""
     with nexus.new_image() as file:
         made: dict[str, h5g.GroupID | h5d.DatasetID] = {"": nexus.open_root(file)}
         nexus.set_attributes(made[""], structure.draft[0].attributes)

@@ -76,7 +76,7 @@ def finalize_set(
 
 
 def _records_match(stored: Sequence[Record], records: Sequence[Record]) -> bool:
-    """Return whether every record was read back with its key, time stamp and counts."""
+    """Return whether every record was read back, in order, with its key, time stamp and counts."""
     return len(stored) == len(records) and all(
         (a.sequence, a.key, a.stamp) == (b.sequence, b.key, b.stamp)
         and np.array_equal(a.waveform.counts, b.waveform.counts)

@@ -82,7 +82,10 @@ class _RecordGroup:
 
 
 def build_image(record: SetRecord) -> bytes:
-    """Build the bytes of the HDF5 file of a set; equal sets give equal bytes."""
+    """Build the bytes of the HDF5 file of a set; equal sets give equal bytes.
+
+    Raises ValueError if the provenance contains NaN or infinities, which JSON does not have.
+    """
     groups = _group_records(record.records)
     root = start_draft(
         {
@@ -111,12 +114,12 @@ def build_image(record: SetRecord) -> bytes:
 
 
 def _version(record: SetRecord) -> str:
-    """Return the version of solimon that recorded the set."""
+    """Return the version of solimon that recorded the set, "" if the provenance does not name it."""
     return str(record.provenance.get("versions", {}).get("solimon", ""))
 
 
 def _group_records(records: Sequence[Record]) -> list[_RecordGroup]:
-    """Group records that share position, kind, sampling and calibration."""
+    """Group records that share position, kind, sampling and calibration, in order of their first record."""
     by_key: dict[tuple[Any, ...], list[Record]] = {}
     for record in records:
         waveform = record.waveform
@@ -146,7 +149,7 @@ def _group_records(records: Sequence[Record]) -> list[_RecordGroup]:
 
 
 def _add_facts(entry: Node, record: SetRecord) -> None:
-    """Add title, times, identifiers and purpose of the set."""
+    """Add title, times, identifiers, program, purpose and instrument error of the set."""
     provenance = record.provenance
     configuration_hash = str(provenance.get("configuration_hash", ""))
     sequences = [shot.sequence for shot in record.records]
@@ -170,7 +173,7 @@ def _add_facts(entry: Node, record: SetRecord) -> None:
 
 
 def _add_detectors(entry: Node, record: SetRecord, groups: Sequence[_RecordGroup]) -> None:
-    """Add an NXdetector with sampling and calibration for each group."""
+    """Add an NXdetector with sampling, calibration and serial number of the transducer for each group."""
     serial_numbers = {position.position: position.serial_number for position in record.positions}
     instrument = add_group(entry, "instrument", "NXinstrument")
     add_field(instrument, "name", record.rig_kind)
@@ -199,13 +202,16 @@ def _add_detectors(entry: Node, record: SetRecord, groups: Sequence[_RecordGroup
 
 
 def _compute_nexus_scale(waveform: Waveform) -> tuple[float, float]:
-    """Compute scale and offset of NXdata for viewers: volts = (counts + offset) * scale."""
+    """Compute scale in V and offset in counts of NXdata for viewers: volts = (counts + offset) * scale.
+
+    The offset is 0 if the scale is 0; higher coefficients of the calibration are left out.
+    """
     constant, slope = (float(c) for c in waveform.calibration.coefficients_v[:2])
     return slope, constant / slope if slope else 0.0
 
 
 def _add_records(entry: Node, record: SetRecord, groups: Sequence[_RecordGroup]) -> None:
-    """Add an NXdata with counts, time axis and shot ids for each group."""
+    """Add an NXdata with counts, time axis, shot times and ids for each group; chunks hold one record."""
     time_axes: dict[tuple[float, int, int], Node] = {}
     start = format_utc(record.due_utc_ns)
     for group in groups:
@@ -258,7 +264,7 @@ def _add_time_axis(
     group: _RecordGroup,
     time_axes: dict[tuple[float, int, int], Node],
 ) -> Node:
-    """Add the time axis; groups with equal sampling share it by a hard link."""
+    """Add the time axis in s from the trigger and return it; groups with equal sampling share one."""
     if group.sampling in time_axes:
         axis = time_axes[group.sampling]
         data.add("time", {}, link=axis.path)
@@ -277,7 +283,10 @@ def _add_time_axis(
 
 
 def _add_facts_of_records(entry: Node, record: SetRecord, kind: Literal["truth", "settings"]) -> None:
-    """Add a table with a row per record and a column per fact; ``known`` marks the records that have it."""
+    """Add a table with a row per record and a column per fact, unless no record has facts.
+
+    ``known`` marks the records that have a fact; the others have NaN or an empty text.
+    """
     facts: list[Mapping[str, float | str]] = [getattr(shot, kind) for shot in record.records]
     names = sorted(set().union(*facts))
     if not names:
@@ -297,7 +306,7 @@ def _add_facts_of_records(entry: Node, record: SetRecord, kind: Literal["truth",
 
 
 def _add_missed(entry: Node, record: SetRecord) -> None:
-    """Add a table of the strikes and echoes without a record."""
+    """Add a table of the strikes and echoes without a record, unless there are none."""
     if not record.missed:
         return
     table = add_group(entry, "missed", "NXcollection")
@@ -311,7 +320,7 @@ def _add_missed(entry: Node, record: SetRecord) -> None:
 
 
 def _add_environment(entry: Node, record: SetRecord) -> None:
-    """Add supply and climate values of the set."""
+    """Add the available supply and climate values of the set, unless there are none."""
     known = {name: value for name, value in record.environment.items() if value is not None}
     if not known:
         return
@@ -359,7 +368,7 @@ def _add_shots(entry: Node, record: SetRecord) -> None:
 
 
 def _add_positions(entry: Node, record: SetRecord) -> None:
-    """Add a table with the numbers of planned and recorded records per position."""
+    """Add a table with method, labels and the numbers of planned and recorded records per position."""
     positions = record.positions
     positions_of_records = [shot.key.position for shot in record.records]
     table = add_group(entry, "positions", "NXcollection")
@@ -372,7 +381,7 @@ def _add_positions(entry: Node, record: SetRecord) -> None:
 
 
 def _add_results(entry: Node, record: SetRecord) -> None:
-    """Add the tables of results, if there are any."""
+    """Add the tables of results, each by its key column; empty ones are omitted."""
     for table, axis_name in RESULTS.items():
         columns = {name: list(values) for name, values in record.results.get(table, {}).items()}
         if not columns:
@@ -387,7 +396,7 @@ def _add_results(entry: Node, record: SetRecord) -> None:
 
 
 def _to_column(values: list[float | str]) -> Any:
-    """Convert a column to texts or to an array of numbers."""
+    """Return a column of texts as it is, one of numbers as an array; the first value decides."""
     return values if isinstance(values[0], str) else np.array(values)
 
 
@@ -441,7 +450,7 @@ def _compute_envelope(group: _RecordGroup, starts: NDArray[np.int64]) -> dict[st
 
 
 def _add_provenance(entry: Node, record: SetRecord) -> None:
-    """Add the provenance as JSON."""
+    """Add the provenance as JSON with sorted keys; ValueError for NaN and infinities."""
     text = json.dumps(dict(record.provenance), allow_nan=False, sort_keys=True)
     note = add_group(entry, "provenance", "NXnote")
     add_field(note, "type", "application/json")

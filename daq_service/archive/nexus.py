@@ -51,7 +51,7 @@ Stored = tuple[NDArray[Any], h5t.TypeID]
 
 @contextmanager
 def new_image() -> Iterator[h5f.FileID]:
-    """Create an empty HDF5 file in memory and close it at the end."""
+    """Create an empty HDF5 file in memory and close it when the block ends; read its bytes before."""
     access = _create_memory_access()
     creation = h5p.create(h5p.FILE_CREATE)
     creation.set_obj_track_times(False)
@@ -64,7 +64,7 @@ def new_image() -> Iterator[h5f.FileID]:
 
 
 def _create_memory_access() -> h5p.PropFAID:
-    """Create the access properties of HDF5 files in memory."""
+    """Create the access properties of HDF5 files in memory, with formats of HDF5 1.8 to 1.10."""
     access = h5p.create(h5p.FILE_ACCESS)
     access.set_fapl_core(_BLOCK_BYTES, False)
     # The oldest format with checksums everywhere, up to what tools of the last ten years read.
@@ -73,12 +73,12 @@ def _create_memory_access() -> h5p.PropFAID:
 
 
 def open_root(file: h5f.FileID) -> h5g.GroupID:
-    """Open the root group."""
+    """Open the root group of an HDF5 file."""
     return h5g.open(file, b"/")
 
 
 def read_image(file: h5f.FileID) -> bytes:
-    """Read the bytes of a file in memory."""
+    """Flush a file in memory and return a copy of its bytes."""
     h5f.flush(file)
     return bytes(file.get_file_image())
 
@@ -137,12 +137,12 @@ def require_finite_heaps(image: bytes) -> None:
 def add_group(
     parent: h5g.GroupID, name: str, nx_class: str, attributes: Mapping[str, Attribute] | None = None
 ) -> h5g.GroupID:
-    """Add a group of a NeXus class."""
+    """Add a group of a NeXus class, with its class as attribute ``NX_class``, and return it."""
     return create_group(parent, name, {"NX_class": nx_class, **(attributes or {})})
 
 
 def create_group(parent: h5g.GroupID, name: str, attributes: Mapping[str, Attribute]) -> h5g.GroupID:
-    """Add a group with attributes."""
+    """Create a group with attributes, without times of its creation, and return it."""
     group = h5g.create(parent, name.encode(), gcpl=_create_group_properties())
     set_attributes(group, attributes)
     return group
@@ -158,14 +158,15 @@ def add_field(
     is_axis: bool = False,
     **attributes: Attribute,
 ) -> h5d.DatasetID:
-    """Add a dataset of numbers or strings; ``chunk`` None leaves the choice to the size.
+    """Add a dataset of numbers or strings and return it.
 
     Parameters
     ----------
     values
         Array or scalar of a NumPy type, a string, or a list of strings.
     chunk
-        Its first length divides that of the values, the others are equal to theirs.
+        Its first length divides that of the values, the others are equal to theirs. None: one chunk above
+        8192 bytes, else compact storage.
     axes
         One for each dimension, or none.
     is_axis
@@ -186,7 +187,7 @@ def create_field(
     is_axis: bool,
     attributes: Mapping[str, Attribute],
 ) -> h5d.DatasetID:
-    """Add a dataset as `add_field` does, but without its values."""
+    """Create a dataset as `add_field` does, with attributes and axes but without values; return it."""
     array, data_type = stored
     chunk = choose_chunk(array, chunk)
     properties = _create_compact_properties() if chunk is None else _create_chunked_properties(chunk)
@@ -203,7 +204,7 @@ def create_field(
 
 
 def fill_field(dataset: h5d.DatasetID, stored: Stored, chunk: tuple[int, ...] | None) -> None:
-    """Write all values of a dataset."""
+    """Write all values of a dataset, whose shape, type and chunk are those of ``stored``."""
     array, data_type = stored
     chunk = choose_chunk(array, chunk)
     if chunk is None:
@@ -213,19 +214,22 @@ def fill_field(dataset: h5d.DatasetID, stored: Stored, chunk: tuple[int, ...] | 
 
 
 def choose_chunk(array: NDArray[Any], chunk: tuple[int, ...] | None) -> tuple[int, ...] | None:
-    """Choose the chunk of an array, by default all of a large one; None for compact storage."""
+    """Return the given chunk, or all of an array above 8192 bytes; None for compact storage."""
     return array.shape if chunk is None and array.nbytes > _LARGEST_COMPACT_BYTES and array.ndim else chunk
 
 
 def write_chunks(dataset: h5d.DatasetID, array: NDArray[Any], chunk: tuple[int, ...]) -> None:
-    """Write an array of the stored type as filtered chunks."""
+    """Write an array of the stored type as filtered chunks along its first axis."""
     for first in range(0, array.shape[0], chunk[0]):
         offset = (first, *(0 for _ in chunk[1:]))
         dataset.write_direct_chunk(offset, filter_chunk(array[first : first + chunk[0]]))
 
 
 def read_field(parent: h5g.GroupID, name: str) -> NDArray[Any]:
-    """Read a complete dataset; strings as bytes. Much faster than h5py's high-level API for small ones."""
+    """Read a complete dataset; strings as bytes. KeyError if it is missing.
+
+    Much faster than h5py's high-level API for small datasets.
+    """
     dataset = h5d.open(parent, name.encode())
     array = np.empty(dataset.shape, dtype=dataset.dtype)
     dataset.read(h5s.ALL, h5s.ALL, array)
@@ -233,7 +237,7 @@ def read_field(parent: h5g.GroupID, name: str) -> NDArray[Any]:
 
 
 def set_attributes(target: h5g.GroupID | h5d.DatasetID, attributes: Mapping[str, Attribute]) -> None:
-    """Set attributes of a group, a dataset or a file."""
+    """Create attributes of a group or dataset: strings of variable length, numbers little-endian."""
     for name, value in attributes.items():
         if isinstance(value, str) or (isinstance(value, Sequence) and all(isinstance(v, str) for v in value)):
             text = np.array(value, dtype=_TEXT)
@@ -246,7 +250,7 @@ def set_attributes(target: h5g.GroupID | h5d.DatasetID, attributes: Mapping[str,
 
 @cache
 def _create_variable_text() -> h5t.TypeID:
-    """Create the HDF5 type of strings of variable length."""
+    """Create the HDF5 type of UTF-8 strings of variable length; cached."""
     return h5t.py_create(_TEXT, logical=True)
 
 
@@ -269,7 +273,7 @@ def _encode_text(text: str) -> Stored:
 
 
 def _encode_texts(values: bytes | list[bytes]) -> Stored:
-    """Encode texts as array and HDF5 type."""
+    """Encode texts as array and HDF5 type, with zeros up to the next multiple of 16 bytes."""
     length = len(values) if isinstance(values, bytes) else max(map(len, values), default=0)
     n_bytes = (length // _TEXT_STEP_BYTES + 1) * _TEXT_STEP_BYTES
     return np.array(values, dtype=f"S{n_bytes}"), _create_text_type(n_bytes)
@@ -277,7 +281,7 @@ def _encode_texts(values: bytes | list[bytes]) -> Stored:
 
 @lru_cache(maxsize=256)
 def _create_text_type(n_bytes: int) -> h5t.TypeID:
-    """Create the HDF5 type of UTF-8 strings of fixed length."""
+    """Create the HDF5 type of zero-terminated UTF-8 strings of fixed length; cached."""
     data_type = h5t.C_S1.copy()
     data_type.set_size(n_bytes)
     data_type.set_cset(h5t.CSET_UTF8)
@@ -287,13 +291,13 @@ def _create_text_type(n_bytes: int) -> h5t.TypeID:
 
 @cache
 def _create_number_type(dtype: np.dtype[Any]) -> h5t.TypeID:
-    """Create the HDF5 type of a NumPy type."""
+    """Create the HDF5 type of a NumPy type; cached."""
     return h5t.py_create(dtype)
 
 
 @cache
 def _create_group_properties() -> h5p.PropGCID:
-    """Create the creation properties of groups."""
+    """Create the creation properties of groups, without times; cached."""
     properties = h5p.create(h5p.GROUP_CREATE)
     properties.set_obj_track_times(False)
     return properties
@@ -301,7 +305,7 @@ def _create_group_properties() -> h5p.PropGCID:
 
 @cache
 def _create_compact_properties() -> h5p.PropDCID:
-    """Create the creation properties of datasets that are stored in object headers."""
+    """Create the creation properties of datasets that are stored in object headers; cached."""
     properties = h5p.create(h5p.DATASET_CREATE)
     # A file's bytes depend on its content alone, not on the moment of writing.
     properties.set_obj_track_times(False)
@@ -311,7 +315,7 @@ def _create_compact_properties() -> h5p.PropDCID:
 
 @lru_cache(maxsize=256)
 def _create_chunked_properties(chunk: tuple[int, ...]) -> h5p.PropDCID:
-    """Create the creation properties of chunked datasets."""
+    """Create the creation properties of datasets with filtered, checksummed chunks; cached."""
     properties = h5p.create(h5p.DATASET_CREATE)
     properties.set_obj_track_times(False)
     properties.set_fill_time(h5d.FILL_TIME_NEVER)
@@ -324,5 +328,5 @@ def _create_chunked_properties(chunk: tuple[int, ...]) -> h5p.PropDCID:
 
 @lru_cache(maxsize=256)
 def _to_space(shape: tuple[int, ...]) -> h5s.SpaceID:
-    """Create the HDF5 dataspace of a shape."""
+    """Create the HDF5 dataspace of a shape, scalar for (); cached."""
     return h5s.create_simple(shape) if shape else h5s.create(h5s.SCALAR)

@@ -75,7 +75,7 @@ def require_plain_file(file: h5f.FileID, n_bytes: int) -> None:
 
 
 def _check_dataset(name: str, dataset: h5d.DatasetID) -> _DatasetInfo:
-    """Check layout, filters, type and size of a dataset; raise `RefusedError` or return its size."""
+    """Check layout, filters, type and size of a dataset and describe it; raise `RefusedError` if refused."""
     properties = dataset.get_create_plist()
     layout = properties.get_layout()
     if layout == h5d.VIRTUAL or properties.get_external_count():

@@ -25,11 +25,11 @@ class SetReader(Protocol):
     name: str
 
     def sets(self) -> Mapping[SetKey, SetReference]:
-        """Return every complete set: index to reference, in the order of the sets."""
+        """Return every complete set: key to reference, in the order of the sets."""
         ...
 
     def n_bytes(self) -> int:
-        """Return the size of the complete sets in bytes."""
+        """Return the size of the complete sets in bytes, of those without a file that of their counts."""
         ...
 
     def read_set(self, reference: SetReference, *, skip_damaged: bool = False) -> SetRecord:
@@ -62,11 +62,11 @@ class SetReader(Protocol):
         ...
 
     def digest(self, reference: SetReference) -> str | None:
-        """Compute the SHA-256 of a set's file; None if it has no file (yet)."""
+        """Compute the SHA-256 of a set's file in hexadecimal; None if it has no file (yet)."""
         ...
 
     def verify_set(self, reference: SetReference) -> list[Damage]:
-        """Read a complete set and list its corrupt parts.
+        """Read a complete set and list its corrupt parts; empty if it is sound.
 
         Raises
         ------
@@ -96,11 +96,14 @@ class Archive(SetReader, Protocol):
     def begin_set(
         self, set_key: SetKey, *, due_utc_ns: int, started_utc_ns: int, disabled: Mapping[str, str]
     ) -> None:
-        """Record the start of a set; durable with the next `sync`."""
+        """Add the start of a set; the next `sync` makes it durable.
+
+        ``disabled`` holds the reason of each position that is left out; times are ns of UTC.
+        """
         ...
 
     def append(self, item: Shot | PulseEchoRecord | MissedShot, utc_ns: int) -> None:
-        """Add a record or a missed record to a started set; acknowledged by `sync`."""
+        """Add a record or a missed record to a started set; the next `sync` acknowledges it."""
         ...
 
     def sync(self) -> list[int]:
@@ -114,19 +117,19 @@ class Archive(SetReader, Protocol):
         ...
 
     def open_sets(self) -> Mapping[SetKey, OpenSet]:
-        """Return the unfinished sets of an earlier process by index."""
+        """Return the unfinished sets of an earlier process by key."""
         ...
 
     def resume_set(self, opened: OpenSet) -> None:
-        """Continue an open set: new records are added to the durable ones."""
+        """Continue an open set of an earlier process: new records are added to the durable ones."""
         ...
 
     def close(self) -> None:
-        """Release open files; nothing is lost."""
+        """Release open files; what was acknowledged is not lost."""
         ...
 
     def places(self, set_key: SetKey) -> Places:
-        """Return the byte ranges of a set's durable frames in the journal."""
+        """Return the byte range of a set's durable frames in each segment of the journal."""
         ...
 
     def settle(self, set_key: SetKey) -> None:
@@ -158,5 +161,5 @@ class Archive(SetReader, Protocol):
         ...
 
     def list_quarantined(self) -> list[str]:
-        """List the names of all files in the quarantine."""
+        """List all files in the quarantine by path relative to the data folder, sorted."""
         ...

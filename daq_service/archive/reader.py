@@ -72,12 +72,12 @@ class FolderSetReader:
         self.folder, self.name = folder, str(folder)
 
     def sets(self) -> dict[SetKey, SetReference]:
-        """Return the complete sets: key to reference, in the order of the sets."""
+        """Return the complete sets in journal and files: key to reference, in the order of the sets."""
         journaled = {key: item.reference for key, item in self._read_journal().items() if item.reference}
         return dict(sorted({**journaled, **self._list_files()}.items()))
 
     def n_bytes(self) -> int:
-        """Return the size in bytes of the complete files and of the sets without a file."""
+        """Return the size in bytes of the files and of the counts of complete sets without a file."""
         files = self._list_files()
         journaled = sum(
             item.n_bytes for item in self._read_journal().values() if item.end and item.set_key not in files
@@ -85,7 +85,11 @@ class FolderSetReader:
         return journaled + sum((self.folder / file).stat().st_size for file in files.values())
 
     def read_set(self, reference: SetReference, *, skip_damaged: bool = False) -> SetRecord:
-        """Read a set as it was stored."""
+        """Read a set as it was stored, from its file or from the journal.
+
+        Raises CorruptArchiveError if it is unreadable or has corrupt records, with ``skip_damaged`` only if
+        no record is left, and SetNotFoundError if it is missing.
+        """
         journaled = self._find_journaled(reference)
         if journaled is None:
             return read_set_file(self.folder / reference, skip_damaged=skip_damaged)
@@ -95,7 +99,10 @@ class FolderSetReader:
         return journaled.record()
 
     def read_position(self, reference: SetReference, position: str) -> list[Shot | PulseEchoRecord]:
-        """Read the records of one position without their settings; leave out corrupt ones."""
+        """Read the intact records of one position in order; from a file without truth and settings.
+
+        Raises SetNotFoundError without such a set, CorruptArchiveError if its file is unreadable.
+        """
         journaled = self._find_journaled(reference)
         if journaled is None:
             with open_set_file(self.folder / reference) as entry:
@@ -104,7 +111,10 @@ class FolderSetReader:
         return [record for record in shots if record.key.position == position]
 
     def read_waveform(self, reference: SetReference, position: str, shot_index: int) -> Waveform:
-        """Read the accepted record of a shot."""
+        """Read the accepted record of a shot, from the file of its set or from the journal.
+
+        Raises SetNotFoundError if it is missing, CorruptArchiveError if it is corrupt.
+        """
         journaled, path = self._find_journaled(reference), self.folder / reference
         if journaled is None:
             return _read_waveform(path, position, shot_index)
@@ -117,7 +127,10 @@ class FolderSetReader:
         return decode_record(journaled.shots[sequence]).waveform
 
     def read_tables(self, reference: SetReference, sha256: str) -> SetTables | None:
-        """Read the tables of a set's file without its waveforms; None unless it has this SHA-256."""
+        """Read the tables of a set's file without its waveforms; None unless it has this SHA-256.
+
+        Also None if it cannot be read; CorruptArchiveError if its tables are invalid.
+        """
         try:
             content = read_stored(self.folder / reference)
         except OSError:
@@ -137,7 +150,7 @@ class FolderSetReader:
             )
 
     def digest(self, reference: SetReference) -> str | None:
-        """Compute the SHA-256 of a set's file; None if it has no file yet."""
+        """Compute the SHA-256 of a set's file; None if it has no file yet, ArchiveError if unreadable."""
         try:
             return hashlib.sha256(read_stored(self.folder / reference)).hexdigest()
         except FileNotFoundError:
@@ -146,7 +159,10 @@ class FolderSetReader:
             raise ArchiveError(f"{self.folder / reference} cannot be read: {error}") from error
 
     def verify_set(self, reference: SetReference) -> list[Damage]:
-        """Read a complete set and list its corrupt parts."""
+        """Read a complete set and list its corrupt records and parts; empty if it is sound.
+
+        Raises CorruptArchiveError if it cannot be read at all, SetNotFoundError if it is missing.
+        """
         journaled = self._find_journaled(reference)
         if journaled is not None:
             return journaled.damages()
@@ -154,18 +170,18 @@ class FolderSetReader:
             return _read_records(entry)[1] + _list_unreadable(entry)
 
     def _list_files(self) -> dict[SetKey, SetReference]:
-        """List the files of sets: key to reference."""
+        """List the references of the set files by key, in order; other file names are ignored."""
         return to_references(path.name for path in (self.folder / SETS_FOLDER).glob("set_*.h5"))
 
     def _read_journal(self) -> dict[SetKey, JournaledSet]:
-        """Read the journal; raise `ArchiveError` if that fails."""
+        """Read all journaled sets by key; raise `ArchiveError` if that fails."""
         try:
             return read_journal(self.folder)
         except OSError as error:
             raise ArchiveError(f"the journal of {self.folder} cannot be read: {error}") from error
 
     def _find_journaled(self, reference: SetReference) -> JournaledSet | None:
-        """Find the set in the journal; None if it has a file."""
+        """Find the set in the journal; None if it has a file, or if the journal lacks it."""
         if (self.folder / reference).exists():
             return None
         # It may get its file meanwhile: then the journal does not have it any more, and the file is read.
@@ -174,7 +190,11 @@ class FolderSetReader:
 
 
 def read_set_file(path: Path, *, skip_damaged: bool = False) -> SetRecord:
-    """Read the file of a set."""
+    """Read the file of a set.
+
+    Raises CorruptArchiveError if it is unreadable or has corrupt records, with ``skip_damaged`` only if no
+    record is left, and SetNotFoundError if there is no file.
+    """
     with open_set_file(path) as entry:
         records, damages = _read_records(entry)
         if damages and not (skip_damaged and records):
@@ -203,7 +223,7 @@ def read_records(path: Path, content: bytes, *, is_own: bool = False) -> list[Sh
 
 
 def examine_file(path: Path, content: bytes) -> tuple[SetRecord | None, list[Damage]]:
-    """Read every record and all metadata of a set file in memory; list also its corrupt parts.
+    """Read every record and all metadata of a set file in memory; list also its corrupt records.
 
     Returns
     -------
@@ -226,7 +246,7 @@ def examine_file(path: Path, content: bytes) -> tuple[SetRecord | None, list[Dam
 
 
 def list_unreadable_parts(path: Path, content: bytes) -> list[Damage]:
-    """List the parts of a set file in memory, other than records, that cannot be read.
+    """List the parts of a set file in memory, other than records, that cannot be read; empty if none.
 
     Raises
     ------
@@ -238,7 +258,7 @@ def list_unreadable_parts(path: Path, content: bytes) -> list[Damage]:
 
 
 def _build_record(entry: h5py.Group, records: Sequence[Shot | PulseEchoRecord]) -> SetRecord:
-    """Read the metadata of a set and combine it with its records."""
+    """Read the metadata of a set and combine it with its records; an error of HDF5 if they are unreadable."""
     set_index, unscheduled_index = read_set_key(entry)
     return SetRecord(
         set_index=set_index,
@@ -261,14 +281,17 @@ def _build_record(entry: h5py.Group, records: Sequence[Shot | PulseEchoRecord]) 
 
 
 def _create_corruption_error(path: Path, damages: Sequence[Damage]) -> CorruptArchiveError:
-    """Create the error that lists all corrupt records of a file."""
+    """Create, but do not raise, the error that lists all corrupt records of a file."""
     error = CorruptArchiveError(f"{path}: {'; '.join(map(str, damages))}; {BACK}")
     error.add_note("read_set(..., skip_damaged=True) reads its other records")
     return error
 
 
 def _read_waveform(path: Path, position: str, shot_index: int) -> Waveform:
-    """Read the accepted record of a shot from a file; raise an error if it is missing or corrupt."""
+    """Read the accepted record of a shot from a set's file, else that of its last attempt.
+
+    Raises SetNotFoundError if it is missing, CorruptArchiveError if it is corrupt.
+    """
     with open_set_file(path) as entry:
         table = _read_table(entry)
         rows = [
@@ -292,7 +315,7 @@ def _read_waveform(path: Path, position: str, shot_index: int) -> Waveform:
 
 
 def _list_unreadable(entry: h5py.Group) -> list[Damage]:
-    """List the parts that cannot be read, other than records."""
+    """List the parts of a set's file that cannot be read, other than records; empty if there are none."""
     unreadable: list[Damage] = []
     arrays = {f"{name}/{signal}" for name in list_record_groups(entry) for signal in ("waveform", "record")}
     _read_everything(entry, "", arrays, unreadable)
@@ -323,7 +346,7 @@ class RecordGroup:
         )
 
     def read_all_counts(self) -> NDArray[Any] | None:
-        """Read the counts of all records at once, which is faster; None if some are unreadable."""
+        """Read the counts of all records at once, shape (n_records, n_samples); None if one is unreadable."""
         try:
             counts: NDArray[Any] = self.signal[()]
         except HDF5_ERRORS:
@@ -331,7 +354,10 @@ class RecordGroup:
         return counts
 
     def waveform(self, row: int, crc32: int, all_counts: NDArray[Any] | None = None) -> Waveform | str:
-        """Read the record of a row, or return the reason why it is unreadable."""
+        """Read the record of a row, or return why it is unreadable or does not match ``crc32``.
+
+        ``all_counts``, shape (n_records, n_samples), replaces the access to the file.
+        """
         try:
             counts = self.signal[row] if all_counts is None else all_counts[row]
         except HDF5_ERRORS as error:
@@ -346,7 +372,7 @@ class RecordGroup:
         return waveform if crc32_read == crc32 else f"CRC-32 is {crc32_read:08x}, stored as {crc32:08x}"
 
     def read_echo_settings(self, row: int) -> dict[str, Any]:
-        """Read the receiver settings of a pulse-echo record by name."""
+        """Read gain in dB, offset in V and number of averages of a pulse-echo record by name."""
         return {
             "gain_db": float(self.data["gain"][row]),
             "offset_v": float(self.data["offset"][row]),
@@ -357,7 +383,10 @@ class RecordGroup:
 def _read_records(
     entry: h5py.Group, *, facts: bool = True, position: str | None = None
 ) -> tuple[list[Shot | PulseEchoRecord], list[Damage]]:
-    """Read all intact records in order, and list the corrupt ones; optionally of one position."""
+    """Read all intact records, of one position or of all, in order; list the corrupt ones.
+
+    ``facts`` False leaves out truth and settings.
+    """
     table = _read_table(entry)
     set_key = read_set_key(entry)
     truths = _read_facts(entry, "truth") if facts else {}
@@ -403,7 +432,7 @@ def _read_records(
 
 
 def _read_columns(table: h5py.Group, *names: str) -> _Columns:
-    """Read columns of a table as lists."""
+    """Read columns of a table as lists of Python values of equal length; text is decoded."""
     columns = {name: read_field(table.id, name).tolist() for name in names}
     return {
         name: [_decode_text(value) if isinstance(value, bytes) else value for value in values]
@@ -412,12 +441,12 @@ def _read_columns(table: h5py.Group, *names: str) -> _Columns:
 
 
 def _to_rows(columns: _Columns) -> list[dict[str, Any]]:
-    """Convert columns to rows: one dictionary per row."""
+    """Convert columns of equal length to rows: one dictionary per row."""
     return [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
 
 
 def _read_table(entry: h5py.Group) -> _Columns:
-    """Read the table of shots."""
+    """Read the columns of the table of shots; in format 1.0 every outcome is "accepted"."""
     table = entry["shots"]
     names = ("shot_id", "position", "shot_index", "attempt", "utc_ns", "mono_ns", "boot_id", "crc32")
     if "outcome" in table:
@@ -455,7 +484,7 @@ def _build_stamp(table: _Columns, row: int) -> Stamp:
 
 
 def _build_damage(table: _Columns, row: int, reason: str) -> Damage:
-    """Describe the corrupt record of a row."""
+    """Build the description of the corrupt record of a row."""
     return Damage(
         sequence=table["shot_id"][row],
         position=table["position"][row],
@@ -465,7 +494,7 @@ def _build_damage(table: _Columns, row: int, reason: str) -> Damage:
 
 
 def _read_facts(entry: h5py.Group, kind: str) -> dict[int, dict[str, Any]]:
-    """Read the truth or settings of each record by sequence."""
+    """Read the truth or settings of each record by sequence; records without any are missing."""
     facts: dict[int, dict[str, Any]] = {}
     for group_name in entry:
         # Up to format 1.6 each position has a group of its own.
@@ -487,7 +516,7 @@ def _read_facts(entry: h5py.Group, kind: str) -> dict[int, dict[str, Any]]:
 
 
 def _read_missed(entry: h5py.Group) -> list[MissedShot]:
-    """Read the strikes and echoes without a record."""
+    """Read the strikes and echoes without a record; empty if the file has none."""
     if "missed" not in entry:
         return []
     columns = _read_columns(entry["missed"], "position", "shot_index", "attempt", "cause", "reason")
@@ -499,7 +528,7 @@ def _read_missed(entry: h5py.Group) -> list[MissedShot]:
 
 
 def _read_environment(entry: h5py.Group) -> dict[str, float | str | None]:
-    """Read the supply and climate values of the set."""
+    """Read the supply and climate values of the set by name; empty if the file has none."""
     if "environment" not in entry:
         return {}
     group = entry["environment"]
@@ -511,7 +540,7 @@ def _read_environment(entry: h5py.Group) -> dict[str, float | str | None]:
 
 
 def _read_positions(entry: h5py.Group) -> list[PositionRecord]:
-    """Read the planned and recorded numbers of each position."""
+    """Read method, planned number, cause, label and serial number of each position, in order."""
     columns = _read_columns(entry["positions"], "name", *_PLANNED)
     return [
         PositionRecord(position=position, **{name: columns[name][row] for name in _PLANNED})
@@ -520,12 +549,15 @@ def _read_positions(entry: h5py.Group) -> list[PositionRecord]:
 
 
 def list_record_groups(entry: h5py.Group) -> list[str]:
-    """List the NXdata groups that hold records: those with a detector."""
+    """List the names of the NXdata groups that hold records: those with a detector."""
     return [name for name in entry["instrument"] if name != "name"]
 
 
 def _read_everything(group: h5py.Group, parent: str, left_out: set[str], unreadable: list[Damage]) -> None:
-    """Read all values and attributes below a group and add what is unreadable to the list."""
+    """Read all values and attributes below a group; add what is unreadable to the list.
+
+    The values of the paths in ``left_out`` are not read.
+    """
     for name in group:
         path = f"{parent}{name}"
         try:
@@ -558,7 +590,17 @@ def read_stored(path: Path) -> bytes:
 
 @contextmanager
 def open_set_file(path: Path, content: bytes | None = None, *, is_own: bool = False) -> Iterator[h5py.Group]:
-    """Open the entry of a set's file or of its content in memory, and translate errors."""
+    """Open the entry of a set's file or of its content in memory until the block ends.
+
+    Raises
+    ------
+    SetNotFoundError
+        There is no such file.
+    ArchiveReadError
+        The system refuses the access at present.
+    CorruptArchiveError
+        It is damaged, has another format, or contains what no set has; also for errors inside the block.
+    """
     try:
         image = read_stored(path) if content is None else content
         with h5py.File(open_image(image, is_own=is_own)) as file:
@@ -584,5 +626,5 @@ def open_set_file(path: Path, content: bytes | None = None, *, is_own: bool = Fa
 
 
 def _decode_text(value: object) -> str:
-    """Decode a text of HDF5."""
+    """Decode UTF-8 bytes of HDF5; convert other values with `str`."""
     return value.decode() if isinstance(value, bytes) else str(value)

@@ -133,7 +133,10 @@ def to_reference(set_key: SetKey, due_utc_ns: int) -> SetReference:
 
 
 def parse_due_utc_ns(reference: SetReference) -> int:
-    """Parse the due time of a set from its reference, to the second; nanoseconds of UTC."""
+    """Parse the due time of a set from its reference, to the second, in ns of UTC.
+
+    The reference must be valid (AssertionError).
+    """
     match = _NAME.fullmatch(reference.rpartition("/")[2])
     assert match is not None, f"{reference} is no reference of a set"
     return parse_utc(match[2])
@@ -145,11 +148,11 @@ def parse_set_keys(names: Iterable[str]) -> set[SetKey]:
 
 
 def to_references(names: Iterable[str]) -> dict[SetKey, SetReference]:
-    """Parse file names: key to reference of each complete set, in the order of the sets."""
+    """Parse the names of set files to references by set key, in order; ignore other names."""
     matches = (match for match in map(_NAME.fullmatch, names) if match)
     return dict(sorted((_to_key(match), SetReference(f"{SETS_FOLDER}/{match[0]}")) for match in matches))
 
 
 def _to_key(match: re.Match[str]) -> SetKey:
-    """Parse the key of a set from a matched file name, also of earlier versions."""
+    """Parse the key of a set from a matched file name; one number in names of earlier versions."""
     return SetKey(int(match[1]), int(match[3])) if match[3] else SetKey.from_number(int(match[1]))

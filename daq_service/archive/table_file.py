@@ -31,7 +31,7 @@ def build_table_image(
     axis: str,
     facts_text: str,
 ) -> bytes:
-    """Build the HDF5 file of a table as ``entry/<name>``, an NXdata if there is a ``signal``.
+    """Build the bytes of an HDF5 file with a table as ``entry/<name>``, an NXdata if there is a ``signal``.
 
     Parameters
     ----------
@@ -55,7 +55,7 @@ def build_records_image(
     axis: str,
     facts_text: str,
 ) -> bytes:
-    """Build the HDF5 file of waveforms: ``entry/<name>``, the NXdata ``voltage_v[axis, time_s]``.
+    """Build the bytes of an HDF5 file of waveforms: ``entry/<name>``, the NXdata ``voltage_v[axis, time_s]``.
 
     Parameters
     ----------
@@ -78,7 +78,7 @@ def build_records_image(
 
 
 def _add_entry(file: FileID, name: str, facts_text: str) -> GroupID:
-    """Add root and entry; their default is the group of that name."""
+    """Add root and entry and return the entry; their default is the group ``name``."""
     set_attributes(open_root(file), {"NX_class": "NXroot", "default": "entry", "creator": "solimon"})
     entry = add_group(file, "entry", "NXentry", {"default": name})
     add_field(entry, "facts", facts_text)
@@ -86,7 +86,7 @@ def _add_entry(file: FileID, name: str, facts_text: str) -> GroupID:
 
 
 def _add_columns(group: GroupID, columns: Mapping[str, NDArray[Any] | list[str]], axis: str) -> DatasetID:
-    """Add a dataset per column and return that of the axis."""
+    """Add a dataset per column with its unit; return that of the column ``axis``, the scale of the others."""
     axis_field = add_field(group, axis, columns[axis], is_axis=True)
     fields = {
         key: add_field(group, key, values, axes=[axis_field])

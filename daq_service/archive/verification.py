@@ -51,7 +51,7 @@ class CheckedFile:
 
 
 def check_file(path: Path, *, sha256: str | None = None) -> CheckedFile:
-    """Check a set's file to the last byte.
+    """Check a set's file to the last byte; report what is corrupt or contradictory instead of raising.
 
     Parameters
     ----------
@@ -88,7 +88,7 @@ def check_file(path: Path, *, sha256: str | None = None) -> CheckedFile:
 
 
 def _rebuild_file(record: SetRecord) -> bytes | None:
-    """Rebuild the file from its record; None if that is impossible."""
+    """Rebuild the bytes of a file from its record; None if any step of it fails."""
     try:
         return build_image(record)
     except Exception as error:  # noqa: BLE001 - a corrupt name or length can break any step of it
@@ -97,7 +97,10 @@ def _rebuild_file(record: SetRecord) -> bytes | None:
 
 
 def find_damage(path: Path, sha256: str | None = None) -> tuple[str, str]:
-    """Describe the damage of a set file (empty: none) and compute its SHA-256; see `check_file`."""
+    """Describe the damage of a set file (empty: none) and compute its SHA-256; see `check_file`.
+
+    Raises SetNotFoundError if there is no file; the SHA-256 is empty if it cannot be read.
+    """
     checked = check_file(path, sha256=sha256)
     damages = [str(damage) for damage in checked.damages]
     touched = ["its SHA-256 is not that of the file that was written"] if checked.touched else []
@@ -157,7 +160,10 @@ def _to_comparable(file: h5py.File, value: object) -> object:
 
 
 def _agree(name: str, stored: Mapping[str, Any], expected: Mapping[str, Any], *, same_format: bool) -> bool:
-    """Return whether a stored value agrees with the expected one, as far as the format version allows."""
+    """Return whether a stored value agrees with the expected one, as far as the format version allows.
+
+    Previews may differ by 1e-6 of their largest value, all else not at all.
+    """
     if not same_format and "@" in name and (name not in expected or str(stored.get(name)) == ""):
         return True  # a label that is not written any more, or was left empty
     if not same_format and name not in expected and _FACTS_OF_POSITION.match(name):

@@ -85,7 +85,7 @@ class FolderArchive(FolderSetReader):
     def begin_set(
         self, set_key: SetKey, *, due_utc_ns: int, started_utc_ns: int, disabled: Mapping[str, str]
     ) -> None:
-        """Record the start of a set; durable with the next `sync`."""
+        """Add the start of a set to the journal; the next `sync` makes it durable."""
         self._sequences_of[set_key] = set()
         frame = build_begin_frame(
             set_key, due_utc_ns=due_utc_ns, started_utc_ns=started_utc_ns, disabled=disabled
@@ -93,7 +93,10 @@ class FolderArchive(FolderSetReader):
         self._journal_writer.add(set_key, frame)
 
     def append(self, item: Shot | PulseEchoRecord | MissedShot, utc_ns: int) -> None:
-        """Add a record or a missed record to a started set; acknowledged by `sync`."""
+        """Add a record or a missed record to a started set; the next `sync` acknowledges it.
+
+        It is ignored if the set was not started: `store_set` then adds all records at once.
+        """
         sequences = self._sequences_of.get(item.key.set_key)
         if sequences is None:
             return
@@ -119,11 +122,14 @@ class FolderArchive(FolderSetReader):
         return {index: item for index, item in opened.items() if item is not None}
 
     def list_sets_to_finalize(self) -> list[SetKey]:
-        """List the complete sets that an earlier process left in the journal."""
+        """List the keys of the complete sets that an earlier process left in the journal."""
         return [index for index, item in self._journal_writer.left.items() if item.is_whole]
 
     def resume_set(self, opened: OpenSet) -> None:
-        """Continue an open set: new records are added to the durable ones."""
+        """Continue an open set: new records are added to the durable ones.
+
+        A corrupt start frame is added again, with the next `sync`.
+        """
         self._sequences_of[opened.set_key] = {record.sequence for record in opened.records}
         if not opened.is_dated:
             frame = build_begin_frame(
@@ -135,7 +141,11 @@ class FolderArchive(FolderSetReader):
             self._journal_writer.add(opened.set_key, frame)
 
     def store_set(self, record: SetRecord) -> StoredSet:
-        """Make a set durable; on return every record of it is acknowledged."""
+        """Make a set durable; on return every record of it is acknowledged.
+
+        An equal set that is stored already is left as it is. Raises ConflictingSetError if it differs,
+        ArchiveWriteError if nothing was stored.
+        """
         start = time.perf_counter()
         reference = to_reference(record.set_key, record.due_utc_ns)
         stored = self._stored.get(record.set_key)
@@ -158,7 +168,7 @@ class FolderArchive(FolderSetReader):
         )
 
     def _append_end(self, record: SetRecord) -> None:
-        """Add the missing records of a set to the journal, and its end, once."""
+        """Add the records of a set that the journal lacks, and its end frame unless it was added before."""
         frame = build_end_frame(record)
         if self._end_frames.get(record.set_key) == frame:
             return
@@ -171,20 +181,26 @@ class FolderArchive(FolderSetReader):
         self._end_frames = {record.set_key: frame}
 
     def places(self, set_key: SetKey) -> Places:
-        """Return the byte ranges of a set's durable frames in the journal."""
+        """Return the byte range of a set's durable frames in each segment of the journal."""
         return self._journal_writer.places(set_key)
 
     def settle(self, set_key: SetKey) -> None:
-        """Remove a set from the journal: it has its own file, or rows without a record."""
+        """Remove a set from the journal: it has its own file, or rows without a record.
+
+        A segment that cannot be deleted is logged and tried again later.
+        """
         self._sequences_of.pop(set_key, None)
         self._journal_writer.settle(set_key)
 
     def close(self) -> None:
-        """Close the journal; nothing of it is lost."""
+        """Close the journal without syncing; all acknowledged records stay."""
         self._journal_writer.close()
 
     def set_aside(self, reference: SetReference) -> None:
-        """Move an unreadable set to the quarantine; nothing is deleted."""
+        """Move an unreadable set to the quarantine, a journaled one as a copy; nothing is deleted.
+
+        Raises ArchiveWriteError; the set then stays where it is.
+        """
         source = self.folder / reference
         try:
             if source.exists():
@@ -196,11 +212,11 @@ class FolderArchive(FolderSetReader):
         self._stored = self.sets()
 
     def _parse_key(self, reference: SetReference) -> SetKey:
-        """Parse the key of a set from its reference."""
+        """Find the key of a stored set by its reference; StopIteration if there is none."""
         return next(key for key, file in self.sets().items() if file == reference)
 
     def list_quarantined(self) -> list[str]:
-        """List the names of all files in the quarantine."""
+        """List the files in the quarantine by path relative to the data folder, sorted."""
         names = sorted(path.name for path in (self.folder / QUARANTINE_FOLDER).glob("*"))
         return [f"{QUARANTINE_FOLDER}/{name}" for name in names]
 
@@ -212,7 +228,7 @@ class FolderArchive(FolderSetReader):
             )
 
     def _create_conflict_error(self, set_key: SetKey, stored: SetReference) -> ConflictingSetError:
-        """Create the error for a set that is stored with different content."""
+        """Create, but do not raise, the error for a set that is stored with different content."""
         return ConflictingSetError(
             f"set {set_key} is stored already in {self.folder / stored} and differs; nothing stored is "
             "overwritten: take that file over with read_set, or move it out of the folder"
@@ -220,7 +236,7 @@ class FolderArchive(FolderSetReader):
 
 
 def move_to_quarantine(folder: Path, reference: SetReference) -> str:
-    """Move a set's file to the quarantine and return its path there; nothing is overwritten.
+    """Move a set's file to the quarantine and return its path there; another file of its name stays.
 
     Raises
     ------
@@ -239,6 +255,6 @@ def move_to_quarantine(folder: Path, reference: SetReference) -> str:
 
 
 def _create_write_error(path: Path, error: OSError) -> ArchiveWriteError:
-    """Create the error for a failed write, with its remedy."""
+    """Create, but do not raise, the error for a failed write, with the remedy for its error number."""
     remedy = _REMEDY.get(error.errno or 0, "check the disk and its connection")
     return ArchiveWriteError(f"{path} cannot be written: {error.strerror or error}; {remedy}")

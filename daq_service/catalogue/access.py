@@ -17,12 +17,14 @@ class CatalogueAccess:
         self._catalogue: Catalogue | None = None
 
     def get(self) -> Catalogue:
-        """Return the open catalogue.
+        """Return the catalogue that all threads share; open it on the first call.
 
         Raises
         ------
         NoDataYetError
-            Before the first record.
+            The recorder has not started the test yet.
+        CatalogueError
+            As `open_catalogue` for a reader; the next call tries again.
         """
         with self._lock:
             if self._catalogue is None:
@@ -30,7 +32,7 @@ class CatalogueAccess:
             return self._catalogue
 
     def close(self) -> None:
-        """Close the catalogue; the next `get` opens it again."""
+        """Close the catalogue, if it is open; the next `get` opens it again."""
         with self._lock:
             if self._catalogue is not None:
                 self._catalogue.close()

@@ -21,15 +21,17 @@ CREATION_S = 0.25
 
 
 def make_engine(path: Path, *, writable: bool, durable: bool = True) -> Engine:
-    """Create an engine for an existing or (if writable) new file; without durability it never syncs.
+    """Create an SQLAlchemy engine for the catalogue file; it connects on first use.
 
+    ``writable`` True creates a missing file on the first connection, False opens it read-only. ``durable``
+    False never syncs to disk. A connection retries while SQLite cannot open one of its files.
     A transaction of `Engine.begin` sees a single state of the file from its first to its last
-    query; start one that changes something with `writing`.
+    query; start one that changes something with `begin_write`.
     """
     mode = "rwc" if writable else "ro"
 
     def connect() -> sqlite3.Connection:
-        """Open a connection to SQLite and set its pragmas."""
+        """Open a SQLite connection, set its pragmas and probe the file; close it if any of this fails."""
         nonlocal mode
         immutable = "&immutable=1" if not writable and _is_unchangeable(path) else ""
         uri = f"{path.absolute().as_uri()}?mode={mode}{immutable}"
@@ -57,7 +59,7 @@ def make_engine(path: Path, *, writable: bool, durable: bool = True) -> Engine:
         return connection
 
     def connect_patiently() -> sqlite3.Connection:
-        """Open a connection; a reader waits while the file is being created."""
+        """Open a connection; a reader retries for up to 0.25 s while the file is being created."""
         if writable:
             return connect()
         return retry(connect, is_refusal=_is_being_created, patience_s=CREATION_S)
@@ -83,12 +85,12 @@ def make_engine(path: Path, *, writable: bool, durable: bool = True) -> Engine:
 
 @lru_cache(maxsize=8)
 def create_reading_engine(path: Path) -> Engine:
-    """Return a read-only engine; cached, so that its compiled statements are reused."""
+    """Return a read-only engine of a file; the 8 last used are cached with their compiled statements."""
     return make_engine(path, writable=False)
 
 
 def _is_unchangeable(path: Path) -> bool:
-    """Return whether the file is on a read-only volume and no process has it open elsewhere.
+    """Return whether the file is on a read-only volume and has no write-ahead log; False on Windows.
 
     Readers of a write-ahead log create files next to it, which is impossible there.
     """
@@ -98,12 +100,12 @@ def _is_unchangeable(path: Path) -> bool:
 
 
 def _is_being_created(error: Exception) -> bool:
-    """Return whether SQLite reports corrupt pages, as it also does while a file is being created."""
+    """Return whether an error is SQLITE_CORRUPT, which also occurs while a file is being created."""
     return getattr(error, "sqlite_errorcode", 0) & 0xFF == sqlite3.SQLITE_CORRUPT
 
 
 def _is_locked(error: Exception) -> bool:
-    """Return whether SQLite cannot open, write or remove one of its files at present."""
+    """Return whether an error means that SQLite cannot open, write or remove one of its files at present."""
     code = getattr(error, "sqlite_errorcode", 0)
     codes = (sqlite3.SQLITE_CANTOPEN, sqlite3.SQLITE_READONLY, sqlite3.SQLITE_PERM)
     return code & 0xFF in codes or code in (sqlite3.SQLITE_IOERR_DELETE, sqlite3.SQLITE_IOERR_ACCESS)

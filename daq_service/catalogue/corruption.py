@@ -37,7 +37,7 @@ class CatalogueCorruption:
 def find_catalogue_corruption(folder: Path) -> Iterator[CatalogueCorruption]:
     """Read every page and row of a catalogue of the current schema and yield its corrupt parts.
 
-    Works while a recorder writes.
+    Works while a recorder writes. A file that cannot be read at all yields one entry instead of an error.
     """
     path = folder / FILE_NAME
     engine = make_engine(path, writable=False)
@@ -51,12 +51,12 @@ def find_catalogue_corruption(folder: Path) -> Iterator[CatalogueCorruption]:
 
 
 def refuse_corruption(folder: Path) -> None:
-    """Raise an error if a catalogue is corrupt.
+    """Read the complete catalogue and raise an error if it is corrupt.
 
     Raises
     ------
     CatalogueDamagedError
-         Contains the corruption and the remedy.
+         Contains the first three corrupt parts, the number of the others, and the remedy.
     """
     corruption = list(find_catalogue_corruption(folder))
     if corruption:
@@ -66,7 +66,11 @@ def refuse_corruption(folder: Path) -> None:
 
 
 def find_corruption(connection: Connection, *, rows: bool = True) -> Iterator[CatalogueCorruption]:
-    """Yield the corrupt parts of an open catalogue; ``rows`` False: an earlier schema without checksums."""
+    """Yield corrupt pages (at most 20), broken references, corrupt rows, and events without their row.
+
+    ``rows`` False checks only pages and references, for an earlier schema without checksums. An error on
+    reading is yielded, not raised.
+    """
     try:
         for (description,) in connection.execute(text(f"PRAGMA integrity_check({MAX_LISTED})")):
             if description != "ok":
@@ -91,7 +95,7 @@ def find_corruption(connection: Connection, *, rows: bool = True) -> Iterator[Ca
 
 
 def _check_rows(connection: Connection, kind: type[Row], table: Table) -> Iterator[CatalogueCorruption]:
-    """Yield the corrupt rows of a table."""
+    """Yield the rows of a table that are unreadable or fail their checksum; read errors are yielded, too."""
     key = table.primary_key.columns[0]
     try:
         # One by one: a value that is not JSON must not hide the later rows.
@@ -118,5 +122,5 @@ def _check_rows(connection: Connection, kind: type[Row], table: Table) -> Iterat
 
 
 def _shorten(error: Exception) -> str:
-    """Return the first line of an error message."""
+    """Return the first line of an error's message."""
     return str(error).partition("\n")[0]

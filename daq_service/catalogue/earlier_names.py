@@ -40,12 +40,16 @@ SET_COLUMNS: Mapping[str, str] = {
 
 
 def derive_uuid(configuration_hash: str, epoch_utc_ns: int) -> str:
-    """Derive the UUID of a test that has none; every copy of its folder derives the same one."""
+    """Derive the UUID (version 5) of a test that has none; every copy of its folder derives the same one."""
     return str(uuid.uuid5(uuid.NAMESPACE_OID, f"solimon/{configuration_hash}/{epoch_utc_ns}"))
 
 
 def to_current_row(table: str, row: Mapping[str, Any]) -> dict[str, Any]:
-    """Convert the column names and values of a stored row, or of nested values, to the current names."""
+    """Convert the column names and values of a stored row, or of nested values, to the current names.
+
+    Returns a new dictionary; a row with current names keeps its values. A row of the experiment without UUID
+    gets the derived one.
+    """
     keys = _KEYS.get(table, {})
     current = {keys.get(name, name): value for name, value in row.items()}
     for name, value in [*current.items()]:
@@ -65,6 +69,6 @@ def to_current_row(table: str, row: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def to_current_payload(topic: str, kind: str, payload: Mapping[str, Any]) -> dict[str, Any]:
-    """Convert the payload of an event to current names; topic and kind are current ones."""
+    """Convert the payload of an event to current names; ``topic`` and ``kind`` are already current."""
     is_baseline = topic == "assessments" and kind != "set_assessed"
     return to_current_row("baselines" if is_baseline else topic, payload)

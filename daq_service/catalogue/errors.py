@@ -73,7 +73,10 @@ class CatalogueConflictError(CatalogueError):
 
 
 def translate_driver_error(path: Path, action: str, error: BaseException | None) -> CatalogueError:
-    """Translate an error of the database driver to an error of the catalogue."""
+    """Return the catalogue's error for an error of the SQLite driver; it is not raised here.
+
+    The error code selects the class; an error without a code counts as a damaged file.
+    """
     code = getattr(error, "sqlite_errorcode", 0) & 0xFF
     message = f"{path}: {action} failed: {error}"
     if code in (sqlite3.SQLITE_BUSY, sqlite3.SQLITE_LOCKED):

@@ -27,7 +27,7 @@ HISTORY_FILE = "history.jsonl"
 
 
 def write_experiment(folder: Path, row: ExperimentRow) -> None:
-    """Write the file durably; it is never changed and readable by a person.
+    """Write ``experiment.json`` durably, with the CRC-32 of its columns; replace an existing file.
 
     Raises
     ------
@@ -48,12 +48,12 @@ def write_experiment(folder: Path, row: ExperimentRow) -> None:
 
 
 def read_experiment(folder: Path) -> ExperimentRow | None:
-    """Read the experiment's row; None if there is no file.
+    """Read the experiment's row from ``experiment.json``; None if there is no file.
 
     Raises
     ------
     CatalogueDamagedError
-        It is not what was written.
+        It is no JSON, lacks columns, or does not match its checksum.
     CatalogueError
         It cannot be read now.
     """
@@ -78,7 +78,7 @@ def read_experiment(folder: Path) -> ExperimentRow | None:
 
 
 def ensure_experiment_file(folder: Path, row: ExperimentRow) -> None:
-    """Check that the file agrees with the catalogue; write it if the folder has none.
+    """Check that the file agrees with the catalogue's row; write it if it is missing or damaged.
 
     Raises
     ------
@@ -99,12 +99,17 @@ def ensure_experiment_file(folder: Path, row: ExperimentRow) -> None:
 def refuse_other_record(
     row: ExperimentRow, other_row: ExperimentRow, name: str, other_name: str, folder: Path
 ) -> None:
-    """Raise an error if two records of a folder name different experiments.
+    """Raise an error if two records of a folder describe different experiments.
+
+    Parameters
+    ----------
+    name, other_name
+        Sources of the two records, for the message.
 
     Raises
     ------
     OtherExperimentError
-         They differ; contains both values.
+         Configuration hash or hour 0 differ; contains both values.
     """
     text, other_text = describe_experiment(row), describe_experiment(other_row)
     if text != other_text:
@@ -115,10 +120,10 @@ def refuse_other_record(
 
 
 def describe_experiment(row: ExperimentRow) -> str:
-    """Describe an experiment by configuration hash and hour 0, which identify it."""
+    """Format configuration hash and hour 0 (UTC) of an experiment, which identify it, for messages."""
     return f"configuration {row.configuration_hash}, hour 0 at {format_utc(row.epoch_utc_ns)}"
 
 
 def _compute_crc32(columns: object) -> int:
-    """Compute the checksum of the row's columns."""
+    """Compute the CRC-32 of the row's columns, serialized as JSON."""
     return zlib.crc32(orjson.dumps(columns))

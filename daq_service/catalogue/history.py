@@ -69,7 +69,10 @@ class History:
     damage: list[str] = field(default_factory=list)
 
     def take(self, number: int, table: str, row: Mapping[str, Any]) -> None:
-        """Add the contents of a line."""
+        """Add the row of one line, converted to current names; a later line of an id replaces an earlier one.
+
+        Raises TypeError or LookupError if the row does not have the columns of its table.
+        """
         self.last_number = number
         row = to_current_row(table, row)
         match table:
@@ -84,7 +87,7 @@ class History:
 
 
 def encode_line(number: int, table: str, row: Mapping[str, object]) -> bytes:
-    """Encode a row as a line of the history, with its checksum."""
+    """Encode a row as one line of the history: JSON with index, table, CRC-32 and a final newline."""
     body = orjson.dumps({"n": number, "table": table, "row": row})[1:]
     return b'%s%08x",%s\n' % (_HEAD, zlib.crc32(body), body)
 
@@ -92,10 +95,12 @@ def encode_line(number: int, table: str, row: Mapping[str, object]) -> bytes:
 def read_history(folder: Path, *, tail_bytes: int | None = None) -> History:
     """Read the history of a data folder; empty where there is none.
 
+    Corrupt and missing lines are listed in ``damage``, not raised.
+
     Parameters
     ----------
     tail_bytes
-         Read only this much of its end.
+         Read only this much of its end, without the first, incomplete line; None: all.
 
     Raises
     ------
@@ -114,7 +119,11 @@ def read_history(folder: Path, *, tail_bytes: int | None = None) -> History:
 
 
 def parse_lines(content: bytes, *, whole: bool = True, name: str = HISTORY_FILE) -> History:
-    """Parse lines; ``whole`` False: the first ones are missing; damage names the file."""
+    """Parse the lines of a history; list corrupt and missing lines in `History.damage` and go on.
+
+    ``whole`` False: the first lines are absent, which is no damage. ``name`` is the file's name in messages.
+    A last line that was truncated by a power cut is not listed.
+    """
     history = History()
     lines = content.split(b"\n")
     unreadable: list[int] = []
@@ -143,7 +152,7 @@ def parse_lines(content: bytes, *, whole: bool = True, name: str = HISTORY_FILE)
 
 
 def parse_line(line: bytes) -> tuple[int, str, Mapping[str, object]] | None:
-    """Parse index, table and row of a line; None if it is corrupt."""
+    """Parse index, table and row of a line; None if it is empty, corrupt or does not match its CRC-32."""
     try:
         if line.startswith(_HEAD) and int(line[len(_HEAD) : _BODY - 2], 16) == zlib.crc32(line[_BODY:]):
             fields = orjson.loads(line)
@@ -166,22 +175,22 @@ class HistoryFollower:
         self._refusal = ""
 
     def note_digest(self, file: str, sha256: str) -> None:
-        """Add the SHA-256 of a set's file, which the catalogue now has."""
+        """Keep the SHA-256 of a set's file, which the catalogue now has, for the next lines."""
         self._new_digests[file] = sha256
 
     def run_for(self, seconds: float) -> None:
-        """Append new rows between sets (a `BackgroundTask`)."""
+        """Append new rows, at most once per second; ``seconds`` is not used (a `BackgroundTask`)."""
         self.follow()
 
     def after_set(self, set_key: SetKey) -> None:
-        """Do nothing: the rows of a set follow in `run_for`."""
+        """Do nothing: the rows of a set follow in `run_for` (a `BackgroundTask`)."""
 
     def close(self) -> None:
-        """Append the last rows."""
+        """Append the last rows at once; a failure is logged, not raised."""
         self.follow(now=True)
 
     def begin(self) -> None:
-        """Compare the history with the catalogue and append the missing rows.
+        """Compare the end of the history with the catalogue and append the missing rows.
 
         Raises
         ------
@@ -208,7 +217,7 @@ class HistoryFollower:
         self.follow(now=True)
 
     def follow(self, *, now: bool = False) -> None:
-        """Append new rows at most once per second; log a failure and retry later."""
+        """Append new rows, at most once per second unless ``now``; log a failure and retry later."""
         if not now and self._machine.mono_s() < self._next_s:
             return
         self._next_s = self._machine.mono_s() + FOLLOW_EVERY_S
@@ -224,7 +233,10 @@ class HistoryFollower:
             self._refusal = ""
 
     def _append_missing_lines(self) -> None:
-        """Append lines until the history has all rows of the catalogue."""
+        """Append and sync lines until the history has all rows of the catalogue.
+
+        Raises OSError or StorageError; lines of earlier steps remain.
+        """
         if self._known is None:
             self._known = read_history(self._folder, tail_bytes=TAIL_BYTES)
             self._last_answered = 0
@@ -236,7 +248,10 @@ class HistoryFollower:
             self._new_digests.clear()
 
     def _collect_missing_lines(self, known: History) -> list[bytes]:
-        """Collect the next lines that the history lacks."""
+        """Encode the next lines that the history lacks, of at most 5000 events; empty if none.
+
+        Updates ``known`` as if they were written.
+        """
         last_id = max(known.events, default=0)
         events = self._catalogue.rows(EventRow, after_id=last_id, limit=EVENTS_AT_ONCE)
         commands = self._list_open_commands()
@@ -264,12 +279,15 @@ class HistoryFollower:
         return lines
 
     def _read_digests(self, first: int, last: int | None) -> dict[str, str]:
-        """Read the SHA-256 of the files of a range of sets."""
+        """Read the stored SHA-256 of sets ``first`` to ``last`` (None: the newest), by name of the file."""
         rows = self._catalogue.rows(SetRow, first_set=first, last_set=last, purpose="any")
         return {row.file: row.file_sha256 for row in rows if row.file and row.file_sha256}
 
     def _list_open_commands(self) -> list[CommandRow]:
-        """List the commands that may still change: those after the first answered ones."""
+        """List the commands that may have changed since the last call, oldest first.
+
+        Commands before the first unanswered one are skipped from the next call on.
+        """
         commands = self._catalogue.rows(CommandRow, after_id=self._last_answered)
         for command in commands:
             if command.state not in ANSWERS:
@@ -279,7 +297,7 @@ class HistoryFollower:
 
 
 def describe_missing_event(history: History, catalogue: Catalogue) -> str:
-    """Check that the catalogue has the newest event of the history; describe the loss, empty if none."""
+    """Return a text about the loss if the catalogue lacks the newest event of the history, else ""."""
     last_id = max(history.events, default=0)
     if not last_id:
         return ""
@@ -291,7 +309,7 @@ def describe_missing_event(history: History, catalogue: Catalogue) -> str:
 
 
 def describe_lost_event(last_id: int) -> str:
-    """Describe the loss of an event that the history has and the catalogue lacks."""
+    """Format the message that the catalogue lacks an event of the history, with the remedy."""
     return (
         f"has lost rows: {HISTORY_FILE} knows event {last_id}; `solimon rebuild` makes the catalogue again "
         "from sets, journal and history"
@@ -299,12 +317,12 @@ def describe_lost_event(last_id: int) -> str:
 
 
 def _list_stored_sets(events: Iterable[EventRow]) -> list[int]:
-    """Return the indices of the sets that were stored."""
+    """List the set indices of the events of topic ``sets``, in order and with repetitions."""
     return [row.set_index for row in events if row.topic == "sets" and row.set_index is not None]
 
 
 def append_durably(path: Path, lines: Iterable[bytes]) -> None:
-    """Append complete lines to a file, after a truncated end, and sync it.
+    """Append lines to a file (created if missing) and sync it; a truncated last line gets its end first.
 
     Raises
     ------

@@ -54,7 +54,7 @@ def find_network_type(path: Path, mountinfo: str | None = None, *, mounts: Path 
 
 
 def _find_filesystem_type(path: str, mountinfo: str) -> str:
-    """Find the file system type of the nearest mount point above a path; the last mounted one counts."""
+    """Find the type of the file system mounted nearest above a path, "" if none; the last mount counts."""
     place = PurePosixPath(path)
     nearest, kind = -1, ""
     for line in mountinfo.splitlines():
@@ -75,7 +75,7 @@ def _unescape_mount_point(text: str) -> str:
 
 
 def _detect_windows_drive(path: Path) -> str | None:
-    """Detect the kind of network drive of a path on Windows; None if it is local."""
+    """Return "UNC share" or "network drive" for such a path on Windows; None elsewhere."""
     if sys.platform != "win32":
         return None
     anchor = path.resolve().anchor

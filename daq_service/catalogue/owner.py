@@ -18,12 +18,14 @@ from simulator.parameters.experiment import TWIN_VERSION
 
 
 def refuse_other_test(engine: Engine, path: Path, settings: Settings) -> None:
-    """Raise an error unless the next set measures the same as the first one.
+    """Raise an error if a catalogue's test differs from the settings, an extractor or the twin.
+
+    Returns silently if the catalogue has no test yet.
 
     Raises
     ------
     OtherExperimentError
-        Every key or version that differs with both values, and the way out.
+        Lists every key or version that differs with both values, and the remedy.
     """
     with engine.begin() as connection:
         # Columns that came later are missing in an earlier catalogue.
@@ -39,19 +41,19 @@ def refuse_other_test(engine: Engine, path: Path, settings: Settings) -> None:
 
 
 def build_experiment_identity(row: ExperimentRow) -> str:
-    """Build the identifier of a test for derived data from configuration hash and epoch."""
+    """Return the identifier ``<configuration hash>/<hour 0 in ns UTC>`` of a test for derived data."""
     return f"{row.configuration_hash}/{row.epoch_utc_ns}"
 
 
 def refuse_other_experiment(
     row: ExperimentRow, folder: Path, settings: Settings, lines: Sequence[str] = ()
 ) -> None:
-    """Raise an error if an experiment has another configuration; ``lines`` lists other differences.
+    """Raise an error if an experiment has another configuration, or ``lines`` lists other differences.
 
     Raises
     ------
     OtherExperimentError
-        Every key that differs with both values, and the way out.
+        Lists every key that differs with both values, the ``lines``, and the remedy.
     """
     own_hash = settings.configuration_hash()
     if row.configuration_hash != own_hash:
@@ -67,7 +69,7 @@ def refuse_other_experiment(
 
 
 def _list_other_versions(connection: Connection, *, on_twin: bool) -> list[str]:
-    """List extractors and twin whose version differs from that of the folder's last rows."""
+    """Describe each extractor, and the twin, whose version differs from the last stored one."""
     # Loading the extractors takes a while, and only a folder that has a test needs it.
     from analysis.ultrasound import thickness as pulse_echo
     from analysis.waves import features as solitary_wave
@@ -86,7 +88,7 @@ def _list_other_versions(connection: Connection, *, on_twin: bool) -> list[str]:
 
 
 def _read_newest(connection: Connection, table: Table) -> Any:
-    """Read the extractor version of the newest row of a table; None without one."""
+    """Read the extractor version of the newest row of a table; None if the table is empty."""
     return connection.execute(select(table.c.extractor_version).order_by(table.c.id.desc()).limit(1)).scalar()
 
 

@@ -45,7 +45,7 @@ ADDED_COLUMNS: Mapping[type[Row], tuple[PublishedColumn, ...]] = {
 
 
 def _to_column(name: str, form: Form = "number") -> PublishedColumn:
-    """Create the published column of a nested value."""
+    """Create the published column of a nested value: nullable and without unit."""
     return PublishedColumn(name=name, form=form, unit="", nullable=True)
 
 
@@ -70,7 +70,7 @@ PARTS: Mapping[type[Row], Mapping[tuple[str, ...], PublishedColumn]] = {
 
 
 def add_parts(kind: type[Row], row: Mapping[str, object]) -> dict[str, object]:
-    """Add the columns of `PARTS` to a row; None for missing values."""
+    """Return a copy of a row with the columns of `PARTS`; None for missing values."""
     extended = dict(row)
     for path, column in PARTS.get(kind, {}).items():
         value: Any = row
@@ -81,7 +81,7 @@ def add_parts(kind: type[Row], row: Mapping[str, object]) -> dict[str, object]:
 
 
 def describe_columns(kind: type[Row]) -> tuple[PublishedColumn, ...]:
-    """List the published columns of a kind of row, with times of hours and added columns."""
+    """List the published columns of a kind of row: stored, UTC of hours, added, parts of nested ones."""
     columns: dict[str, PublishedColumn] = {}
     for column in list_columns(kind):
         name = column.published_name
@@ -96,7 +96,7 @@ def describe_columns(kind: type[Row]) -> tuple[PublishedColumn, ...]:
 
 
 def choose_form(of_type: Any) -> Form:
-    """Return the published form (number, text, ...) of the type of a column."""
+    """Return the published form of a column's type; "nested" for lists, tables and unknown types."""
     plain = next((kind for kind in get_args(of_type) if kind is not NoneType), of_type)
     if get_origin(of_type) is Literal or get_origin(plain) is Literal:
         return "text"

@@ -149,9 +149,10 @@ def is_scheduled(table: sa.FromClause) -> sa.ColumnElement[bool]:
 
 
 def query_set_at(table: sa.Table, hour: float, which: Literal["first", "last"]) -> sa.ScalarSelect[int]:
-    """Build the query for the first set due at an hour or later, or for the last one until then.
+    """Build the subquery for the first set due at an hour or later, or the last one until then.
 
-    Hours increase with the set index, so a range of hours is a range of sets and uses an index.
+    The result is a set index, NULL if there is no such set. Hours increase with the set index, so a range of
+    hours is a range of sets and uses an index.
     """
     due = sets if "position" in table.c else table
     found = sa.select(due.c.set_index).where(is_scheduled(due)).limit(1)
@@ -194,27 +195,27 @@ class Catalogue:
         self.close()
 
     def close(self) -> None:
-        """Close every connection; may be called again."""
+        """Close every connection of readers and commands; may be called again."""
         self._engine.dispose()
         if self._command_engine is not None:
             self._command_engine.dispose()
 
     @contextmanager
     def open_snapshot(self) -> Iterator[sa.Connection]:
-        """Open a read transaction, so that several queries see one state of the catalogue."""
+        """Open a read transaction for queries of one state; errors of SQL become `CatalogueError`."""
         with translate_errors(self._path, "reading"), self._engine.begin() as connection:
             yield connection
 
     # Rows of every kind
 
     def rows(self, kind: type[R], /, *, limit: int | None = None, **filters: Unpack[Filters]) -> list[R]:
-        """Read rows of a table in storage order; with filters on sets, in the order of the sets."""
+        """Read at most ``limit`` rows by id, or with filters on sets in the order of the sets (`Filters`)."""
         return self._read_rows(kind, _select_kind(kind, limit, filters), _find_required(kind, filters))
 
     def read_last_rows(
         self, kind: type[R], position: str, count: int | None, /, **filters: Unpack[Filters]
     ) -> list[R]:
-        """Read the rows of the last sets of a position (None: of all), in the order of the sets."""
+        """Read the newest ``count`` rows of a position (None: of all) by set, the newest last."""
         table = TABLES[kind]
         statement = filter_by(sa.select(table), table, {**filters, "position": position})
         newest_first = statement.order_by(None).order_by(*(column.desc() for column in _list_key(table)))
@@ -222,7 +223,7 @@ class Catalogue:
         return self._read_rows(kind, newest_first.limit(count), required)[::-1]
 
     def read_newest_gaps(self, count: int) -> list[SetRow]:
-        """Read the newest missed and the newest partial sets of each position, ``count`` of each."""
+        """Read the newest ``count`` missed and ``count`` partial sets of each position, in any order."""
         return self._read_rows(SetRow, _build_newest_gaps_query(count))
 
     def read_newest_recorded(self) -> SetRow | None:
@@ -230,12 +231,12 @@ class Catalogue:
         return self._read_newest_row(SetRow, sets.c.file.is_not(None) & is_scheduled(sets))
 
     def list_newest_files(self, n_rows: int) -> dict[SetKey, str]:
-        """List the files of the newest rows of sets, by key in order."""
+        """List the files that the newest ``n_rows`` rows of sets name, by set key in order."""
         with self.open_snapshot() as connection:
             return _read_files(connection, _build_newest_files_query(n_rows))
 
     def count_stored_sets(self, position: str, first_set: int, last_set: int) -> int:
-        """Count the scheduled sets of a position with records, between two indices (inclusive)."""
+        """Count the scheduled sets of a position that have records, between two indices (inclusive)."""
         in_range = is_scheduled(sets) & sets.c.set_index.between(first_set, last_set)
         filtered_sets = (sets.c.position == position) & in_range
         with self.open_snapshot() as connection:
@@ -246,14 +247,14 @@ class Catalogue:
             ).scalar_one()
 
     def read_first_thickness(self, position: str) -> ThicknessRow | None:
-        """Read the first pulse-echo result with a travel time; None without one."""
+        """Read the first scheduled pulse-echo result with a travel time; None without one."""
         table = TABLES[ThicknessRow]
         statement = filter_by(sa.select(table), table, {"position": position})
         rows = self._read_rows(ThicknessRow, statement.where(table.c.travel_time_s.is_not(None)).limit(1))
         return rows[0] if rows else None
 
     def read_baselines_by_id(self) -> dict[int, BaselineRow]:
-        """Read all baselines, by id."""
+        """Read all baselines, also retired ones, by id."""
         return {row.id: row for row in self.rows(BaselineRow) if row.id is not None}
 
     def columns(
@@ -265,7 +266,7 @@ class Catalogue:
         limit: int | None = None,
         **filters: Unpack[Filters],
     ) -> dict[str, list[Any]]:
-        """Read values of a table by column: name to the values of all rows in order.
+        """Read columns of a table as lists of equal length by name; filters and order as in `rows`.
 
         Raises
         ------
@@ -287,14 +288,14 @@ class Catalogue:
     def _read_rows(
         self, kind: type[R], statement: sa.Select[Any], required: Mapping[str, object] = MappingProxyType({})
     ) -> list[R]:
-        """Read the rows of a query."""
+        """Read the rows of a query, events with the rows that they report; DamagedRow at a corrupt one."""
         with self.open_snapshot() as connection:
             return join_reported_rows(
                 connection, _collect_rows(kind, required, read_rows(connection, kind, statement))
             )
 
     def _read_newest_row(self, kind: type[R], condition: sa.ColumnElement[bool] | None = None) -> R | None:
-        """Read the last stored row that meets a condition; None if there is none."""
+        """Read the row with the highest id that meets a condition; None if there is none."""
         table = TABLES[kind]
         statement = sa.select(table).order_by(table.c.id.desc()).limit(1)
         rows = self._read_rows(kind, statement if condition is None else statement.where(condition))
@@ -319,7 +320,7 @@ class Catalogue:
         return row
 
     def list_position_names(self) -> list[str]:
-        """List the names of all configured positions."""
+        """List the configured positions in their order; NoDataYetError before the test starts."""
         return list(self.read_experiment().configuration.get("positions", ()))
 
     def counts(self) -> dict[str, int]:
@@ -342,7 +343,7 @@ class Catalogue:
         }
 
     def list_files_except(self, known: Collection[SetKey]) -> dict[SetKey, str]:
-        """List the files of all sets except the ``known`` ones, by key."""
+        """List the files of all sets except the ``known`` ones, by key; sets without a file are omitted."""
         positions = self.list_position_names()
         scheduled = {set_index for set_index, unscheduled_index in known if not unscheduled_index}
         with self.open_snapshot() as connection:
@@ -362,7 +363,7 @@ class Catalogue:
         return files
 
     def read_latest_rows(self) -> dict[str, LatestRows]:
-        """Read the newest rows of each position that has a row in ``sets``."""
+        """Read the newest rows of each position that has a row in ``sets``, sorted by position."""
         with self.open_snapshot() as connection:
             last_sets = _read_newest_rows(connection, SetRow)
             last_features = _read_newest_rows(connection, FeatureRow)
@@ -385,15 +386,15 @@ class Catalogue:
         }
 
     def read_last_environment(self) -> EnvironmentRow | None:
-        """Read the newest row of the environment; None if there is none."""
+        """Read supply and climate of the newest set; None if there are none."""
         return self._read_newest_row(EnvironmentRow)
 
     def baseline(self, position: str) -> BaselineRow | None:
-        """Read the newest baseline of a position; None if there is none."""
+        """Read the newest baseline of a position in any state; None if there is none."""
         return self._read_newest_row(BaselineRow, TABLES[BaselineRow].c.position == position)
 
     def read_newest_baselines(self) -> dict[str, BaselineRow]:
-        """Read the newest baseline of each position that has one."""
+        """Read the newest baseline, in any state, of each position that has one."""
         return {row.position: row for row in self.rows(BaselineRow)}  # the newest is last
 
     def find_newest_id(self, kind: type[AlarmRow] | type[CommandRow]) -> int:
@@ -410,21 +411,21 @@ class Catalogue:
     def read_events_after(
         self, event_id: int, topics: Collection[str] | None = None, limit: int | None = 500
     ) -> list[EventRow]:
-        """Read the events after an id, in order, optionally of some topics."""
+        """Read at most ``limit`` events (None: all) after an id, in order, optionally of some topics."""
         return self.rows(EventRow, after_id=event_id, topics=topics, limit=limit)
 
     def read_last_service_event(self, *kinds: str) -> EventRow | None:
-        """Read the newest event of the service of one of these kinds; None if there is none."""
+        """Read the newest service event of one of these kinds; None if there is none."""
         last_id = filter_by(sa.select(sa.func.max(events.c.id)), events, {"topic": "service"}).order_by(None)
         newest = last_id.where(events.c.kind.in_(kinds)).scalar_subquery()
         return self._read_newest_row(EventRow, events.c.id == newest)
 
     def read_last_event(self, topic: str) -> EventRow | None:
-        """Read the newest event of a topic that every set reports; None if there is none."""
+        """Read the newest event of a topic, None if there is none; slow for a topic with few events."""
         return self._read_newest_row(EventRow, events.c.topic == topic)
 
     def paused(self) -> str | None:
-        """Return who paused the test and why; None if it is not paused."""
+        """Return who paused the test and why, as one text; None if it is not paused."""
         event = self.read_last_service_event("pause", "resume")
         return None if event is None else event.payload["paused"] or None
 
@@ -440,7 +441,7 @@ class Catalogue:
     def add_command(
         self, author: str, kind: str, arguments: dict[str, Any], *, within_s: float = ORDER_WITHIN_S
     ) -> int:
-        """Write an operator's command for the recorder and return its id.
+        """Store an operator's command as pending for the recorder and return its id.
 
         Parameters
         ----------
@@ -471,14 +472,18 @@ class Catalogue:
             return store_command(connection, row)
 
     def _open_writer(self) -> sa.Engine:
-        """Create or return the engine that writes commands."""
+        """Return the engine that writes commands; create it on the first call."""
         if self._command_engine is None:
             self._command_engine = make_engine(self._path, writable=True)
         return self._command_engine
 
 
 def filter_by(statement: sa.Select[Any], table: sa.Table, filters: Filters) -> sa.Select[Any]:
-    """Add filters and order to a query of a table."""
+    """Add the conditions of filters, and an order, to a query of a table.
+
+    Only scheduled sets are selected unless a filter names others. The order is that of the sets if a filter
+    selects some of them, else that of the ids.
+    """
     values = {name: value for name, value in filters.items() if value is not None and name != "after_id"}
     after_id = filters.get("after_id")
     if _has_set_key(table) and "unscheduled_index" not in values:
@@ -500,7 +505,7 @@ def filter_by(statement: sa.Select[Any], table: sa.Table, filters: Filters) -> s
 
 
 def _find_required(kind: type[Row], filters: Filters) -> dict[str, object]:
-    """Collect the column values that filters require of a row."""
+    """Collect the column values that filters require of every row, to detect a corrupt index."""
     columns = [name for name in filters if name == "topic" or name not in _CONDITIONS]
     required = {name: filters.get(name) for name in columns if name in kind.__slots__}
     required = {name: value for name, value in required.items() if value is not None}
@@ -532,24 +537,27 @@ def _collect_rows(kind: type[R], required: Mapping[str, object], found: Iterable
 
 
 def _has_set_key(table: sa.Table) -> bool:
-    """Return whether the rows of a table belong to scheduled and unscheduled sets."""
+    """Return whether a table has rows of scheduled and of unscheduled sets; False for events."""
     return table is not events and "unscheduled_index" in table.c
 
 
 def _list_key(table: sa.Table) -> list[sa.Column[int]]:
-    """List the columns of a table that form the key of a set."""
+    """List those columns of a table that form the key of a set; empty if it has none."""
     return [table.c[name] for name in SetKey._fields if name in table.c]
 
 
 def _read_files(connection: sa.Connection, statement: sa.Select[int, int, str]) -> dict[SetKey, str]:
-    """Read the files of a query of `_FILES`, by key."""
+    """Read the files of a query with the columns of `_FILES`, by set key in its order."""
     return {SetKey(*key): file for *key, file in connection.execute(statement)}
 
 
 def _select_after(
     table: sa.Table, order: Sequence[sa.ColumnElement[Any]], row_id: int
 ) -> sa.ColumnElement[bool]:
-    """Build the condition for the rows that follow a row in an order."""
+    """Build the condition for the rows that follow row ``row_id`` in an order that ends with the id.
+
+    If there is no such row, an order by more than the id selects nothing.
+    """
     if len(order) == 1:
         return order[0] > row_id
     values = [sa.select(column).where(table.c.id == row_id).scalar_subquery() for column in order]
@@ -565,12 +573,12 @@ def store_command(connection: sa.Connection, row: CommandRow) -> int:
 
 
 def _select_kind(kind: type[Row], limit: int | None, filters: Filters) -> sa.Select[Any]:
-    """Build the query for the filtered rows of a kind."""
+    """Build the query for at most ``limit`` filtered rows of a kind (None: all), ordered by `filter_by`."""
     return filter_by(sa.select(TABLES[kind]), TABLES[kind], filters).limit(limit)
 
 
 def _read_newest_rows(connection: sa.Connection, kind: type[OfSet]) -> dict[str, OfSet]:
-    """Read the row of the highest set index of each position in ``sets``."""
+    """Read the scheduled row of the highest set index of each position in ``sets``, by position."""
     required = _find_required(kind, {"scope": "set"})
     newest = read_rows(connection, kind, _build_newest_query(TABLES[kind]))
     return {row.position: row for row in _collect_rows(kind, required, newest)}
@@ -580,7 +588,7 @@ def _read_newest_rows(connection: sa.Connection, kind: type[OfSet]) -> dict[str,
 
 
 def _build_positions_query() -> sa.CTE:
-    """Build the query for the positions that have a row in ``sets``."""
+    """Build the recursive query for the positions that have a row in ``sets``, and a final NULL."""
     # One index step finds the next name, independent of the number of sets.
     first = sa.select(sa.func.min(sets.c.position).label("position")).cte("places", recursive=True)
     following = sa.select(sa.func.min(sets.c.position)).where(sets.c.position > first.c.position)
@@ -589,7 +597,7 @@ def _build_positions_query() -> sa.CTE:
 
 @cache
 def _build_newest_query(table: sa.Table) -> sa.Select[Any]:
-    """Build the query for the newest row of each position."""
+    """Build the query for the newest scheduled row of each position; of features, that of a set."""
     names, of_position = _build_positions_query(), table.alias("of_place")
     newest = sa.select(of_position.c.id).where(
         of_position.c.position == names.c.position, is_scheduled(of_position)
@@ -602,7 +610,7 @@ def _build_newest_query(table: sa.Table) -> sa.Select[Any]:
 
 @cache
 def _build_last_index_query() -> sa.Select[Any]:
-    """Build the query for the highest set index."""
+    """Build the query for the highest index of a scheduled set; its result is NULL without one."""
     names = _build_positions_query()
     newest = sa.select(sa.func.max(sets.c.set_index)).where(
         sets.c.position == names.c.position, is_scheduled(sets)
@@ -615,14 +623,14 @@ _FILES = sa.select(sets.c.set_index, sets.c.unscheduled_index, sets.c.file)
 
 @cache
 def _build_unscheduled_query() -> sa.Select[int, int, str]:
-    """Build the query for the files of unscheduled sets."""
+    """Build the query for the files of unscheduled sets, in the order of their keys."""
     unscheduled = _CONDITIONS["purpose"](sets, "confirmation")
     return _FILES.where(unscheduled, sets.c.file.is_not(None)).order_by(*_list_key(sets))
 
 
 @cache
 def _build_newest_files_query(n_rows: int) -> sa.Select[int, int, str]:
-    """Build the query for the files of the newest rows of sets."""
+    """Build the query for the distinct files of the newest ``n_rows`` rows of sets, in the order of keys."""
     newest = _FILES.order_by(sets.c.id.desc()).limit(n_rows).subquery().c
     statement = sa.select(newest.set_index, newest.unscheduled_index, newest.file)
     order = (newest.set_index, newest.unscheduled_index)
@@ -631,7 +639,7 @@ def _build_newest_files_query(n_rows: int) -> sa.Select[int, int, str]:
 
 @cache
 def _build_newest_gaps_query(count: int) -> sa.Select[Any]:
-    """Build the query for the newest gaps of each position."""
+    """Build the query for the newest ``count`` missed and partial scheduled sets of each position."""
     names, of_position = _build_positions_query(), sets.alias("of_place")
     states = sa.union_all(*(sa.select(sa.literal(state).label("state")) for state in GAP_STATES)).cte(
         "states"

@@ -49,12 +49,12 @@ _SETS_AT_ONCE = 500
 
 
 def to_payload(row: Row) -> Payload:
-    """Convert a row of a set to the payload of its event."""
+    """Convert a row of a set to the payload of its event: its columns without id and digest of the file."""
     return _to_json_values(as_dict(row))
 
 
 def _to_json_values(columns: Payload) -> Payload:
-    """Convert the columns of a row to JSON values, as the payload of its event has them."""
+    """Remove the id and clear the digest of the file in a row's columns, in place; return them."""
     columns.pop("id")
     if "file_sha256" in columns:  # it comes when the file is made, which differs between two runs of one test
         columns["file_sha256"] = None
@@ -62,12 +62,15 @@ def _to_json_values(columns: Payload) -> Payload:
 
 
 def is_joined(event: EventRow) -> bool:
-    """Return whether an event is stored without its row."""
+    """Return whether an event is stored without payload because it reports a stored row."""
     return not event.payload and event.kind in ROW_OF_EVENT
 
 
 def strip_rows(reports: Iterable[EventRow], rows: Iterable[Row]) -> list[EventRow]:
-    """Remove the payloads that repeat a stored row that never changes, as events are stored."""
+    """Return the events as they are stored: without payloads that repeat one of the rows.
+
+    A row of a collecting baseline may change, so its event keeps the payload.
+    """
     payloads = to_payloads(row for row in rows if not (isinstance(row, AssessmentRow) and row.in_baseline))
     return [
         replace(event, payload={})
@@ -78,7 +81,7 @@ def strip_rows(reports: Iterable[EventRow], rows: Iterable[Row]) -> list[EventRo
 
 
 def join_rows(reports: Iterable[R], payloads: Mapping[Key, Payload]) -> list[R]:
-    """Add the payloads of the rows that events report, by their keys; leave other rows unchanged."""
+    """Return the events with the payloads of the rows that they report, by key; other rows are unchanged."""
     return [
         replace(event, payload=payloads[_build_event_key(event)])
         if isinstance(event, EventRow) and is_joined(event) and _build_event_key(event) in payloads
@@ -88,12 +91,12 @@ def join_rows(reports: Iterable[R], payloads: Mapping[Key, Payload]) -> list[R]:
 
 
 def to_payloads(rows: Iterable[Row]) -> dict[Key, Payload]:
-    """Build the payloads of events from rows, by the keys of the rows."""
+    """Build the payloads of events from rows, by the keys of the rows; rows of single shots are omitted."""
     return {_row_to_key(row): to_payload(row) for row in rows if getattr(row, "shot_index", None) is None}
 
 
 def join_reported_rows(connection: sa.Connection, reports: list[R]) -> list[R]:
-    """Read the rows that events report and add them as payloads; leave other kinds of rows unchanged.
+    """Read the rows that events report and add them as payloads; keep the order and other kinds of rows.
 
     Raises
     ------
@@ -123,14 +126,14 @@ def join_reported_rows(connection: sa.Connection, reports: list[R]) -> list[R]:
 
 
 def select_rows(kind: type[Row]) -> sa.Select[Any]:
-    """Build the query for the rows of a kind that events report."""
+    """Build the query for all rows of a kind that events report; of features, only those of sets."""
     table = TABLES[kind]
     statement = sa.select(table)
     return statement.where(table.c.shot_index.is_(None)) if kind is FeatureRow else statement
 
 
 def _build_some_rows_query(kind: type[Row]) -> sa.Select[Any]:
-    """Build the query for the rows of some positions and sets, which finds each in an index."""
+    """Build the query for rows by parameters ``indices`` and ``positions``, which finds each in an index."""
     table = TABLES[kind]
     statement = select_rows(kind).where(table.c.set_index.in_(sa.bindparam("indices", expanding=True)))
     if "position" in table.c:
@@ -142,7 +145,7 @@ _OF_SOME_SETS = {kind: _build_some_rows_query(kind) for kind in ROW_OF_EVENT.val
 
 
 def find_lost_rows(connection: sa.Connection) -> Iterator[tuple[int, str]]:
-    """Yield id and description of each event whose row is lost."""
+    """Yield id and description of each event without payload whose row is missing."""
     for event_kind, kind in ROW_OF_EVENT.items():
         table = TABLES[kind]
         names = [name for name in ("position", *SetKey._fields) if name in table.c]
@@ -156,7 +159,7 @@ def find_lost_rows(connection: sa.Connection) -> Iterator[tuple[int, str]]:
 
 
 def _describe_lost_row(event_id: int | None, kind: type[Row]) -> str:
-    """Describe that the row of an event is missing."""
+    """Format the message that the row of an event is missing, with both tables."""
     return f"row {event_id} of table {events.name} lacks its row of table {TABLES[kind].name}"
 
 
@@ -172,10 +175,13 @@ def _to_stored_form(payload: Payload) -> object:
 
 
 def _build_event_key(event: EventRow) -> Key:
-    """Build the key of the row that an event reports: kind, position and set."""
+    """Build the key of the row that an event reports: kind, position and set.
+
+    Of an event that reports no row, the kind is `EventRow`.
+    """
     return ROW_OF_EVENT.get(event.kind, EventRow), event.position, event.set_key
 
 
 def _row_to_key(row: Any) -> Key:
-    """Build the key of a row, as `_key` does for its event."""
+    """Build the key of a row, as `_build_event_key` does for its event."""
     return type(row), getattr(row, "position", None), getattr(row, "set_key", SetKey(row.set_index))

@@ -98,18 +98,18 @@ class Blocks:
     end: int
 
     def key(self, first: int) -> str:
-        """Format the key of the block that starts with a set."""
+        """Return the key of the block that starts with set ``first``; keys sort in the order of the sets."""
         # Numbers of equal length: so keys sort in the order of the sets.
         return f"{self.place.position}/{self.rollup.name}/{self.width:010d}/{first:010d}"
 
 
 def list_bin_values(kind: Kind) -> tuple[str, ...]:
-    """List the names of the values of a bin, in order."""
+    """List the names of the values of a bin, in order: the measured ones, then the assessed ones."""
     return (*MEASURED[kind], *ASSESSED_VALUES)
 
 
 def select_sets(kind: type[Row], position: object, first: object, last: object) -> ColumnElement[bool]:
-    """Build the condition for the rows of a range of scheduled sets, both ends included."""
+    """Build the condition for rows of a range of set indices, ends included; of features, rows of sets."""
     table = TABLES[kind]
     of_sets = (table.c.position == position) & table.c.set_index.between(first, last)
     return of_sets & table.c.shot_index.is_(None) if kind is FeatureRow else of_sets
@@ -133,7 +133,7 @@ _DELETE = prepare(delete(trend_blocks).where(_BLOCKS))
 
 
 def _read_rows(connection: Connection, kind: type[R], **of_range: object) -> Iterator[R]:
-    """Read the rows of a range of scheduled sets; raise DamagedRow at a row of another set."""
+    """Read the rows of a range of sets, by set index; raise DamagedRow at a row of a single shot."""
     for row in read_rows(connection, kind, _OF_RANGE[kind], **of_range):
         if isinstance(row, FeatureRow) and row.shot_index is not None:
             raise DamagedRow(f"an index of table features is corrupt: it has shot {row.shot_index} as a set")
@@ -141,7 +141,7 @@ def _read_rows(connection: Connection, kind: type[R], **of_range: object) -> Ite
 
 
 def _compute_bins(connection: Connection, place: PositionRange, first: int, end: int) -> Pieces:
-    """Compute the bin of each set of a range."""
+    """Compute a bin for each set from ``first`` to ``end`` (excluded) from the stored rows."""
     of_range = {"of_position": place.position, "first": first, "last": end - 1}
     set_rows = list(_read_rows(connection, SetRow, **of_range))
     results = {row.set_index: row for row in _read_rows(connection, place.kind, **of_range)}
@@ -174,7 +174,7 @@ def _compute_bins(connection: Connection, place: PositionRange, first: int, end:
 
 
 def _compute_fit_sums(connection: Connection, place: PositionRange, first: int, end: int) -> Pieces:
-    """Compute the sums for fits of each set of a range."""
+    """Compute the sums for fits for each set from ``first`` to ``end`` (excluded) that has results."""
     results = list(_read_rows(connection, place.kind, of_position=place.position, first=first, last=end - 1))
     names = MEASURED[place.kind]
     values = np.array([[getattr(row, name) for name in names] for row in results], dtype=np.float64)
@@ -183,7 +183,7 @@ def _compute_fit_sums(connection: Connection, place: PositionRange, first: int, 
 
 
 def _join_fit_sums(parts: NDArray[np.void], starts: NDArray[np.intp]) -> NDArray[np.void]:
-    """Combine the sums from each start to the next one."""
+    """Combine the sums from each start to the next one, shape (len(starts), n_values)."""
     return np.stack([join_parts(block_parts) for block_parts in np.split(parts, starts[1:])])
 
 
@@ -208,7 +208,7 @@ ROLLUPS = (CHARTS, FITS)
 
 
 def join_pieces(rollup: Rollup, pieces: Pieces, width: int) -> Pieces:
-    """Combine pieces to blocks of ``width`` sets, counted from set 0."""
+    """Combine pieces to blocks of ``width`` sets, counted from set 0; sets without a piece are omitted."""
     index, content = pieces
     if not index.size:
         return pieces
@@ -218,13 +218,16 @@ def join_pieces(rollup: Rollup, pieces: Pieces, width: int) -> Pieces:
 
 
 def read_stored_blocks(connection: Connection, blocks: Blocks) -> list[tuple[str, bytes]]:
-    """Read keys and contents of stored blocks."""
+    """Read keys and contents of the stored blocks of a range, in the order of the sets.
+
+    Raises DamagedRow if one does not match its checksum.
+    """
     of_range = {"first": blocks.key(blocks.first), "end": blocks.key(blocks.end)}
     return [(key, block) for key, block, _ in read_values(connection, TrendBlockRow, _STORED, **of_range)]
 
 
 def read_stored_pieces(connection: Connection, blocks: Blocks) -> Pieces:
-    """Read stored blocks as pieces; below the finest width, compute a piece per set."""
+    """Read stored blocks as pieces; below the finest width, compute a piece for each set from its rows."""
     rollup, place = blocks.rollup, blocks.place
     if blocks.width < rollup.finest:
         return rollup.of_sets(connection, place, blocks.first, blocks.end)
@@ -234,7 +237,7 @@ def read_stored_pieces(connection: Connection, blocks: Blocks) -> Pieces:
 
 
 def compute_blocks(connection: Connection, blocks: Blocks) -> list[TrendBlockRow]:
-    """Compute blocks from smaller ones; blocks without a set are omitted."""
+    """Compute blocks from stored smaller ones, or from rows; blocks without a set are omitted."""
     pieces = read_stored_pieces(connection, replace(blocks, width=blocks.width // FACTOR))
     index, content = join_pieces(blocks.rollup, pieces, blocks.width)
     return [
@@ -244,7 +247,7 @@ def compute_blocks(connection: Connection, blocks: Blocks) -> list[TrendBlockRow
 
 
 def store_blocks(connection: Connection, blocks: Blocks) -> None:
-    """Compute and store the blocks of a range."""
+    """Compute the blocks of a range and replace the stored ones, in the caller's transaction."""
     rows = compute_blocks(connection, blocks)
     _DELETE.execute(connection, first=blocks.key(blocks.first), end=blocks.key(blocks.end))
     insert_rows(connection, rows)
@@ -259,7 +262,7 @@ _NEWEST = prepare(
 
 
 def find_position_range(connection: Connection, position: str) -> PositionRange | None:
-    """Find the kind of rows and the end of a position; None without sets."""
+    """Find kind of rows and end of a position's scheduled sets; None without sets."""
     found = _NEWEST.execute(connection, of_position=position).fetchone()
     if found is None:
         return None
@@ -271,13 +274,13 @@ def find_position_range(connection: Connection, position: str) -> PositionRange 
 
 
 def find_last_sets(connection: Connection, positions: Iterable[str]) -> dict[str, int]:
-    """Find the newest set of each position that has one."""
+    """Find the index of the newest scheduled set of each position that has one."""
     places = (find_position_range(connection, position) for position in positions)
     return {place.position: place.end - 1 for place in places if place is not None}
 
 
 def collect_touched_sets(rows: Iterable[Row]) -> dict[str, set[int]]:
-    """Collect the scheduled sets of each position to which rows belong."""
+    """Collect the indices of the scheduled sets to which rows belong, by position; ignore other rows."""
     touched: dict[str, set[int]] = {}
     for row in rows:
         if isinstance(row, AlarmRow):
@@ -294,14 +297,17 @@ def collect_touched_sets(rows: Iterable[Row]) -> dict[str, set[int]]:
 def update_trends(
     connection: Connection, touched: Mapping[str, Collection[int]], last_before: Mapping[str, int]
 ) -> None:
-    """Recompute the blocks of changed sets, in the transaction that changes them.
+    """Recompute the complete blocks of changed sets, in the transaction that changes them.
 
     Parameters
     ----------
+    touched
+        Indices of the changed sets of each position.
     last_before
-         `last_sets` before the change: their blocks may be complete now.
+        `find_last_sets` before the change: the blocks after these sets may be complete now.
 
-     A corrupt row does not prevent the storage of a set: its blocks stay, and `verify` reports both.
+    A corrupt row does not prevent the storage of a set: its blocks stay, with a log message, and `verify`
+    reports both.
     """
     for position, indices in touched.items():
         place = find_position_range(connection, position)
@@ -321,7 +327,7 @@ def update_trends(
 
 
 def _find_runs(numbers: Iterable[int]) -> Iterator[tuple[int, int]]:
-    """Group consecutive numbers and yield them as half-open ranges."""
+    """Group increasing numbers into consecutive ranges and yield each as (first, end), ``end`` excluded."""
     first = end = -1
     for number in numbers:
         if number != end and end >= 0:

@@ -429,7 +429,7 @@ class Column:
 
     @property
     def published_name(self) -> str:
-        """Return the name in answers and tables, where a time is RFC 3339 text."""
+        """Return the name in answers and tables, where ``_utc_ns`` is RFC 3339 text and becomes ``_utc``."""
         is_time = self.name == "utc_ns" or self.name.endswith("_utc_ns")
         return self.name.removesuffix("_ns") if is_time else self.name
 

@@ -34,7 +34,9 @@ class Salvaged:
 
 
 def read_sound_rows(folder: Path) -> Salvaged:
-    """Read every sound row; empty if there is no catalogue.
+    """Read every sound row that cannot be recomputed; empty if there is no catalogue.
+
+    Corrupt rows are listed in ``damage``, not raised.
 
     Raises
     ------
@@ -75,7 +77,10 @@ def read_sound_rows(folder: Path) -> Salvaged:
 
 
 def _yield_rows(connection: Connection, kind: type[R], report: Callable[[str], None]) -> Iterator[R]:
-    """Yield the rows that match their checksum, also those before and after a corrupt page."""
+    """Yield the rows that match their checksum; report the others and go on.
+
+    At a corrupt page the table is read again from its end, so a row may come twice.
+    """
     table = TABLES[kind]
     key = table.primary_key.columns[0]
     for backwards in (False, True):

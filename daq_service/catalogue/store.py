@@ -77,7 +77,7 @@ def open_catalogue(folder: Path, *, writer: bool = False, settings: Settings | N
 
 
 def open_for_one_command(folder: Path) -> RecorderCatalogue:
-    """Open the catalogue of a test without a recorder for writing; it is neither created nor migrated.
+    """Open the catalogue of a test for writing one command; it is neither created nor migrated.
 
     Raises
     ------
@@ -90,7 +90,7 @@ def open_for_one_command(folder: Path) -> RecorderCatalogue:
 
 
 def open_temporary(folder: Path) -> RecorderCatalogue:
-    """Create a temporary catalogue that is deleted with its folder: nothing is durable."""
+    """Create a catalogue with the current schema in a temporary folder; nothing is synced to disk."""
     path = folder / FILE_NAME
     engine = make_engine(path, writable=True, durable=False)
     with translate_errors(path, "making"):
@@ -99,7 +99,7 @@ def open_temporary(folder: Path) -> RecorderCatalogue:
 
 
 def _refuse_network_folder(folder: Path) -> None:
-    """Raise an error for a folder on a network."""
+    """Raise NetworkFolderError if a folder is on a network file system."""
     kind = find_network_type(folder)
     if kind is not None:
         raise NetworkFolderError(
@@ -109,7 +109,7 @@ def _refuse_network_folder(folder: Path) -> None:
 
 
 def check_owner(settings: Settings, folder: Path) -> None:
-    """Compare a folder's test with the settings before anything is written, also of older revisions.
+    """Raise an error if a folder's test differs from the settings, also of an older revision; write nothing.
 
     Raises
     ------
@@ -140,7 +140,10 @@ def check_owner(settings: Settings, folder: Path) -> None:
 
 
 def _open_writer(path: Path, settings: Settings | None) -> RecorderCatalogue:
-    """Open, check and if necessary migrate the catalogue for the recorder."""
+    """Open the catalogue for the recorder; create, check or migrate it. Raises as `open_catalogue`.
+
+    A file of the current revision up to 64 MB is checked completely.
+    """
     engine = make_engine(path, writable=True)
     try:
         with translate_errors(path, "opening"):
@@ -159,7 +162,10 @@ def _open_writer(path: Path, settings: Settings | None) -> RecorderCatalogue:
 
 
 def _open_reader(path: Path) -> Catalogue:
-    """Open a catalogue for reading; raise an error if it is missing or has another revision."""
+    """Open a catalogue for reading; raise NoDataYetError before the test starts.
+
+    Raises SchemaVersionError for another revision, CatalogueError for a file that cannot be read.
+    """
     not_ready = NoDataYetError(f"{path}: no data yet; start `solimon record` or wait for it", path.parent)
     if not path.is_file():
         raise not_ready
@@ -180,7 +186,7 @@ def _open_reader(path: Path) -> Catalogue:
 
 
 def _create_schema_error(path: Path, revision: str) -> SchemaVersionError:
-    """Create the error for a catalogue of another schema revision."""
+    """Create, but do not raise, the error for a catalogue of another schema revision."""
     return SchemaVersionError(
         f"{path} has schema {revision}, this version of solimon reads {SCHEMA_REVISION}; "
         "start the recorder of this version, which migrates it, or install the version that made it"
@@ -188,7 +194,7 @@ def _create_schema_error(path: Path, revision: str) -> SchemaVersionError:
 
 
 def read_revision(engine: Engine) -> str | None:
-    """Read the revision of the file's schema; None if there is none yet."""
+    """Read the four-digit revision of the file's schema; None if the file is empty."""
     with engine.begin() as connection:
         if not inspect(connection).has_table("alembic_version"):
             return None

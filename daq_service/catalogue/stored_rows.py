@@ -52,7 +52,7 @@ _PYTHON_TYPES = {JSON: dict, Boolean: bool, LargeBinary: bytes, Float: float, In
 
 
 def _find_type(column: ColumnElement[Any]) -> type:
-    """Find the Python type of a column; ``dict`` is JSON."""
+    """Return the Python type of a column; ``dict`` for any JSON. StopIteration for an unknown SQL type."""
     return next(of_type for sql, of_type in _PYTHON_TYPES.items() if isinstance(column.type, sql))
 
 
@@ -91,21 +91,21 @@ class Prepared:
     """Name and value of each parameter; a missing value is None."""
 
     def execute(self, connection: Connection, **given: object) -> sqlite3.Cursor:
-        """Execute the statement in the connection's transaction."""
+        """Execute the statement in the connection's transaction; missing parameters take their default."""
         return find_driver(connection).execute(
             self.text, [given.get(name, value) for name, value in self.parameters]
         )
 
 
 def prepare(statement: CompilerElement, column_keys: Sequence[str] | None = None) -> Prepared:
-    """Compile a statement that is executed often; its parameters have fixed numbers."""
+    """Compile a statement that is executed often to the SQL text and parameter order of the SQLite driver."""
     compiled = statement.compile(dialect=_DIALECT, column_keys=column_keys)
     names = compiled.positiontup or []  # type: ignore[attr-defined] # of the compiler of SQL
     return Prepared(str(compiled), tuple((name, compiled.params.get(name)) for name in names))
 
 
 def find_driver(connection: Connection) -> sqlite3.Connection:
-    """Return the connection of the SQLite driver, in the same transaction."""
+    """Return the SQLite connection below an SQLAlchemy connection, in the same transaction."""
     return connection.connection.driver_connection  # type: ignore[return-value] # the engine is SQLite's
 
 
@@ -129,7 +129,10 @@ def compute_row_crc32(row: Row) -> int:
 
 
 def _to_driver_values(row: Row, new_id: int | None = None) -> list[Any]:
-    """Convert a row to driver values, the checksum last: NaN and infinities become NULL."""
+    """Convert a row to driver values, the checksum last: NaN and infinities become NULL.
+
+    ``new_id`` replaces a missing id.
+    """
     kind = type(row)
     stored: list[Any] = []
     columns: dict[str, object] = {}
@@ -157,7 +160,7 @@ def _to_driver_values(row: Row, new_id: int | None = None) -> list[Any]:
 
 
 def _to_crc32(columns: dict[str, object]) -> int:
-    """Compute the CRC-32 of the columns that are not None."""
+    """Compute the CRC-32 of columns that are not None, as JSON; remove unscheduled indices of 0 from them."""
     for name in _SCHEDULED:
         if columns.get(name) == 0:
             del columns[name]
@@ -165,7 +168,7 @@ def _to_crc32(columns: dict[str, object]) -> int:
 
 
 def insert_rows(connection: Connection, rows: Sequence[Row]) -> list[int]:
-    """Insert rows of one kind and return their ids; the caller holds the write lock.
+    """Insert rows of one kind and return their ids (first columns); the caller holds the write lock.
 
     A row without an id gets the next one here, since the checksum covers it.
     """
@@ -185,18 +188,18 @@ def insert_rows(connection: Connection, rows: Sequence[Row]) -> list[int]:
 
 
 def change_row(connection: Connection, row: Row) -> bool:
-    """Replace the stored row with the same id; return False if there is none."""
+    """Replace the stored row with the same primary key; return False if there is none."""
     row_id, *stored = _to_driver_values(row)
     return find_driver(connection).execute(_UPDATE[type(row)].text, [*stored, row_id]).rowcount == 1
 
 
 def _build_row(kind: type[R], stored: Sequence[Any]) -> R:
-    """Build the dataclass of a row from stored values."""
+    """Build the dataclass of a row from stored values in the order of its columns, without any check."""
     return kind(**dict(zip(kind.__slots__, stored, strict=False)))  # the checksum is no part of it
 
 
 def _check_checksum(kind: type[Row], stored: Sequence[Any]) -> None:
-    """Raise DamagedRow if stored values do not match their checksum."""
+    """Raise DamagedRow if stored values, the checksum last, do not match it or cannot be encoded."""
     columns = {name: value for name, value in zip(kind.__slots__, stored, strict=False) if value is not None}
     try:
         for name in _BYTES[kind]:
@@ -229,12 +232,17 @@ def to_checked_row(kind: type[R], stored: Sequence[Any]) -> R:
 def read_rows(
     connection: Connection, kind: type[R], statement: Select[Any] | Prepared, **given: object
 ) -> Iterator[R]:
-    """Read the complete rows of a query; raise DamagedRow if one does not match its checksum.
+    """Iterate over the complete rows of a query, each compared with its checksum.
+
+    Parameters
+    ----------
+    given
+        Values of the parameters of the statement.
 
     Raises
     ------
     DamagedRow
-         A row does not match its checksum, or a value has the wrong type.
+         On iteration: a row does not match its checksum, or a value has the wrong type.
     """
     return (_build_row(kind, stored) for stored in read_values(connection, kind, statement, **given))
 
@@ -242,7 +250,7 @@ def read_rows(
 def read_values(
     connection: Connection, kind: type[Row], statement: Select[Any] | Prepared, **given: object
 ) -> Iterator[Sequence[Any]]:
-    """Yield the values of complete rows, the checksum last; raise DamagedRow at a corrupt row."""
+    """Yield the values of complete rows of a query, the checksum last; raise DamagedRow at a corrupt row."""
     try:
         for stored in _execute_query(connection, kind, statement, given):
             _check_checksum(kind, stored)
@@ -254,7 +262,7 @@ def read_values(
 def _execute_query(
     connection: Connection, kind: type[Row], statement: Select[Any] | Prepared, given: dict[str, object]
 ) -> Iterator[Sequence[Any]]:
-    """Execute a query and yield the values of its rows."""
+    """Execute a query and yield the values of its rows, with JSON and booleans converted."""
     if isinstance(statement, Select):
         result = connection.execute(statement, given, execution_options={"yield_per": _ROWS_AT_ONCE})
         for rows in result.partitions():
@@ -272,17 +280,20 @@ def _execute_query(
 
 
 def to_json_text(value: object) -> str:
-    """Serialize the value of a column as JSON: NumPy numbers are accepted, NaN and infinities become null."""
+    """Serialize a column's value as JSON: NumPy numbers are accepted, NaN and infinities become null."""
     return orjson.dumps(value, option=orjson.OPT_SERIALIZE_NUMPY).decode()
 
 
 def begin_transactions(engine: Engine) -> None:
-    """Begin each transaction of an engine with SQLite's lock for it: none for reading, that of `writing`."""
+    """Make an engine start its transactions with BEGIN, those of `begin_write` with BEGIN IMMEDIATE.
+
+    A writer waits up to 5 s for the lock; for 60 s after a timeout it does not wait at all.
+    """
     timed_out_s = -math.inf
 
     @event.listens_for(engine, "begin")
     def _begin_transaction(connection: Connection) -> None:
-        """Begin a transaction; a writer waits for the write lock."""
+        """Begin a transaction; a writer waits for the write lock, or raises OperationalError."""
         nonlocal timed_out_s
         if not connection.get_execution_options().get(_WRITES, False):
             find_driver(connection).execute("BEGIN")
@@ -300,19 +311,19 @@ def begin_transactions(engine: Engine) -> None:
 
 @contextmanager
 def begin_write(engine: Engine) -> Iterator[Connection]:
-    """Open a transaction that holds the write lock from its start: it stores all or nothing."""
+    """Open a transaction that holds the write lock from its start; roll it back if the block raises."""
     with engine.execution_options(**{_WRITES: True}).begin() as connection:
         yield connection
 
 
 @contextmanager
 def translate_errors(path: Path, action: str) -> Iterator[None]:
-    """Translate errors of SQL to errors of the catalogue.
+    """Translate errors of SQL inside the block to errors of the catalogue.
 
     Raises
     ------
     CatalogueError
-        Contains the file, the action and the remedy.
+        Contains the file, the action and the remedy; `CatalogueDamagedError` for a corrupt row.
     """
     try:
         yield

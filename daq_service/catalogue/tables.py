@@ -49,7 +49,10 @@ def _create_table(
     autoincrement: bool = False,
     **additions: sa.ForeignKey | sa.DefaultClause,
 ) -> sa.Table:
-    """Create the table of a kind of row; ``additions`` adds keys and defaults to columns."""
+    """Create the table of a kind of row, with its checksum as last column, and add it to `TABLES`.
+
+    ``additions`` adds foreign keys and defaults to columns by name.
+    """
     columns = [
         sa.Column(
             column.name,
@@ -67,7 +70,7 @@ def _create_table(
 
 
 def _choose_sql_type(column: rows.Column) -> TypeEngine[Any]:
-    """Choose the SQL type of a column."""
+    """Choose the SQL type of a column by name and type; KeyError if there is none for its type."""
     if column.name.endswith(_BIG_INTEGERS):
         return sa.BigInteger()
     if column.name == "configuration_hash":
@@ -78,12 +81,12 @@ def _choose_sql_type(column: rows.Column) -> TypeEngine[Any]:
 
 
 def _make_unique(table: str, *names: str) -> sa.UniqueConstraint:
-    """Create a unique constraint that is named after its columns."""
+    """Create a unique constraint of columns, named after the first three."""
     return sa.UniqueConstraint(*names, name=f"uq_{table}_{'_'.join(names[:3])}")
 
 
 def _add_index(table: sa.Table, *names: str) -> None:
-    """Add an index that is named after its columns to a table."""
+    """Add an index of columns to a table, named after all of them."""
     sa.Index(f"ix_{table.name}_{'_'.join(names)}", *(table.c[name] for name in names))
 
 

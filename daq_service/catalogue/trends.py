@@ -36,7 +36,7 @@ _NO_POINTS: np.void = np.zeros(1, PART)[0]
 
 
 def _iterate_all_blocks(connection: Connection) -> Iterator[Blocks]:
-    """Yield the blocks of all positions and widths, smaller blocks first."""
+    """Yield the complete blocks of all positions and rollups in ranges, smaller blocks first."""
     for position in connection.execute(select(sets.c.position).distinct()).scalars().all():
         place = find_position_range(connection, position)
         assert place is not None
@@ -49,14 +49,14 @@ def _iterate_all_blocks(connection: Connection) -> Iterator[Blocks]:
 
 
 def rebuild_trends(connection: Connection) -> None:
-    """Recompute all blocks."""
+    """Delete all blocks and recompute them, in the caller's transaction; DamagedRow at a corrupt row."""
     connection.execute(delete(trend_blocks))
     for blocks in _iterate_all_blocks(connection):
         store_blocks(connection, blocks)
 
 
 def find_trend_differences(connection: Connection) -> Iterator[str]:
-    """Yield a message for each block that differs from its rows."""
+    """Yield a message for each stored block that differs from its rows, and one if a block is stray."""
     n_expected = 0
     for blocks in _iterate_all_blocks(connection):
         expected = {row.place: row.block for row in compute_blocks(connection, blocks)}
@@ -76,7 +76,7 @@ def find_trend_differences(connection: Connection) -> Iterator[str]:
 def _cover_range(
     connection: Connection, rollup: Rollup, place: PositionRange, first: int, end: int, widest: int
 ) -> Pieces:
-    """Find pieces that cover a range exactly: stored blocks, smaller ones and single sets at the ends."""
+    """Read pieces that cover a range exactly: stored blocks, smaller ones and single sets at the ends."""
     parts = [
         read_stored_pieces(connection, Blocks(rollup=rollup, place=place, width=width, first=start, end=stop))
         for width, start, stop in parts_of_range(first, end, level_widths(rollup.finest, widest))
@@ -86,7 +86,10 @@ def _cover_range(
 
 
 def _find_range(connection: Connection, position: str, hours: tuple[float | None, float | None]) -> Any:
-    """Find position and range of the sets due between two hours, both included."""
+    """Find position and range (``end`` excluded) of the sets due from hour to hour, both included.
+
+    A None as hour is no limit; the result is None if there are no such sets.
+    """
     place = find_position_range(connection, position)
     if place is None:
         return None
@@ -139,7 +142,11 @@ def read_trend_bins(
 def compute_trend_part(
     catalogue: Catalogue, position: str, value: str, *, first_h: float | None, last_h: float | None
 ) -> np.void:
-    """Compute the `PART` of a measured value over the sets due between two hours, inclusive, for a fit."""
+    """Compute the sums (`PART`) of a measured value over sets due between two hours, for a fit.
+
+    Both hours are included, None is no limit. Without sets the sums are those of no points. Raises ValueError
+    if the position's method does not measure ``value``.
+    """
     with catalogue.open_snapshot() as connection:
         position_range = _find_range(connection, position, (first_h, last_h))
         if position_range is None:
@@ -152,7 +159,7 @@ def compute_trend_part(
 
 
 def _count_sets(connection: Connection, place: PositionRange, first: int, end: int, *, limit: int) -> int:
-    """Count the measured sets of a range, up to a limit."""
+    """Count the measured sets of a range (``end`` excluded), but at most ``limit``."""
     table = TABLES[place.kind]
     in_range = select_sets(place.kind, place.position, first, end - 1)
     statement = select(table.c.set_index).where(in_range)

@@ -61,7 +61,7 @@ class UnchangedCatalogue:
         self._stack.close()
 
     def _connect(self) -> None:
-        """Open the file read-only, or a copy of the file and its log."""
+        """Open an idle file as immutable, one in use read-only, or a copy of an idle file and its log."""
         self._stack.close()
         path, log = self._path, self._build_companion_path("-wal")
         self._shared = self._build_companion_path("-shm").exists()
@@ -77,11 +77,14 @@ class UnchangedCatalogue:
         self._connection.row_factory = sqlite3.Row
 
     def _build_companion_path(self, suffix: str) -> Path:
-        """Return the path of the log or index file of SQLite."""
+        """Return the path of SQLite's log (``-wal``) or index (``-shm``), which may be missing."""
         return self._path.with_name(f"{FILE_NAME}{suffix}")
 
     def _run_query(self, sql: str, *values: Any) -> list[dict[str, Any]]:
-        """Run a query; connect again if a recorder has started; raise an error if the file is corrupt."""
+        """Run a query and return its rows; connect again if a recorder has started.
+
+        Raises CatalogueDamagedError if the file cannot be read.
+        """
         if not self._shared and self._build_companion_path("-shm").exists():
             self._connect()  # a recorder has started: from now on the file changes
         try:
@@ -92,11 +95,14 @@ class UnchangedCatalogue:
             raise CatalogueDamagedError(f"{self._path} cannot be read: {error}") from error
 
     def _read_values(self, sql: str) -> list[Any]:
-        """Run a query with one column and return its values."""
+        """Run a query with one column and return its values; CatalogueDamagedError if unreadable."""
         return [value for row in self._run_query(sql) for value in row.values()]
 
     def troubles(self) -> list[CatalogueCorruption]:
-        """List the corruption: pages, indices, rows without parents, rows with a wrong checksum."""
+        """List corrupt pages, indices and rows; if there are none, the trend blocks that differ.
+
+        Errors on reading are listed, not raised; an earlier revision has no checksums of rows to compare.
+        """
         shared = self._shared
         opened = partial(sqlite3.connect, self._uri, uri=True, timeout=BUSY_TIMEOUT_S)
         engine = create_engine("sqlite://", creator=opened, poolclass=NullPool)
@@ -142,7 +148,10 @@ class UnchangedCatalogue:
             raise
 
     def _copy_to(self, target: Path) -> None:
-        """Copy the catalogue to a file and check the copy."""
+        """Replace a file by a copy of the catalogue and check the copy's pages.
+
+        Raises CatalogueWriteError or CatalogueDamagedError; the incomplete copy stays.
+        """
         remove_quietly(target)
         try:
             with closing(sqlite3.connect(target, isolation_level=None)) as copy:
@@ -159,25 +168,25 @@ class UnchangedCatalogue:
             raise CatalogueDamagedError(f"{self._path} is damaged: {results[0]}; solimon verify says more")
 
     def n_rows(self) -> int:
-        """Count the rows of all tables."""
+        """Count the rows of all tables, of SQLite's own tables none."""
         return sum(self._read_values(f'SELECT count(*) FROM "{table}"')[0] for table in self._list_tables())
 
     def _list_tables(self) -> list[str]:
-        """List the names of the tables."""
+        """List the names of the tables in the file, without those of SQLite."""
         return self._read_values(
             "SELECT name FROM sqlite_master WHERE type = 'table' AND name NOT LIKE 'sqlite_%'"
         )
 
     def experiment(self) -> dict[str, Any] | None:
-        """Read the row of the experiment; None if it has not started."""
+        """Read the row of the experiment with current names; None if it has not started."""
         return next(iter(self._read_rows("experiment", "")), None)
 
     def read_events_after(self, last_id: int) -> list[dict[str, Any]]:
-        """Return ids, kinds and times of the events after an id, in order."""
+        """Read id, stored kind and ``wall_utc_ns`` of the events after an id, in order."""
         return self._run_query("SELECT id, kind, wall_utc_ns FROM events WHERE id > ? ORDER BY id", last_id)
 
     def has_event(self, event: EventRow) -> bool:
-        """Return whether an event of the history exists; True if the table is unreadable."""
+        """Return whether an event of the history exists (id, time, kind); True if unreadable."""
         statement = "SELECT kind FROM events WHERE id = ? AND wall_utc_ns = ?"
         try:
             rows = self._run_query(statement, event.id, event.wall_utc_ns)
@@ -191,7 +200,7 @@ class UnchangedCatalogue:
         return {_build_set_key(row) for row in rows if all(isinstance(value, int) for value in row.values())}
 
     def files(self) -> dict[SetKey, str]:
-        """List the files of all rows by key, in order."""
+        """List the distinct files of all rows by set key, in order; sets without a file are missing."""
         rows = self._run_query(f"SELECT DISTINCT {self._key_columns}, file FROM sets WHERE file IS NOT NULL")
         return dict(sorted((_build_set_key(row), row["file"]) for row in rows))
 
@@ -202,16 +211,16 @@ class UnchangedCatalogue:
 
     @property
     def _key_columns(self) -> str:
-        """Return the SQL columns of the key of a set."""
+        """Return the SQL columns of a set's key, with 0 as unscheduled index before revision 0016."""
         return f"set_index, {'' if self._has_unscheduled_index else '0 AS '}unscheduled_index"
 
     @cached_property
     def _positions(self) -> list[str]:
-        """Return the positions that have sets."""
+        """Return the distinct positions that have sets."""
         return self._read_values("SELECT DISTINCT position FROM sets")
 
     def of_set(self, table: str, set_key: SetKey) -> list[dict[str, Any]]:
-        """Read the rows of a set in a table that has a position and a set index."""
+        """Read the rows of a set in a table that has a position and a set index; empty if none."""
         # Its indexes begin with the position.
         marks = ", ".join("?" * len(self._positions))
         where = f"WHERE position IN ({marks}) AND set_index = ?"
@@ -220,7 +229,10 @@ class UnchangedCatalogue:
         return self._read_rows(table, f"{where} AND unscheduled_index = ?", *self._positions, *set_key)
 
     def _read_rows(self, table: str, where: str, *values: Any) -> list[dict[str, Any]]:
-        """Read rows of a table with current column names; an earlier revision lacks some."""
+        """Read rows of a table with current column names; an earlier revision lacks some.
+
+        ``where`` is an SQL clause or empty. Raises CatalogueDamagedError at an unknown column.
+        """
         name = table if table in self._list_tables() else _EARLIER_TABLES.get(table, table)
         rows = [
             to_current_row(table, row) for row in self._run_query(f"SELECT * FROM {name} {where}", *values)
@@ -231,7 +243,7 @@ class UnchangedCatalogue:
         return rows
 
     def list_stray_shots(self) -> list[int]:
-        """List the shots (`sequence`) whose set has no row of their position."""
+        """List the ids (`sequence`) of shots whose set has no row at their position."""
         same = "sets.position = shots.position AND sets.set_index = shots.set_index"
         if self._has_unscheduled_index:
             same += " AND sets.unscheduled_index = shots.unscheduled_index"

@@ -137,7 +137,7 @@ class RecorderCatalogue(Catalogue):
 
     @contextmanager
     def _open_transaction(self, action: str) -> Iterator[Connection]:
-        """Open a write transaction and translate its errors to those of the catalogue."""
+        """Open a write transaction; raise its errors as `CatalogueError`, with nothing stored."""
         with translate_errors(self._path, action), begin_write(self._engine) as connection:
             yield connection
 
@@ -154,7 +154,7 @@ class RecorderCatalogue(Catalogue):
         solimon_version: str,
         site: str | None = None,
     ) -> ExperimentRow:
-        """Store the experiment of this folder, or check the stored one, and return its row.
+        """Store the experiment of this folder, or check the stored one, and return the stored row.
 
         Raises
         ------
@@ -206,7 +206,7 @@ class RecorderCatalogue(Catalogue):
     # A set
 
     def commit_set(self, commit: SetCommit) -> Committed:
-        """Store all rows of a set in one transaction: all or none.
+        """Store all rows of a commit in one transaction, with counts and trends; return the new ids.
 
         Raises
         ------
@@ -246,19 +246,19 @@ class RecorderCatalogue(Catalogue):
         )
 
     def add_service_event(self, *, utc_ns: int, kind: str, payload: Mapping[str, Any]) -> int:
-        """Append an event of the service and return its id."""
+        """Commit an event of topic ``service`` at a time of the test and return its id."""
         event = EventRow(utc_ns=utc_ns, topic="service", kind=kind, payload=dict(payload))
         return self.commit_set(SetCommit(events=[event])).event_ids[0]
 
     def list_sets_without_digest(self) -> dict[SetKey, str]:
-        """List the files of sets without a stored SHA-256, by key."""
+        """List the files of sets that have a file but no stored SHA-256, by key."""
         statement = select(sets.c.set_index, sets.c.unscheduled_index, sets.c.file)
         with self.open_snapshot() as connection:
             rows = connection.execute(statement.where(sets.c.file.is_not(None), sets.c.file_sha256.is_(None)))
             return {SetKey(*key): str(file) for *key, file in rows}
 
     def store_digest(self, set_key: SetKey, file: str, sha256: str) -> None:
-        """Store the SHA-256 of a set's file in its rows."""
+        """Store the SHA-256 of a set's file in the rows that name it and have none yet."""
         with self._open_transaction("noting a file") as connection:
             of_file = (*_build_set_condition(set_key), sets.c.file == file)
             its_sets = select(sets).where(*of_file, sets.c.file_sha256.is_(None))
@@ -266,7 +266,7 @@ class RecorderCatalogue(Catalogue):
                 change_row(connection, replace(row, file_sha256=sha256))
 
     def read_digest(self, set_key: SetKey) -> str | None:
-        """Read the stored SHA-256 of the file of a set; None if there is none."""
+        """Read the stored SHA-256 of a set's file in hexadecimal; None if there is none."""
         has_digest = sets.c.file_sha256.is_not(None)
         statement = select(sets.c.file_sha256).where(*_build_set_condition(set_key), has_digest)
         with self.open_snapshot() as connection:
@@ -274,7 +274,10 @@ class RecorderCatalogue(Catalogue):
         return digest
 
     def recompute_counts(self) -> None:
-        """Recompute and store the numbers of sets, shots, records and events from all rows."""
+        """Recompute and store the numbers of sets, shots, records and events from all rows.
+
+        It reads the complete tables in one transaction.
+        """
         echoes = select(sets.c.position).where(sets.c.method == PULSE_ECHO)
         with self._open_transaction("counting") as connection:
             numbers = {
@@ -286,7 +289,10 @@ class RecorderCatalogue(Catalogue):
             change_row(connection, CountsRow(**count_due_times(connection), **counted))
 
     def restore_rows(self, rows: Iterable[Row]) -> None:
-        """Store rows with their ids, replacing existing ones; `recompute_counts` follows."""
+        """Store rows with their ids in one transaction, replacing existing ones; update the trends.
+
+        The counts stay as they are: call `recompute_counts` afterwards.
+        """
         restored = list(rows)
         touched = collect_touched_sets(row for row in restored if not isinstance(row, EventRow))
         with self._open_transaction("restoring rows") as connection:
@@ -302,7 +308,7 @@ class RecorderCatalogue(Catalogue):
         return self.rows(CommandRow, states={"pending", "started"})
 
     def start_command(self, command_id: int) -> None:
-        """Mark a command as started before it is executed.
+        """Mark a pending command as started, durably, before it is executed.
 
         Raises
         ------
@@ -312,7 +318,7 @@ class RecorderCatalogue(Catalogue):
         self._advance_command(command_id, "pending", state="started")
 
     def finish_command(self, command_id: int, state: CommandState, result: str | None = None) -> None:
-        """Store the answer to a command.
+        """Store the answer to a pending or started command, with the time of the computer.
 
         Raises
         ------
@@ -326,7 +332,7 @@ class RecorderCatalogue(Catalogue):
         )
 
     def _advance_command(self, command_id: int, *before: CommandState, **values: object) -> None:
-        """Change the state of a command that is in one of the given states."""
+        """Change a command that is in one of the states ``before``; else CatalogueConflictError."""
         with self._open_transaction("answering a command") as connection:
             statement = select(commands).where(commands.c.id == command_id, commands.c.state.in_(before))
             rows = list(read_rows(connection, CommandRow, statement))
@@ -338,7 +344,7 @@ class RecorderCatalogue(Catalogue):
 
 
 def _build_set_condition(key: SetKey) -> tuple[ColumnElement[bool], ...]:
-    """Build the conditions that select the rows of a set."""
+    """Build the conditions that select the rows of a set in table ``sets``."""
     return sets.c.set_index == key.set_index, sets.c.unscheduled_index == key.unscheduled_index
 
 
@@ -349,7 +355,7 @@ def build_event_payload(row: Row, *, last: str = "") -> dict[str, object]:
 
 
 def _build_due_time_query(*of: ColumnElement[bool]) -> Select[int, int, int]:
-    """Build the query that counts due times from their rows."""
+    """Build the query that counts due times with data, missed ones, and incomplete ones with data."""
     lacking = case(((sets.c.state == "partial") | (sets.c.state == "missed"), 1), else_=0)
     missed = case((sets.c.state == "missed", 1), else_=0)
     due_times = select(
@@ -380,7 +386,7 @@ _OF_BASELINE = prepare(
 
 
 def count_due_times(connection: Connection, indices: Collection[int] | None = None) -> dict[str, int]:
-    """Count due times (`CountsRow`) from their rows: of some sets, or (None) of all."""
+    """Count due times (`CountsRow`) from their rows: of some sets (at least one), or (None) of all."""
     found = (
         _OF_ALL_SETS.execute(connection)
         if indices is None
@@ -428,12 +434,18 @@ def _insert_assessments(connection: Connection, rows: Sequence[AssessmentRow]) -
 
 
 def _store_row(connection: Connection, row: AlarmRow | AnnotationRow) -> int:
-    """Store a new or changed row and return its id."""
+    """Insert a row without id, or replace the stored one, and return its id.
+
+    Raises CatalogueConflictError if there is no row of the given id.
+    """
     return _change_existing(connection, row, row.id) if row.id else insert_rows(connection, [row])[0]
 
 
 def _change_or_insert(connection: Connection, row: Row) -> int:
-    """Replace the stored row with the same id, or insert a new row; return its id."""
+    """Replace the stored row of the same primary key, or insert a new row; return its id.
+
+    Returns 0 for a replaced row of a kind without id.
+    """
     row_id: int | None = getattr(row, "id", 0)
     if row_id is not None and change_row(connection, row):
         return row_id
@@ -441,12 +453,12 @@ def _change_or_insert(connection: Connection, row: Row) -> int:
 
 
 def _store_answer(connection: Connection, row: CommandRow) -> int:
-    """Store a command with its answer and return its id."""
+    """Store a command with its answer, a new one under the next id; return its id."""
     return _change_existing(connection, row, row.id) if row.id else store_command(connection, row)
 
 
 def _change_existing(connection: Connection, row: Row, row_id: int) -> int:
-    """Replace a row or raise an error if there is none."""
+    """Replace the row of an id and return the id; CatalogueConflictError if there is none."""
     if not change_row(connection, row):
         row_text = f"row {row_id} of table {TABLES[type(row)].name}"
         raise CatalogueConflictError(f"there is no {row_text} to change; nothing was stored")
@@ -456,7 +468,7 @@ def _change_existing(connection: Connection, row: Row, row_id: int) -> int:
 def _build_dated_events(
     commit: SetCommit, alarm_ids: Sequence[int], annotation_ids: Sequence[int]
 ) -> list[EventRow]:
-    """Build the events with time, and with ids of alarms and annotations in their payload."""
+    """Build the events of a commit with a time, and with the ids of new alarms and annotations."""
     now_ns = time.time_ns()
     complete = []
     for number, event in enumerate(commit.events):

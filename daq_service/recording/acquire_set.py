@@ -57,11 +57,14 @@ class TakenSet:
 
     @property
     def tried(self) -> list[Measurement]:
-        """Return every attempt, with or without a record."""
+        """Return every attempt, with or without a record: shots, then echoes, then missed ones."""
         return [*self.shots, *self.echoes, *self.missed]
 
     def progress(self, struck: Collection[str]) -> ProgressOfSet:
-        """Return the progress of the set; ``struck`` are the positions that have strikers."""
+        """Return the progress of the set: tried shots and the number of strikes.
+
+        ``struck`` are the positions that have strikers.
+        """
         keys = [item.key for item in self.tried]
         return ProgressOfSet(
             started_ns=self.started_ns,
@@ -75,7 +78,7 @@ class TakenSet:
         return all(n_tried[position] >= n for position, n in planned.items() if position not in self.disabled)
 
     def keep(self, measurement: Measurement) -> None:
-        """Add a measurement; a shot's features are added separately (`features`)."""
+        """Add a measurement, and log a missed one; a shot's features are added separately (`features`)."""
         if isinstance(measurement, MissedShot):
             log.warning("%s: %s", measurement.key, measurement.cause)
             self.missed.append(measurement)
@@ -85,7 +88,7 @@ class TakenSet:
             self.echoes.append(measurement)
 
     def requires_restrike(self, taken: Shot | MissedShot) -> bool:
-        """Return whether the quality check repeats a strike; if so, count the repetition."""
+        """Return whether the quality check repeats a strike; if so, count and log the repetition."""
         position = taken.key.position
         flags = ("missed",) if isinstance(taken, MissedShot) else self.features[taken.sequence].flags
         granted = self.rule.wants(flags, attempt=taken.key.attempt, restrikes_so_far=self.restrikes[position])
@@ -132,7 +135,7 @@ class TakenSet:
         return f"{next(kinds).__name__}: {self.trouble}"
 
     def find_superseded_shots(self) -> dict[int, str]:
-        """Return the outcome of the shots that are superseded by their repetition, by sequence."""
+        """Return the outcome "superseded" of the shots that a repetition replaces, by sequence."""
         attempts = [
             Attempt(
                 shot=(shot.key.position, shot.key.shot_index),
@@ -172,12 +175,15 @@ class Activity:
         self._resources.heartbeat.beat("; ".join(filter(None, parts)), at_once=at_once)
 
     def announce(self, doing: str) -> None:
-        """Write an activity to the heartbeat, so that the supervisor can name it if it hangs."""
+        """Set the activity and write it to the heartbeat, so that the supervisor can name it if it hangs."""
         self.doing = doing
         self.beat()
 
     def run_between_shots(self) -> bool:
-        """Write the heartbeat, check clock, disk, supply and requests; return False if the recorder stops."""
+        """Write the heartbeat, check clock, disk, supply and requests; return False if the recorder stops.
+
+        Steps of the clock are logged and reported as events; ``looks`` are called only a few times a second.
+        """
         clock, disk, drive = self._resources.rig.clock, self._resources.disk, self._set_assessor.drive
         if isinstance(clock, WallClock):
             for clock_step in clock.steps():
@@ -233,7 +239,10 @@ class SetAcquisition:
     # Before the first strike ----------------------------------------------------------------------
 
     def begin(self, due: DueSet) -> TakenSet:
-        """Open a set in the journal."""
+        """Start a set now and add its start to the journal; it is durable with the next sync.
+
+        Disabled positions are left out, of a confirmation set also all positions but its own.
+        """
         left_out = {
             name: f"a confirmation set of {due.position}"
             for name in self._settings.positions
@@ -254,7 +263,7 @@ class SetAcquisition:
         return taken
 
     def select_restrike_rule(self) -> RestrikeRule:
-        """Return the rule by which shots of a set are repeated."""
+        """Return the rule by which shots are repeated; a rehearsal repeats none."""
         quality = self._settings.quality
         restrikes = 0 if self._rig.dry_run else quality.restrikes_per_set
         return RestrikeRule(flags=quality.restrike_flags, restrikes_per_set=restrikes)
@@ -262,7 +271,7 @@ class SetAcquisition:
     # Strike by strike -----------------------------------------------------------------------------
 
     def acquire_measurements(self, due: DueSet, taken: TakenSet) -> Iterator[Measurement]:
-        """Yield the measurements of a set; an instrument error ends it, earlier ones are kept."""
+        """Yield the measurements of a set; an instrument error ends it and is kept as ``taken.trouble``."""
         schedule = self._settings.schedule
         set_plan = SetPlan(
             due=due,
@@ -293,7 +302,7 @@ class SetAcquisition:
         taken.ended_ns = self._rig.clock.utc_ns()
 
     def keep(self, measurement: Measurement, taken: TakenSet) -> None:
-        """Append a measurement to the journal, and acknowledge it."""
+        """Add a measurement to the set and the journal; in real time also acknowledge it."""
         taken.keep(measurement)
         if isinstance(measurement, MissedShot):
             self._archive.append(measurement, self._rig.clock.utc_ns())
@@ -303,7 +312,10 @@ class SetAcquisition:
             self._persistence.acknowledge()
 
     def extract(self, measurement: Measurement, due: DueSet, taken: TakenSet) -> None:
-        """Extract the features of a shot, and show the waveform in the live figure."""
+        """Extract the features of a shot and show its waveform in the live figure, if it is due there.
+
+        A missed record is ignored.
+        """
         if isinstance(measurement, MissedShot):
             return
         if isinstance(measurement, Shot):
@@ -315,7 +327,10 @@ class SetAcquisition:
     # After the last strike ------------------------------------------------------------------------
 
     def find_shortfall(self, position: str, taken: TakenSet, cut_short_reason: str = "") -> str:
-        """Return the reason why a position has fewer records than planned; empty if it has all."""
+        """Return why a position has fewer records than planned; empty if it has all.
+
+        ``cut_short_reason`` comes first, then a disabled position, a pause, the stop of the recorder.
+        """
         end_reason = (
             cut_short_reason
             or self._set_assessor.disabled().get(position)
@@ -325,11 +340,15 @@ class SetAcquisition:
         return taken.find_shortfall(position, self._set_assessor.n_planned[position], end_reason)
 
     def find_shortfalls(self, due: DueSet, taken: TakenSet) -> dict[str, str]:
-        """Return the reason why each position of a set has fewer records than planned."""
+        """Return the reason why each position has fewer records than planned; empty if it has all."""
         return {name: self.find_shortfall(name, taken) for name in self._set_assessor.list_set_positions(due)}
 
     def record_of(self, due: DueSet, taken: TakenSet, cut_short_reason: str) -> SetRecord:
-        """Build the record of a set that is to be stored."""
+        """Build the record of a set that is to be stored, without the positions that were left out.
+
+        ``cut_short_reason`` explains missing records; if it is empty, the state of position, test and
+        recorder does.
+        """
         positions = [
             PositionRecord(
                 position=name,
@@ -361,5 +380,5 @@ class SetAcquisition:
         )
 
     def set_next_shot_number(self, record: SetRecord) -> None:
-        """Set the next shot number above those of a record."""
+        """Raise the next shot number above those of a record; it never decreases."""
         self.next_sequence = max([self.next_sequence, *(item.sequence + 1 for item in record.records)])

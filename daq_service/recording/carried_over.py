@@ -73,7 +73,7 @@ class CarriedOver:
         acquisition.next_sequence = max(known) + corrupt.n_lost
 
     def has_strikes_of(self, set_key: SetKey) -> bool:
-        """Return whether an earlier recorder made strikes of a set."""
+        """Return whether an earlier recorder made strikes of a set that has no rows yet."""
         return set_key in self.open_sets or set_key in self._rowless_files
 
     def list_unscheduled_sets(self) -> list[DueSet]:
@@ -86,12 +86,12 @@ class CarriedOver:
         return found
 
     def resume(self, opened: OpenSet) -> TakenSet:
-        """Continue a set that the last recorder left open in the journal."""
+        """Continue a set that the last recorder left open in the journal; return its acquired part."""
         self._archive.resume_set(opened)
         return self._restore_with_features(opened)
 
     def _restore_with_features(self, opened: OpenSet) -> TakenSet:
-        """Return the acquired part of an open set with its features."""
+        """Return the acquired part of an open set, with its features extracted again."""
         taken = restore_taken_set(opened, self._acquisition.select_restrike_rule())
         taken.features.update({shot.sequence: self._acquisition.features_of(shot) for shot in taken.shots})
         self._persistence.skip_acknowledged_shots(item.sequence for item in opened.records)
@@ -99,12 +99,16 @@ class CarriedOver:
         return taken
 
     def _find_due_set(self, opened: OpenSet) -> DueSet:
-        """Return the due set of an open set in the journal."""
+        """Build the due set from key and due time of an open set."""
         due_h = (opened.due_utc_ns - self._epoch_ns) / NS_PER_H
         return DueSet(**opened.set_key._asdict(), due_h=due_h, due_utc_ns=opened.due_utc_ns)
 
     def _complete_open_set(self, opened: OpenSet) -> OpenSet:
-        """Return an open set without its first frame, with times and positions of rows or schedule."""
+        """Return an open set whose start frame is corrupt, with due time and disabled positions.
+
+        They come from its rows, else from the schedule and the state of the positions; without these the due
+        time stays as it is. Positions with a measurement are never disabled.
+        """
         index, unscheduled_index = opened.set_key
         rows = self._catalogue.rows(SetRow, **opened.set_key._asdict())
         planned_set = [] if unscheduled_index else self._plan[index : index + 1]
@@ -134,7 +138,10 @@ class CarriedOver:
         self._persistence.after_set(opened.set_key)
 
     def quarantine_corrupt_files(self) -> None:
-        """Move corrupt files without rows to the quarantine: each set is due again, or missed."""
+        """Move corrupt files without rows to the quarantine: each set is due again, or missed.
+
+        Raises the error of `refuse_foreign_sets` at a file of another test.
+        """
         for set_key, file in list(self._rowless_files.items()):
             try:
                 reason = find_foreign_reason(self._archive.read_set(file), self._catalogue.read_experiment())
@@ -146,7 +153,7 @@ class CarriedOver:
                 self.corruption_of[set_key] = f"its file was damaged and is set aside ({error})"
 
     def adopt(self, due: DueSet) -> int | None:
-        """Store the rows of a file whose recorder stopped between rename and commit.
+        """Store the rows of a set whose recorder stopped after its file was complete, before the commit.
 
         Returns
         -------
@@ -169,7 +176,10 @@ class CarriedOver:
 
 
 def restore_taken_set(opened: OpenSet, rule: RestrikeRule) -> TakenSet:
-    """Restore the acquired part of a set from the journal; features are added separately."""
+    """Restore the acquired part of a set from the journal, with its counts of repetitions.
+
+    The features are added separately.
+    """
     taken = TakenSet(
         rule=rule,
         disabled=dict(opened.disabled),

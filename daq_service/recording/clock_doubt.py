@@ -26,18 +26,21 @@ def wait_for_verified_clock(
     not_running_reason: str,
     opening: Opening | None,
 ) -> list[tuple[int, str]]:
-    """Wait until the clock is verified; return until when (ns of UTC) sets were missed, and the reason.
+    """Wait until the clock is verified; return until when sets were missed, and the reason of each part.
 
-    The list is in order of time.
+    The list is in order of time (ns of UTC). It is empty if the recorder was stopped meanwhile. A simulated
+    clock is never in doubt.
     """
     clock, reasons = resources.rig.clock, list[str]()
     if not isinstance(clock, WallClock):
         return [(clock.utc_ns(), not_running_reason)]
 
     def report_doubt(doubt: str) -> None:
+        """Raise the alarm of the clock with a reason, or clear it with an empty one."""
         persistence.do(partial(assessor.update_alarm, build_clock_condition(doubt), resources.moment()))
 
     def wait(reason: str) -> bool:
+        """Log and report the first reason, do the work between sets, return False if the recorder stops."""
         if not reasons:
             log.error("waiting for a set clock: %s", reason)
             report_doubt(reason)

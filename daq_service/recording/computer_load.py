@@ -36,7 +36,7 @@ class ComputerLoad:
     clock_ahead_s
         The computer's UTC less the test's time; None on a simulated clock.
     clock_synchronised
-        Whether the system knows that somebody keeps its UTC right; None on a simulated clock.
+        Whether the system reports its UTC as synchronized; None on a simulated clock.
     files_read
         Stored sets that this recorder has read again while nothing was due.
     """
@@ -77,7 +77,7 @@ class ComputerLoadWatch:
         self._last_seconds: dict[str, float] = {}
 
     def read(self, seconds: Mapping[str, float]) -> dict[str, Any]:
-        """Return a reading as the payload of its event; ``seconds`` of the line so far by stage."""
+        """Read the load now, as the payload of its event; ``seconds`` is the time so far by stage."""
         space, before = self._space(), self._last_seconds
         self._last_seconds = dict(seconds)
         real = isinstance(self._clock, WallClock)

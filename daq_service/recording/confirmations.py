@@ -73,7 +73,7 @@ class Confirmations:
             self.asked[one.due.set_key] = self.waiting[one.due.set_key] = one
 
     def apply_rows(self, stored: SetCommit) -> None:
-        """Update the requests and results with the stored rows of a set."""
+        """Update the waiting requests and the last results with the stored rows of confirmation sets."""
         for row in stored.sets:
             if row.purpose == "confirmation":
                 self.waiting.pop(row.set_key, None)
@@ -81,7 +81,7 @@ class Confirmations:
                 self.last_results[row.position] = summarize_confirmation(row, assessment)
 
     def find_room_ns(self, planned: DueSet, utc_ns: int) -> float:
-        """Return the time in ns from now to the scheduled set that follows a planned one."""
+        """Return the time in ns from now to the scheduled set after a planned one; inf after the last."""
         following = self._hours[planned.set_index + 1 : planned.set_index + 2]
         left_h = following[0] - planned.due_h if following else float("inf")
         return planned.due_utc_ns + left_h * NS_PER_H - utc_ns
@@ -95,7 +95,11 @@ class Confirmations:
         moment: Moment,
         transaction: SetCommit,
     ) -> None:
-        """Add a requested confirmation set to the transaction of a scheduled set, if it is allowed."""
+        """Add a requested confirmation set to the transaction of a scheduled set, if it is allowed.
+
+        It is omitted for a position that is disabled or out of service, above the daily maximum, or without
+        time until the next set.
+        """
         own = [row for row in alarms.values() if row.position == position]
         if find_disabled(own) or any(row.suppressed == "out_of_service" for row in own):
             return
@@ -111,7 +115,11 @@ class Confirmations:
             self.add(reason, planned, position, moment, transaction)
 
     def order(self, planned: DueSet, position: str, author: str, note: str, moment: Moment) -> SetCommit:
-        """Build the request of a person for a set; raise ValueError with the reason if it is rejected."""
+        """Build the request of a person for a set, to be committed.
+
+        Raises ValueError with the reason: the next scheduled set is too near, or there are too many since the
+        last.
+        """
         if too_late := find_overlap(self.find_room_ns(planned, moment.utc_ns), self.set_ns):
             raise ValueError(f"{too_late}: that one says the same")
         transaction = SetCommit()
@@ -130,7 +138,10 @@ class Confirmations:
         transaction: SetCommit,
         author: str = "",
     ) -> Confirmation | None:
-        """Add the request event for a set after a planned one; return None if there are too many."""
+        """Add the request event for a set after a planned one to the transaction.
+
+        Returns None, and adds nothing, if there are too many since the planned one.
+        """
         requested = [
             parse_confirmation_payload(str(event.position), event.payload)
             for event in transaction.events
@@ -149,7 +160,10 @@ class Confirmations:
     def add_result_to_evidence(
         self, last: ConfirmationResult, conditions: Sequence[Condition], planned_set: int
     ) -> Sequence[Condition]:
-        """Add the newest confirmation result of a position to the evidence of a change, if it is recent."""
+        """Return conditions with the newest confirmation result in the evidence of a change.
+
+        A result that is as old as the window of n sets is left out.
+        """
         if planned_set - last.set_index >= self._rules.n:
             return conditions
         confirmation = {"confirmation": asdict(last)}
@@ -162,7 +176,7 @@ class Confirmations:
 
 
 def add_confirmation(alarms: Alarms, position: str, transaction: SetCommit, moment: Moment) -> None:
-    """Add the result of a confirmation set to the active alarm of its position."""
+    """Add the result of a confirmation set to the evidence of the active alarms of change at its position."""
     assessment = transaction.assessments[0] if transaction.assessments else None
     payload = asdict(summarize_confirmation(transaction.sets[0], assessment))
     for kind in ALARMS_OF_CHANGE:

@@ -56,6 +56,9 @@ class DueSets:
     def follow(self, done: Collection[SetKey], absences: Sequence[tuple[int, str]]) -> Iterator[DueSet]:
         """Yield each set when it is due: the caller takes it before it asks for the next one.
 
+        It waits in between, stores rows of files that have none, closes sets whose time is over, and ends
+        when the recorder stops.
+
         Parameters
         ----------
         done
@@ -82,7 +85,10 @@ class DueSets:
         self._waiting.newest = None
 
     def _wait_for_scheduled_set(self, due: DueSet) -> Iterator[DueSet]:
-        """Wait for a scheduled set; unscheduled ones that are requested meanwhile come first."""
+        """Wait for a scheduled set and yield it; unscheduled ones that are requested meanwhile come first.
+
+        Yields nothing if the recorder stops, or if the set's time is over after these.
+        """
         self._start_self_calibration(due)
         # Simulated time has no idle hours: there files are checked after the last set.
         self._waiting.free_until_ns = due.due_utc_ns if self._resources.in_real_time else -math.inf
@@ -97,14 +103,20 @@ class DueSets:
             yield due
 
     def _store_adopted_rows(self, due: DueSet) -> bool:
-        """Store the rows of a file of the last recorder; simulated time continues where its set ended."""
+        """Store the rows of a set that the last recorder left as a file; return False if there is none.
+
+        Simulated time continues where that set ended.
+        """
         ended_ns = self._carried_over.adopt(due)
         if ended_ns is not None:
             self._clock.wait_until(ended_ns, self._waiting.run_between_sets)
         return ended_ns is not None
 
     def _close_overdue_set(self, due: DueSet, absences: Sequence[tuple[int, str]] = ()) -> bool:
-        """Close a set whose time is over, since the next one is due."""
+        """Record a set as missed if its time is over, since the next one is due; return whether it was.
+
+        The last set has one hour. The reason is that of the absence, or the state of the disk.
+        """
         following = self._plan[due.set_index + 1 : due.set_index + 2]
         over_ns = following[0].due_utc_ns if following else due.due_utc_ns + NS_PER_H
         if self._clock.utc_ns() < over_ns:
@@ -114,7 +126,10 @@ class DueSets:
         return True
 
     def _start_self_calibration(self, due: DueSet) -> None:
-        """Start the self-calibration of the boards between sets, at the configured interval."""
+        """Run the self-calibration of the boards between sets, if its interval is over and time suffices.
+
+        Raises RigError if it fails for good; a transient failure is logged and stored as an event.
+        """
         self_calibrating, interval_h = self._rig.self_calibrating, self._rig.self_calibration_interval_h
         if self_calibrating is None or not interval_h:
             return
@@ -137,17 +152,20 @@ class DueSets:
     # Unscheduled sets -----------------------------------------------------------------------------
 
     def _list_requested_sets(self) -> list[DueSet]:
-        """List the requested sets in their order; a started one only waits for the disk."""
+        """List the requested unscheduled sets that were not started, in the order of their keys."""
         found = {due.set_key: due for due in self._carried_over.list_unscheduled_sets()}
         found |= {key: one.due for key, one in self._set_assessor.confirmations.waiting.items()}
         return [found[key] for key in sorted(found.keys() - self._started_unscheduled)]
 
     def _is_still_idle(self) -> bool:
-        """Return whether to keep waiting, because no set has been requested."""
+        """Run the work between sets; return whether to keep waiting, because no set has been requested."""
         return self._waiting.run_between_sets() and not self._list_requested_sets()
 
     def _yield_unscheduled_sets(self, scheduled: DueSet | None) -> Iterator[DueSet]:
-        """Yield the unscheduled sets that precede a scheduled one; None: after the last one."""
+        """Yield the unscheduled sets that precede a scheduled one (None: all that are requested).
+
+        Each is yielded once; one whose file exists only gets its rows. None after a stop.
+        """
         for due in self._list_requested_sets():
             if not self._stop.is_set() and (scheduled is None or due.set_index < scheduled.set_index):
                 self._started_unscheduled.add(due.set_key)
@@ -155,7 +173,7 @@ class DueSets:
                     yield due
 
     def find_hindrance(self, due: DueSet) -> str:
-        """Return the reason why a due set is not acquired; empty if it is acquired."""
+        """Return why a due set is not acquired (paused, full memory, too late); empty if it is acquired."""
         if due.position is not None and (reason := self._find_unscheduled_hindrance(due, due.position)):
             return reason
         if self._commands.paused or self._persistence.trouble is None or self._persistence.has_room:

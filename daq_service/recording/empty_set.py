@@ -29,7 +29,7 @@ def store_empty_set(
     utc_ns: int,
     tried: TakenSet | None = None,
 ) -> None:
-    """Store the rows of a set without a record (`build_empty_set_rows`) after what waits for the disk."""
+    """Store the rows of a set without a record (`build_empty_set_rows`) after all queued jobs."""
     rows = partial(build_empty_set_rows, assessor, due, reasons, utc_ns=utc_ns, tried=tried)
     persistence.post(rows, assessor.commit)
 
@@ -42,7 +42,7 @@ def build_empty_set_rows(
     utc_ns: int,
     tried: TakenSet | None = None,
 ) -> SetCommit:
-    """Return the rows of a set without a record, with the reasons but no file; to be committed.
+    """Build the rows, alarms and events of a set without a record; the caller commits them.
 
     Parameters
     ----------

@@ -27,6 +27,8 @@ log = logging.getLogger(__name__)
 def find_stored_experiment(folder: Path, history: History, archive: SetReader) -> ExperimentRow | None:
     """Find the experiment of a folder without a catalogue; return None for a new folder.
 
+    The sources are experiment.json, else the history, else the first readable set.
+
     Raises
     ------
     OtherExperimentError
@@ -44,7 +46,7 @@ def find_stored_experiment(folder: Path, history: History, archive: SetReader) -
 
 
 def _read_experiment_from_files(archive: SetReader) -> ExperimentRow | None:
-    """Read the experiment from the first readable set: its start and its clock follow from there."""
+    """Read the experiment from the provenance of the first readable set; None if there is none."""
     for reference in archive.sets().values():
         try:
             record = archive.read_set(reference, skip_damaged=True)
@@ -71,7 +73,7 @@ def _read_experiment_from_files(archive: SetReader) -> ExperimentRow | None:
 
 
 def find_foreign_reason(record: SetRecord, experiment: ExperimentRow) -> str:
-    """Return the reason why a set is not of this test; empty if it is."""
+    """Return why a set is not of this test (configuration, hour 0); empty if it is."""
     stored = record.provenance.get("configuration_hash", experiment.configuration_hash)
     if stored != experiment.configuration_hash:
         return f"configuration {stored} instead of {experiment.configuration_hash}"
@@ -83,7 +85,7 @@ def find_foreign_reason(record: SetRecord, experiment: ExperimentRow) -> str:
 
 
 def _read_hour_0(record: SetRecord) -> int:
-    """Return hour 0 of the test, from the file's field (format 1.2) or the due time of its set."""
+    """Return hour 0 of the test in ns of UTC, from the file's field (format 1.2) or the set's due time."""
     counted: int = record.due_utc_ns - round(record.due_h * NS_PER_H)
     return int(record.provenance.get("experiment", {}).get("epoch_utc_ns", counted))
 
@@ -95,11 +97,13 @@ def refuse_foreign_sets(found: Sequence[str], where: str) -> None:
     ----------
     found
         Sets that are not of this experiment, each with the reason.
+    where
+        Name of the folder, for the message.
 
     Raises
     ------
     OtherExperimentError
-        There are such sets; with their names and both values.
+        There are such sets; lists the first ten with both values.
     """
     if found:
         more = f"\n  and {len(found) - 10} more" if len(found) > 10 else ""
@@ -111,7 +115,7 @@ def refuse_foreign_sets(found: Sequence[str], where: str) -> None:
 
 
 def refuse_foreign_open_set(opened: OpenSet, planned: Sequence[DueSet], where: str) -> None:
-    """Raise an error for an open set of another test, which is due at another time.
+    """Raise an error for an open set that the schedule expects at another time: it is of another test.
 
     Raises
     ------

@@ -65,7 +65,7 @@ def raise_if_permanent(trouble: InstrumentError, due: DueSet, *, n_shots: int, p
 def build_started_payload(
     rig: Rig, not_running_reason: str, sets_done: int, provenance: Mapping[str, Any]
 ) -> dict[str, object]:
-    """Return the payload of the event of a recorder's start."""
+    """Build the payload of the event of a recorder's start: rig, completed sets, absence, versions."""
     return {
         "rig": rig.kind,
         "dry_run": rig.dry_run,
@@ -94,7 +94,11 @@ class OpeningAlarm:
         self._reported = False
 
     def report_condition(self, trouble: InstrumentError | None) -> None:
-        """Report the error that prevents the opening, None for none; store the alarm if the disk permits."""
+        """Raise the alarm for an error that prevents the opening, or clear it with None.
+
+        A disk error is logged; the next call stores the alarm. Changes are also reported to the starting
+        program.
+        """
         condition, moment = build_opening_condition(trouble), self._moment()
         try:
             change = self._update_stored_alarm(condition, moment)
@@ -109,7 +113,10 @@ class OpeningAlarm:
         self._reported = condition.present
 
     def _update_stored_alarm(self, condition: Condition, moment: Moment) -> Change | None:
-        """Update the alarm in the catalogue; return the change, None if there is none."""
+        """Update the alarm in the catalogue and the history; return the change, None if there is none.
+
+        An alarm that a set raised is not cleared. Raises errors of the storage.
+        """
         rows = self._catalogue.rows(AlarmRow, kind=condition.kind)
         row = rows[-1] if rows else None
         if not condition.present and row is not None and row.evidence.get("set_index") is not None:
@@ -139,6 +146,11 @@ def open_rig_with_retries(
     weeks: the sets that fall due meanwhile get rows with that cause. Where the supervisor starts the recorder
     again, no person is at the rig: then it waits after any error of the instruments.
 
+    Parameters
+    ----------
+    waits_s
+        Pauses between the attempts in s; the last one repeats.
+
     Returns
     -------
     Rig or None
@@ -149,7 +161,7 @@ def open_rig_with_retries(
     Raises
     ------
     RigError, BusyError
-        What waiting cannot mend, or the rig of a test that has not begun.
+        An error that does not pass, or any error of the rig of a test that has not started.
     """
     did, heartbeat.stage = "the recorder was opening the rig", "opening"
     for wait_s in itertools.chain(waits_s, itertools.repeat(waits_s[-1])):

@@ -22,7 +22,7 @@ ASKED, ASKED_OVER = "asked", "asked_over"
 
 
 def build_command_executor(resources: Resources, assessor: SetAssessor, waiting: Waiting) -> CommandExecutor:
-    """Return the executor of an operator's commands to this recorder."""
+    """Build the executor of operators' commands to this recorder, with access to its parts."""
     settings, catalogue, drive = resources.settings, resources.catalogue, assessor.drive
     test = RunningTest(
         clock=resources.rig.clock,
@@ -46,7 +46,7 @@ def build_command_executor(resources: Resources, assessor: SetAssessor, waiting:
 def _request_set(
     resources: Resources, assessor: SetAssessor, waiting: Waiting, position: str, author: str, note: str
 ) -> SetCommit:
-    """Request an unscheduled set by a person's command; it is taken when the line is free.
+    """Build the request of a person for an unscheduled set, which is taken when the line is free.
 
     Raises
     ------
@@ -61,9 +61,10 @@ def _request_set(
 
 
 def listen_to_instruments(resources: Resources, persistence: Persistence, activity: Activity) -> None:
-    """Report from now on what an instrument asks a person to do; an empty text withdraws it."""
+    """Report from now on what an instrument asks a person to do: in the heartbeat and as events."""
 
     def report(text: str, key: ShotKey | None) -> None:
+        """Show a request in the heartbeat and report it as an event; an empty text ends it."""
         activity.request = text and f"waiting for a person: {text}"
         # The record is waited for from here on, as long as the heartbeat's deadline allows.
         activity.beat(at_once=True)

@@ -57,13 +57,13 @@ class Persistence:
 
     @property
     def has_room(self) -> bool:
-        """Return whether there is memory for another set."""
+        """Return whether the queued jobs hold less memory than the configured limit."""
         return self._n_bytes < self._limit_bytes
 
     # Shots and sets -------------------------------------------------------------------------------
 
     def acknowledge(self) -> bool:
-        """Make shots durable and report their ids; if the disk refuses, report that and retry."""
+        """Make shots durable and report their ids; return False if the disk refuses: it is retried later."""
         if self._refusal():
             return False
         try:
@@ -76,22 +76,22 @@ class Persistence:
         return True
 
     def _sync(self) -> None:
-        """Make the journal durable and report the acknowledged shots."""
+        """Make the journal durable and report the acknowledged shots; raise if the disk refuses."""
         self._report_ids(self._archive.sync())
 
     def _report_ids(self, shot_ids: Iterable[int]) -> None:
-        """Report each durable shot once."""
+        """Report each durable shot that was not reported before."""
         for shot_id in shot_ids:
             if shot_id not in self._reported_ids:
                 self._reported_ids.add(shot_id)
                 self._acknowledged(shot_id)
 
     def skip_acknowledged_shots(self, shot_ids: Iterable[int]) -> None:
-        """Skip the report of shots that an earlier recorder has acknowledged."""
+        """Mark shots that an earlier recorder acknowledged, so that they are not reported again."""
         self._reported_ids.update(shot_ids)
 
     def store(self, record: SetRecord) -> StoredSet:
-        """Make a complete set durable and report the ids of its shots."""
+        """Make a complete set durable and report the ids of its shots; errors as `Archive.store_set`."""
         stored = self._archive.store_set(record)
         self._report_ids(stored.crc32)
         self._reported_ids.difference_update(stored.crc32)
@@ -105,7 +105,9 @@ class Persistence:
     # The queue ------------------------------------------------------------------------------------
 
     def do(self, job: Callable[[], None], *, n_bytes: int = 0) -> None:
-        """Run a job after all queued jobs; at once if none waits.
+        """Run a job after all queued jobs: at once, unless the disk refuses at present.
+
+        A refused job stays queued.
 
         Parameters
         ----------
@@ -120,7 +122,10 @@ class Persistence:
             self.run_queued_jobs()
 
     def attempt(self, job: Callable[[], None]) -> None:
-        """Run a job; after a disk error queue it, or leave it to the next check if others already wait."""
+        """Run a job; queue it after a disk error, or drop it on one if other jobs already wait.
+
+        In the second case the caller's next check runs it again.
+        """
         if self.trouble is None:
             self.do(job)
         else:
@@ -130,10 +135,14 @@ class Persistence:
     def post(
         self, build: Callable[[], SetCommit], *then: Callable[[SetCommit], None], n_bytes: int = 0
     ) -> None:
-        """Build a transaction once and pass it on, in order; repeat the latter until the disk takes it."""
+        """Build a transaction once and pass it to each of ``then`` in order, after all queued jobs.
+
+        If the disk refuses, all of ``then`` are repeated with the same transaction.
+        """
         built: list[SetCommit] = []
 
         def job() -> None:
+            """Build the transaction on the first try and pass it on."""
             if not built:
                 built.append(build())
             for pass_on in then:
@@ -142,7 +151,7 @@ class Persistence:
         self.do(job, n_bytes=n_bytes)
 
     def say(self, kind: str, payload: Mapping[str, Any]) -> None:
-        """Append an event of the service."""
+        """Queue an event of the service, with the present time of the test."""
         utc_ns = self._moment().utc_ns
 
         def job() -> None:
@@ -151,12 +160,12 @@ class Persistence:
         self.do(job)
 
     def run_for(self, seconds: float) -> None:
-        """Retry the jobs if the waiting time is over."""
+        """Retry the queued jobs if the waiting time is over; ``seconds`` is not used."""
         if self._jobs and self._mono_s() >= self._next_s:
             self.run_queued_jobs()
 
     def run_queued_jobs(self) -> None:
-        """Run the jobs until one is refused."""
+        """Run the queued jobs in order until one is refused; report when all are stored."""
         while self._jobs:
             if refusal := self._refusal():
                 self._schedule_retry(refusal)
@@ -175,11 +184,11 @@ class Persistence:
             self.on_change(None)
 
     def _refusal(self) -> str:
-        """Return the reason why nothing is stored on a writable disk; a stop may use the remaining space."""
+        """Return why nothing may be stored, "" if it may; when stopping, the remaining space may be used."""
         return "" if self._disk is None or self._stop.is_set() else self._disk.refusal
 
     def _schedule_retry(self, message: str) -> None:
-        """Schedule the next retry, and report a new trouble."""
+        """Schedule the next retry in 1, 2, 5, 10, then always 30 s; report a new or changed message."""
         now_s, before = self._mono_s(), self.trouble
         self._next_s = now_s + WAITS_S[min(self._tries, len(WAITS_S) - 1)]
         self._tries += 1

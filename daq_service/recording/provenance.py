@@ -15,7 +15,7 @@ PACKAGES = ("solimon", "numpy", "scipy", "h5py", "numba")
 
 
 def build_provenance(settings: Settings, rig: Rig, *, experiment: ExperimentRow) -> dict[str, Any]:
-    """Return the provenance that is stored with every set of a run, ready for JSON.
+    """Build the provenance that is stored with every set of a run, ready for JSON.
 
     Parameters
     ----------

@@ -50,7 +50,7 @@ class Cost:
 
     @contextmanager
     def of(self, stage: str) -> Iterator[None]:
-        """Add the time spent inside to a stage."""
+        """Add the wall time in s that is spent inside the block to a stage; KeyError for an unknown stage."""
         start = self._clock_s()
         try:
             yield
@@ -64,7 +64,7 @@ class Cost:
             self.seconds[stage] += value
 
     def as_row(self) -> dict[str, float]:
-        """Return the sets, and seconds by stage; ``other_s`` makes them add up to the elapsed time."""
+        """Return the number of sets, and seconds by stage to 1 ms; ``other_s`` completes the elapsed time."""
         other_s = self._clock_s() - self._started_s - sum(self.seconds.values())
         seconds = {**self.seconds, "other_s": other_s}
         return {"sets": self.sets, **{stage: round(value, 3) for stage, value in seconds.items()}}
@@ -97,12 +97,9 @@ class Recorder:
         listen_to_instruments(resources, persistence, activity)
 
     def run(self, *, not_running_reason: str, opening: Opening | None = None) -> bool:
-        """Take every set that is still due; return False when ``stop`` came first.
+        """Take every set that is still due, then wait for their files; return False when ``stop`` came first.
 
-        Parameters
-        ----------
-        opening
-            What this recorder did before, while other sets may have fallen due.
+        ``opening`` is what this recorder did before, while other sets may have fallen due.
         """
         resources, persistence, waiting = self._resources, self._persistence, self.waiting
         done = resources.catalogue.list_committed_sets()
@@ -123,7 +120,7 @@ class Recorder:
         return self._end()
 
     def _process_set(self, due: DueSet) -> None:
-        """Acquire a set and pass it through all stages."""
+        """Acquire a set and pass it through all stages, or record a gap; RigError after a lasting error."""
         if hindrance := self._due_sets.find_hindrance(due):
             self._record_gap(due, hindrance)
             return
@@ -151,7 +148,7 @@ class Recorder:
             raise_if_permanent(taken.trouble, due, n_shots=len(taken.shots), proven=self._set_assessor.proven)
 
     def _process_acquired_set(self, due: DueSet, taken: TakenSet, *, cut_short_reason: str = "") -> None:
-        """Pass acquired records through the stages that write to disk; they wait while the disk refuses."""
+        """Queue the stages that write acquired records to disk; they wait in memory while it refuses."""
         self._activity.announce(f"storing {due}")
         reason = self._carried_over.corruption_of.get(due.set_key, cut_short_reason)
         record = self._acquisition.record_of(due, taken, reason)
@@ -173,7 +170,7 @@ class Recorder:
         return self._due_sets.follow(done, absences)
 
     def acquire(self, due: DueSet, taken: TakenSet) -> Iterator[Measurement]:
-        """Strike and read, measurement by measurement."""
+        """Strike and read; yield each measurement before the next strike, and count the time."""
         measurements = self._acquisition.acquire_measurements(due, taken)
         while True:
             with self._cost.of("strike_and_read_s"):
@@ -183,7 +180,7 @@ class Recorder:
             yield measurement
 
     def persist(self, measurement: Measurement, taken: TakenSet) -> None:
-        """Append a measurement to the journal, and acknowledge it when it is durable."""
+        """Append a measurement to the journal; in real time also acknowledge it when it is durable."""
         self._acquisition.keep(measurement, taken)
 
     def extract(self, measurement: Measurement, due: DueSet, taken: TakenSet) -> None:
@@ -210,17 +207,17 @@ class Recorder:
         return transaction
 
     def commit(self, transaction: SetCommit) -> None:
-        """Store the rows, alarms and events of a set in one transaction."""
+        """Store the rows, alarms and events of a set in one transaction; raise errors of the catalogue."""
         with self._cost.of("commit_s"):
             self._set_assessor.store(transaction)
 
     def publish(self, due: DueSet, transaction: SetCommit) -> None:
-        """Report alarms and gaps, and have the set get its file."""
+        """Report alarms and gaps of a stored set, and let the background tasks write its file."""
         self._set_assessor.publish(transaction)
         self._persistence.after_set(due.set_key)
 
     def _record_gap(self, due: DueSet, reason: str) -> None:
-        """Record a set without a strike: store the records of an open set, or else rows of a gap."""
+        """Close a set that is not acquired: store the records of an open set, or else rows of a gap."""
         opened = self._carried_over.open_sets.pop(due.set_key, None)
         if opened is not None and opened.records:
             self._process_acquired_set(due, self._carried_over.resume(opened), cut_short_reason=reason)
@@ -232,11 +229,12 @@ class Recorder:
         store_empty_set(self._set_assessor, self._persistence, due, reasons, utc_ns=now_ns)
 
     def _leave_set_open(self, taken: TakenSet) -> bool:
-        """Leave a set that a stop cut short to the next recorder; the journal keeps its shots."""
+        """Return whether a set that a stop cut short is left to the next recorder, with durable shots."""
         cut = self._stop.is_set() and not self.commands.paused and taken.trouble is None
         return cut and not taken.is_complete(self._set_assessor.n_planned) and self._persistence.acknowledge()
 
     def _end(self) -> bool:
+        """Store the end of the run with its cost and that of the drive; return whether it is complete."""
         finished, is_unsupervised = not self._stop.is_set(), self._resources.options.unsupervised.is_set()
         # A supervisor that was killed is no end of the test: the drive's process watches the supply.
         drive = None if is_unsupervised else self._set_assessor.drive

@@ -9,7 +9,7 @@ from hardware_drivers.nanoseconds import NS_PER_H
 
 
 def report_changes(transaction: SetCommit, news: Callable[..., None]) -> None:
-    """Report gaps and alarm changes."""
+    """Call ``news`` for each gap of scheduled sets, by set and reason, and for each changed alarm."""
     lacking: dict[tuple[int, str, str], list[str]] = {}
     for row in transaction.sets:
         if row.state in ("missed", "partial") and row.purpose is None:

@@ -128,7 +128,7 @@ class Resources:
 
     @property
     def tasks(self) -> list[BackgroundTask]:
-        """Return the tasks between sets."""
+        """Return the background tasks between sets that this recorder has, in their order."""
         tasks = (self.finalizer, self.verification, self.disk, *self.further_tasks)
         return [task for task in tasks if task is not None]
 
@@ -149,11 +149,11 @@ class Resources:
         return self.settings.clock.kind == "wall"
 
     def moment(self) -> Moment:
-        """Return the present moment of the test."""
+        """Return the present moment of the test, without a set."""
         return build_present_moment(self.rig.clock, self.epoch_ns)
 
 
 def build_present_moment(clock: Clock, epoch_ns: int) -> Moment:
-    """Return the present moment of a test whose hour 0 is ``epoch_ns``."""
+    """Return the present moment of a test whose hour 0 is ``epoch_ns`` (ns of UTC), without a set."""
     now_ns = clock.utc_ns()
     return Moment(utc_ns=now_ns, due_h=(now_ns - epoch_ns) / NS_PER_H, set_index=None)

@@ -56,7 +56,7 @@ def read_previous_time(
 
 
 def compute_hour_0_ns(system_ns: int) -> int:
-    """Return hour 0 of a test in real time that starts now, in ns of UTC.
+    """Return hour 0 of a test in real time that starts now: the system's time in ns of UTC, once checked.
 
     Raises
     ------

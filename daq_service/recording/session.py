@@ -149,7 +149,7 @@ def record_test(
 def _create_clock(
     clock: ClockSettings, catalogue: RecorderCatalogue, archive: Archive, last_beat: Beat | None, host: Host
 ) -> Clock:
-    """Make the clock of the test, which goes on where the last recorder ended."""
+    """Create the clock of the test, which goes on where the last recorder ended."""
     if clock.kind != "wall":
         epoch_ns = catalogue.read_experiment().epoch_utc_ns
         start_ns = _find_resume_utc_ns(catalogue, archive, epoch_ns)
@@ -169,15 +169,20 @@ def _create_clock(
 def _add_background_tasks(
     bare: Resources, folder: Path, archive: FolderArchive, history: HistoryFollower
 ) -> Resources:
-    """Add the work between sets; sets that the last recorder left in the journal get their files first."""
+    """Return the resources with the tasks between sets added.
+
+    Complete sets with rows that the last recorder left in the journal get their files first.
+    """
     catalogue, note_file = bare.catalogue, partial(_store_file_digest, bare.catalogue, history)
     experiment = build_experiment_identity(catalogue.read_experiment())
     disk = DiskWatch(folder, bare.settings.storage, usage=bare.host.disk_usage)
 
     def has_room() -> bool:
+        """Return whether the volume has space for tiles."""
         return disk.space.level in ("ample", "warn")
 
     def tiles(set_key: SetKey, results: Results) -> Callable[[SetRecord], str] | None:
+        """Return the function that adds a set to the tiles; None if space is short."""
         if not has_room():
             return None
         return partial(add_record_to_tiles, folder, experiment, extract_anchors(results))
@@ -219,13 +224,13 @@ def _store_rebuilt_event(catalogue: RecorderCatalogue, rebuilt: dict[str, Any], 
 def _store_file_digest(
     catalogue: RecorderCatalogue, history: HistoryFollower, set_key: SetKey, file: str, sha256: str
 ) -> None:
-    """Store the SHA-256 of the file of a set."""
+    """Store the SHA-256 of the file of a set in the catalogue and, with the next lines, the history."""
     catalogue.store_digest(set_key, file, sha256)
     history.note_digest(file, sha256)
 
 
 def _rebuild_if_lost(settings: Settings, folder: Path, heartbeat: Heartbeat) -> dict[str, Any]:
-    """Rebuild a lost catalogue before recording; return the event's payload, empty: none was lost."""
+    """Rebuild a lost catalogue before recording; return the event's payload, empty if none was lost."""
     if not is_catalogue_lost(folder):
         return {}
     log.error("the catalogue of %s is lost and made again from sets, journal and history", folder)
@@ -242,7 +247,10 @@ def _rebuild_if_lost(settings: Settings, folder: Path, heartbeat: Heartbeat) -> 
 def _store_missing_digests(
     catalogue: RecorderCatalogue, archive: Archive, note_file: Callable[[SetKey, str, str], None]
 ) -> None:
-    """Store the SHA-256 of files that a crash left without one; those of an older folder follow when idle."""
+    """Store the SHA-256 of the newest 100 files that a crash left without one.
+
+    Those of an older folder follow when the recorder is idle.
+    """
     for set_key, file in sorted(catalogue.list_sets_without_digest().items())[-NOTED_AT_ONCE:]:
         sha256 = archive.digest(SetReference(file))
         if sha256 is not None:
@@ -250,14 +258,17 @@ def _store_missing_digests(
 
 
 def compute_longest_call_s(settings: Settings) -> float:
-    """Return the longest time in s of an instrument's call that has a timeout."""
+    """Compute the longest time in s that a call of an instrument may take until its timeout."""
     rig = settings.rig
     longest_s = max(item.kind.longest_call_s(item.parameters) for item in list_instruments(settings))
     return max(rig.read_timeout_s, longest_s)
 
 
 def _create_or_read_epoch(catalogue: RecorderCatalogue, settings: Settings) -> int:
-    """Return hour 0 (ns of UTC) of this folder's test; create the test in a new folder."""
+    """Return hour 0 (ns of UTC) of this folder's test; create the test in a new folder.
+
+    Raises UsageError if a test in real time would start with a clock that is not set.
+    """
     with suppress(NoDataYetError):
         row = catalogue.read_experiment()
         if row.solimon_version != version("solimon"):
@@ -279,7 +290,10 @@ def _create_or_read_epoch(catalogue: RecorderCatalogue, settings: Settings) -> i
 
 
 def _assign_copy_uuid(folder: Path, catalogue: RecorderCatalogue, epoch_ns: int) -> None:
-    """Assign a new UUID to a backup that continues the test; the original keeps its UUID."""
+    """Assign a new UUID to a backup that continues the test, and store an event of it.
+
+    The original keeps its UUID; another folder is left as it is.
+    """
     row, original = catalogue.read_experiment(), backup_identity(folder)
     if original is None or original.get("uuid") != row.uuid:
         return
@@ -293,7 +307,7 @@ def _assign_copy_uuid(folder: Path, catalogue: RecorderCatalogue, epoch_ns: int)
 
 
 def _find_resume_utc_ns(catalogue: RecorderCatalogue, archive: Archive, epoch_ns: int) -> int:
-    """Return the time (ns of UTC) at which a simulated clock continues: that of the last stored record."""
+    """Return the time (ns of UTC) of the last stored record, hour 0 without any, for a simulated clock."""
     opened = [item.last_utc_ns for item in archive.open_sets().values()]
     ended_ns = catalogue.find_last_end_utc_ns()
     return max([*opened, *([] if ended_ns is None else [ended_ns])], default=epoch_ns)
@@ -306,7 +320,7 @@ def _store_stop(
     moment: Moment,
     unsupervised: threading.Event,
 ) -> None:
-    """Store the event that a recorder was stopped before its rig was open."""
+    """Store the event that a recorder was stopped before its rig was open; log a failure of the disk."""
     heartbeat.stage = "ended"
     heartbeat.beat("leaving", at_once=True)
     alone = unsupervised.is_set()
@@ -319,7 +333,10 @@ def _store_stop(
 
 
 def _find_downtime_reason(catalogue: RecorderCatalogue, beat: Beat | None, restart_reason: str) -> str:
-    """Return why no recorder ran until now, by the supervisor, the catalogue or the heartbeat."""
+    """Return why no recorder ran until now, by the supervisor, the catalogue or the heartbeat.
+
+    The supervisor's reason comes first; without any trace the recorder was starting.
+    """
     if restart_reason:
         return f"the recorder {restart_reason}"
     last_event = catalogue.read_last_service_event(*PROCESS_EVENTS)

@@ -101,7 +101,7 @@ class SetAssessor:
             )
 
     def adopt(self) -> None:
-        """Take over the alarm that another process raises while no recorder stores sets."""
+        """Load the newest alarms that another process raised while no recorder stored sets."""
         rows = self._catalogue.rows(AlarmRow, kind=RECORDER_NOT_RUNNING)
         self.alarms |= {(row.position, row.kind): row for row in rows}
 
@@ -114,7 +114,7 @@ class SetAssessor:
         return position_result.conditions
 
     def disabled(self) -> dict[str, str]:
-        """Return the disabled transducers, each with the reason."""
+        """Return the reason of each disabled transducer, by position."""
         return find_disabled(self.alarms.values())
 
     def assessed(
@@ -132,8 +132,10 @@ class SetAssessor:
 
         Parameters
         ----------
+        features
+            Features of each shot of the record, by sequence.
         file, sha256
-            Where the record lies, and the SHA-256 of the file if it is made.
+            Reference of the record, and the SHA-256 of the file if it is made.
         """
         moment = Moment.of_set(due, record.ended_utc_ns)
         reasons = {position.position: position.cause for position in record.positions}
@@ -188,7 +190,7 @@ class SetAssessor:
         return self.add_environment(due, moment, transaction)
 
     def build_empty_row(self, due: DueSet, position: str, *, disabled: bool, reason: str) -> SetRow:
-        """Build the row of a position without records, or that was not measured."""
+        """Build the row of a position without records (missed), or that was not measured (disabled)."""
         return SetRow(
             set_index=due.set_index,
             unscheduled_index=due.unscheduled_index,
@@ -203,18 +205,18 @@ class SetAssessor:
         )
 
     def list_set_positions(self, due: DueSet) -> list[str]:
-        """Return the positions of a set."""
+        """List the positions of a set: all, or the one of an unscheduled set."""
         return list(self._settings.positions) if due.position is None else [due.position]
 
     def update_alarm(self, condition: Condition, moment: Moment) -> None:
-        """Store the new state of an alarm that belongs to no set."""
+        """Update an alarm that belongs to no set, and store the change, if there is one."""
         transaction = SetCommit()
         self.apply_alarm(condition, moment, transaction)
         if transaction.events:
             self.commit(transaction)
 
     def expire_shelves(self, moment: Moment) -> None:
-        """Notify again of alarms whose shelves have expired, on the test's clock or in real time."""
+        """Store the end of expired shelves, on the test's clock or in real time; they notify again."""
         shelved = [row for row in self.alarms.values() if row.suppressed == "shelved"]
         changes = [change for row in shelved if (change := end_expired_shelf(row, moment, time.time_ns()))]
         if changes:
@@ -233,11 +235,15 @@ class SetAssessor:
         return ""
 
     def _has_alarm_to_end(self, position: str | None, kind: str) -> bool:
-        """Return whether an absent condition ends an alarm, or the delay before one."""
+        """Return whether there is an alarm, or the delay before one, that an absent condition ends."""
         return (position, kind) in self.alarms or (position, kind) in self._delayed_since_ns
 
     def apply_alarm(self, condition: Condition, moment: Moment, transaction: SetCommit) -> None:
-        """Add what becomes of an alarm with a condition, unless it is held back."""
+        """Add the change of an alarm by a condition, and of its delays, to a transaction.
+
+        Nothing is added if the alarm does not change, or its delay is running. A missing reflection trips the
+        supply at once.
+        """
         key = (condition.position, condition.kind)
         row, since_ns = self.alarms.get(key), self._delayed_since_ns.get(key)
         to_follow: Condition | None = condition
@@ -267,20 +273,20 @@ class SetAssessor:
             self._delayed_since_ns[(event.position, payload["alarm_kind"])] = payload["since_utc_ns"]
 
     def add_environment(self, due: DueSet, moment: Moment, transaction: SetCommit) -> SetCommit:
-        """Add the readings of supply and climate probe since the last set."""
+        """Add the readings of supply and climate since the last set to the transaction; return it."""
         if self.drive is not None:
             self.drive.add_row(transaction, due, moment)
         return transaction
 
     def commit(self, transaction: SetCommit) -> None:
-        """Store rows, alarms and events in one transaction, then report them."""
+        """Store rows, alarms and events in one transaction, then report them; raises as `store`."""
         self.store(transaction)
         self.publish(transaction)
 
     def store(self, transaction: SetCommit) -> None:
         """Store rows, alarms and events; what later sets build on is taken over only after that.
 
-        Called again after an error, it first looks whether the commit took place all the same.
+        Called again after an error, it first checks whether the commit took place all the same.
         """
         keys = {row.set_key for row in transaction.sets}
         if transaction is self._uncommitted and keys <= self._catalogue.list_committed_sets(keys):
@@ -296,7 +302,7 @@ class SetAssessor:
             self.alarms[(row.position, row.kind)] = replace(row, id=alarm_id)
 
     def publish(self, transaction: SetCommit) -> None:
-        """Update the state with a stored transaction, and report its alarms and gaps."""
+        """Update delays and requested sets with a stored transaction, and report its alarms and gaps."""
         for event in transaction.events:
             self.apply_stored_event(event)
         self.confirmations.apply_rows(transaction)
@@ -306,7 +312,7 @@ class SetAssessor:
 def build_shot_row(
     measurement: Shot | PulseEchoRecord, *, valid: bool, flags: Sequence[str], outcome: Outcome = ACCEPTED
 ) -> ShotRow:
-    """Return the catalogue row of a stored record."""
+    """Build the catalogue row of a record, with the CRC-32 of its counts."""
     key, stamp = measurement.key, measurement.stamp
     return ShotRow(
         sequence=measurement.sequence,
@@ -392,12 +398,15 @@ class PositionAssessors:
         return self._assessors[position]
 
     def enable(self, position: str) -> None:
-        """Reset the reason why a transducer was disabled: a person has enabled it."""
+        """Clear the reason why a transducer was disabled: a person has enabled it."""
         self[position].enable()
         self.enabled = True
 
     def renew(self, position: str) -> None:
-        """Assess the following sets by the stored state, because a person has renewed the baseline."""
+        """Discard the state of a position in memory, because a person has renewed the baseline.
+
+        The following sets are assessed by the stored state.
+        """
         self._assessors.pop(position, None)
         self._stored.pop(position, None)
 
@@ -408,12 +417,12 @@ class PositionAssessors:
 
     @states.setter
     def states(self, states: Mapping[str, object]) -> None:
-        """Set the state of each position's assessor."""
+        """Set the state of each position that is named; the others keep theirs."""
         for position, state in states.items():
             self[position].state = state
 
     def collect_changed_states(self) -> dict[str, AssessorStateRow]:
-        """Return the rows of the states that have changed since the last call, by ``place``."""
+        """Collect the rows of the states that have changed since the last call, by ``place``."""
         rows: list[AssessorStateRow] = []
         for position, assessor in self._assessors.items():
             before, self._stored[position] = self._stored.get(position), assessor.state
@@ -431,7 +440,10 @@ class PositionAssessors:
 def find_changed_state_rows(
     before: Any, after: Any, *, position: str, baseline_id: int | None, configuration_hash: str
 ) -> list[AssessorStateRow]:
-    """Return the rows of a state that differ from those of the earlier state; all of them if it is None."""
+    """Build the rows of a state that differ from the earlier state; all of them if that is None.
+
+    Fields are compared by identity.
+    """
     parts = {"frozen": FROZEN_FIELDS, "running": {item.name for item in fields(after)} - FROZEN_FIELDS}
     rows = []
     for part, names in parts.items():

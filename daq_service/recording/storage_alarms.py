@@ -39,12 +39,12 @@ class StorageAlarms:
             self._disk.on_change = self._report_space
 
     def find_overdue_reason(self, due_utc_ns: int) -> str:
-        """Return the reason why the time of a set passed: disk, catalogue, or sleep of the computer."""
+        """Return why the time of a set passed: trouble of the disk, or else sleep of the computer."""
         is_over = self._persistence.trouble is None and self._trouble_until_ns < due_utc_ns
         return OVERSLEPT if is_over else f"the recorder waited for the disk: {self._reported_trouble}"
 
     def watch_web(self) -> None:
-        """Watch the web service."""
+        """Raise or clear the alarm of a missing web service when that changes; a disk error delays it."""
         is_missing = None if self._web is None else self._web.is_missing()
         if is_missing in (None, self._web_is_missing):
             return
@@ -54,7 +54,7 @@ class StorageAlarms:
             self._web_is_missing = is_missing
 
     def start_verification(self) -> None:
-        """Find stored sets that are missing; report them and the files in quarantine."""
+        """Start the check of stored sets; report those that are missing and the files in quarantine."""
         if self._verification is not None:
             alarm = self._set_assessor.alarms.get((None, "data_corrupt"))
             stands = alarm is not None and alarm.state in ("unacknowledged", "acknowledged")
@@ -62,7 +62,10 @@ class StorageAlarms:
         self._report_corruption(at_the_start=True)
 
     def store_in_reserve(self) -> None:
-        """Store what waits in the space that is reserved for a stop; what no disk takes is lost."""
+        """Run the queued jobs in the space that is reserved for a stop, if the disk has refused them.
+
+        Jobs that are refused again are lost, which is logged.
+        """
         if self._persistence.trouble is not None and self._disk is not None:
             self._disk.free_reserve()
             self._persistence.run_queued_jobs()
@@ -70,14 +73,14 @@ class StorageAlarms:
             log.error("%d jobs are lost that no disk took: %s", len(self._persistence), trouble.message)
 
     def report(self) -> None:
-        """Report what the background tasks have found."""
+        """Report what the background tasks have found: sets without a file, and corruption."""
         if self._finalizer is not None:
             self._report_finalizing(self._finalizer.trouble)
         if self._persistence.trouble is None:
             self._report_corruption()
 
     def _report_space(self, space: DiskSpace) -> None:
-        """Report the level of the volume: an event at each change, an alarm at the last two."""
+        """Log and store the level of the volume, with an alarm at the levels "alarm" and "stop"."""
         log.warning("%s: level %s", space.description, space.level)
         self._persistence.say(DISK_SPACE, asdict(space))
         condition = space_condition(
@@ -86,7 +89,7 @@ class StorageAlarms:
         self._store_alarm(condition)
 
     def _store_alarm(self, condition: Condition) -> None:
-        """Store an alarm now, or as soon as the catalogue takes it."""
+        """Update an alarm now, or queue it if the disk refuses."""
         job = partial(self._set_assessor.update_alarm, condition, self._moment())
         try:
             job()
@@ -95,7 +98,10 @@ class StorageAlarms:
             self._persistence.do(job)
 
     def report_trouble(self, trouble: Trouble | None) -> None:
-        """Raise or clear the alarm if the catalogue accepts it; the heartbeat always reports the trouble."""
+        """Raise (or with None clear) the storage alarm, if the catalogue accepts it.
+
+        A short trouble is stored afterwards, as raised and cleared.
+        """
         self._trouble_until_ns = self._moment().utc_ns
         if trouble is not None:
             self._reported_trouble = trouble.message
@@ -111,7 +117,7 @@ class StorageAlarms:
             self._reported_finalizing = ""  # what still has no file is reported again
 
     def _report_finalizing(self, trouble: str) -> None:
-        """Raise or clear the alarm of sets that get no file; nothing of them is at risk."""
+        """Raise or clear the alarm of sets that get no file; they are safe in the journal."""
         if bool(trouble) == bool(self._reported_finalizing) or self._persistence.trouble is not None:
             return
         message = trouble or self._reported_finalizing
@@ -119,7 +125,7 @@ class StorageAlarms:
         self._store_alarm(storage_condition(message, present=bool(trouble), waits_in="journal"))
 
     def _report_corruption(self, *, at_the_start: bool = False) -> None:
-        """Raise or clear the alarm of corrupt or missing sets, and report each new one."""
+        """Raise or clear the alarm of corrupt or missing sets, and store an event of each new one."""
         damaged = dict(self._archive.journal_damage.files)
         for helper in (self._finalizer, self._verification):
             damaged |= {} if helper is None else helper.damaged

@@ -50,7 +50,7 @@ class Waiting:
         persistence.on_change = self._report_trouble
 
     def run_between_sets(self) -> bool:
-        """Run the background tasks, heartbeat and requests between sets; return False to stop."""
+        """Run retries, background tasks, alarms and requests between sets; return False to stop."""
         seconds = (self.free_until_ns - self._resources.rig.clock.utc_ns()) / NS_PER_S
         self._persistence.run_for(seconds)
         for task in self._resources.tasks:  # none that can wait, while the disk takes nothing
@@ -60,19 +60,22 @@ class Waiting:
         return self.activity.run_between_shots()
 
     def wait_until_stored(self) -> None:
-        """Wait until everything is stored, or until a stop."""
+        """Wait until all jobs are stored; after a stop use the reserve of the disk for them."""
         while self._persistence.trouble is not None and self.run_between_sets():
             self._resources.stop.wait(self._resources.host.look_every_s)
         self.storage.store_in_reserve()
 
     def wait_for_worker(self) -> None:
-        """Wait for the files of earlier sets in simulated time, or journal and memory would grow."""
+        """Wait until at most 40 sets lack their files, or for a stop, for simulated time.
+
+        Else journal and memory would grow.
+        """
         finalizer = self._resources.finalizer
         while finalizer is not None and finalizer.n_under_way > MOST_UNDER_WAY and self.run_between_sets():
             self._resources.stop.wait(self._resources.host.look_every_s / 10.0)
 
     def wait_for_files(self) -> None:
-        """Wait for the files of the last sets at the end of a test, but not after a stop."""
+        """Wait at most 60 s for the files of the last sets, retrying failed ones; not after a stop."""
         finalizer, host, stop = self._resources.finalizer, self._resources.host, self._resources.stop
         if finalizer is None or stop.is_set():
             return
@@ -94,6 +97,6 @@ class Waiting:
         self.activity.beat(at_once=True)
 
     def _report_trouble(self, trouble: Trouble | None) -> None:
-        """Raise or end the storage alarm and show it in the heartbeat."""
+        """Raise or clear the storage alarm and write the heartbeat."""
         self.storage.report_trouble(trouble)
         self.activity.beat()

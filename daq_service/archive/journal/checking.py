@@ -44,7 +44,10 @@ class CheckedJournal:
     n_bytes: int = 0
 
     def take(self, number: int, name: str, content: bytes) -> None:
-        """Add a segment: consecutive frames, then zeros to its end."""
+        """Add a segment: consecutive frames, then zeros to its end.
+
+        Other bytes between frames count as damage; ``name`` is the segment's path in the list.
+        """
         end_of_last, length, last_sets = 0, len(content.rstrip(b"\0")), set[SetKey]()
         for frame in parse_frames(content):
             if frame.start > end_of_last:
@@ -61,7 +64,7 @@ class CheckedJournal:
         self.n_bytes += max(end_of_last, length)
 
     def _add_gap(self, name: str, start: int, end: int, neighbors: set[SetKey]) -> None:
-        """Add bytes that are no frame, and the sets of the frames around them."""
+        """Add damage for bytes that are no frame; the sets of the frames around them become suspects."""
         self.suspects |= neighbors
         self.n_lost += 1 + (end - start) // HEADER.size
         self.damages.append(
@@ -70,7 +73,7 @@ class CheckedJournal:
 
 
 def _is_torn(frame: Frame, length: int, size: int) -> bool:
-    """Return whether a crash truncated a frame: sectors are written in order, so the rest is zeros."""
+    """Return whether a crash truncated a frame: its last 512-byte sectors are zeros or outside the file."""
     return frame.end > size or -(-length // _SECTOR_BYTES) * _SECTOR_BYTES < frame.end
 
 
@@ -120,5 +123,5 @@ def check_journal(folder: Path) -> CheckedJournal:
 
 
 def _name_segment(folder: Path, number: int) -> str:
-    """Return the path of a segment relative to the data folder."""
+    """Return the path of a segment relative to the data folder, with slashes."""
     return build_segment_path(folder, number).relative_to(folder).as_posix()

@@ -79,7 +79,7 @@ class Frame:
     sound: bool
 
     def read_facts(self) -> dict[str, Any]:
-        """Return the facts as a dictionary."""
+        """Parse the facts of a sound frame as a dictionary; ValueError if they are no JSON."""
         facts: dict[str, Any] = json.loads(self.facts)
         return facts
 
@@ -87,13 +87,13 @@ class Frame:
 def build_begin_frame(
     set_key: SetKey, *, due_utc_ns: int, started_utc_ns: int, disabled: Mapping[str, str]
 ) -> Buffers:
-    """Build the frame for the start of a set."""
+    """Build the frame for the start of a set; ``disabled`` holds the reason by position."""
     facts = {"due_utc_ns": due_utc_ns, "disabled": dict(disabled)}
     return _build_frame(Kind.BEGIN, set_key, facts, utc_ns=started_utc_ns)
 
 
 def build_record_frame(record: Shot | PulseEchoRecord) -> Buffers:
-    """Build the frame of a record with all data that the file of its set needs."""
+    """Build the frame of a record with all that the file of its set needs; its counts are not copied."""
     waveform, calibration = record.waveform, record.waveform.calibration
     facts: dict[str, Any] = {
         "key": [record.key.position, record.key.shot_index, record.key.attempt],
@@ -130,7 +130,7 @@ def build_record_frame(record: Shot | PulseEchoRecord) -> Buffers:
 
 
 def build_missed_frame(missed: MissedShot, utc_ns: int) -> Buffers:
-    """Build the frame of a strike or echo that left no record."""
+    """Build the frame of a strike or echo that left no record, with cause and reason."""
     key = {"key": [missed.key.position, missed.key.shot_index, missed.key.attempt]}
     facts = {**key, "cause": missed.cause, "reason": missed.reason}
     return _build_frame(Kind.MISSED, missed.key.set_key, facts, utc_ns=utc_ns)
@@ -169,7 +169,7 @@ def build_end_frame(record: SetRecord) -> Buffers:
 
 
 def build_aside_frame(set_key: SetKey) -> Buffers:
-    """Build the frame that discards the earlier frames of a set."""
+    """Build the frame that makes readers discard the earlier frames of a set."""
     return _build_frame(Kind.ASIDE, set_key, {}, utc_ns=0)
 
 
@@ -185,7 +185,7 @@ def _build_frame(
     counts_crc32: int = 0,
     width: int = 0,
 ) -> Buffers:
-    """Build a frame with its header and checksums."""
+    """Build a frame with its header and checksums; NaN and infinities of the facts are kept."""
     text = orjson.dumps(facts, option=orjson.OPT_SERIALIZE_NUMPY)
     if b"null" in text:
         # orjson writes NaN and infinities as null, json keeps them.
@@ -199,12 +199,15 @@ def _build_frame(
 
 def _compute_body_crc32(facts: bytes, counts_crc32: int) -> int:
     # File and catalogue use the CRC-32 of the counts, too: it is computed once.
-    """Compute the CRC-32 of the facts and of the CRC-32 of the counts."""
+    """Compute the CRC-32 of the facts, continued with the CRC-32 of the counts."""
     return zlib.crc32(_CRC.pack(counts_crc32), zlib.crc32(facts))
 
 
 def parse_frames(content: bytes, *, of_set: SetKey | None = None) -> Iterator[Frame]:
-    """Parse the frames of a segment, or those of one set; skip bytes that are no frame."""
+    """Parse the frames of a segment, or those of one set; skip bytes that are no frame.
+
+    A frame whose header is valid but whose content is corrupt or truncated is yielded with ``sound`` False.
+    """
     view, offset = memoryview(content), 0
     # Searching one byte is far faster than four in the zeros at the end of a segment.
     while (offset := content.find(MAGIC[:1], offset)) >= 0 and offset + HEADER.size <= len(content):
@@ -240,7 +243,7 @@ def parse_frames(content: bytes, *, of_set: SetKey | None = None) -> Iterator[Fr
 
 
 def decode_record(frame: Frame) -> Shot | PulseEchoRecord:
-    """Decode the record of an intact frame, bit for bit."""
+    """Decode the record of a sound frame, bit for bit: a pulse echo from ``ECHO``, else a shot."""
     facts = frame.read_facts()
     position, shot_index, attempt = facts["key"]
     calibration = facts["calibration"]
@@ -263,7 +266,7 @@ def decode_record(frame: Frame) -> Shot | PulseEchoRecord:
 
 
 def decode_missed(frame: Frame) -> MissedShot:
-    """Decode the missed record of an intact frame."""
+    """Decode the missed record of a sound frame of kind ``MISSED``."""
     facts = frame.read_facts()
     position, shot_index, attempt = facts["key"]
     key = ShotKey.in_set(frame.set_key, position, shot_index, attempt)

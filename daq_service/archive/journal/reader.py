@@ -47,7 +47,10 @@ class JournaledSet:
     segments: set[int] = field(default_factory=set)
 
     def take(self, frame: Frame, segment: int) -> None:
-        """Add a frame; a record that was written twice counts once."""
+        """Add a frame of the set; a record that was written twice counts once.
+
+        A corrupt frame only adds its segment; an ``ASIDE`` frame discards the earlier ones.
+        """
         self.segments.add(segment)
         if not frame.sound:
             return  # truncated by a power cut or corrupt: the set's end frame names the missing records
@@ -74,21 +77,24 @@ class JournaledSet:
 
     @property
     def is_whole(self) -> bool:
-        """Return whether the set has an end and every record is intact."""
+        """Return whether the set has an end frame and every record that it names is intact."""
         return self.end is not None and not self.damages()
 
     @property
     def n_bytes(self) -> int:
-        """Return the size of the counts of all its records in bytes."""
+        """Return the size in bytes of the counts of all its intact records."""
         return sum(len(frame.counts) for frame in self.shots.values())
 
     @property
     def has_records(self) -> bool:
-        """Return whether the set has an intact record."""
+        """Return whether the set has an intact record in the journal."""
         return bool(self.shots)
 
     def find_sequence(self, position: str, shot_index: int) -> int | None:
-        """Find the sequence of the accepted attempt at a shot; None if there is none."""
+        """Find the sequence of the accepted attempt at a shot, else of the last one; None without any.
+
+        The set must have its end frame.
+        """
         assert self.end is not None, "only an ended set names its records"
         replaced = {sequence for sequence, _ in self.end["outcomes"]}
         attempts = [
@@ -99,7 +105,7 @@ class JournaledSet:
         return max(attempts)[-1] if attempts else None
 
     def damages(self) -> list[Damage]:
-        """List the records that the end frame names and that are missing or unreadable."""
+        """List the records that the end frame (which must exist) names and that are missing or unreadable."""
         assert self.end is not None, "only an ended set names its records"
         return [
             Damage(
@@ -113,7 +119,7 @@ class JournaledSet:
         ]
 
     def record(self) -> SetRecord:
-        """Build the complete set from its intact records."""
+        """Build the set from its end frame, which must exist, and its intact records."""
         end = self.end
         assert end is not None, "a set that was not ended has no record"
         sequences = [sequence for sequence, *_ in end["records"] if sequence in self.shots]
@@ -130,7 +136,7 @@ class JournaledSet:
         )
 
     def opened(self) -> OpenSet | None:
-        """Build the durable part of an incomplete set, to resume it; None if no frame of it is left."""
+        """Build the durable part of an incomplete set, to resume it; None if no sound frame of it is left."""
         facts: Mapping[str, Any]
         if self.begin is not None:
             facts = {**self.begin.read_facts(), "started_utc_ns": self.begin.utc_ns}
@@ -160,30 +166,30 @@ _PLAIN = (
 
 
 def _parse_missed(set_key: SetKey, facts: Mapping[str, Any]) -> MissedShot:
-    """Parse a missed record from an entry of the end frame."""
+    """Parse a missed record from an entry of the end frame; KeyError if the entry lacks a key."""
     key = ShotKey.in_set(set_key, facts["position"], facts["shot_index"], facts["attempt"])
     return MissedShot(key=key, cause=facts["cause"], reason=facts["reason"])
 
 
 def list_segments(folder: Path) -> dict[int, Path]:
-    """List the segments of a data folder: number to path, in order."""
+    """List the segments of a data folder, number to path, in order; other file names are ignored."""
     files = ((_NAME.fullmatch(path.name), path) for path in (folder / JOURNAL_FOLDER).glob("*.journal"))
     return dict(sorted((int(match[1]), path) for match, path in files if match))
 
 
 def parse_segment_number(file: str) -> int:
-    """Parse the number in the file name of a segment."""
+    """Parse the number in the file name of a segment; ValueError if the name is no number."""
     return int(Path(file).stem)
 
 
 def list_strays(folder: Path) -> list[Path]:
-    """List the files of the journal's folder that hold frames but lack a segment's name."""
+    """List the files of the journal's folder that hold frames but lack a segment's name; read them all."""
     others = (path for path in (folder / JOURNAL_FOLDER).glob("*") if not _NAME.fullmatch(path.name))
     return [path for path in others if path.is_file() and any(parse_frames(read_shared(path)))]
 
 
 def build_segment_path(folder: Path, number: int) -> Path:
-    """Return the path of a segment."""
+    """Return the path of a segment, such as ``journal/000001.journal``, which may be missing."""
     return folder / JOURNAL_FOLDER / f"{number:06d}.journal"
 
 
@@ -214,7 +220,10 @@ def read_journal(
 
 
 def read_segments(folder: Path, places: Places | None = None) -> Iterator[tuple[int, bytes]]:
-    """Yield number and bytes of each segment, or of byte ranges of it; skip segments that vanished."""
+    """Yield number and bytes of each segment, or of byte ranges of it; skip segments that vanished.
+
+    With ``places`` only its segments are read. Raises OSError if one cannot be read.
+    """
     for number, path in list_segments(folder).items():
         if places is not None and number not in places:
             continue

@@ -78,7 +78,10 @@ class Journal:
         self._pending_sets: set[SetKey] = set()
 
     def _rename_strays(self) -> dict[str, str]:
-        """Rename files with corrupt names to segments; return the former name of each."""
+        """Give files that hold frames under other names the next segment numbers.
+
+        Returns the former name by new path. Raises OSError.
+        """
         former_names = {}
         for path in list_strays(self._folder):
             new = build_segment_path(self._folder, max(list_segments(self._folder), default=0) + 1)
@@ -87,7 +90,7 @@ class Journal:
         return former_names
 
     def _copy_damaged(self, checked: CheckedJournal, renamed: Mapping[str, str]) -> JournalDamage:
-        """Copy corrupt segments to the quarantine before any of their frames can be dropped."""
+        """Copy corrupt segments to the quarantine before any of their frames can be dropped; log each."""
         reasons_of = {file: [f"its name was {name}"] for file, name in renamed.items()}
         for file, damage in checked.damages:
             reasons_of.setdefault(file, []).append(str(damage))
@@ -106,7 +109,10 @@ class Journal:
         )
 
     def _copy_to_quarantine(self, number: int, name: str) -> str:
-        """Copy a segment to the quarantine, once; return its path there."""
+        """Copy a segment to the quarantine, unless the same content is there.
+
+        Returns the copy's path relative to the data folder; another file of that name stays. Raises OSError.
+        """
         content = read_shared(build_segment_path(self._folder, number)).rstrip(b"\0")
         copy = self._folder / QUARANTINE_FOLDER / name
         copy.parent.mkdir(exist_ok=True)
@@ -118,22 +124,26 @@ class Journal:
         return f"{QUARANTINE_FOLDER}/{copy.name}"
 
     def append(self, record: Shot | PulseEchoRecord) -> None:
-        """Add a record; acknowledged by the next sync."""
+        """Add a record in memory; the next `sync` writes and acknowledges it."""
         self.add(record.key.set_key, build_record_frame(record))
         self._unacknowledged.append(record.sequence)
 
     def add(self, set_key: SetKey, frame: Buffers) -> None:
-        """Add a frame of a set (`frames`); durable with the next sync."""
+        """Add a frame of a set (`frames`) in memory; the next `sync` makes it durable."""
         self._pending.append(frame)
         self._pending_sets.add(set_key)
 
     def set_aside(self, set_key: SetKey, name: str) -> None:
         """Copy the segments of a set to the quarantine under its name; the set may then start again.
 
+        Its frames are discarded by a synced frame.
+
         Raises
         ------
         OSError
             It stays as it is.
+        KeyError
+            The journal has no frame of it.
         """
         item = read_journal(self._folder, of_set=set_key)[set_key]
         for number in item.segments:
@@ -171,7 +181,10 @@ class Journal:
         return acknowledged
 
     def _write_buffers(self, content: list[bytes | memoryview]) -> None:
-        """Write buffers to the present segment, or to a new one, and sync it."""
+        """Write buffers to the present segment, or to a new one if they do not fit, and sync it.
+
+        Raises OSError; the byte ranges of the sets are updated only after the sync.
+        """
         n_bytes = sum(map(len, content))
         if self._descriptor is None or self._room < n_bytes:
             self._close_segment()
@@ -186,7 +199,10 @@ class Journal:
         self._room -= n_bytes
 
     def _open_segment(self, n_bytes: int) -> None:
-        """Open the next segment and allocate its space."""
+        """Create the next segment and allocate its space: 16 MiB, or ``n_bytes`` if that is more.
+
+        A disk that cannot allocate is written without; other errors raise OSError.
+        """
         self._number += 1
         path = build_segment_path(self._folder, self._number)
         flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | O_BINARY
@@ -203,7 +219,7 @@ class Journal:
         sync_folder(path.parent)
 
     def _close_segment(self) -> None:
-        """Close the present segment; remove its file if no frame of it is needed."""
+        """Close the present segment, if any; delete its file if it holds no frame that is needed."""
         descriptor, self._descriptor = self._descriptor, None
         if descriptor is None:
             return
@@ -213,11 +229,11 @@ class Journal:
             self._remove_segment(self._number)
 
     def places(self, set_key: SetKey) -> Places:
-        """Return the byte ranges of the durable frames of a set: segment number to ranges."""
+        """Return the byte range of the durable frames of a set in each segment; empty if there are none."""
         return {number: sets[set_key] for number, sets in self._sets_in.items() if set_key in sets}
 
     def settle(self, set_key: SetKey) -> None:
-        """Remove a set that has its own file, or rows and no record; remove segments without other sets."""
+        """Remove a set that has its own file, or rows and no record; delete segments without other sets."""
         self.left.pop(set_key, None)
         for number, indices in list(self._sets_in.items()):
             indices.pop(set_key, None)
@@ -225,14 +241,14 @@ class Journal:
                 self._remove_segment(number)
 
     def _remove_segment(self, number: int) -> None:
-        """Remove a segment's file."""
+        """Delete a segment's file; if the disk refuses, log it and keep the segment for a later call."""
         path = build_segment_path(self._folder, number)
         remove_quietly(path)
         if not path.exists():  # else the next call of `settle` tries again
             del self._sets_in[number]
 
     def close(self) -> None:
-        """Close the present segment and remove segments without open sets; no frame is lost."""
+        """Close the present segment and delete segments without sets; added frames are not synced."""
         self._close_segment()
         for number, indices in list(self._sets_in.items()):
             if not indices:

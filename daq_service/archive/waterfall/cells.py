@@ -60,7 +60,10 @@ class Frame:
         return self.first * self.cell_s
 
     def part(self, from_s: float | None, to_s: float | None, width: int) -> Frame:
-        """Return the cells of another width that cover a range of times in this frame; none outside."""
+        """Return the cells of another width that cover a range of times in this frame.
+
+        Times in s after the anchor, None is no limit; outside the frame the result has no cells.
+        """
         start, end = self.first * self.width, (self.first + self.n_cells) * self.width
         if from_s is not None:
             start = max(start, math.floor(from_s * self.sample_rate_hz))
@@ -71,7 +74,7 @@ class Frame:
 
 
 def build_frame(waveform: Waveform, alignment: Alignment) -> Frame:
-    """Compute the time frame of all records with the sampling of a waveform.
+    """Compute the cells of all records with the sampling of a waveform, at most 1024 per record.
 
     Aligned at the trigger it covers the complete record; at the first pulse it extends from half a record
     before to one record after the pulse.
@@ -93,7 +96,7 @@ def build_frame(waveform: Waveform, alignment: Alignment) -> Frame:
 
 
 def extract_anchors(results: Results) -> dict[int, float]:
-    """Find the time in s of the first detected pulse or echo, by shot id."""
+    """Find the time in s of the first detected pulse or echo by shot id; omit shots without one."""
     anchors: dict[int, float] = {}
     for table, column in (("features", "isw_time_s"), ("thickness", "travel_time_s")):
         rows = results.get(table, {})
@@ -103,20 +106,21 @@ def extract_anchors(results: Results) -> dict[int, float]:
 
 
 def new_planes(frame: Frame) -> Planes:
-    """Create cells without a sample (NaN)."""
+    """Create the planes of a frame without any sample: NaN, shape (2, n_cells)."""
     return np.full((2, frame.n_cells), np.nan, dtype=np.float32)
 
 
 def merge_planes(rows: Iterable[Planes]) -> Planes:
-    """Compute the extremes over several rows of one frame."""
+    """Compute the extremes over one or more rows of one frame; NaN only where no row has a sample."""
     lows, highs = zip(*rows, strict=True)
     return np.stack([np.fmin.reduce(lows), np.fmax.reduce(highs)])
 
 
 def compute_record_planes(placed: Iterable[tuple[Waveform, float]], frame: Frame) -> Planes:
-    """Compute the cells of records, each with the time of its anchor in s; skip other sampling rates.
+    """Compute the cells of records in V, each with the time of its anchor in s; NaN without a sample.
 
-    Counts are reduced and then calibrated: an ADC's calibration is monotonic.
+    Records of another sampling rate than the frame's are skipped. Counts are reduced and then calibrated: an
+    ADC's calibration is monotonic.
     """
     by_calibration: dict[bytes, list[tuple[Waveform, float]]] = {}
     for waveform, anchor_s in placed:
@@ -152,7 +156,11 @@ def _reduce_records(placed: Sequence[tuple[Waveform, float]], frame: Frame) -> P
 def compute_planes(
     record: SetRecord, position: str, alignment: Alignment, anchors: Mapping[int, float], frame: Frame
 ) -> Planes:
-    """Compute the cells of all accepted records of a set at a position that have an anchor."""
+    """Compute the cells in V of all accepted records of a set at a position that have an anchor.
+
+    ``anchors`` holds the time of the first pulse or echo in s by shot id; a record without one is skipped,
+    unless the alignment is the trigger.
+    """
     placed = [
         (item.waveform, 0.0 if alignment == "trigger" else anchors[item.sequence])
         for item in select_accepted_records(record, position)
@@ -162,7 +170,7 @@ def compute_planes(
 
 
 def select_accepted_records(record: SetRecord, position: str) -> list[Shot | PulseEchoRecord]:
-    """Select the accepted records of a set at a position."""
+    """Select the accepted records of a set at a position, in their order; empty if none."""
     return [
         item
         for item in record.records
@@ -171,7 +179,7 @@ def select_accepted_records(record: SetRecord, position: str) -> list[Shot | Pul
 
 
 def coarsen(planes: Planes, frame: Frame, part: Frame) -> Planes:
-    """Combine cells of a finer frame to those of a coarser one, or of a part of it.
+    """Combine cells of a finer frame to those of a coarser one, or of a part of it; NaN outside the finer.
 
     Parameters
     ----------

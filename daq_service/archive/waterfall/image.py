@@ -32,7 +32,7 @@ class Index(Protocol):
     """Queries of a waterfall to the catalogue."""
 
     def count_stored_sets(self, first: int, last: int) -> int:
-        """Count the sets of the position that have records, with indices from ``first`` to ``last``."""
+        """Count the sets of the position that have records, with indices from first to last (inclusive)."""
         ...
 
     def file(self, set_index: int) -> SetReference | None:
@@ -40,7 +40,7 @@ class Index(Protocol):
         ...
 
     def read_anchors(self, set_index: int) -> Mapping[int, float]:
-        """Return the time of the first pulse or echo by shot id."""
+        """Return the time in s of the first pulse or echo by shot id; shots without one are missing."""
         ...
 
 
@@ -115,9 +115,10 @@ class WaterfallReader:
         alignment: Alignment,
         files: Iterable[SetReference],
     ) -> Tiles | None:
-        """Find the tiles of a position from its first records; None if no file has records of it.
+        """Find the tiles of a position from its first readable records; None if no file has any.
 
-        All figures of the position have this frame; records of another rate are not drawn.
+        The result is kept for later calls. All figures of the position have this frame; records of another
+        rate are not drawn.
         """
         key = position, alignment
         for file in files if key not in self._tiles else ():
@@ -136,7 +137,7 @@ class WaterfallReader:
     def compute_figure(
         self, tiles: Tiles, index: Index, wanted: Wanted, reference: Planes | None = None
     ) -> Picture:
-        """Compute the figure of the requested part.
+        """Compute the figure of the requested part; of sets without tile at most 32 are read now.
 
         Parameters
         ----------
@@ -169,7 +170,10 @@ class WaterfallReader:
         )
 
     def mean(self, tiles: Tiles, index: Index, sets: Collection[int]) -> tuple[Planes, int, int]:
-        """Compute the mean extremes of each cell over sets; return the numbers of read and pending sets."""
+        """Compute the mean extremes in V of each cell over sets, and the numbers of read and pending sets.
+
+        Cells without a sample are NaN.
+        """
         reading = _Reading(self, tiles, index)
         rows = [row.planes for set_index in sets for row in reading.rows(1, range(set_index, set_index + 1))]
         stacked = np.stack(rows or [new_planes(tiles.frame)])
@@ -180,7 +184,7 @@ class WaterfallReader:
         return planes.astype(np.float32), len(rows), reading.pending
 
     def compute_row(self, tiles: Tiles, index: Index, set_index: int, file: SetReference) -> TileRow:
-        """Compute the row of a set from its records.
+        """Compute the row of a set from its readable records, without the cache.
 
         Raises
         ------
@@ -194,12 +198,12 @@ class WaterfallReader:
         return build_tile_row(record, planes)
 
     def find_cached_row(self, tiles: Tiles, set_index: int) -> TileRow | None:
-        """Find a row in the cache; None if it is not there."""
+        """Find the row of a set for the frame of the tiles in the cache; None if it is not there."""
         with self._lock:
             return self._memory.get((tiles.position, repr((tiles.alignment, tiles.frame)), set_index))
 
     def cache_row(self, tiles: Tiles, set_index: int, row: TileRow) -> None:
-        """Add a row to the cache and drop the oldest ones if it is full."""
+        """Add a row to the cache, unless it is there; drop the oldest rows above 64 MiB."""
         key = tiles.position, repr((tiles.alignment, tiles.frame)), set_index
         with self._lock:
             if key not in self._memory:  # two requests may have computed it
@@ -218,13 +222,16 @@ class _Reading:
         self.pending, self.unreadable = 0, list[int]()
 
     def rows(self, width: int, numbers: range) -> list[TileRow]:
-        """Read the rows of a level that contain all their stored sets; skip incomplete ones."""
+        """Read the rows of a level that contain all their stored sets, in order; skip rows without sets.
+
+        Sets that are not read are counted in ``pending``, corrupt ones listed in ``unreadable``.
+        """
         tile_rows = dict(self.tiles.rows(width, numbers))
         rows = (self._read_row(width, number, tile_rows.get(number)) for number in numbers)
         return [row for row in rows if row is not None]
 
     def _read_row(self, width: int, number: int, tile_row: TileRow | None) -> TileRow | None:
-        """Read a row from its tile, or join it from rows of the next finer level; None without one."""
+        """Read a row from its tile, or join it from the next finer level; None if none of it can be read."""
         if tile_row is not None and tile_row.n_sets == width:
             return tile_row
         n_stored = self._index.count_stored_sets(number * width, (number + 1) * width - 1)

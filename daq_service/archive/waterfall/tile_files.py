@@ -68,7 +68,7 @@ def write_tiles_of_file(
 
 
 def build_tile_row(record: SetRecord, planes: Planes) -> TileRow:
-    """Build the tile row of a set from its cells."""
+    """Build the tile row of one set from its cells, shape (2, n_cells) in V."""
     index, hour = record.set_index, record.due_h
     return TileRow(n_sets=1, first_set=index, last_set=index, first_h=hour, last_h=hour, planes=planes)
 
@@ -76,7 +76,7 @@ def build_tile_row(record: SetRecord, planes: Planes) -> TileRow:
 def build_tiles(
     folder: Path, experiment: str, record: SetRecord, position: str, alignment: Alignment
 ) -> Tiles | None:
-    """Build the tiles with the frame of the records of a set; None if it has none of the position."""
+    """Build the tiles with the frame of a set's records; None if it has no accepted one of the position."""
     records = select_accepted_records(record, position)
     if not records:
         return None
@@ -90,7 +90,7 @@ def build_tiles(
 
 
 def remove_tiles(folder: Path) -> None:
-    """Remove all tiles of a data folder.
+    """Delete the folder of all tiles of a test, if it exists.
 
     Raises
     ------

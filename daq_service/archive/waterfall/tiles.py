@@ -57,7 +57,7 @@ class TileRow:
 
 
 def join_rows(rows: Sequence[TileRow]) -> TileRow:
-    """Combine rows to one, in the order of their sets."""
+    """Combine one or more rows, given in the order of their sets, to one row."""
     return TileRow(
         n_sets=sum(row.n_sets for row in rows),
         first_set=rows[0].first_set,
@@ -87,14 +87,14 @@ class Tiles:
     frame: Frame
 
     def rows(self, width: int, numbers: range) -> Iterator[tuple[int, TileRow]]:
-        """Read the sound rows of a level with consecutive numbers."""
+        """Yield number and content of the sound rows of a level among consecutive numbers."""
         for tile in sorted({number // ROWS_OF_A_TILE for number in numbers}):
             start = max(numbers.start, tile * ROWS_OF_A_TILE)
             end = min(numbers.stop, (tile + 1) * ROWS_OF_A_TILE)
             yield from self._decode_rows(width, start, self._read_slots(width, tile, start, end))
 
     def _decode_rows(self, width: int, start: int, content: memoryview) -> Iterator[tuple[int, TileRow]]:
-        """Decode the intact rows in the bytes of slots from ``start`` on."""
+        """Yield number and row of the intact rows in the bytes of slots from number ``start`` on."""
         for offset in range(0, len(content), self._slot_bytes):
             number = start + offset // self._slot_bytes
             row = self._decode_row(content[offset : offset + self._slot_bytes])
@@ -102,11 +102,14 @@ class Tiles:
                 yield number, row
 
     def row(self, width: int, number: int) -> TileRow | None:
-        """Read one row; None if there is no sound one."""
+        """Read one row of a level; None if there is no sound one."""
         return next((row for _, row in self.rows(width, range(number, number + 1))), None)
 
     def has_set(self, set_index: int) -> bool:
-        """Return whether a set has its row, and all coarser rows count the sets of their four finer ones."""
+        """Return whether a set has its row, and all coarser rows count the sets of their four finer ones.
+
+        False if a row is missing or corrupt.
+        """
         row = self.row(1, set_index)
         for finer_width, width in pairwise(WIDTHS):
             if row is None:
@@ -119,7 +122,7 @@ class Tiles:
         return row is not None
 
     def write_row(self, row: TileRow, *, complete_blocks_only: bool = False) -> None:
-        """Write the row of a set and update the coarser rows above it.
+        """Write the row of a set and update the coarser rows above it; replace an existing row.
 
         Parameters
         ----------
@@ -147,11 +150,11 @@ class Tiles:
         return compute_slot_bytes(self.frame.n_cells)
 
     def _build_tile_path(self, width: int, tile: int) -> Path:
-        """Return the path of the file of a tile."""
+        """Return the path of the file of a tile, which may be missing."""
         return self.folder / TILES_FOLDER / self.position / self.alignment / _format_tile_name(width, tile)
 
     def _read_slots(self, width: int, tile: int, start: int, end: int) -> memoryview:
-        """Read the bytes of slots, as many as exist; empty if the tile is invalid."""
+        """Read the bytes of slots, as many as exist; empty if the tile is missing, unreadable or foreign."""
         path = self._build_tile_path(width, tile)
         try:
             with path.open("rb") as file:
@@ -170,7 +173,7 @@ class Tiles:
         return _HEADER_BYTES + number % ROWS_OF_A_TILE * self._slot_bytes
 
     def _decode_row(self, slot: memoryview) -> TileRow | None:
-        """Decode the row of a slot; None if it is not sound."""
+        """Decode the row of a slot; None if it is truncated, empty or does not match its CRC-32."""
         if len(slot) < self._slot_bytes:
             return None
         crc32, _, n_sets, first_set, last_set, first_h, last_h = _FACTS.unpack_from(slot)
@@ -186,7 +189,10 @@ class Tiles:
         )
 
     def _write_slot(self, width: int, number: int, row: TileRow) -> memoryview:
-        """Write a row, with a new tile if necessary; return the slots to join with it, as they were."""
+        """Write a row to its slot, with a new tile if necessary.
+
+        Returns the bytes of the group of four slots around it as they were before. Raises OSError.
+        """
         facts = (0, 0, row.n_sets, row.first_set, row.last_set, row.first_h, row.last_h)
         slot = bytearray(_FACTS.pack(*facts) + row.planes.astype("<f4").tobytes())
         struct.pack_into("<I", slot, 0, zlib.crc32(memoryview(slot)[4:]))
@@ -207,13 +213,13 @@ class Tiles:
 
 
 def _format_tile_name(width: int, tile: int) -> str:
-    """Return the file name of a tile."""
+    """Return the file name of a tile, such as ``0001-000000.tile``."""
     return f"{width:04d}-{tile:06d}.tile"
 
 
 @lru_cache(maxsize=64)
 def _build_header(tiles: Tiles) -> bytes:
-    """Build the header of the tiles of a position."""
+    """Build the header of the tiles of a position: JSON padded to 512 bytes; cached."""
     metadata = {
         "solimon_tiles": FORMAT,
         "experiment": tiles.experiment,
@@ -225,7 +231,7 @@ def _build_header(tiles: Tiles) -> bytes:
 
 
 def compute_slot_bytes(n_cells: int) -> int:
-    """Compute the size in bytes of a row in its tile."""
+    """Compute the size in bytes of a row in its tile: 64, and 8 per cell."""
     return _FACTS.size + 2 * 4 * n_cells
 
 
@@ -248,5 +254,5 @@ def list_tile_cells(folder: Path) -> list[int]:
 
 
 def count_tile_bytes(folder: Path) -> int:
-    """Sum the sizes of all tile files of a data folder in bytes."""
+    """Sum the sizes of all tile files of a data folder in bytes; 0 without tiles."""
     return sum(path.stat().st_size for path in (folder / TILES_FOLDER).rglob("*.tile"))

@@ -26,7 +26,7 @@ _VERSION_TABLE = (
 
 
 def list_known_revisions() -> list[str]:
-    """List every revision from the first one on, oldest first."""
+    """List the four-digit numbers of all schema revisions, oldest first."""
     return sorted(path.stem[9:13] for path in Path(__file__).parent.glob("versions/revision_*.py"))
 
 
@@ -71,7 +71,7 @@ def migrate_schema(engine: Engine, path: Path, found: str | None) -> None:
 
 
 def _add_missing_checksums(connection: Connection) -> None:
-    """Compute and store the checksums of rows that have none."""
+    """Compute and store the checksums of all rows that have none, such as migrated ones."""
     for kind in KINDS:
         table = TABLES[kind]
         key = table.primary_key.columns[0]

@@ -88,7 +88,7 @@ class Difference:
 
 
 def list_onsets(catalogue: Catalogue, up_to_set: int | None = None) -> list[Onset]:
-    """List the onsets of alarms about positions that a set raised, in their order."""
+    """List the onsets of alarms about positions that a set (up to ``up_to_set``) raised, in their order."""
     epoch_utc_ns = catalogue.read_experiment().epoch_utc_ns
     return [
         Onset(
@@ -127,7 +127,7 @@ def compare_alarm_onsets(stored: Iterable[Onset], again: Iterable[Onset]) -> Ala
 
 
 def _group_by_position(found: Iterable[Onset]) -> dict[tuple[str, str], dict[int, Onset]]:
-    """Group onsets by position and kind."""
+    """Group onsets by position and kind, then by set index; the last one of a set counts."""
     by_place: dict[tuple[str, str], dict[int, Onset]] = {}
     for onset in found:
         by_place.setdefault((onset.position, onset.kind), {})[onset.set_index] = onset
@@ -146,7 +146,7 @@ def differences(
 
     A column that no stored row has is of a later version and is ignored. A set with a row in only one of the
     two differs in the column ``row``. Up to a set, actions of people on a baseline are not compared: its row
-    has the present state, which may be later than the set.
+    has the present state, which may be later than the set. The result is empty if all rows agree.
     """
     found = []
     for kind in kinds:
@@ -178,7 +178,7 @@ def differences(
 def _collect_rows(
     kind: type[Row], catalogue: Catalogue, position: str | None, up_to_set: int | None
 ) -> dict[tuple[str, int], tuple[int, dict[str, Any]]]:
-    """Return set and columns of each row by position and set, baselines by position and number."""
+    """Collect set and columns of each row by position and set, of baselines by position and number."""
     found: dict[tuple[str, int], tuple[int, dict[str, Any]]] = {}
     baselines: Counter[str] = Counter()
     left_out = NOT_COMPARED if up_to_set is None or kind is not BaselineRow else NOT_COMPARED.union(LIFE)
@@ -208,7 +208,10 @@ def select_columns(columns: Mapping[str, Any]) -> dict[str, Any]:
 def find_differing_columns(
     stored: Mapping[str, Any] | None, again: Mapping[str, Any] | None
 ) -> Iterator[tuple[str, Any, Any]]:
-    """Yield name and both values of each differing column; ``row`` if one row is missing."""
+    """Yield name and both values of each differing column, of nested ones ``column.key``.
+
+    If one of the rows is missing, only ``row`` is yielded. Columns that only ``again`` has are ignored.
+    """
     if stored is None or again is None:
         presence = [None if row is None else "there" for row in (stored, again)]
         yield "row", presence[0], presence[1]
@@ -224,5 +227,5 @@ def find_differing_columns(
 
 
 def _to_json_value(value: Any) -> Any:
-    """Return a value in its JSON form: NaN is None, an array is a list."""
+    """Convert a value to its JSON form: NaN becomes None, an array a list."""
     return orjson.loads(orjson.dumps(value, option=orjson.OPT_SERIALIZE_NUMPY))

@@ -149,7 +149,7 @@ def explain_alarm(folder: Path, alarm_id: int, progress: Progress = lambda done,
 
 
 def _describe_unknown_alarm(alarm_id: int, alarms: Sequence[AlarmRow]) -> str:
-    """Return the message for an unknown alarm."""
+    """Format the message for an unknown alarm, with the alarms that exist."""
     alarm_texts = [f"{row.id} ({row.kind}{f' at {row.position}' if row.position else ''})" for row in alarms]
     available = f"there are {', '.join(alarm_texts)}" if alarm_texts else "none was raised in this test"
     return f"there is no alarm {alarm_id}; {available}"
@@ -172,7 +172,10 @@ def _recompute_alarm(
     history: Sequence[EventRow],
     progress: Progress,
 ) -> Recomputed:
-    """Reassess the position of an alarm up to its set."""
+    """Reassess the position of an alarm up to its set, in a temporary catalogue, and compare the results.
+
+    Raises UsageError for results of another extractor, StorageError for a set that cannot be read.
+    """
     position, up_to_set = alarm.position, alarm.raised_set_index
     assert position is not None and up_to_set is not None, "it follows from records"  # noqa: PT018
     _refuse_other_extractor(stored, settings.positions[position].method, position, up_to_set)
@@ -216,7 +219,7 @@ def _recompute_alarm(
 
 
 def _refuse_other_extractor(stored: Catalogue, method: Method, position: str, up_to_set: int) -> None:
-    """Raise an error if the results are of another extractor."""
+    """Raise UsageError if results of the position up to the set are of another version's extractor."""
     kind = METHODS[method].row
     columns = stored.columns(kind, ("extractor_version",), position=position, last_set=up_to_set)
     if others := sorted(set(columns["extractor_version"]) - {EXTRACTORS[kind]}):
@@ -229,7 +232,10 @@ def _refuse_other_extractor(stored: Catalogue, method: Method, position: str, up
 
 
 def _read_position_records(position: str, archive: FolderSetReader, reference: SetReference) -> SetRecord:
-    """Read a set and keep the records of one position; without any, keep the complete set."""
+    """Read a set and keep the records of one position; without any, keep the complete set.
+
+    Corruption of other positions is ignored; else it raises CorruptArchiveError.
+    """
     try:
         record = archive.read_set(reference)
     except CorruptArchiveError:
@@ -251,7 +257,7 @@ def _read_position_records(position: str, archive: FolderSetReader, reference: S
 
 
 def _compare_alarm(alarm: AlarmRow, history: Sequence[EventRow], again: Catalogue) -> list[Difference]:
-    """Compare the stored alarm with the recomputed one of the same set."""
+    """Compare the stored alarm with the recomputed one of the same set; empty if they agree."""
     stored_alarm = next((event.payload for event in history if event.kind == "alarm_raised"), None)
     new_alarm: Mapping[str, Any] | None = next(
         (
@@ -288,13 +294,13 @@ _SUPPRESSION = frozenset(name for name in AlarmRow.__slots__ if name.startswith(
 def _collect_set_results(
     catalogue: Catalogue, method: MeasuringMethod, position: str
 ) -> Sequence[FeatureRow | ThicknessRow]:
-    """Return the results of the sets of a position."""
+    """Read the results of the sets of a position, of features those of complete sets."""
     of_place: Filters = {**method.of_sets, "position": position}
     return catalogue.rows(method.row, **of_place)
 
 
 def _count_silent_shots(shots: Sequence[ShotRow]) -> dict[int, int]:
-    """Count the shots without reflected wave by set."""
+    """Count the accepted shots without reflected wave by set index; 0 for a set that has all."""
     counts: dict[int, int] = {}
     for shot in shots:
         silent = shot.outcome == ACCEPTED and "no_psw" in shot.flags

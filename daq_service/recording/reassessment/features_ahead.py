@@ -40,7 +40,10 @@ class ExtractedAhead:
     _of_set: dict[SetKey, Future[dict[int, ShotFeatures]]] = field(default_factory=dict)
 
     def read_set(self, reference: SetReference) -> SetRecord:
-        """Return a set's record; `features` must be called next."""
+        """Return a set's record and start the extraction of following sets; call `features` next.
+
+        Errors of the archive occur up to a few sets early, since sets are read ahead.
+        """
         for following in self.references:
             self._start_extraction(following)
             if reference in self._under_way and len(self._under_way) > SETS_AHEAD * self.workers:
@@ -52,7 +55,7 @@ class ExtractedAhead:
         return record
 
     def _start_extraction(self, reference: SetReference) -> None:
-        """Read a set and start the extraction of its features."""
+        """Read a set and submit the extraction of its features to the executor; raise as ``read``."""
         record = self.read(reference)
         # Without truth and settings of a shot: extraction does not use them.
         records = [(shot.sequence, shot.key, shot.stamp, shot.waveform) for shot in record.shots]
@@ -60,7 +63,10 @@ class ExtractedAhead:
         self._under_way[reference] = record, future
 
     def features(self, record: SetRecord) -> Mapping[int, ShotFeatures]:
-        """Wait for the features of a set that was read."""
+        """Wait for the features of a set that `read_set` returned, by sequence.
+
+        Raises SolimonError if workers end by themselves again and again.
+        """
         try:
             return self._of_set.pop(record.set_key).result()
         except worker_lost_errors() as error:
@@ -73,7 +79,7 @@ class ExtractedAhead:
 def _extract_in_worker(
     rehearsal: bool, records: Sequence[tuple[int, ShotKey, Stamp, Waveform]]
 ) -> dict[int, ShotFeatures]:
-    """Extract the features of records in a worker process."""
+    """Extract the features of records, by sequence, in a worker process."""
     shots = [
         Shot(sequence=sequence, key=key, stamp=stamp, waveform=waveform)
         for sequence, key, stamp, waveform in records

@@ -26,7 +26,7 @@ storage or display, which a reassessment does not change."""
 
 
 def list_assessment_keys() -> list[str]:
-    """Return the names of all keys that may be set."""
+    """List the names ``table.key`` of all keys of the assessment that may be set."""
     return [
         f"{table}.{key}"
         for table, keys in ASSESSMENT_KEYS.items()
@@ -36,7 +36,7 @@ def list_assessment_keys() -> list[str]:
 
 
 def parse_assignment(texts: Sequence[str]) -> dict[KeyPath, Any]:
-    """Parse ``KEY=VALUE``: a value is JSON, or else text.
+    """Parse texts ``KEY=VALUE`` to key paths and values: a value is JSON, or else text.
 
     Raises
     ------
@@ -64,7 +64,7 @@ def parse_assignment(texts: Sequence[str]) -> dict[KeyPath, Any]:
 
 
 def changed(configuration: Mapping[str, Any], given: Mapping[KeyPath, Any]) -> Settings:
-    """Return the configuration of a test with changed values.
+    """Return the settings of a stored configuration with the given values in place of its own.
 
     Raises
     ------
@@ -86,17 +86,17 @@ def changed(configuration: Mapping[str, Any], given: Mapping[KeyPath, Any]) -> S
 
 
 def _is_replaced(path: KeyPath, given: Mapping[KeyPath, Any]) -> bool:
-    """Return whether a key, a parent or a child of it is given."""
+    """Return whether a given key is this key, a parent or a child of it."""
     return any(path[: len(one)] == one or one[: len(path)] == path for one in given)
 
 
 def _list_key_names(table: str) -> frozenset[str]:
-    """Return the keys of a table that affect the assessment."""
+    """List the keys of a table that affect the assessment; KeyError for another table."""
     return ASSESSMENT_KEYS[table] or frozenset(_find_settings_class(table).model_fields)
 
 
 def _find_settings_class(name: str) -> type[BaseModel]:
-    """Return the class of a table of the settings."""
+    """Return the class of a table of the settings; KeyError if there is none."""
     kind = Settings.model_fields[name].annotation
     assert isinstance(kind, type) and issubclass(kind, BaseModel), "a table of the configuration"  # noqa: PT018
     return kind

@@ -47,7 +47,10 @@ def read_mean_pulses(
     position: str,
     set_index: int,
 ) -> Pulses | None:
-    """Read the records of a set and of its baseline again; None if either has no incident wave."""
+    """Read the records of a set and of its baseline again and average them; None if either has none.
+
+    Of a baseline with more than 200 sets, evenly spread ones are read.
+    """
     indices = [] if baseline is None else baseline.provenance.get("set_indices", [])
     spread = indices[:: math.ceil(len(indices) / MOST_BASELINE_SETS)] if indices else []
     time_s = np.arange(FIRST_S, LAST_S, STEP_S)
@@ -67,7 +70,12 @@ def _average_records(
     set_index: int,
     time_s: NDArray[np.float64],
 ) -> NDArray[np.float64] | None:
-    """Average the accepted records of a set: the valid ones, or else all with an incident wave."""
+    """Average the accepted records of a set over its shots, in V at ``time_s`` after the incident peak.
+
+    The result has the shape of ``time_s``, with NaN where a record ends. Only valid shots count, or all with
+    an incident wave if none is valid; None if there are none. The median before the trigger is subtracted
+    from each record.
+    """
     (its_set,) = catalogue.rows(SetRow, position=position, set_index=set_index)
     if its_set.file is None:
         return None

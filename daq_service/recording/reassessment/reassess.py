@@ -46,7 +46,7 @@ ReadSet = Callable[[SetReference], SetRecord]
 
 @contextmanager
 def temporary_catalogue(experiment: ExperimentRow) -> Iterator[RecorderCatalogue]:
-    """Create an empty catalogue of this experiment in a temporary folder."""
+    """Create an empty catalogue of this experiment in a temporary folder; delete it after the block."""
     with (
         tempfile.TemporaryDirectory(prefix="solimon-again-") as folder,
         open_temporary(Path(folder)) as catalogue,
@@ -56,7 +56,7 @@ def temporary_catalogue(experiment: ExperimentRow) -> Iterator[RecorderCatalogue
 
 
 def read_stored_features(catalogue: Catalogue, record: SetRecord) -> dict[int, ShotFeatures]:
-    """Read the stored features of a set's shots; a shot without a row is extracted."""
+    """Read the stored features of a set's shots by sequence; a shot without a row is extracted."""
     places = {shot.key.position for shot in record.shots}
     flags = {
         row.sequence: tuple(row.flags)
@@ -72,13 +72,16 @@ def read_stored_features(catalogue: Catalogue, record: SetRecord) -> dict[int, S
 
 
 def extract_set_features(rehearsal: bool, shots: Sequence[Shot]) -> dict[int, ShotFeatures]:
-    """Extract the features of a set's shots from their waveforms, as the recorder does."""
+    """Extract the features of shots from their waveforms, by sequence, as the recorder does.
+
+    ``rehearsal`` True: a dry run, whose records are noise.
+    """
     extract = compute_rehearsal_features if rehearsal else extract_shot_features
     return {shot.sequence: extract(shot) for shot in shots}
 
 
 def _to_extracted_form(row: FeatureRow, flags: tuple[str, ...]) -> ShotFeatures:
-    """Return stored features in the form of extracted ones."""
+    """Convert a row of stored features to the form of extracted ones; a missing value becomes NaN."""
     known = {name: getattr(row, name) for name in ALL_FEATURE_NAMES}
     values: dict[str, Any] = {name: math.nan if value is None else value for name, value in known.items()}
     return ShotFeatures(**values, flags=flags, valid=bool(row.n_valid), quality=row.quality, compared=True)
@@ -144,7 +147,10 @@ class _Reassessment:
         logging.getLogger(SetAssessor.__module__).addHandler(logging.NullHandler())
 
     def run(self, up_to_set: int | None, progress: Progress) -> set[int]:
-        """Reassess the sets in their order and return their indices."""
+        """Reassess the sets in their order up to a set (None: all).
+
+        Returns the indices of the reassessed scheduled sets.
+        """
         events = self._stored.rows(EventRow, topics=("sets", "alarms", "assessments"))
         last = None if up_to_set is None else SetKey(up_to_set)
         keys = {event.set_key for event in events if event.topic == "sets"}
@@ -163,7 +169,10 @@ class _Reassessment:
         return {key.set_index for key in done if not key.unscheduled_index}
 
     def _assess_set(self, set_key: SetKey) -> None:
-        """Assess a set from its file or its rows."""
+        """Assess a set from its file or, without one, its rows, and commit the results.
+
+        A confirmation set of a position that the settings lack is left out.
+        """
         rows = self._stored.rows(SetRow, **set_key._asdict())
         file = next((row.file for row in rows if row.file), None)
         if file is None:
@@ -175,7 +184,7 @@ class _Reassessment:
             self._assessor.commit(self._assessor.assessed(due, record, file, self._features(record)))
 
     def _store_set_without_records(self, rows: list[SetRow]) -> None:
-        """Store the rows of a set without records; failed strikes may raise alarms."""
+        """Store the rows of a set without records; missed strikes of a scheduled one may raise alarms."""
         self._assessor.commit(SetCommit(sets=[replace(row, id=None) for row in rows]))
         for row in rows:
             if row.purpose is None and row.state != "disabled" and row.n_missed:
@@ -185,7 +194,7 @@ class _Reassessment:
                     self._assessor.update_alarm(condition, moment)
 
     def _repeat_action(self, event: EventRow) -> None:
-        """Repeat a person's action."""
+        """Repeat a person's action on a baseline, an alarm or a transducer."""
         if event.kind in STEPS:
             self._repeat_baseline_action(full_row(BaselineRow, event))
         else:
@@ -193,7 +202,10 @@ class _Reassessment:
         repeat_action(event, self._assessor.assessors, self._settings.positions)
 
     def _repeat_baseline_action(self, stored: BaselineRow) -> None:
-        """Repeat a person's action on a baseline; its numbers are those of this assessment."""
+        """Repeat a person's action on a baseline; its numbers are those of this assessment.
+
+        A baseline that is not there is added as a new one, with as many sets as these settings require.
+        """
         rows = {row.id: row for row in self._again.rows(BaselineRow, position=stored.position)}
         if (present := rows.get(stored.id)) is not None:
             step = {name: getattr(stored, name) for name in LIFE}
@@ -206,7 +218,10 @@ class _Reassessment:
             self._again.restore_rows([replace(stored, last_set_index=last_set)])
 
     def _repeat_alarm_action(self, event: EventRow) -> None:
-        """Repeat a person's action on an alarm, if it is active in this assessment."""
+        """Repeat a person's action on an alarm, if it is active in this assessment.
+
+        An alarm that a command or an instrument raised is raised again.
+        """
         if event.topic != "alarms" or "kind" not in event.payload:
             return
         kind = event.payload["kind"]

@@ -71,7 +71,7 @@ def rebuild_folder_catalogue(
     settings: Settings | None = None,
     features_of: FeaturesOf = extract_shot_features,
 ) -> Rebuilt:
-    """Rebuild the catalogue of a data folder; the caller owns the folder.
+    """Rebuild the catalogue of a data folder, with its copies; the caller owns the folder.
 
     The old one is replaced when the new one is complete, and kept in the folder.
 
@@ -85,7 +85,7 @@ def rebuild_folder_catalogue(
     Raises
     ------
     NoDataYetError
-        Nothing was begun here.
+        The folder holds no test.
     OtherExperimentError
         The folder holds sets of two experiments, or of another one than ``settings``.
     CatalogueError
@@ -141,7 +141,10 @@ def rebuild_folder_catalogue(
 
 
 def _read_old_catalogue(folder: Path) -> Salvaged:
-    """Return the sound rows of the old catalogue."""
+    """Read the sound rows of the old catalogue; none if it cannot be opened.
+
+    Raises SchemaVersionError for an earlier schema, which is complete.
+    """
     try:
         return read_sound_rows(folder)
     except SchemaVersionError:
@@ -151,7 +154,7 @@ def _read_old_catalogue(folder: Path) -> Salvaged:
 
 
 def _replace_catalogue(folder: Path, place: Path) -> str:
-    """Replace the old catalogue by the new one; return the new name of the old one."""
+    """Replace the old catalogue by the new one, durably; return the new name of the old one, or ""."""
     new, path = place / FILE_NAME, folder / FILE_NAME
     _sync_file(new)
     kept = f"catalogue-replaced-{datetime.now(UTC):%Y%m%dT%H%M%S%f}Z.sqlite"
@@ -165,13 +168,13 @@ def _replace_catalogue(folder: Path, place: Path) -> str:
 
 
 def _sync_file(path: Path) -> None:
-    """Make the content of a file durable."""
+    """Sync a file, so that its content is durable."""
     with path.open("rb+") as file:
         os.fsync(file.fileno())
 
 
 def _update_copies(folder: Path, progress: Progress | None) -> list[str]:
-    """Update experiment.json, history and tiles (None: not these); return what the tiles lack."""
+    """Update experiment.json, history and (unless ``progress`` is None) tiles; list what the tiles lack."""
     with open_catalogue(folder, writer=True) as catalogue:
         experiment = catalogue.read_experiment()
         ensure_experiment_file(folder, experiment)
@@ -185,9 +188,10 @@ def _update_copies(folder: Path, progress: Progress | None) -> list[str]:
 
 
 def _collect_warnings(history: History, kept: Salvaged, found: Restored, not_tiled: list[str]) -> list[str]:
-    """Return the warnings about history, old catalogue, sets and tiles, ten of each at most."""
+    """Format warnings about history, old catalogue, sets and tiles, at most ten of each."""
 
     def some(lines: Iterable[str], what: str) -> list[str]:
+        """Prefix lines with their subject; of more than ten, give the number of the others."""
         listed = list(lines)
         return [f"{what}: {line}" for line in listed[:10]] + (
             [f"{what}: {len(listed) - 10} more"] if len(listed) > 10 else []

@@ -143,7 +143,10 @@ def replay_test(
 
 
 def _describe_unassessed(position: str, recomputed: Catalogue, settings: Settings) -> Iterator[NotAssessed]:
-    """Yield a message if no set of a position follows its baseline, since no alarm reports it."""
+    """Yield one message if all assessed sets of a position belong to its baseline, else none.
+
+    No alarm would report this.
+    """
     found = recomputed.columns(AssessmentRow, ("set_index", "in_baseline"), position=position)
     if not all(found["in_baseline"]) or not found["set_index"]:
         return
@@ -163,7 +166,10 @@ def _describe_unassessed(position: str, recomputed: Catalogue, settings: Setting
 
 
 def _require_one_extractor(versions: Iterable[str]) -> str:
-    """Raise an error for features of different extractors, which are different quantities."""
+    """Return the one extractor version of the features, this version's own for none.
+
+    Raises UsageError for different extractors, whose features are different quantities.
+    """
     found = sorted(set(versions))
     if len(found) > 1:
         raise UsageError(

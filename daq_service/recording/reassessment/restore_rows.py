@@ -116,11 +116,16 @@ def restore_rows(
     progress: Progress,
     features_of: FeaturesOf = extract_shot_features,
 ) -> Restored:
-    """Fill a catalogue that has its experiment and nothing else."""
+    """Fill a catalogue that has its experiment and nothing else; return counts and findings.
+
+    The caller recomputes the counts of the catalogue. A set that cannot be read gets the rows of the history.
+    """
     return _Restoration(settings, experiment, archive, catalogue, history, features_of).run(progress)
 
 
 class _Restoration:
+    """Restores the sets of a test one after the other; stores their rows in commits of 64 sets."""
+
     def __init__(
         self,
         settings: Settings,
@@ -141,7 +146,7 @@ class _Restoration:
         self._result = Restored()
 
     def run(self, progress: Progress) -> Restored:
-        """Restore or compute the rows of every set, in the order of the history."""
+        """Restore or compute the rows of every set, in the order of the history; report progress in files."""
         files = dict(self._archive.sets())
         total = len(files)
         runs = list(group_sets(event for _, event in sorted(self._history.events.items())))
@@ -171,7 +176,7 @@ class _Restoration:
         return self._result
 
     def _apply_event(self, events: Sequence[EventRow]) -> None:
-        """Apply an event without a set, such as a command that changes later assessments."""
+        """Apply events without a set, such as a command that changes later assessments."""
         self._pending.events += events
         for event in events:
             self._apply_alarm_event(event)
@@ -183,7 +188,7 @@ class _Restoration:
             repeat_action(event, self._set_assessor.assessors, self._settings.positions)
 
     def _apply_alarm_event(self, event: EventRow) -> None:
-        """Update the alarms and delays with an event of the history."""
+        """Update alarms, delays and requested sets with an event of the history."""
         self._set_assessor.apply_stored_event(event)
         if event.topic == "alarms" and event.kind != DELAY_EVENT:
             row = full_row(AlarmRow, event, "alarm_id")
@@ -193,7 +198,11 @@ class _Restoration:
     # Rows that are stored -------------------------------------------------------------------------
 
     def _restore_from_tables(self, reference: SetReference, events: Sequence[EventRow]) -> bool:
-        """Restore a set from its events and the tables of its file; False if one of them lacks something."""
+        """Restore a set from its events and the tables of its file; False if one of them lacks something.
+
+        The file must have the stored SHA-256. Features of a set that are not means of its shots are never
+        restored so.
+        """
         digest = self._history.digests.get(reference)
         averaged = self._settings.features.of_set != "mean_of_shots"
         tables = None if digest is None or averaged else self._archive.read_tables(reference, digest)
@@ -208,7 +217,7 @@ class _Restoration:
         return True
 
     def _restore_rows(self, transaction: SetCommit, events: Sequence[EventRow]) -> None:
-        """Restore the stored rows of a set; its assessors follow them."""
+        """Queue the stored rows of a set; its assessors follow them. A lost file is listed as damaged."""
         transaction = _replace_computed_rows(transaction, events, all_rows=True)
         # The events of a set with all its records are complete: a position without one was left out.
         left_out = dict.fromkeys(self._settings.positions, "disabled") if transaction.shots else {}
@@ -245,7 +254,11 @@ class _Restoration:
         transaction.assessments = completed
 
     def _complete_set_rows(self, stored: Sequence[SetRow], left_out: Mapping[str, str]) -> list[SetRow]:
-        """Complete the rows of a set; a position that the set left out has no event."""
+        """Add to a set's rows the disabled positions and the SHA-256 of its file, in the order of positions.
+
+        Each position in ``left_out`` without a row gets a disabled one, unless the set is unscheduled or has
+        no row at all. Rows of positions that the settings lack are dropped.
+        """
         rows = {row.position: row for row in stored}
         of_the_plan = stored and stored[0].purpose is None
         for position, reason in left_out.items() if of_the_plan else ():
@@ -260,7 +273,11 @@ class _Restoration:
     # Sets that are assessed -----------------------------------------------------------------------
 
     def _assess(self, reference: SetReference, events: Sequence[EventRow], free: Sequence[int]) -> None:
-        """Restore the rows of a set from its file, and compute those that the history lacks."""
+        """Restore the rows of a set from its file, and compute those that the history lacks.
+
+        Of a corrupt file the readable records and the stored rows are used; a foreign set is listed and left
+        out.
+        """
         damage = ""
         try:
             record = self._archive.read_set(reference)
@@ -299,14 +316,17 @@ class _Restoration:
         self._result.computed += 1
 
     def _find_file_digest(self, reference: SetReference) -> str | None:
-        """Return the stored SHA-256 of a file; None if there is none."""
+        """Return the SHA-256 in the history, else that of the file; None without both.
+
+        A difference between the two is listed as damage.
+        """
         found, expected = self._archive.digest(reference), self._history.digests.get(reference)
         if found is not None and expected not in (None, found):
             self._result.damaged.append(f"{reference} is not the file that was stored: its SHA-256 differs")
         return expected or found
 
     def _add_environment(self, transaction: SetCommit, record: SetRecord) -> None:
-        """Add the row of supply and climate from a set's file."""
+        """Add the row of supply and climate from the file of a scheduled set, unless there is one."""
         if record.environment and not transaction.environment and not record.unscheduled_index:
             row = EnvironmentRow(set_index=record.set_index, due_h=record.due_h, **record.environment)  # type: ignore[arg-type] # its columns
             transaction.environment.append(row)
@@ -314,7 +334,10 @@ class _Restoration:
     def _commit(
         self, transaction: SetCommit, events: Sequence[EventRow], *, computed_alarms: bool = False
     ) -> None:
-        """Store the rows and events of a set."""
+        """Queue the rows and events of a set; store them after 64 sets, or at once with a new baseline.
+
+        ``computed_alarms`` True: the set has no events, so its computed alarms are stored at once.
+        """
         if computed_alarms:
             # This set has no events: its alarms follow from its assessment.
             self._store_pending()
@@ -345,7 +368,11 @@ class _Restoration:
     def _place_events(
         self, computed: Sequence[EventRow], stored: Sequence[EventRow], free: Sequence[int]
     ) -> list[EventRow]:
-        """Return the stored events; a lost one gets its old id if that can be derived."""
+        """Return the stored events with lost ones in between, if their old ids can be derived.
+
+        The ids are those that are free, if there are as many as lost events; else the lost ones are stored at
+        the end.
+        """
         if not stored:
             return list(computed)
         known = {_identify(event) for event in stored}
@@ -367,19 +394,22 @@ def _find_free_ids(
     before: Sequence[EventRow],
     following: Sequence[Run],
 ) -> list[int]:
-    """Return the unused ids around and between the events of a set."""
+    """List the unused event ids between the events before a set and those after it."""
     first = (before[-1].id or 0) if before else 0
     last = (following[0][1][0].id or 0) if following else (events[-1].id or 0) + 1
     return sorted(set(range(first + 1, last)) - {event.id for event in events if event.id is not None})
 
 
 def _identify(event: EventRow) -> tuple[str, str, str | None]:
-    """Return the key of an event within its set."""
+    """Return topic, kind and position, the key of an event within its set."""
     return event.topic, event.kind, event.position
 
 
 def build_rows(tables: SetTables, *, due_h: float) -> tuple[list[ShotRow], list[FeatureRow]] | None:
-    """Return the rows of a set's shots from the tables of its file; None if a shot has no result there."""
+    """Build the rows of a set's shots, and their features, from the tables of its file.
+
+    None if a shot has no result there. ``due_h`` is the hour at which the set was due.
+    """
     results = {
         int(row["shot_id"]): row for name in ("features", "thickness") for row in tables.results.get(name, ())
     }
@@ -419,7 +449,7 @@ def _none_if_not_finite(value: float | None) -> float | None:
 def _replace_computed_rows(
     transaction: SetCommit, events: Sequence[EventRow], *, all_rows: bool = False
 ) -> SetCommit:
-    """Replace computed rows by stored ones: those of how a set ended.
+    """Replace computed rows in a transaction by stored ones: those of how a set ended.
 
     Parameters
     ----------
@@ -442,14 +472,14 @@ def _replace_computed_rows(
 
 
 def _collect_reported_rows(transaction: SetCommit) -> list[Row]:
-    """Return the rows of a transaction that events report."""
+    """List the rows of a transaction that events report, without those of single shots."""
     of_set = [row for row in transaction.features if row.shot_index is None]
     rows = (transaction.sets, of_set, transaction.thickness, transaction.assessments, transaction.environment)
     return list(itertools.chain(*rows))
 
 
 def _merge_rows(computed: Sequence[SetRow], stored: Sequence[SetRow]) -> list[SetRow]:
-    """Return the stored rows of a set, and computed ones of other positions."""
+    """Return the stored rows of a set, with computed SHA-256, and computed rows of other positions."""
     digests = {row.position: row.file_sha256 for row in computed}
     rows = {row.position: row for row in computed}
     rows |= {row.position: replace(row, file_sha256=digests.get(row.position)) for row in stored}
@@ -457,12 +487,12 @@ def _merge_rows(computed: Sequence[SetRow], stored: Sequence[SetRow]) -> list[Se
 
 
 def _collect_rows(kind: type[R], events: Sequence[EventRow]) -> list[R]:
-    """Return the rows of one kind that events contain."""
+    """Build the rows of one kind that events contain, in the order of the events."""
     return [full_row(kind, event) for event in events if _STORED_ROWS.get(event.kind) is kind]
 
 
 def _find_differences(computed: Sequence[EventRow], stored: Sequence[EventRow]) -> list[str]:
-    """List the computed results that differ from the stored events."""
+    """List the computed results that differ from those in the stored events, by set, position and kind."""
     found = {_identify(event): event for event in computed if event.kind in _COMPUTED}
     return [
         f"set {event.set_key}, {event.position}: {event.kind}"
@@ -473,10 +503,10 @@ def _find_differences(computed: Sequence[EventRow], stored: Sequence[EventRow]) 
 
 
 def _select_stored_columns(stored: EventRow, computed: EventRow) -> bytes:
-    """Return the payload with the stored columns: an earlier version had fewer."""
+    """Encode the computed payload with the stored columns only: an earlier version had fewer."""
     return _encode({name: value for name, value in computed.payload.items() if name in stored.payload})
 
 
 def _encode(payload: Mapping[str, Any]) -> bytes:
-    """Encode a payload with sorted keys, to compare it."""
+    """Encode a payload as JSON with sorted keys, to compare it; NaN becomes null."""
     return orjson.dumps(payload, option=orjson.OPT_SORT_KEYS | orjson.OPT_SERIALIZE_NUMPY)

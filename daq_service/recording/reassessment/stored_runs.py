@@ -23,7 +23,7 @@ Progress = Callable[[int, int], None]
 
 
 def group_sets(events: Iterable[EventRow]) -> Iterator[Run]:
-    """Yield the events in their order, those of each set together with its key."""
+    """Yield the events in their order, consecutive ones of a set together with its key (None: no set)."""
     for set_key, run in groupby(events, key=lambda event: event.set_key):
         yield set_key, list(run)
 
@@ -37,7 +37,10 @@ def repeat_action(event: EventRow, assessors: PositionAssessors, positions: Cont
 
 
 def full_row(kind: type[R], event: EventRow, id_name: str = "id") -> R:
-    """Return the complete row of an event; its id may have a name of its own."""
+    """Build the row that the payload of an event contains; ``id_name`` is the key of its id.
+
+    Raises TypeError if a column without default is missing.
+    """
     columns = {name: event.payload[name] for name in kind.__slots__ if name in event.payload}
     if id_name in event.payload:
         columns["id"] = event.payload[id_name]

@@ -14,6 +14,6 @@ down_revision = None
 
 
 def upgrade() -> None:
-    """Create the tables of the first catalogue."""
+    """Create the tables of the first catalogue from the SQL file next to this one."""
     for statement in Path(__file__).with_suffix(".sql").read_text(encoding="utf-8").split(";\n")[:-1]:
         op.execute(statement)

@@ -10,6 +10,7 @@ down_revision = "0002"
 
 
 def upgrade() -> None:
+    """Add the deadline of a command by wall clock and by boot clock; both stay NULL in older rows."""
     op.add_column("commands", sa.Column("deadline_wall_utc_ns", sa.BigInteger(), nullable=True))
     op.add_column("commands", sa.Column("deadline_boot_ns", sa.BigInteger(), nullable=True))
     op.add_column("commands", sa.Column("boot_id", sa.String(), nullable=True))

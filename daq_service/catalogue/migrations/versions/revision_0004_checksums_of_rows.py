@@ -1,6 +1,6 @@
 """Each row carries a checksum, a set the SHA-256 of its file.
 
-Rows of an older catalogue get their checksums when all migrations are done (`sealed.seal_unsealed`).
+Rows of an older catalogue get their checksums when all migrations are done (`migrations.migrate_schema`).
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ _TABLES = (
 
 
 def upgrade() -> None:
+    """Add a checksum to each row and the SHA-256 of a set's file, both still NULL."""
     op.add_column("sets", sa.Column("file_sha256", sa.String(), nullable=True))
     for name in _TABLES:
         op.add_column(name, sa.Column("row_crc32", sa.BigInteger(), nullable=True))

@@ -27,6 +27,7 @@ _ECHO_POSITIONS = "SELECT position FROM sets WHERE method = 'pulse_echo'"
 
 
 def upgrade() -> None:
+    """Create the indices and table ``counts``, and fill it from the rows."""
     for table, *columns in _INDICES:
         op.create_index(f"ix_{table}_{'_'.join(columns)}", table, columns)
     for topic in _TOPICS:

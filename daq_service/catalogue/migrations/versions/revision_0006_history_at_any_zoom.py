@@ -1,6 +1,6 @@
 """Blocks of trends, so that no chart reads a whole test; alarms of a set are found in an index.
 
-The blocks are filled when all migrations are done (`pyramid.rebuild_trends`).
+The blocks are filled when all migrations are done (`trends.rebuild_trends`).
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ down_revision = "0005"
 
 
 def upgrade() -> None:
+    """Create the index of alarms by set and the empty table ``trend_blocks``."""
     op.create_index("ix_alarms_position_raised_set_index", "alarms", ["position", "raised_set_index"])
     op.create_table(
         "trend_blocks",

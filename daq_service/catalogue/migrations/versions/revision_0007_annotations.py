@@ -10,6 +10,7 @@ down_revision = "0006"
 
 
 def upgrade() -> None:
+    """Create table ``annotations`` and its index by hour."""
     op.create_table(
         "annotations",
         sa.Column("id", sa.Integer(), nullable=False),

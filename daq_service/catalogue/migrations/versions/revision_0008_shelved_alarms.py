@@ -13,6 +13,7 @@ TIMES = ("shelved_until_utc_ns", "shelved_until_wall_utc_ns")
 
 
 def upgrade() -> None:
+    """Add the suppression of an alarm: kind, person, reason, and end of the shelving in ns."""
     for name in TEXTS:
         op.add_column("alarms", sa.Column(name, sa.String(), nullable=True))
     for name in TIMES:

@@ -15,6 +15,7 @@ NESTED = (
 
 
 def upgrade() -> None:
+    """Add limits and statistics by name as JSON, and the value and alarm of the control chart."""
     for table, name in NESTED:
         op.add_column(table, sa.Column(name, sa.JSON(none_as_null=True), nullable=True))
     op.add_column("verdicts", sa.Column("chart", sa.Float(), nullable=True))

@@ -22,6 +22,7 @@ ADDED: dict[str, sa.types.TypeEngine[Any]] = {
 
 
 def upgrade() -> None:
+    """Add state, approval and retirement of a baseline; stored baselines become approved."""
     op.add_column("baselines", sa.Column("state", sa.String(), nullable=False, server_default="approved"))
     for name, of_type in ADDED.items():
         op.add_column("baselines", sa.Column(name, of_type, nullable=True))

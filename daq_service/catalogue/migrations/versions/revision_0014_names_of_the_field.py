@@ -1,6 +1,6 @@
 """Names of the field, identity of a test, thickness intervals, states of assessors.
 
-Rows whose names or values change get their checksums when all migrations are done (`seal_unsealed`).
+Rows whose names or values change get their checksums when all migrations are done (`migrate_schema`).
 """
 
 from __future__ import annotations
@@ -21,17 +21,24 @@ _VALUES |= {"commands": ("kind",)}
 
 
 def upgrade() -> None:
+    """Convert names and values of all tables to the current terms; add new columns and a table.
+
+    Clears the checksums of the rows that change.
+    """
     connection = op.get_bind()
     driver = connection.connection.driver_connection
     assert driver is not None
 
     def to_current_value(table: str, name: str, value: str | None) -> str | None:
+        """Convert one text value of a column to its current name; None stays None."""
         return None if value is None else to_current_row(table, {name: value})[name]
 
     def to_current_json(table: str, name: str, text: str | None) -> str | None:
+        """Convert the keys and values of a JSON column to current names; None stays None."""
         return None if text is None else to_json_text(to_current_row(table, {name: orjson.loads(text)})[name])
 
     def to_current_event(topic: str, kind: str, payload: str) -> str:
+        """Convert the JSON payload of an event to current names."""
         event = {"topic": topic, "kind": kind, "payload": orjson.loads(payload)}
         return to_json_text(to_current_row("events", event)["payload"])
 
@@ -78,7 +85,7 @@ def upgrade() -> None:
 
 
 def _rename_assessments() -> None:
-    """Copy table `verdicts`, as the names of its constraints change with the table."""
+    """Copy table `verdicts` to `assessments` and drop it: its constraints are named after the table."""
     op.create_table(
         "assessments",
         sa.Column("id", sa.Integer(), nullable=False),

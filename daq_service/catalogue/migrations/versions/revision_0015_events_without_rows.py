@@ -15,7 +15,7 @@ _QUALITIES = ("supply_quality", "climate_quality")
 
 
 def upgrade() -> None:
-    """Replace two words in columns, evidence and payloads."""
+    """Replace "refused" and "lost" by the current words in columns, evidence and payloads."""
     _replace_column("commands", "state", "refused", "rejected")
     for name in _QUALITIES:
         _replace_column("environment", name, *NO_COMMUNICATION)
@@ -25,12 +25,12 @@ def upgrade() -> None:
 
 
 def _replace_column(table: str, name: str, old: str, new: str) -> None:
-    """Replace a value of a column and clear the checksums of these rows."""
+    """Replace the value ``old`` of a column by ``new`` and clear the checksums of these rows."""
     op.execute(f"UPDATE {table} SET {name} = '{new}', row_crc32 = NULL WHERE {name} = '{old}'")
 
 
 def _replace_key(table: str, name: str, key: str, old: str, new: str) -> None:
-    """Replace a value in a JSON column and clear the checksums of these rows."""
+    """Replace the value ``old`` at a key of a JSON column by ``new`` and clear these rows' checksums."""
     op.execute(
         f"UPDATE {table} SET {name} = json_set({name}, '$.{key}', '{new}'), row_crc32 = NULL "
         f"WHERE json_extract({name}, '$.{key}') = '{old}'"

@@ -1,7 +1,7 @@
 """Give the number of an unscheduled set its own column: it was part of ``set_index``.
 
 SQLite cannot change a unique constraint, so tables with the key are copied. Rows of scheduled sets keep their
-checksums, those of unscheduled sets get theirs when all migrations are done (`seal_unsealed`).
+checksums, those of unscheduled sets get theirs when all migrations are done (`migrate_schema`).
 """
 
 from __future__ import annotations
@@ -28,6 +28,7 @@ _LARGE = [f'*set_index":{space}{"[0-9]" * 8}*' for space in ("", " ")]
 
 
 def upgrade() -> None:
+    """Copy the tables of sets with the new key, and split the indices of alarms and events."""
     indices = [sql for table in _OF_SETS for sql in _list_definitions("index", table)]
     for table in _OF_SETS:
         _add_column(table, "unscheduled_index")
@@ -57,7 +58,7 @@ def upgrade() -> None:
 
 
 def _split_rows(table: str, index: str, number: str, nested: str) -> None:
-    """Add the column to a table whose nested values contain keys of sets, too."""
+    """Add column ``number`` to a table, split its set index, and convert set keys in its JSON column."""
     driver = op.get_bind().connection.driver_connection
     assert driver is not None
     driver.create_function("current_json", 1, _to_current_json, deterministic=True)
@@ -68,17 +69,17 @@ def _split_rows(table: str, index: str, number: str, nested: str) -> None:
 
 
 def _to_current_json(text: str) -> str:
-    """Return nested values with current keys of sets."""
+    """Convert the set keys in a JSON text to the current pairs of indices."""
     return to_json_text(to_current_row("", orjson.loads(text)))
 
 
 def _add_column(table: str, name: str) -> None:
-    """Add the number of an unscheduled set, 0 for a scheduled one."""
+    """Add an integer column for the number of an unscheduled set, 0 for a scheduled one."""
     op.add_column(table, sa.Column(name, sa.Integer(), nullable=False, server_default="0"))
 
 
 def _split_index(table: str, index: str, number: str) -> None:
-    """Split the indices of unscheduled sets into a set index and an unscheduled number."""
+    """Split each combined index into set index and unscheduled number; clear these rows' checksums."""
     _execute(
         f"UPDATE {table} SET {number} = {index} / {_SETS_OF_A_PLAN}, {index} = {index} % {_SETS_OF_A_PLAN}, "
         f"row_crc32 = NULL WHERE {index} >= {_SETS_OF_A_PLAN}"
@@ -86,11 +87,11 @@ def _split_index(table: str, index: str, number: str) -> None:
 
 
 def _list_definitions(kind: str, table: str) -> list[str]:
-    """List the SQL statements that create a table or its indices."""
+    """List the SQL statements that create a table (``kind`` "table") or its indices ("index")."""
     statement = "SELECT sql FROM sqlite_master WHERE type = ? AND tbl_name = ? AND sql IS NOT NULL"
     return [sql for (sql,) in op.get_bind().exec_driver_sql(statement, (kind, table))]
 
 
 def _execute(statement: str) -> None:
-    """Execute a statement as it is: a colon in it is no parameter."""
+    """Execute a SQL statement unchanged: a colon in it is no parameter."""
     op.get_bind().exec_driver_sql(statement)

@@ -1,6 +1,6 @@
 """Reason of an incomplete set, name of the MEWMA limit, key of a pause.
 
-Rows that change get their checksums when all migrations are done (`seal_unsealed`).
+Rows that change get their checksums when all migrations are done (`migrate_schema`).
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ _WITH_LIMITS = {"baselines": ("limits",), "assessments": ("limits", "averages")}
 
 
 def upgrade() -> None:
+    """Rename the reason of a set, the MEWMA limit and the key of a pause, in columns and JSON."""
     op.execute("ALTER TABLE sets RENAME COLUMN cause TO reason")
     op.execute("UPDATE sets SET row_crc32 = NULL WHERE reason IS NOT NULL")
     for table, names in _WITH_LIMITS.items():
@@ -31,7 +32,7 @@ def upgrade() -> None:
 
 
 def _rename_key(table: str, name: str, old: str, new: str, where: str = "1") -> None:
-    """Rename a key of JSON objects."""
+    """Rename a key in a column of JSON text, in the rows that match ``where``; clear their checksums."""
     before, after = f'"{old}"\\:', f'"{new}"\\:'  # the colon of a key, not of a parameter
     op.execute(
         f"UPDATE {table} SET {name} = replace({name}, '{before}', '{after}'), row_crc32 = NULL "
@@ -40,7 +41,7 @@ def _rename_key(table: str, name: str, old: str, new: str, where: str = "1") -> 
 
 
 def _rename_value(table: str, name: str, key: str) -> None:
-    """Rename the limit in evidence."""
+    """Replace the limit name ``chart`` at a key of a JSON column by ``mewma``; clear the checksums."""
     op.execute(
         f"UPDATE {table} SET {name} = json_set({name}, '$.{key}', 'mewma'), row_crc32 = NULL "
         f"WHERE json_extract({name}, '$.{key}') = 'chart'"
