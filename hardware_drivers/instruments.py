@@ -15,12 +15,12 @@ from hardware_drivers.measurement import ClimateReading, ShotKey, SupplyReading,
 
 
 def require_timeout(timeout_s: float) -> None:
-    """Raise for a timeout that is not a positive finite number.
+    """Raise for a timeout that is not a positive number.
 
     Raises
     ------
     ConfigurationError
-        It is not positive, or no number.
+        It is zero, negative or NaN.
     """
     if not timeout_s > 0.0:
         raise ConfigurationError(f"timeout_s is {timeout_s}; it must be positive")
@@ -168,7 +168,7 @@ class PowerSupply(Protocol):
         """
 
     def identity(self) -> Mapping[str, str]:
-        """Return maker, model, serial number and firmware, as the supply reports them."""
+        """Return maker, model, serial number and firmware as the supply reports them, by name of the item."""
 
 
 @runtime_checkable
@@ -210,15 +210,18 @@ class PersonRequests:
         self._hear: Callable[[str, ShotKey | None], None] = lambda text, key: None
 
     def listen(self, hear: Callable[[str, ShotKey | None], None]) -> None:
-        """Add a listener for requests (empty: nothing to do any more) and their shot."""
+        """Set the one listener, called with text and shot of each request; it replaces the former one.
+
+        An empty text means that nothing is left to do; the shot is None before the first `about`.
+        """
         self._hear = hear
 
     def about(self, key: ShotKey) -> None:
-        """Set the shot that comes next."""
+        """Set the shot that the next requests belong to; nothing is sent."""
         self._key = key
 
     def ask(self, text: str) -> None:
-        """Make a request; the same text twice is sent once."""
+        """Send a request to the listener; the same text as last time is not sent again."""
         if text != self._text:
             self._text = text
             self._hear(text, self._key)
@@ -263,7 +266,7 @@ class Rig:
         self.make_safe()
 
     def make_safe(self) -> None:
-        """De-energise strikers, then disarm; the coil is switched off even if the digitizer fails."""
+        """De-energise strikers, then disarm, also if the striker fails; errors of either are raised."""
         try:
             self.striker.make_safe()
         finally:
