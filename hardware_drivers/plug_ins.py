@@ -45,8 +45,8 @@ class Offer:
         Raises
         ------
         ConfigurationError
-            Two distributions offer it, one offers different objects for its roles, its module does not import,
-            or what it names is no kind.
+            Two distributions offer it, one offers different objects for its roles, its module does not
+            import, or what it names is no kind.
         """
         if len(self.distributions) > 1:
             raise ConfigurationError(

@@ -184,7 +184,7 @@ def find_trigger_terminal(wiring: ProbeWiring) -> str:
 
 
 def _configure_trigger(niscope: ModuleType, session: Session, wiring: ProbeWiring) -> None:
-    """Configure the trigger by the pulser's sync (digital PFI or analog edge), delayed to the firing pulse."""
+    """Configure the trigger by the pulser's sync (PFI line or analog edge), delayed to the firing pulse."""
     slope = getattr(niscope.TriggerSlope, "POSITIVE" if wiring.trigger_slope == "rising" else "NEGATIVE")
     terminal = find_trigger_terminal(wiring)
     if wiring.trigger_source.startswith("pfi"):
