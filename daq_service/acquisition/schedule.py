@@ -27,7 +27,7 @@ class PhaseLike(Protocol):
 
     @property
     def interval_h(self) -> float:
-        """Return the hours between two sets."""
+        """Return the hours between two sets of the phase."""
         ...
 
 

@@ -44,7 +44,7 @@ def send_command(
     machine: MachineClock = MACHINE,
     **arguments: str | float | None,
 ) -> int:
-    """Send a command, wait for its answer and print it.
+    """Send a command, wait for its answer and print it; return the exit code 0 if it was executed.
 
     The folder's configuration is not compared with CONFIG: a hold must not fail for a wrong file.
 

@@ -93,7 +93,7 @@ def hold_supply_lock(folder: Path, address: Address) -> AbstractContextManager[o
 
 
 def read_address(folder: Path) -> Address:
-    """Read the address of the process that holds the lock.
+    """Read port, key and fingerprint of the process that holds the supply's lock.
 
     Raises
     ------

@@ -194,7 +194,7 @@ class DriveWatch:
             reply = Reply(error=str(error))
 
         def poll_reply() -> str | None:
-            """Return the reply; None before there is one, ValueError if the command failed."""
+            """Return the reply, with alarms updated; None before it, ValueError if the command failed."""
             if reply.error:
                 raise ValueError(failed.format(error=reply.error))
             if not reply.done:

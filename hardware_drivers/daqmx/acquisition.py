@@ -106,7 +106,7 @@ class Acquisition:
         return waveform
 
     def stop(self) -> None:
-        """Return the task to committed, ready for the next shot."""
+        """Stop the task and return it to committed, ready for the next shot; InstrumentError on failure."""
         with translate_errors(f"stopping the acquisition of {self.position!r}"):
             self.task.stop()
 
@@ -173,7 +173,7 @@ def commit_acquisition(
 def _configure_task(
     task: Task, parameters: DaqmxParameters, wiring: TransducerWiring, board: Board, record: Record
 ) -> AIChannel:
-    """Configure channel, sample clock, reference clock and trigger of a task; return its channel."""
+    """Configure channel, sample clock, reference clock and trigger (shots only); return the channel."""
     from nidaqmx.constants import AcquisitionType, Coupling, Slope, TerminalConfiguration
 
     physical = f"{board.name}/{wiring.input}"

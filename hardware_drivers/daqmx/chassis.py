@@ -98,7 +98,7 @@ class Chassis:
     # Turns ---------------------------------------------------------------------------------------
 
     def start_turn(self, position: str, record: Record = "shot") -> Turn:
-        """Commit the tasks of a transducer, after the next recovery step if the connection was lost.
+        """Commit a transducer's tasks and return them; first take the next recovery step after a loss.
 
         Parameters
         ----------
@@ -168,7 +168,7 @@ class Chassis:
         self.end_turn()
 
     def require_real_boards(self) -> None:
-        """Raise for devices that NI's driver simulates: their records contain no wave.
+        """Raise for devices that NI's driver simulates, except in a dry run: their records have no wave.
 
         Raises
         ------
@@ -185,7 +185,7 @@ class Chassis:
     # The coil ------------------------------------------------------------------------------------
 
     def make_safe(self) -> None:
-        """Switch the coil off.
+        """Switch the coil off: clear all tasks, by name on a server if it may still be on.
 
         Raises
         ------

@@ -90,13 +90,19 @@ class Connection:
         )
 
     def task(self, role: str) -> Task:
-        """Create an empty task (`nidaqmx.Task`) named after this client and its role."""
+        """Create an empty task (`nidaqmx.Task`) named after this client and its role.
+
+        Raise InstrumentError if it cannot be created; nothing is left then.
+        """
         from nidaqmx import Task
 
         return self._create_named(role, lambda name: self._create(Task, f"creating the task {name}", name))
 
     def watchdog(self, device: str, role: str, timeout_s: float) -> WatchdogTask:
-        """Create the watchdog task of a board (`nidaqmx.system.watchdog.WatchdogTask`)."""
+        """Create a board's watchdog task (`nidaqmx.system.watchdog.WatchdogTask`).
+
+        It expires ``timeout_s`` after its last reset. Raise InstrumentError if it cannot be created.
+        """
         from nidaqmx.system.watchdog import WatchdogTask
 
         doing = f"creating the watchdog of {device}"

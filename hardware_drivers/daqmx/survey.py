@@ -131,7 +131,7 @@ class Survey:
         return reached[0] if reached else None
 
     def list_boards(self, connection: Connection, ours: Collection[str] | None = None) -> Collection[str]:
-        """Survey each board that the driver lists, and return their serial numbers.
+        """Add a finding on each board that the driver lists; return their serial numbers, maybe none.
 
         Parameters
         ----------

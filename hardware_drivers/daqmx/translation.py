@@ -180,5 +180,5 @@ def _is_bare_rpc_error(error: Exception) -> bool:
 
 
 def _join_lines(text: str) -> str:
-    """Return text without line breaks, status line (reported apart) and the full stop at its end."""
+    """Return the text in one line, without the driver's status line and a full stop at its end."""
     return " ".join(_NOISE.sub("", text).split()).rstrip(". ")

@@ -115,7 +115,7 @@ class RecordedStriker:
 
 
 def build_instruments(source: ShotSource, *, wanted: Mapping[str, str] | None = None) -> Opened:
-    """Build the instruments that play back one recording.
+    """Build striker, digitizer and pulse-echo unit that play back one recording.
 
     Parameters
     ----------

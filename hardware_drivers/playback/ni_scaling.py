@@ -32,7 +32,7 @@ class ScalingError(ValueError):
 
 
 def build_raw_polynomial(properties: Mapping[str, Any]) -> Polynomial | None:
-    """Return the physical value as a polynomial of the raw one.
+    """Build the physical value as a polynomial of the raw one from NI's scaling properties.
 
     Returns
     -------
@@ -83,7 +83,7 @@ def _resolve(source: int, properties: Mapping[str, Any], *, limit: int) -> Polyn
         return identity
 
     def input_of(name: str) -> Polynomial:
-        """Return the polynomial of the input of this scale."""
+        """Return the polynomial of this scale's named input; the raw values where it names none."""
         return _resolve(int(properties.get(f"{prefix}{name}_Input_Source", RAW)), properties, limit=source)
 
     if kind == "Linear":

@@ -91,7 +91,7 @@ class TdmsShots:
         return key in self.places
 
     def find(self, key: ShotKey) -> Acquired | None:
-        """Return the record of a shot, None if it was not recorded.
+        """Read the record of a shot from its file; None if it was not recorded.
 
         Raises
         ------
@@ -138,7 +138,7 @@ class TdmsShots:
 def open_tdms(
     source: Path, mapping: TdmsMapping | None = None, *, positions: Mapping[str, str] = MappingProxyType({})
 ) -> TdmsShots:
-    """Find every shot in a folder of TDMS files, or in one file.
+    """Find every shot in a folder of TDMS files, or in one file, by their metadata; read no samples.
 
     Parameters
     ----------

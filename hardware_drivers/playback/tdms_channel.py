@@ -135,7 +135,7 @@ def _quantise(
 
 
 def build_conversion(channel: Channel, mapping: TdmsMapping) -> Conversion:
-    """Return the conversion of the channel's values to counts and volts.
+    """Build the conversion of the channel's values to counts and volts.
 
     Raises
     ------

@@ -89,7 +89,7 @@ class ValuesReader:
 
 @contextmanager
 def _open_file(path: Path) -> Iterator[TdmsFile]:
-    """Open a file directly: npTDMS would leave a corrupt one open, and trust an index file next to it."""
+    """Yield an open TDMS file, closed on exit, without npTDMS's index files and time conversion."""
     import nptdms
 
     with path.open("rb") as file:

@@ -46,22 +46,22 @@ class Port(Protocol):
 
     @property
     def in_waiting(self) -> int:
-        """Return how many bytes can be read at once; an upper bound where that is unknown."""
+        """Return the number of bytes that can be read at once; an upper bound where that is unknown."""
 
     def read(self, size: int, /) -> bytes:
         """Wait up to `POLL_S` for data; return up to ``size`` bytes, empty if none came."""
 
     def write(self, data: bytes, /) -> int | None:
-        """Write all of the data."""
+        """Write all of the data; one of `PORT_ERRORS` if it is not taken in time or the port is gone."""
 
     def reset_input_buffer(self) -> None:
-        """Discard the received data."""
+        """Discard the received data without waiting; one of `PORT_ERRORS` if the port is gone."""
 
     def reset_output_buffer(self) -> None:
-        """Discard the data that was not sent."""
+        """Discard the data that was not sent; one of `PORT_ERRORS` if the port is gone."""
 
     def close(self) -> None:
-        """Close the port."""
+        """Close the port; one of `PORT_ERRORS` if that fails."""
 
 
 class TcpPort:
@@ -102,7 +102,7 @@ class TcpPort:
         """Do nothing: data is never queued here."""
 
     def close(self) -> None:
-        """Close the connection."""
+        """Close the connection; harmless when closed."""
         self._socket.close()
 
     def _receive(self, size: int) -> bytes:
@@ -140,7 +140,7 @@ def open_port(parameters: SerialLineParameters) -> Port:
 
 
 def _open_serial(parameters: SerialLineParameters) -> Port:
-    """Open a serial port for this process alone.
+    """Open a serial port for this process alone; reads on it wait up to `POLL_S`.
 
     Raises
     ------

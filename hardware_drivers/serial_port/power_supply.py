@@ -45,7 +45,7 @@ class ScpiPowerSupply(SerialInstrument[SupplyParameters]):
         return f"the supply does not know {unknown}" if unknown else ""
 
     def read(self, timeout_s: float) -> SupplyReading:
-        """Measure voltage and current and query the output state.
+        """Measure voltage in V and current in A, and query the output state, within ``timeout_s``.
 
         The stamp is that of the current, which is what is integrated.
 
@@ -85,7 +85,7 @@ class ScpiPowerSupply(SerialInstrument[SupplyParameters]):
         }
 
     def energise(self, voltage_v: float, current_limit_a: float) -> None:
-        """Switch off, set, read back, then switch on and measure; on any doubt switch off.
+        """Switch off, set (V, A), read back, then switch on and measure; on any doubt switch off.
 
         Raises
         ------
@@ -121,7 +121,7 @@ class ScpiPowerSupply(SerialInstrument[SupplyParameters]):
             raise type(error)(f"{error}; the output is off") from error
 
     def make_safe(self) -> None:
-        """Switch the output off and read that back.
+        """Switch the output off and read that back; over a dead line, try once more.
 
         Raises
         ------
