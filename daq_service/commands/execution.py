@@ -88,7 +88,7 @@ class CommandExecutor:
             self._store_answer(row, self._answers.get(row.id, answer))
 
     def leave(self) -> None:
-        """Answer the open commands as expired, because this recorder ends and does not execute them.
+        """Answer the commands that are still open when this recorder ends, as `close` does.
 
         An error of catalogue or disk is logged: the next recorder answers them.
         """

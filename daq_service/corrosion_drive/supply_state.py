@@ -84,9 +84,9 @@ class Address:
 
 
 def hold_supply_lock(folder: Path, address: Address) -> AbstractContextManager[object]:
-    """Return the context that holds the supply's lock, with an address readable only by this user.
+    """Return a context that holds the supply's lock, with an address readable only by this user.
 
-    Raise BusyError if another process holds it.
+    Entering it raises BusyError if another process holds the lock.
     """
     text = f"process {os.getpid()}\n{json.dumps(asdict(address))}"
     return hold_lock(folder, DRIVE_LOCK, text, holder="process of the drive", mode=0o600)

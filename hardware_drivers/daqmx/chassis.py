@@ -168,13 +168,7 @@ class Chassis:
         self.end_turn()
 
     def require_real_boards(self) -> None:
-        """Raise for devices that NI's driver simulates, except in a dry run: their records have no wave.
-
-        Raises
-        ------
-        ConfigurationError
-            A board is simulated, and this is no rehearsal.
-        """
+        """Raise ConfigurationError for a board that NI's driver simulates, except in a dry run."""
         simulated = [board.label for board in self._boards.values() if board.simulated]
         if simulated and not self.parameters.dry_run:
             raise ConfigurationError(
