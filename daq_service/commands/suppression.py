@@ -72,7 +72,7 @@ class ShelveAlarm(_AlarmOrder):
     arguments: ShelfArguments
 
     def _apply_change(self, row: AlarmRow, moment: states.Moment) -> states.Change:
-        """Return the alarm shelved for ``for_h`` hours; ValueError if its state does not allow it."""
+        """Return the change that shelves the alarm for ``for_h`` hours; ValueError if it is not allowed."""
         arguments = self.arguments
         return shelve(row, self.author, arguments.reason.strip(), arguments.for_h, moment, time.time_ns())
 
@@ -84,7 +84,7 @@ class UnshelveAlarm(_AlarmOrder):
     arguments: AlarmArguments
 
     def _apply_change(self, row: AlarmRow, moment: states.Moment) -> states.Change:
-        """Return the alarm no longer shelved; ValueError if it is not shelved."""
+        """Return the change that ends the alarm's shelving; ValueError if it is not shelved."""
         return end_suppression(row, "shelved", self.author, self.arguments.note, moment)
 
 
@@ -95,7 +95,7 @@ class TakeOutOfService(_AlarmOrder):
     arguments: OutOfServiceArguments
 
     def _apply_change(self, row: AlarmRow, moment: states.Moment) -> states.Change:
-        """Return the alarm out of service; ValueError if its state does not allow it."""
+        """Return the change that takes the alarm out of service; ValueError if it is out already."""
         return take_out_of_service(row, self.author, self.arguments.reason.strip(), moment)
 
 
@@ -106,5 +106,5 @@ class ReturnToService(_AlarmOrder):
     arguments: AlarmArguments
 
     def _apply_change(self, row: AlarmRow, moment: states.Moment) -> states.Change:
-        """Return the alarm back in service; ValueError if it is not out of service."""
+        """Return the change that returns the alarm to service; ValueError if it is not out of service."""
         return end_suppression(row, "out_of_service", self.author, self.arguments.note, moment)

@@ -467,7 +467,7 @@ class SupplyLogger:
 
 
 def row_without_supply(set_index: int, due_h: float) -> EnvironmentRow:
-    """Build the environment row of a set of a test that has neither supply nor climate probe."""
+    """Build the environment row of a set with supply and climate probe marked as absent."""
     return EnvironmentRow(
         set_index=set_index,
         due_h=due_h,

@@ -24,7 +24,10 @@ class FileThread:
         return self
 
     def __exit__(self, *_: object) -> None:
-        """Close the thread and wait for the running job for a limited time."""
+        """Close the thread; a pending job is run first.
+
+        Wait for that up to `FLUSH_WITHIN_S`, but not at all while a job is running: it may hang.
+        """
         with self._changed:
             self._closed = True
             self._changed.notify_all()

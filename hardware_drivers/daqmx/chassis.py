@@ -211,7 +211,7 @@ class Chassis:
 
     @contextmanager
     def attempt(self) -> Iterator[None]:
-        """Run a block on the boards; an error ends the turn, selects the next recovery step and is raised."""
+        """Run a block on the boards; an error clears the tasks, selects a recovery step and is raised."""
         try:
             yield
         except BaseException as error:
@@ -238,7 +238,7 @@ class Chassis:
             ) from error
 
     def _handle_busy_board(self, error: BusyError) -> None:
-        """Return if another owner holds the board, who is never disturbed; raise our own task as a loss."""
+        """Leave another owner's board alone from now on; raise ConnectionLostError for our own old task."""
         # The driver's text names the task that was refused too, and that one is always ours.
         owner = find_owner(str(error.__cause__))
         if self._connection is None or not self._connection.is_own_task(owner):

@@ -215,16 +215,16 @@ class Survey:
             return commit_acquisition(connection, parameters, position, board, coil_board, record=record)
 
         def check_limits() -> str:
-            """Check that the board can take the record."""
+            """Check that the board can take the record; return the accepted input as text."""
             check_board(board, wiring, parameters)
             return f"as asked: {_format_input(parameters, wiring)}"
 
         def check_trigger() -> str:
-            """Commit the triggered acquisition and release it."""
+            """Commit the triggered acquisition and clear it; return the accepted trigger as text."""
             return f"{_release_task(commit('shot'))}: {format_trigger(parameters, wiring)}"
 
         def check_counter() -> str:
-            """Commit the coil's counter and release it."""
+            """Commit the coil's counter and clear it; return the accepted pulse as text."""
             # Committed, the output is connected and low; the counter is not started.
             coil = commit_coil(connection, parameters, position, coil_board)
             return f"{_release_task(coil)}: {_format_counter(parameters, wiring)}"
