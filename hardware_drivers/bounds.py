@@ -38,7 +38,10 @@ _resolved: dict[type, dict[str, list[_Bound]]] = {}
 
 
 def _resolve_bounds(parameters: type) -> dict[str, list[_Bound]]:
-    """Return the bounds of a class, resolved once: every shot with its own scatter checks them."""
+    """Return the bounds of each field of a parameter class by field name.
+
+    Resolved once per class and cached: every shot with its own scatter checks them.
+    """
     if parameters not in _resolved:
         hints = get_type_hints(parameters, include_extras=True)
         _resolved[parameters] = {field.name: _find_bounds(hints[field.name]) for field in fields(parameters)}
@@ -46,7 +49,10 @@ def _resolve_bounds(parameters: type) -> dict[str, list[_Bound]]:
 
 
 def _find_bounds(hint: Any) -> list[_Bound]:
-    """Return the bounds of a type, also where it may be absent: ``Annotated[float, Gt(0.0)] | None``."""
+    """Return the bounds of a type hint as tuples of relation, limit and comparison; empty if it has none.
+
+    Bounds of the parts of a union count too: ``Annotated[float, Gt(0.0)] | None``.
+    """
     marks = getattr(hint, "__metadata__", ())
     if not marks:
         marks = [mark for part in get_args(hint) for mark in getattr(part, "__metadata__", ())]
@@ -59,7 +65,10 @@ def _find_bounds(hint: Any) -> list[_Bound]:
 
 
 def check_bounds(parameters: Any) -> None:
-    """Raise ValueError naming the field, its value and its limit if a bound is broken."""
+    """Raise ValueError that names the first field whose value breaks a bound, the value and the limit.
+
+    A float that is not finite breaks every bound, None breaks no bound.
+    """
     _check_named_values(
         (name, bounds, getattr(parameters, name))
         for name, bounds in _resolve_bounds(type(parameters)).items()
@@ -67,7 +76,10 @@ def check_bounds(parameters: Any) -> None:
 
 
 def check_values(parameters: type, values: Mapping[str, Any]) -> None:
-    """Raise as `check_bounds` does for values by name, before the parameters are made."""
+    """Check values by field name against a class's bounds, before the parameters are made.
+
+    Raise ValueError as `check_bounds` does, KeyError for a name that is no field.
+    """
     bounds = _resolve_bounds(parameters)
     _check_named_values((name, bounds[name], value) for name, value in values.items())
 
@@ -85,12 +97,14 @@ def _check_named_values(checked: Iterable[tuple[str, list[_Bound], Any]]) -> Non
 
 
 def check_pair(parameters: Any, name: str, relation: str, other: str, unit: str = "") -> None:
-    """Raise ValueError unless one value is in a relation of `_PAIRS` to another.
+    """Raise ValueError unless the value of one field has a given relation to that of another.
 
     Parameters
     ----------
     name, other
         Fields of `parameters`; the message names both, their values and what the first must be.
+    relation
+        A key of `_PAIRS`, such as ``at most``.
     unit
         As printed behind a value, with its space.
     """
@@ -101,10 +115,11 @@ def check_pair(parameters: Any, name: str, relation: str, other: str, unit: str 
 
 @dataclass_transform(frozen_default=True, kw_only_default=True, field_specifiers=(field,))
 def bounded(parameters: type[Parameters]) -> type[Parameters]:
-    """Make a frozen dataclass with slots and keywords whose values obey their bounds.
+    """Make a class a frozen, keyword-only dataclass with slots whose values obey their bounds.
 
-    What only the class knows, two values that must fit each other, it checks in a `__post_init__` of its
-    own, which runs after the bounds. Embedded in a pydantic model the class refuses unknown keys.
+    Construction raises ValueError as `check_bounds` does. What only the class knows, two values that must
+    fit each other, it checks in a `__post_init__` of its own, which runs after the bounds. Embedded in a
+    pydantic model the class refuses unknown keys.
     """
     own_checks: Callable[[Parameters], None] | None = getattr(parameters, "__post_init__", None)
 

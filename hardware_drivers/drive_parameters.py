@@ -68,10 +68,10 @@ class DriveParameters(ABC):
     @property
     @abstractmethod
     def longest_order_s(self) -> float:
-        """Return the longest time of a command, and of switching off again where it fails."""
+        """Return the longest time of a command in s, with that of switching off again where it fails."""
 
     def require_within_caps(self, voltage_v: float, current_limit_a: float) -> None:
-        """Check a command before anything is sent.
+        """Compare a command's voltage and current limit with their caps before anything is sent.
 
         Raises
         ------
@@ -104,7 +104,7 @@ class NamedSupply(DriveParameters):
 
     @property
     def longest_order_s(self) -> float:
-        """Return the longest time of a command, and of switching off again where it fails."""
+        """Return twice ``order_timeout_s``: a command in s, and switching off again where it fails."""
         return 2.0 * self.order_timeout_s
 
 

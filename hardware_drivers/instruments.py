@@ -15,12 +15,12 @@ from hardware_drivers.measurement import ClimateReading, ShotKey, SupplyReading,
 
 
 def require_timeout(timeout_s: float) -> None:
-    """Raise for a timeout that is not a positive finite number.
+    """Raise for a timeout that is not a positive number.
 
     Raises
     ------
     ConfigurationError
-        It is not positive, or no number.
+        It is zero, negative or NaN.
     """
     if not timeout_s > 0.0:
         raise ConfigurationError(f"timeout_s is {timeout_s}; it must be positive")
@@ -37,7 +37,7 @@ class Clock(Protocol):
         """Return monotonic test time in ns; never steps back within one ``boot_id``."""
 
     def wait_until(self, utc_ns: int, idle: Callable[[], bool]) -> bool:
-        """Return True once ``utc_ns`` is reached, False as soon as ``idle()`` returns False.
+        """Wait until ``utc_ns``: True once it is reached, False as soon as ``idle()`` returns False.
 
         ``idle`` is called at least every 0.2 s of wall time while waiting; it is where the caller
         advances its heartbeat and notices a request to stop.
@@ -78,7 +78,7 @@ class Digitizer(Protocol):
         """
 
     def read(self, timeout_s: float) -> Acquired:
-        """Return the record of the armed shot and disarm.
+        """Wait up to ``timeout_s`` for the record of the armed shot, return it, and disarm.
 
         Raises
         ------
@@ -123,7 +123,7 @@ class PulseEchoUnit(Protocol):
     """Pulse-echo unit that fires an ultrasonic probe and returns one averaged record."""
 
     def acquire(self, key: ShotKey, timeout_s: float) -> Echo:
-        """Fire the pulser and return the averaged echo of a position.
+        """Fire the pulser and return the averaged echo of a position; waits up to ``timeout_s``.
 
         Raises
         ------
@@ -139,7 +139,7 @@ class PowerSupply(Protocol):
     """Corrosion supply. Only `energise` switches it on, and only a person requests that."""
 
     def read(self, timeout_s: float) -> SupplyReading:
-        """Measure voltage and current; never switches anything.
+        """Measure voltage in V and current in A within ``timeout_s``; never switches anything.
 
         Raises
         ------
@@ -148,7 +148,7 @@ class PowerSupply(Protocol):
         """
 
     def energise(self, voltage_v: float, current_limit_a: float) -> None:
-        """Set voltage and limit, read both back, then switch the output on.
+        """Set voltage in V and limit in A, read both back, then switch the output on.
 
         Raises
         ------
@@ -168,7 +168,7 @@ class PowerSupply(Protocol):
         """
 
     def identity(self) -> Mapping[str, str]:
-        """Return maker, model, serial number and firmware, as the supply reports them."""
+        """Return maker, model, serial number and firmware as the supply reports them, by name of the item."""
 
 
 @runtime_checkable
@@ -176,7 +176,7 @@ class ClimateProbe(Protocol):
     """Thermometer and hygrometer next to the specimen."""
 
     def read(self, timeout_s: float) -> ClimateReading:
-        """Measure temperature and humidity.
+        """Measure temperature in degrees Celsius and relative humidity (0 to 1) within ``timeout_s``.
 
         Raises
         ------
@@ -190,7 +190,7 @@ class SelfCalibrating(Protocol):
     """Instrument that adjusts itself to its temperature; between sets only."""
 
     def self_calibrate(self) -> Mapping[str, str]:
-        """Calibrate, read the scaling, and return a summary (serial number: date and temperature).
+        """Calibrate and read the scaling; return date and temperature of each board by serial number.
 
         Raises
         ------
@@ -210,15 +210,18 @@ class PersonRequests:
         self._hear: Callable[[str, ShotKey | None], None] = lambda text, key: None
 
     def listen(self, hear: Callable[[str, ShotKey | None], None]) -> None:
-        """Add a listener for requests (empty: nothing to do any more) and their shot."""
+        """Set the one listener, called with text and shot of each request; it replaces the former one.
+
+        An empty text means that nothing is left to do; the shot is None before the first `about`.
+        """
         self._hear = hear
 
     def about(self, key: ShotKey) -> None:
-        """Set the shot that comes next."""
+        """Set the shot that the next requests belong to; nothing is sent."""
         self._key = key
 
     def ask(self, text: str) -> None:
-        """Make a request; the same text twice is sent once."""
+        """Send a request to the listener; the same text as last time is not sent again."""
         if text != self._text:
             self._text = text
             self._hear(text, self._key)
@@ -263,7 +266,7 @@ class Rig:
         self.make_safe()
 
     def make_safe(self) -> None:
-        """De-energise strikers, then disarm; the coil is switched off even if the digitizer fails."""
+        """De-energise strikers, then disarm, also if the striker fails; errors of either are raised."""
         try:
             self.striker.make_safe()
         finally:

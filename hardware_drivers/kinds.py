@@ -68,11 +68,11 @@ Value = float | str | bool | None
 
 
 def _ignore_request(what: str) -> None:
-    """Ignore a request to a person where there is none."""
+    """Ignore a request to a person: the default where there is no one to ask."""
 
 
 def _ignore_notice(what: str, begins: bool) -> None:
-    """Ignore the notice of a long operation where nothing listens."""
+    """Ignore the notice that a long operation begins or ends: the default without a listener."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -113,11 +113,11 @@ class Opening:
 
     @property
     def positions(self) -> tuple[str, ...]:
-        """Return every position it serves in any role, once, in order."""
+        """Return every position that the instrument serves in any role, each once, in configured order."""
         return tuple(dict.fromkeys(name for names in self.serves.values() for name in names))
 
     def stamp(self) -> Stamp:
-        """Return the present time stamp for readings of supply and climate."""
+        """Return a time stamp of now (test UTC, monotonic time, boot) for readings of supply and climate."""
         return Stamp(utc_ns=self.clock.utc_ns(), mono_ns=self.clock.mono_ns(), boot_id=self.boot_id)
 
 
@@ -176,7 +176,10 @@ class Finding:
 
 
 def build_error_finding(subject: str, check: str, error: InstrumentError, otherwise: str) -> Finding:
-    """Return the finding of an error; a message of this project ends in its remedy, or names an owner.
+    """Build the failed finding of an instrument's error.
+
+    The message's text after its last ``; `` is the remedy, the text before it the detail. A `BusyError`
+    names the owner: its detail is the complete message, and `held` is True.
 
     Parameters
     ----------
@@ -196,17 +199,17 @@ def build_error_finding(subject: str, check: str, error: InstrumentError, otherw
 
 
 def _list_no_packages(parameters: object) -> Iterable[str]:
-    """Return an empty tuple, because the kind needs no distributions."""
+    """Return an empty tuple: the default of `Kind.packages`, for a kind that needs no distributions."""
     return ()
 
 
 def _return_zero_s(parameters: object) -> float:
-    """Return 0 s: every call has a timeout."""
+    """Return 0.0 s: the default of `Kind.longest_call_s`, for a kind without long calls."""
     return 0.0
 
 
 def _accept_all_positions(parameters: Any, serves: Mapping[Role, tuple[str, ...]]) -> None:
-    """Accept all positions: the parameters name none."""
+    """Accept all positions: the default of `Kind.require`, for parameters that name no position."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

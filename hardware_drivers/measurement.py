@@ -22,7 +22,7 @@ Counts = NDArray[np.int16] | NDArray[np.int32]
 
 
 def _copy_read_only(values: NDArray[np.generic]) -> NDArray[np.generic]:
-    """Return a copy of an array that cannot be changed."""
+    """Return a copy of an array whose elements cannot be assigned."""
     copy = np.array(values, copy=True)
     copy.flags.writeable = False
     return copy
@@ -62,7 +62,7 @@ class Calibration:
         object.__setattr__(self, "coefficients_v", _copy_read_only(coefficients))
 
     def volts(self, counts: Counts) -> NDArray[np.float64]:
-        """Convert counts of any shape into volts of the same shape."""
+        """Convert counts of any shape into volts (float64, same shape) with the calibration polynomial."""
         code = counts.astype(np.float64)
         # Horner's rule in place, as numpy's polyval computes it: every shot passes here.
         volts: NDArray[np.float64] = self.coefficients_v[-1] * code
@@ -74,7 +74,7 @@ class Calibration:
 
     @property
     def full_scale_counts(self) -> tuple[int, int]:
-        """Return the lowest and highest code of the ADC."""
+        """Return the ADC's lowest and highest code: -2**(bits - 1) and 2**(bits - 1) - 1."""
         half = 1 << (self.resolution_bits - 1)
         return -half, half - 1
 
@@ -113,17 +113,17 @@ class Waveform:
         object.__setattr__(self, "counts", _copy_read_only(counts))
 
     def volts(self) -> NDArray[np.float64]:
-        """Return the record in volts, shape (n_samples,)."""
+        """Return the record in volts: float64, shape (n_samples,), a new array at each call."""
         return self.calibration.volts(self.counts)
 
     def time_s(self) -> NDArray[np.float64]:
-        """Return the time of each sample from the trigger in s, shape (n_samples,)."""
+        """Return each sample's time in s, shape (n_samples,): 0 at the trigger, negative before it."""
         index = np.arange(self.counts.size) - self.pretrigger_samples
         return index / self.sample_rate_hz
 
     @property
     def clipped(self) -> bool:
-        """Return whether any sample is at an end of the ADC's range.
+        """Return whether any sample is at an end of the ADC's range; False without samples.
 
         Some boards clip at the same code on both sides, one short of the lowest: that counts too.
         """
@@ -158,22 +158,28 @@ class SetKey(NamedTuple):
 
     @classmethod
     def parse(cls, text: str) -> SetKey:
-        """Return the key with this text; a ValueError if there is none."""
+        """Parse the text of a key, ``12`` or ``12.1``; ValueError if a part is not an integer."""
         return cls(*map(int, text.split(".", 1)))
 
     @property
     def purpose(self) -> Purpose:
-        """Return the purpose of the set."""
+        """Return ``confirmation`` for an unscheduled set, ``planned`` for a scheduled one."""
         return "confirmation" if self.unscheduled_index else "planned"
 
     @property
     def number(self) -> int:
-        """Return the key as one number: in frames of the journal and in the twin's random numbers."""
+        """Return the key as one integer: ``unscheduled_index * 10_000_000 + set_index``.
+
+        Frames of the journal and the twin's random numbers use it.
+        """
         return self.unscheduled_index * _SCHEDULED_SETS + self.set_index
 
     @classmethod
     def from_number(cls, number: int) -> SetKey:
-        """Return the key of a number: data of earlier versions store it as the index of the set."""
+        """Return the key of a `number`; the inverse of that property.
+
+        Data of earlier versions store it as the index of the set.
+        """
         unscheduled_index, set_index = divmod(number, _SCHEDULED_SETS)
         return cls(set_index, unscheduled_index)
 
@@ -194,7 +200,7 @@ class OfSet:
 
     @property
     def set_key(self) -> SetKey:
-        """Return the key of the set."""
+        """Return the key of the set, made of its two indices."""
         return SetKey(self.set_index, self.unscheduled_index)
 
 
@@ -235,7 +241,7 @@ class ShotKey(OfSet):
 
     @classmethod
     def in_set(cls, set_key: SetKey, position: str, shot_index: int, attempt: int = 0) -> ShotKey:
-        """Return the key of a shot of a set."""
+        """Return the key of one attempt at a shot of a set; ValueError if an index is negative."""
         return cls(
             position=position,
             set_index=set_key.set_index,
@@ -353,7 +359,7 @@ class ClimateReading:
 
 @lru_cache(maxsize=64)
 def compute_crc32(waveform: Waveform) -> int:
-    """Return the CRC-32 (zlib's) of a record's counts as little-endian bytes.
+    """Return the CRC-32 (zlib's, 0 to 2**32 - 1) of a record's counts as little-endian bytes.
 
     Cached, since file, acknowledgement and catalogue need the CRC-32 of the same, immutable waveform.
     """
@@ -460,7 +466,7 @@ class SetRecord(OfSet):
 
     @property
     def due(self) -> DueSet:
-        """Return the due time of the set, and the position of an unscheduled one."""
+        """Return when the set was due, with the position of an unscheduled set (None: scheduled)."""
         return DueSet(
             set_index=self.set_index,
             unscheduled_index=self.unscheduled_index,
@@ -471,15 +477,18 @@ class SetRecord(OfSet):
 
     @property
     def records(self) -> list[Shot | PulseEchoRecord]:
-        """Return shots and pulse-echo records in the order of acquisition."""
+        """Return shots and pulse-echo records in the order of acquisition (by `sequence`)."""
         return sorted((*self.shots, *self.echoes), key=lambda record: record.sequence)
 
     def n_missed(self, position: str) -> int:
-        """Count the strikes or echoes of a position without a record."""
+        """Count the strikes or echoes of a position without a record, repetitions included."""
         return sum(item.key.position == position for item in self.missed)
 
     def n_tried(self, position: str) -> int:
-        """Count the shots of a position that were struck, with or without a record, without repetitions."""
+        """Count a position's first attempts: its shots with or without a record, without repetitions.
+
+        A missed echo counts, a recorded one does not.
+        """
         return self._list_attempts(position).count(0)
 
     def n_restrikes(self, position: str) -> int:
@@ -487,6 +496,6 @@ class SetRecord(OfSet):
         return sum(attempt > 0 for attempt in self._list_attempts(position))
 
     def _list_attempts(self, position: str) -> list[int]:
-        """Return the attempt number of each strike at a position, missed ones included."""
+        """Return the attempt number (0: first strike) of a position's shots, then of its missed ones."""
         tried: list[Shot | MissedShot] = [*self.shots, *self.missed]
         return [item.key.attempt for item in tried if item.key.position == position]

@@ -36,16 +36,17 @@ class Offer:
 
     @property
     def roles(self) -> tuple[Role, ...]:
-        """Return the roles it can have in a rig."""
+        """Return the roles that the kind can take in a rig, in the order of `ROLES`."""
         return tuple(self.by_role)
 
     def load(self) -> Kind[Any]:
-        """Import the kind.
+        """Import the kind of all its roles and return it.
 
         Raises
         ------
         ConfigurationError
-            Two distributions offer it, its module does not import, or what it names is no kind.
+            Two distributions offer it, one offers different objects for its roles, its module does not
+            import, or what it names is no kind.
         """
         if len(self.distributions) > 1:
             raise ConfigurationError(
@@ -60,7 +61,10 @@ class Offer:
         return next(iter(kinds.values()))
 
     def _import_kind(self, entry_point: EntryPoint) -> Kind[Any]:
-        """Import the kind that an entry point names."""
+        """Import the kind that an entry point names.
+
+        Raise ConfigurationError if the import fails in any way, or gives no `Kind`.
+        """
         offered = f"{self.distributions[0]} offers {entry_point.value} as the kind {self.name!r}"
         try:
             kind = entry_point.load()
@@ -78,13 +82,20 @@ class Offer:
 
 
 def offers() -> Mapping[str, Offer]:
-    """Return every installed kind by its name."""
+    """Return the installed kinds by name in alphabetical order, none of them imported.
+
+    Cached; the installed packages are searched again only if `sys.path` has changed.
+    """
     return _read_offers(tuple(sys.path))
 
 
 @lru_cache(maxsize=1)
 def _read_offers(path: tuple[str, ...]) -> Mapping[str, Offer]:
-    """Return the kinds of a path, read once: installed packages stay while a process runs."""
+    """Read the kinds that the installed distributions offer, by name in alphabetical order.
+
+    Cached for one search path: installed packages stay while a process runs. A kind of several
+    distributions has the entry points of the first one.
+    """
     found: dict[str, dict[str, dict[Role, EntryPoint]]] = {}
     every = entry_points()
     for role in ROLES:
@@ -98,7 +109,7 @@ def _read_offers(path: tuple[str, ...]) -> Mapping[str, Offer]:
 
 
 def find_kind(name: str) -> tuple[Kind[Any], Offer]:
-    """Return the kind of a name, and its offer.
+    """Import the kind of a name; return it with its offer.
 
     Raises
     ------
@@ -116,7 +127,10 @@ def find_kind(name: str) -> tuple[Kind[Any], Offer]:
 
 
 def _format_kind_names(known: Iterable[Offer]) -> str:
-    """Return the names of the kinds; those of others with their package."""
+    """Format the kinds' names as a list with commas; those of other packages with name and version.
+
+    Without any kind, return a text that asks to install solimon again.
+    """
     names = []
     for offer in known:
         package = offer.distributions[0]
@@ -125,6 +139,6 @@ def _format_kind_names(known: Iterable[Offer]) -> str:
 
 
 def _find_distribution(entry_point: EntryPoint) -> str:
-    """Return name and version of the distribution that offers an entry point."""
+    """Return name and version of an entry point's distribution; ``an unknown package`` without metadata."""
     found = entry_point.dist
     return "an unknown package" if found is None else f"{found.name} {found.version}"

@@ -12,12 +12,17 @@ from hardware_drivers.errors import InstrumentError
 def read_status_classes(
     file: Path, classes: Iterable[type[InstrumentError]]
 ) -> dict[int, type[InstrumentError]]:
-    """Return the error class of each status in a TOML file with one table per class.
+    """Read the error class of each vendor status from a TOML file with one table per class.
 
     Parameters
     ----------
     classes
         Error classes; the file names each of its tables after one of them.
+
+    Raises
+    ------
+    KeyError
+        A table is named after no class of `classes`.
     """
     tables: dict[str, dict[str, str]] = tomllib.loads(file.read_text(encoding="utf-8"))
     by_name = {kind.__name__: kind for kind in classes}

@@ -25,14 +25,17 @@ class StruckDigitizer(ABC):
 
     @abstractmethod
     def require_transducer(self, key: ShotKey) -> None:
-        """Reject a position that has no solitary-wave transducer."""
+        """Raise ConfigurationError for a position that has no solitary-wave transducer."""
 
     @abstractmethod
     def record_of(self, key: ShotKey) -> Acquired:
-        """Return the record of the latest stored strike."""
+        """Return the record of the strike `key`, which was the first at the armed position."""
 
     def arm(self, key: ShotKey) -> None:
-        """Arm: the next strike at the key's position is recorded."""
+        """Arm for the next strike at the key's position.
+
+        Raise ConfigurationError if already armed, or if the position has no transducer.
+        """
         self.require_transducer(key)
         if self._armed is not None:
             raise ConfigurationError(
@@ -42,18 +45,32 @@ class StruckDigitizer(ABC):
         self._armed = key
 
     def disarm(self) -> None:
-        """Disarm: no strike is recorded any more."""
+        """Disarm and discard a stored strike; harmless when not armed."""
         self._armed = self._struck = None
 
     def strike(self, key: ShotKey) -> bool:
-        """Store the first strike at the armed position; return whether this is it, any other is lost."""
+        """Store a strike, and return True, if it is the first at the armed position since arming.
+
+        Any other strike is ignored (False).
+        """
         recorded = self._armed is not None and self._armed.position == key.position and self._struck is None
         if recorded:
             self._struck = key
         return recorded
 
     def read(self, timeout_s: float) -> Acquired:
-        """Return the record and disarm; the time that takes never makes a strike a missed one."""
+        """Return the record of the stored strike and disarm.
+
+        ``timeout_s`` is checked but never waited for; the time that reading takes never makes a strike a
+        missed one.
+
+        Raises
+        ------
+        AcquisitionTimeoutError
+            No strike at the armed position since the digitizer was armed; it is disarmed.
+        ConfigurationError
+            Not armed, or the timeout is not positive.
+        """
         require_timeout(timeout_s)
         armed, struck = self._armed, self._struck
         self.disarm()

@@ -47,7 +47,7 @@ class SetPlan:
     read_timeout_s: float
 
     def list_positions(self, method: str) -> Sequence[str]:
-        """Return the positions of one method."""
+        """Return the active positions of one measuring method in the order of measurement."""
         return [name for name, its_method in self.positions.items() if its_method == method]
 
 
@@ -144,6 +144,11 @@ def _acquire_shot(
     -------
     tuple
         Shot or missed shot, error of a lost connection, and whether the shot cannot be repeated.
+
+    Raises
+    ------
+    BaseException
+        Any error but a timeout or a lost connection, raised again after the rig was made safe.
     """
     stamp = _read_time_stamp(rig, boot_id)
     try:
@@ -171,7 +176,10 @@ def _acquire_shot(
 
 
 def _make_reachable_instruments_safe(rig: Rig, error: ConnectionLostError) -> None:
-    """Switch off the instruments that respond; hardware ends the pulse of an unreachable coil."""
+    """Switch off the instruments that respond; an error of those that do not is added to ``error`` as a note.
+
+    Hardware ends the pulse of an unreachable coil.
+    """
     try:
         rig.make_safe()
     except InstrumentError as unreachable:
@@ -181,7 +189,10 @@ def _make_reachable_instruments_safe(rig: Rig, error: ConnectionLostError) -> No
 def _acquire_echo(
     rig: Rig, plan: SetPlan, key: ShotKey, sequence: Iterator[int], boot_id: str
 ) -> PulseEchoRecord | MissedShot:
-    """Acquire one averaged record; a unit that does not respond misses only its own record."""
+    """Acquire one averaged record; a timeout or lost connection yields a `MissedShot` and is not raised.
+
+    Any other instrument error is raised.
+    """
     assert rig.pulse_echo is not None, "open_rig gives every pulse-echo position its unit"
     stamp = _read_time_stamp(rig, boot_id)
     try:
@@ -204,5 +215,5 @@ def _acquire_echo(
 
 
 def _read_time_stamp(rig: Rig, boot_id: str) -> Stamp:
-    """Return the time stamp of now."""
+    """Read test UTC and monotonic time of the rig's clock as a time stamp of this boot."""
     return Stamp(utc_ns=rig.clock.utc_ns(), mono_ns=rig.clock.mono_ns(), boot_id=boot_id)

@@ -29,7 +29,8 @@ _UNITS = {
 def find_unit(name: str) -> str:
     """Return the unit of a name such as ``drop_height_m`` or ``velocity_m_per_s``; empty where it has none.
 
-    NeXus writes a number without unit, such as a fraction, with an empty unit.
+    The suffix after the last ``_per_`` is the denominator. NeXus writes a number without unit, such as a
+    fraction, with an empty unit.
     """
     numerator, _, denominator = name.rpartition("_per_")
     if numerator:

@@ -22,17 +22,17 @@ class PhaseLike(Protocol):
 
     @property
     def until_h(self) -> float:
-        """Return the hour at which the phase ends; its last set is due then."""
+        """Return the hour of the test at which the phase ends; its last set is due then."""
         ...
 
     @property
     def interval_h(self) -> float:
-        """Return the hours between two sets."""
+        """Return the hours between two sets of the phase."""
         ...
 
 
 def unscheduled_set(number: int, after: DueSet, utc_ns: int, position: str) -> DueSet:
-    """Return the ``number``-th unscheduled set after a scheduled one, due at the given time.
+    """Build the ``number``-th unscheduled set after a scheduled one, due at ``utc_ns`` (UTC in ns).
 
     The hour is counted from the scheduled set, so both give the same hour 0.
     """
@@ -48,7 +48,7 @@ def unscheduled_set(number: int, after: DueSet, utc_ns: int, position: str) -> D
 
 
 def list_due_hours(phases: Sequence[PhaseLike], *, end_h: float | None = None) -> list[float]:
-    """Return the hours of all sets in order; ``end_h`` ends the schedule early (inclusive).
+    """Return the hours of all sets in ascending order; ``end_h`` ends the schedule early (inclusive).
 
     Each hour is counted from its phase's start, so no rounding error piles up.
     """
@@ -58,7 +58,7 @@ def list_due_hours(phases: Sequence[PhaseLike], *, end_h: float | None = None) -
 
 @lru_cache(maxsize=16)
 def _compute_phase_hours(phases: tuple[tuple[float, float], ...]) -> tuple[float, ...]:
-    """Return the hours of all sets of the phases."""
+    """Compute the hours of all sets from (end, interval) in h of each phase; cached."""
     # A year has many sets, and each answer of the web service needs them.
     hours: list[float] = []
     start_h = 0.0
@@ -71,7 +71,10 @@ def _compute_phase_hours(phases: tuple[tuple[float, float], ...]) -> tuple[float
 
 
 def plan_sets(phases: Sequence[PhaseLike], epoch_utc_ns: int, *, end_h: float | None = None) -> list[DueSet]:
-    """Return all scheduled sets of an experiment that starts at ``epoch_utc_ns``."""
+    """Return all scheduled sets, in order, of a test whose hour 0 is ``epoch_utc_ns`` (UTC in ns).
+
+    ``end_h`` ends the schedule early (inclusive).
+    """
     return [
         DueSet(set_index=index, due_h=hour, due_utc_ns=epoch_utc_ns + round(hour * NS_PER_H))
         for index, hour in enumerate(list_due_hours(phases, end_h=end_h))

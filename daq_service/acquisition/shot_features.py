@@ -28,7 +28,10 @@ class AnalysedWaveform(Waveform):
 
 
 def extract_record_features(acquired: Sequence[Acquired | None]) -> list[Acquired | None]:
-    """Extract the features of records together; where one fails, all come without."""
+    """Return the records with the features of their waveforms, extracted together; None stays None.
+
+    If the extraction fails for one, all records are returned without features; nothing is raised.
+    """
     waveforms = [one.waveform for one in acquired if one is not None]
     try:
         features = iter(extract_all(waveforms))
@@ -36,6 +39,7 @@ def extract_record_features(acquired: Sequence[Acquired | None]) -> list[Acquire
         return list(acquired)
 
     def with_features(waveform: Waveform) -> AnalysedWaveform:
+        """Return a copy of a waveform with the next features; called in the order of the waveforms."""
         parts = {part.name: getattr(waveform, part.name) for part in fields(waveform)}
         return AnalysedWaveform(**parts, features=next(features))
 
@@ -43,7 +47,10 @@ def extract_record_features(acquired: Sequence[Acquired | None]) -> list[Acquire
 
 
 def extract_shot_features(shot: Shot) -> ShotFeatures:
-    """Extract the features of a shot; a shot that cannot be analysed is flagged."""
+    """Return the features that came with a shot's waveform, else extract them.
+
+    If the analysis fails, log it and return features with the flag `NOT_ANALYSED`, not valid.
+    """
     if isinstance(shot.waveform, AnalysedWaveform):
         return shot.waveform.features
     try:
@@ -54,7 +61,10 @@ def extract_shot_features(shot: Shot) -> ShotFeatures:
 
 
 def extract_features_of_shots(shots: Sequence[Shot]) -> list[ShotFeatures]:
-    """Extract the features of many shots; the same as `extract_shot_features`, but faster."""
+    """Extract the features of many shots together, in their order.
+
+    If that fails, each is extracted by `extract_shot_features`, which logs and flags the one that fails.
+    """
     try:
         return extract_all([shot.waveform for shot in shots])
     except Exception:  # noqa: BLE001 each is tried alone, which logs the one

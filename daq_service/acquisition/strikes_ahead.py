@@ -12,7 +12,7 @@ from hardware_drivers.nanoseconds import NS_PER_S
 def build_strike_predictor(
     sets: Sequence[DueSet], positions: Sequence[str], *, shots_per_set: int, shot_interval_s: float
 ) -> Callable[[ShotKey, int], Iterator[tuple[ShotKey, int]]]:
-    """Return a function that predicts the strikes of `take_set` after a given strike.
+    """Build a function that predicts the strikes of `take_set` after a given strike.
 
     Parameters
     ----------
@@ -24,12 +24,17 @@ def build_strike_predictor(
     Returns
     -------
     Callable
-        Takes a strike's key and its time (UTC in ns); yields the keys and times of those after it.
+        Takes a strike's key and its time (UTC in ns); yields the keys and times of those after it,
+        through all later sets. Nothing for a position or shot that is not struck.
     """
     order = list(itertools.product(positions, range(shots_per_set)))
     slots_ns = [round(slot * shot_interval_s * NS_PER_S) for slot in range(len(order))]
 
     def following_strikes(key: ShotKey, utc_ns: int) -> Iterator[tuple[ShotKey, int]]:
+        """Yield keys and times (UTC in ns) of the strikes after this one, to the end of the schedule.
+
+        An unscheduled set ends with its position; after it come the scheduled sets.
+        """
         if (key.position, key.shot_index) not in order:
             return
         number = order.index((key.position, key.shot_index))

@@ -74,7 +74,7 @@ class Allowance:
         self._left, self._at_s = float(most), machine.mono_s()
 
     def take(self) -> bool:
-        """Count one use and return True if the rate limit allows it, else False."""
+        """Use one of the remaining uses, refilled with time; return False, and use none, if none is left."""
         now_s = self._machine.mono_s()
         self._left = min(self._most, self._left + (now_s - self._at_s) / self._every_s)
         self._at_s = now_s
@@ -94,12 +94,15 @@ class Audit:
         self._lock = threading.Lock()
 
     def count_omitted_rejection(self) -> None:
-        """Count a rejection that is not written."""
+        """Count a rejection that is not written; the next entry has the number as ``left_out``."""
         with self._lock:
             self._left_out += 1
 
     def add(self, **fields: Any) -> None:
-        """Append an entry, unless it is a rejection above the rate limit."""
+        """Append an entry with these fields of `AuditEntry` to the file.
+
+        A rejection above its rate limit is only counted. An OSError is logged, not raised.
+        """
         entry = AuditEntry(**fields)
         with self._lock:
             if entry.result == "rejected" and not self._find_rate_limit(entry).take():
@@ -112,7 +115,10 @@ class Audit:
             log.warning("not in %s: %s %s %s: %s", AUDIT_FILE, entry.what, entry.result, entry.author, error)
 
     def _find_rate_limit(self, entry: AuditEntry) -> Allowance:
-        """Return the rate limit of a name, or of a role without one."""
+        """Return the rate limit of an entry's author; of its role if the author is claimed or unknown.
+
+        It is created on first use.
+        """
         name = entry.author if entry.role not in ("", "claimed") else entry.role
         if name not in self._allowances:
             self._allowances[name] = Allowance(MOST_REJECTIONS, REJECTION_EVERY_S, machine=self._machine)
@@ -126,12 +132,24 @@ def read_audit(
     end: int | None = None,
     wanted: Callable[[AuditEntry], bool] = lambda entry: True,
 ) -> tuple[list[tuple[int, AuditEntry]], int | None]:
-    """Read the newest entries with their numbers, as `line_file.read_newest_lines`.
+    """Read the newest entries that ``wanted`` accepts, newest first, as `read_newest_lines` does.
+
+    Parameters
+    ----------
+    limit
+        Maximum number of entries.
+    end
+        Byte at which the requested lines end; None: the end of the file.
+
+    Returns
+    -------
+    tuple
+        Entries with their numbers, and the ``end`` of the earlier ones; None: there are none.
 
     Raises
     ------
     OSError
-        The file cannot be read.
+        The file cannot be read; a missing file has no entries.
     """
     lines, before = read_newest_lines(
         folder / AUDIT_FILE, limit=limit, end=end, wanted=lambda row: wanted(_parse_entry(row))
@@ -140,5 +158,5 @@ def read_audit(
 
 
 def _parse_entry(row: Mapping[str, object]) -> AuditEntry:
-    """Return the entry of a line of any version."""
+    """Build the audit entry of a stored line, whose keys may have the names of an earlier version."""
     return AuditEntry(**to_current_row(TABLE, row))

@@ -33,7 +33,7 @@ class ApproveBaseline(TransducerCommand):
     kind: Literal["approve_baseline"]
 
     def _find_refusal(self, facts: Facts) -> Refusal | None:
-        """Return why the baseline cannot be approved; None if it can."""
+        """Return the refusal unless the position has a proposed baseline with limits; None if it has."""
         position = self.arguments.position
         unknown = super()._find_refusal(facts)
         row = facts.baselines.get(position)
@@ -47,11 +47,11 @@ class ApproveBaseline(TransducerCommand):
         return Refusal(reason, "A baseline waits for a signature where baseline.approval is by_a_person.")
 
     def _find_refusal_at(self, position: str, disabled: str | None) -> Refusal | None:
-        """Allow the command at each position that has a baseline."""
+        """Return None: a baseline can be approved while its transducer is disabled, too."""
         return None
 
     def _carry_out(self, test: RunningTest, order_id: int) -> str:
-        """Approve the baseline; return the result."""
+        """Store the baseline as approved by the author, with its event; return the result as text."""
         row = test.baseline(self.arguments.position)
         assert row is not None, "a proposed baseline has a row"
         moment = test.moment()
@@ -66,7 +66,10 @@ class RenewBaseline(TransducerCommand):
     arguments: RenewalArguments
 
     def _carry_out(self, test: RunningTest, order_id: int) -> str:
-        """Retire the baseline, reset its alarms and collect a new one; return the result."""
+        """Retire the baseline, reset its active alarms and collect a new one, in one transaction.
+
+        Return the result as text, with the sets that the new baseline collects.
+        """
         position, moment, reason = self.arguments.position, test.moment(), self.arguments.note.strip()
         retired, collecting = renew(
             position,

@@ -29,12 +29,15 @@ def compute_remaining_s(row: CommandRow, *, boot: str | None, boot_ns: int, wall
 
 
 def remaining_now_s(row: CommandRow) -> float:
-    """Return the remaining time of a command in s, now and on this computer."""
+    """Return the time in s in which a command must be started, as of now on this computer; at least 0."""
     return compute_remaining_s(row, boot=boot_name(), boot_ns=elapsed_ns(), wall_utc_ns=time.time_ns())
 
 
 def apply_expiry(row: CommandRow, seconds_left: float) -> CommandRow:
-    """Return the row as its recorder will answer it: expired if it was not started in time."""
+    """Return the row with state ``expired`` and a result if it is pending without time left.
+
+    Any other row is returned as it is; nothing is stored.
+    """
     if row.state != "pending" or seconds_left > 0.0:
         return row
     return replace(row, state="expired", result=describe_expiry("its deadline passed before that"))
@@ -52,5 +55,5 @@ def read_command_state(catalogue: Catalogue, order_id: int) -> tuple[CommandRow,
 
 
 def describe_expiry(reason: str) -> str:
-    """Return the answer to a command that was not started."""
+    """Return the answer text to a command that was not started, with the reason."""
     return f"not executed: {reason}; send it again if it is still needed"

@@ -69,27 +69,40 @@ class CommandExecutor:
         self.paused = catalogue.paused() or ""
 
     def begin(self) -> None:
-        """Close the commands that an earlier recorder left open, without executing them."""
+        """Close the commands that an earlier recorder left open, without executing them.
+
+        Does so once; later calls do nothing.
+        """
         if not self._has_started:
             self.close("it was given before this recorder began")
             self._has_started = True
 
     def close(self, reason: str) -> None:
-        """Answer every open command without executing it."""
+        """Answer every open command without executing it: expired for this reason.
+
+        A started command that changes more than rows is answered as failed: its outcome is unknown.
+        """
         for row in self._catalogue.list_open_commands():
             is_unknown = row.state == "started" and not KINDS.get(row.kind, Command).rows_only
             answer = FAILED if is_unknown else ("expired", describe_expiry(reason))
             self._store_answer(row, self._answers.get(row.id, answer))
 
     def leave(self) -> None:
-        """Answer the commands that were not started, because this recorder does not execute them."""
+        """Answer the commands that are still open when this recorder ends, as `close` does.
+
+        An error of catalogue or disk is logged: the next recorder answers them.
+        """
         try:
             self.close("the recorder has ended")
         except (StorageError, OSError) as error:
             log.warning("open commands are not answered; the next recorder does it: %s", error)
 
     def listen(self) -> None:
-        """Execute the waiting commands; a rejected one is answered with the reason."""
+        """Execute the open commands in turn, store each answer, and update `paused`.
+
+        A rejected command is answered with the reason. An answer that an instrument owes is polled at the
+        next call. Raise StorageError if start or answer cannot be stored.
+        """
         self.begin()
         for row in self._catalogue.list_open_commands():
             # Once: if the disk cannot store an answer, the supply must not be switched on a second time.
@@ -101,16 +114,18 @@ class CommandExecutor:
                 self._store_answer(row, answer)
 
     def _store_answer(self, row: CommandRow, answer: Answer) -> None:
-        """Store the answer to a command."""
+        """Store a command's state and result; log a warning if it has expired or failed."""
         self._catalogue.finish_command(row.id, *answer)
         self._answers.pop(row.id, None)
         if answer[0] in ("expired", "failed"):
             log.warning("command %d (%s) of %s: %s: %s", row.id, row.kind, row.author, *answer)
 
     def _execute(self, row: CommandRow) -> Answer | None:
-        """Execute a command and return its state and result; None if they are stored with its changes.
+        """Mark a command as started, execute it, and return its state and result.
 
-        None also while an instrument has not responded.
+        Return None if they are stored with its changes, and while an instrument has not responded. An
+        expired command is not executed, a rejected one returns the reason. Raise StorageError if the start
+        cannot be stored, unless the command is one of `HARMLESS_TWICE`.
         """
         if (awaited := self._awaited.get(row.id)) is not None:
             return self._poll_answer(row, awaited)
@@ -145,7 +160,10 @@ class CommandExecutor:
         return None
 
     def _poll_answer(self, row: CommandRow, awaited: PendingAnswer) -> Answer | None:
-        """Return the answer of an instrument to a command that was sent to it; None while there is none."""
+        """Return the answer of an instrument to a command that was sent to it; None while there is none.
+
+        A rejection is returned as an answer, too.
+        """
         try:
             if (result := awaited()) is None:
                 return None
@@ -157,7 +175,7 @@ class CommandExecutor:
         return "done", result
 
     def _collect_facts(self) -> Facts:
-        """Return the facts that decide whether a command can be executed."""
+        """Collect from test and catalogue the facts that decide whether a command can be executed."""
         return Facts(
             can_skip_time=isinstance(self._test.clock, SimulatedClock),
             paused=self.paused,
@@ -171,6 +189,6 @@ class CommandExecutor:
 
 
 def _log_rejection(row: CommandRow, error: Exception) -> Answer:
-    """Log that a command is rejected, and return the answer."""
+    """Log a warning that a command is rejected; return state ``rejected`` with the error's text."""
     log.warning("command %d (%s) rejected: %s", row.id, row.kind, error)
     return "rejected", str(error)

@@ -97,7 +97,7 @@ class Refusal:
 
     @property
     def detail(self) -> str:
-        """Return the answer of the web service as a sentence."""
+        """Return the web service's answer: ``sentence``, else the reason as a sentence with a full stop."""
         return self.sentence or f"{self.reason[0].upper()}{self.reason[1:]}."
 
 
@@ -139,7 +139,7 @@ class AnnotationArguments(Strict):
 
     @model_validator(mode="after")
     def _check_range_order(self) -> Self:
-        """Check that the range does not end before it begins."""
+        """Return the arguments; ValueError if the range ends before it begins."""
         if self.to_h is not None and self.to_h < self.from_h:
             raise ValueError(f"the range ends at {self.to_h:g} h, before {self.from_h:g} h; let it end later")
         return self
@@ -195,7 +195,11 @@ class Command(Strict):
     arguments: Any = NoArguments()
 
     def find_refusal(self, facts: Facts) -> Refusal | None:
-        """Return why the command cannot be executed now; None if it can."""
+        """Return the refusal of the command in this state of the test; None if it can be executed.
+
+        A command that needs a recorder is refused if none runs or it has ended; each kind adds its own
+        conditions.
+        """
         ended = f"the recorder has {facts.recorder}" if facts.recorder in {"finished", "stopped"} else ""
         if self.needs_recorder and (ended or not facts.recorded):
             return Refusal(
@@ -209,6 +213,8 @@ class Command(Strict):
 
         Raises
         ------
+        CommandRejectedError
+            The facts do not allow the command; nothing was changed.
         ValueError
             The command was not executed, with the reason.
         """
@@ -216,7 +222,7 @@ class Command(Strict):
         return self._carry_out(test, order_id)
 
     def refuse_forbidden(self, facts: Facts) -> None:
-        """Raise an error if the command cannot be executed now.
+        """Raise an error if these facts do not allow the command; else do nothing.
 
         Raises
         ------
@@ -228,11 +234,11 @@ class Command(Strict):
             raise CommandRejectedError(refusal)
 
     def _find_refusal(self, facts: Facts) -> Refusal | None:
-        """Return the refusal in the present state; None allows the command. Kinds override it."""
+        """Return the kind's own refusal in this state; None, the default, allows the command."""
         return None
 
     def _carry_out(self, test: RunningTest, order_id: int) -> str | PendingAnswer:
-        """Execute the command and return its result. Each kind implements it."""
+        """Execute the command and return its result or a polling function. Each kind implements it."""
         raise NotImplementedError
 
 
@@ -243,7 +249,7 @@ class FinishNow(Command):
     arguments: NoArguments = NoArguments()
 
     def _find_refusal(self, facts: Facts) -> Refusal | None:
-        """Return why the test cannot skip to its end; None if it can."""
+        """Return the refusal unless the test runs on a simulated clock; None if it does."""
         if facts.can_skip_time:
             return None
         return Refusal(
@@ -253,7 +259,7 @@ class FinishNow(Command):
         )
 
     def _carry_out(self, test: RunningTest, order_id: int) -> str:
-        """Run the simulated clock without pacing from now on."""
+        """Run the simulated clock without pacing from now on; return the result as text."""
         assert isinstance(test.clock, SimulatedClock), "another clock forbids it"
         test.clock.finish_now()
         return "no pacing from here on"
@@ -266,7 +272,7 @@ class Stop(Command):
     arguments: NoArguments = NoArguments()
 
     def _carry_out(self, test: RunningTest, order_id: int) -> str:
-        """Request the recorder to stop."""
+        """Set the recorder's stop request and return at once; it ends after the shot being taken."""
         test.stop.set()
         return "stopping after the shot being taken"
 
@@ -278,11 +284,11 @@ class StoredCommand(Command):
     rows_only = True
 
     def _carry_out(self, test: RunningTest, order_id: int) -> str:
-        """Change the stored rows, as is possible without a recorder, too."""
+        """Execute `carry_out_stored`, which also works without a recorder, and return its text."""
         return self.carry_out_stored(test)
 
     def carry_out_stored(self, test: StoredTest) -> str:
-        """Execute the command in one transaction and return its result as text."""
+        """Execute the command in one transaction; return its result as text. Each kind implements it."""
         raise NotImplementedError
 
 
@@ -293,7 +299,7 @@ class AcknowledgeAlarm(StoredCommand):
     arguments: AlarmArguments
 
     def _find_refusal(self, facts: Facts) -> Refusal | None:
-        """Return why the alarm cannot be acknowledged; None if it can."""
+        """Return the refusal of an unknown alarm, or one whose state needs no acknowledgement; else None."""
         wanted = self.arguments.alarm_id
         state = next((row.state for row in facts.alarms if row.id == wanted), None)
         if state in AFTER_ACKNOWLEDGEMENT:
@@ -307,7 +313,7 @@ class AcknowledgeAlarm(StoredCommand):
         )
 
     def carry_out_stored(self, test: StoredTest) -> str:
-        """Acknowledge the alarm and return the result."""
+        """Store the alarm as acknowledged, with its event; return the result as text."""
         (row,) = (row for row in test.alarms.values() if row.id == self.arguments.alarm_id)
         moment = test.moment()
         test.change_alarms(moment, acknowledge_alarm(row, self.author, self.arguments.note, moment))
@@ -322,12 +328,12 @@ class Pause(Command):
     arguments: ReasonArguments
 
     def _find_refusal(self, facts: Facts) -> Refusal | None:
-        """Return why the test cannot be paused; None if it can."""
+        """Return the refusal if the test is paused already; None if it is not."""
         reason = f"the test is already {facts.paused}"
         return Refusal(reason, "Resume it first; a pause has one reason.") if facts.paused else None
 
     def _carry_out(self, test: RunningTest, order_id: int) -> str:
-        """Store the pause with its reason; return the result."""
+        """Store the event that pauses the test, with author and reason; return the result as text."""
         text = f"paused by {self.author}: {self.arguments.note}"
         test.store_event("pause", {"paused": text, "author": self.author})
         return "paused: nothing strikes until the test is resumed; due sets are missed"
@@ -341,12 +347,12 @@ class Resume(Command):
     arguments: NoteArguments = NoteArguments()
 
     def _find_refusal(self, facts: Facts) -> Refusal | None:
-        """Return why the test cannot be resumed; None if it can."""
+        """Return the refusal if the test is not paused; None if it is."""
         hint = "Only a paused test can be resumed."
         return None if facts.paused else Refusal("the test is not paused", hint)
 
     def _carry_out(self, test: RunningTest, order_id: int) -> str:
-        """Store the end of the pause; return the result."""
+        """Store the event that ends the pause; return the result as text."""
         test.store_event("resume", {"paused": "", "author": self.author, "note": self.arguments.note})
         return "resumed: the next due set is taken"
 
@@ -358,7 +364,7 @@ class TrustClock(Command):
     arguments: NoteArguments = NoteArguments()
 
     def _find_refusal(self, facts: Facts) -> Refusal | None:
-        """Return why the clock cannot be trusted; None if it can."""
+        """Return the refusal unless the alarm `CLOCK_UNVERIFIED` is active; None if it is."""
         standing = ("unacknowledged", "acknowledged")
         if any(row.kind == CLOCK_UNVERIFIED and row.state in standing for row in facts.alarms):
             return None
@@ -367,7 +373,7 @@ class TrustClock(Command):
         )
 
     def _carry_out(self, test: RunningTest, order_id: int) -> str:
-        """Trust the clock; return the result."""
+        """Accept the computer's clock as test time; return the result as text."""
         assert isinstance(test.clock, WallClock), "no other clock is doubted"
         return test.clock.accept_system_clock()
 
@@ -379,7 +385,10 @@ class TransducerCommand(Command):
     arguments: TransducerArguments
 
     def _find_refusal(self, facts: Facts) -> Refusal | None:
-        """Return why a command about this transducer is rejected; None if the transducer exists."""
+        """Return the refusal of a position that is no solitary-wave transducer, else that of its state.
+
+        None if the command is allowed there.
+        """
         position = self.arguments.position
         if position not in facts.positions:
             missing = f"there is no solitary-wave transducer {position!r}"
@@ -388,7 +397,10 @@ class TransducerCommand(Command):
         return self._find_refusal_at(position, states.find_disabled(facts.alarms).get(position))
 
     def _find_refusal_at(self, position: str, disabled: str | None) -> Refusal | None:
-        """Return the rejection at a transducer that is disabled for this reason."""
+        """Return the refusal if the position is disabled, for the reason given; None if it is enabled.
+
+        Kinds override it.
+        """
         reason, hint = f"{position} is disabled", "Enable it when it is repaired."
         return None if disabled is None else Refusal(reason, hint, f"{reason}: {disabled}.")
 
@@ -399,7 +411,7 @@ class Disable(TransducerCommand):
     kind: Literal["disable"]
 
     def _carry_out(self, test: RunningTest, order_id: int) -> str:
-        """Disable the transducer by raising its alarm; return the result."""
+        """Raise the latched alarm that disables the transducer, and store it; return the result as text."""
         position, moment = self.arguments.position, test.moment()
         condition = states.Condition(
             position=position,
@@ -422,12 +434,12 @@ class Enable(TransducerCommand):
     kind: Literal["enable"]
 
     def _find_refusal_at(self, position: str, disabled: str | None) -> Refusal | None:
-        """Refuse to enable a position that is not disabled."""
+        """Return the refusal of a position that is not disabled; None if it is."""
         reason, hint = f"{position} is not disabled", "/api/v1/transducers lists which are, and why."
         return Refusal(reason, hint) if disabled is None else None
 
     def _carry_out(self, test: RunningTest, order_id: int) -> str:
-        """Reset the alarms that disable the transducer; return the result."""
+        """Reset the alarms that disable the transducer, and store them; return the result as text."""
         position, moment = self.arguments.position, test.moment()
         standing = [
             row
@@ -446,14 +458,14 @@ class Strike(TransducerCommand):
     kind: Literal["strike"]
 
     def _find_refusal(self, facts: Facts) -> Refusal | None:
-        """Return why no unscheduled set can be taken; None if one can."""
+        """Return the refusal if the test is paused or the transducer unknown or disabled; else None."""
         if facts.paused:
             reason = f"the test is {facts.paused}"
             return Refusal(reason, "Resume it when all hands are out of the rig.")
         return super()._find_refusal(facts)
 
     def _carry_out(self, test: RunningTest, order_id: int) -> str:
-        """Request an unscheduled set; return the result."""
+        """Store the request for an unscheduled set; return the result as text. The set is taken later."""
         position = self.arguments.position
         reason = self.arguments.note or f"{self.author} wants to know"
         test.store(test.confirmation(position, self.author, reason))
@@ -462,7 +474,7 @@ class Strike(TransducerCommand):
 
 class _SupplyCommand(Command):
     def _find_refusal(self, facts: Facts) -> Refusal | None:
-        """Return why the supply cannot be switched; None if it can."""
+        """Return the refusal if the test has no supply; None if it has one."""
         if facts.has_supply:
             return None
         return Refusal(
@@ -480,7 +492,7 @@ class SupplyOn(_SupplyCommand):
     arguments: SupplyArguments = SupplyArguments()
 
     def _carry_out(self, test: RunningTest, order_id: int) -> PendingAnswer:
-        """Switch the supply on; return the answer that is pending."""
+        """Send the command to the supply without waiting; return a function that polls for its answer."""
         volts, amperes = self.arguments.voltage_v, self.arguments.current_limit_a
         return test.switch.supply_on(
             self.author, test.moment().due_h, voltage_v=volts, current_limit_a=amperes
@@ -494,7 +506,7 @@ class SupplyOff(_SupplyCommand):
     arguments: NoteArguments = NoteArguments()
 
     def _carry_out(self, test: RunningTest, order_id: int) -> PendingAnswer:
-        """Switch the supply off; the answer follows when it is off."""
+        """Send the command to the supply without waiting; return a function that polls for its answer."""
         return test.switch.supply_off(self.author, test.moment().due_h)
 
 
@@ -505,7 +517,7 @@ class Annotate(StoredCommand):
     arguments: AnnotationArguments
 
     def _find_refusal(self, facts: Facts) -> Refusal | None:
-        """Return why the annotation cannot be stored; None if it can."""
+        """Return the refusal of an unknown position; None for a known one or the complete test."""
         position = self.arguments.position
         if position is None or position in facts.places:
             return None
@@ -516,7 +528,7 @@ class Annotate(StoredCommand):
         )
 
     def carry_out_stored(self, test: StoredTest) -> str:
-        """Store the annotation and return the result."""
+        """Store the annotation with its event; an instant has equal first and last hour. Return the text."""
         arguments = self.arguments
         row = AnnotationRow(
             position=arguments.position,
@@ -537,7 +549,7 @@ class WithdrawAnnotation(StoredCommand):
     arguments: WithdrawalArguments
 
     def _find_refusal(self, facts: Facts) -> Refusal | None:
-        """Return why the annotation cannot be withdrawn; None if it can."""
+        """Return the refusal of an annotation that is unknown or withdrawn already; else None."""
         wanted = self.arguments.annotation_id
         row = next((row for row in facts.annotations if row.id == wanted), None)
         if row is None:
@@ -552,7 +564,7 @@ class WithdrawAnnotation(StoredCommand):
         )
 
     def carry_out_stored(self, test: StoredTest) -> str:
-        """Mark the annotation as withdrawn and return the result."""
+        """Store time and author of the withdrawal; the annotation is kept. Return the result as text."""
         (row,) = (row for row in test.annotations() if row.id == self.arguments.annotation_id)
         withdrawn = replace(row, withdrawn_utc_ns=test.moment().utc_ns, withdrawn_by=self.author)
         test.annotate(withdrawn, "annotation_withdrawn")

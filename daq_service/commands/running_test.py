@@ -29,11 +29,14 @@ class SupplySwitch(Protocol):
     def supply_on(
         self, author: str, hour: float, *, voltage_v: float | None, current_limit_a: float | None
     ) -> PendingAnswer:
-        """Switch the supply on; voltage and limit as configured if not given."""
+        """Switch the supply on; voltage and limit as configured if None.
+
+        Return a function that polls for the answer. ``hour`` is the test time of the command.
+        """
         ...
 
     def supply_off(self, author: str, hour: float) -> PendingAnswer:
-        """Switch the supply off."""
+        """Switch the supply off; return a function that polls for the answer. ``hour`` is the test time."""
         ...
 
 
@@ -59,22 +62,25 @@ class StoredTest:
     store: Callable[[SetCommit], None]
 
     def store_event(self, kind: str, payload: Mapping[str, object]) -> None:
-        """Store an event of the service itself."""
+        """Store an event of the stream ``service``, in a transaction of its own, at the present moment."""
         self.store(SetCommit(events=[self.moment().event("service", kind, payload)]))
 
     def annotate(self, row: AnnotationRow, kind: str) -> None:
-        """Store a new or changed annotation."""
+        """Store a new or changed annotation together with its event of this kind in one transaction."""
         transaction = SetCommit()
         transaction.add_annotation(row, self.moment().event("annotations", kind, {}, position=row.position))
         self.store(transaction)
 
     def alarm(self, alarm_id: int) -> AlarmRow:
-        """Return a current alarm, without an expired shelf."""
+        """Return the current alarm with this id; a shelf that has expired is removed from it.
+
+        ValueError if no current alarm has the id.
+        """
         (row,) = (row for row in self.alarms.values() if row.id == alarm_id)
         return remove_expired_shelf(row, utc_ns=self.moment().utc_ns, wall_utc_ns=time.time_ns())
 
     def change_alarms(self, moment: Moment, *changes: Change) -> None:
-        """Store changes of alarms in one transaction."""
+        """Store changed alarms with their events in one transaction; no change makes an empty one."""
         transaction = SetCommit()
         for change in changes:
             transaction.add_alarm(change.row, change.event(moment))
@@ -119,7 +125,15 @@ class RunningTest(StoredTest):
     def change_baselines(
         self, moment: Moment, *steps: tuple[BaselineRow, str], ended: Iterable[Change] = ()
     ) -> None:
-        """Store changed baselines, each with its kind of event, and changed alarms in one transaction."""
+        """Store changed baselines, each with its kind of event, and changed alarms in one transaction.
+
+        Parameters
+        ----------
+        steps
+            Baselines and the kind of their event, in the order of their events.
+        ended
+            Changes of alarms; their events come first.
+        """
         transaction = SetCommit()
         for change in ended:
             transaction.add_alarm(change.row, change.event(moment))
@@ -129,6 +143,6 @@ class RunningTest(StoredTest):
 
     @property
     def switch(self) -> SupplySwitch:
-        """Return the switch of a test that has a supply."""
+        """Return the switch of the supply; AssertionError for a test without one."""
         assert self.supply is not None, "a test without one forbids the command"
         return self.supply

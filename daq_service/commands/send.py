@@ -44,7 +44,7 @@ def send_command(
     machine: MachineClock = MACHINE,
     **arguments: str | float | None,
 ) -> int:
-    """Send a command, wait for its answer and print it.
+    """Send a command, wait for its answer and print it; return the exit code 0 if it was executed.
 
     The folder's configuration is not compared with CONFIG: a hold must not fail for a wrong file.
 
@@ -102,7 +102,10 @@ def send_command(
 
 
 def _require_recorder(folder: Path, catalogue: Catalogue) -> None:
-    """Raise an error unless a recorder of the folder executes commands."""
+    """Raise BusyError unless a recorder of the folder runs and executes commands.
+
+    The message states whether none runs, or its rig is not open yet.
+    """
     event = catalogue.read_last_service_event(*PROCESS_EVENTS)
     recorder = read_recorder_state(folder, [event.kind] if event else [])
     if recorder.status == "running" and not recorder.listens:
@@ -120,7 +123,10 @@ def _require_recorder(folder: Path, catalogue: Catalogue) -> None:
 def _wait_for_answer(
     catalogue: Catalogue, order_id: int, carried_out_within_s: float, machine: MachineClock
 ) -> CommandRow:
-    """Wait for the answer to a command and return its row; after the time limit, its current row."""
+    """Poll a command every `LOOK_EVERY_S` until it is answered or has expired, and return its row.
+
+    A row whose state is still ``started`` is returned ``carried_out_within_s`` after the start was seen.
+    """
     started_s: float | None = None
     while True:
         command = read_command_state(catalogue, order_id)
@@ -136,7 +142,7 @@ def _wait_for_answer(
 
 
 def user_name() -> str:
-    """Return the user name of the operating system."""
+    """Return the user name of the operating system; ``operator`` if it has none."""
     try:
         return getpass.getuser()
     except (OSError, KeyError, ImportError):

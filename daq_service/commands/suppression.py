@@ -39,11 +39,11 @@ class ShelfArguments(OutOfServiceArguments):
 
 class _AlarmOrder(StoredCommand):
     def _apply_change(self, row: AlarmRow, moment: states.Moment) -> states.Change:
-        """Return the changed alarm; raise ValueError if its state does not allow the change."""
+        """Return the alarm's change; ValueError if its state does not allow it. Kinds implement it."""
         raise NotImplementedError
 
     def _find_refusal(self, facts: Facts) -> Refusal | None:
-        """Return why the alarm cannot be changed so; None if it can."""
+        """Return the refusal of an unknown or superseded alarm, or of its state; None if it can change."""
         wanted = self.arguments.alarm_id
         row = next((row for row in facts.alarms if row.id == wanted), None)
         if row is None:
@@ -59,7 +59,7 @@ class _AlarmOrder(StoredCommand):
         return None
 
     def carry_out_stored(self, test: StoredTest) -> str:
-        """Change the suppression of the alarm and return the result."""
+        """Store the changed suppression of the alarm; return the command's kind in words."""
         moment = test.moment()
         test.change_alarms(moment, self._apply_change(test.alarm(self.arguments.alarm_id), moment))
         return self.kind.replace("_", " ")
@@ -72,7 +72,7 @@ class ShelveAlarm(_AlarmOrder):
     arguments: ShelfArguments
 
     def _apply_change(self, row: AlarmRow, moment: states.Moment) -> states.Change:
-        """Shelve the alarm for some hours."""
+        """Return the change that shelves the alarm for ``for_h`` hours; ValueError if it is not allowed."""
         arguments = self.arguments
         return shelve(row, self.author, arguments.reason.strip(), arguments.for_h, moment, time.time_ns())
 
@@ -84,7 +84,7 @@ class UnshelveAlarm(_AlarmOrder):
     arguments: AlarmArguments
 
     def _apply_change(self, row: AlarmRow, moment: states.Moment) -> states.Change:
-        """End the shelving of the alarm."""
+        """Return the change that ends the alarm's shelving; ValueError if it is not shelved."""
         return end_suppression(row, "shelved", self.author, self.arguments.note, moment)
 
 
@@ -95,7 +95,7 @@ class TakeOutOfService(_AlarmOrder):
     arguments: OutOfServiceArguments
 
     def _apply_change(self, row: AlarmRow, moment: states.Moment) -> states.Change:
-        """Take the alarm out of service."""
+        """Return the change that takes the alarm out of service; ValueError if it is out already."""
         return take_out_of_service(row, self.author, self.arguments.reason.strip(), moment)
 
 
@@ -106,5 +106,5 @@ class ReturnToService(_AlarmOrder):
     arguments: AlarmArguments
 
     def _apply_change(self, row: AlarmRow, moment: states.Moment) -> states.Change:
-        """Return the alarm to service."""
+        """Return the change that returns the alarm to service; ValueError if it is not out of service."""
         return end_suppression(row, "out_of_service", self.author, self.arguments.note, moment)

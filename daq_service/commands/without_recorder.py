@@ -27,7 +27,7 @@ def carry_out_unattended(
     facts: Callable[[Catalogue], Facts],
     moment: Callable[[], Moment],
 ) -> int:
-    """Execute a command in place of the recorder and return its id.
+    """Execute a command in place of the recorder, holding its lock, and return the command's id.
 
     Parameters
     ----------

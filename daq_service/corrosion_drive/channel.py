@@ -27,13 +27,16 @@ Message = Mapping[str, Any]
 
 
 def sign_message(key: bytes, message: Message) -> bytes:
-    """Encode a message as a signed line."""
+    """Encode a message as a line: HMAC-SHA256 in hexadecimal, a space, its JSON, a line feed."""
     body = json.dumps(message).encode()
     return hmac.new(key, body, "sha256").hexdigest().encode() + b" " + body + b"\n"
 
 
 def verify_line(key: bytes, line: bytes) -> Message | None:
-    """Decode the message of a line; return None if it was not signed with this key."""
+    """Verify the signature of a line and decode its message.
+
+    Return None if it was not signed with this key, or its JSON is no object.
+    """
     signature, _, body = line.rstrip(b"\n").partition(b" ")
     if not hmac.compare_digest(signature, hmac.new(key, body, "sha256").hexdigest().encode()):
         return None
@@ -49,24 +52,24 @@ class Connection:
         self.socket, self._key, self._pending = connected, key, b""
 
     def send(self, message: Message) -> None:
-        """Send a signed message to the peer.
+        """Send a signed message to the peer without waiting.
 
         Raises
         ------
         OSError
-            The other side is gone, or does not read.
+            The other side is gone, or does not read (BlockingIOError).
         """
         line = sign_message(self._key, message)
         if self.socket.send(line) != len(line):
             raise BlockingIOError("the other side does not read")
 
     def read_messages(self) -> list[Message]:
-        """Return the messages received since the last call, without waiting.
+        """Return the complete messages received since the last call, without waiting; empty if none.
 
         Raises
         ------
         OSError
-            The other side is gone, or has another key.
+            The other side is gone, has another key, or sends a line above `LONGEST_LINE`.
         """
         try:
             data = self.socket.recv(LONGEST_LINE)
@@ -86,7 +89,7 @@ class Connection:
 
 
 def connect_to_server(port: int, key: bytes) -> Connection:
-    """Connect to a server on this computer.
+    """Connect to a server on this computer, within `CONNECT_WITHIN_S`.
 
     Raises
     ------
@@ -118,7 +121,10 @@ class Server:
         self._listener.close()
 
     def serve(self, wait_s: float, answer: Callable[[Message], Message]) -> None:
-        """Answer the messages that arrive within a time."""
+        """Wait up to ``wait_s`` for connections and messages, and answer each message.
+
+        Returns after the first that arrive. A connection that fails is closed and logged.
+        """
         for event, _ in self._selector.select(wait_s):
             connection: Connection | None = event.data
             if connection is None:
@@ -133,7 +139,7 @@ class Server:
                 connection.close()
 
     def _accept_connection(self) -> None:
-        """Accept a connection, unless there are too many."""
+        """Accept a connection; close it at once if there are `MOST_CONNECTIONS` already."""
         with contextlib.suppress(OSError):  # the client has already gone
             connection = Connection(self._listener.accept()[0], self._key)
             if len(self._selector.get_map()) > MOST_CONNECTIONS:

@@ -28,6 +28,8 @@ def add_interval(
 ) -> Charge:
     """Integrate the current between two readings by the trapezoid rule, Q += (I_1 + I_2) t / 2.
 
+    Return the new charge; ``charge`` is not changed.
+
     Parameters
     ----------
     elapsed_s
@@ -44,7 +46,10 @@ def add_interval(
 
 
 def compute_elapsed_s(before: Stamp, after: Stamp) -> float:
-    """Compute the time between two stamps, s: monotonic within a boot, UTC across boots."""
+    """Compute the time between two stamps in s: monotonic within a boot, UTC across boots.
+
+    Negative if the clock was set back between boots.
+    """
     if before.boot_id == after.boot_id:
         return (after.mono_ns - before.mono_ns) / NS_PER_S
     return (after.utc_ns - before.utc_ns) / NS_PER_S
@@ -87,7 +92,11 @@ class DriveState:
 def restore_charge_state(
     row: EnvironmentRow | None, *, written_utc_ns: int, parameters: DriveParameters
 ) -> DriveState:
-    """Restore the state from the newest row of ``environment``, written at ``written_utc_ns``."""
+    """Restore the state from the newest row of ``environment``, written at ``written_utc_ns``.
+
+    Without a row, or with one of a test without supply, everything is at zero. The command is restored only
+    if the output was on and the interlock had not tripped.
+    """
     if row is None or row.supply_state == "absent":
         return DriveState()
     charge = Charge(coulomb=row.charge_coulomb or 0.0, unknown_s=row.unknown_s or 0.0)

@@ -27,7 +27,7 @@ class ClimateLog:
         self._changed_ns = clock.mono_ns()
 
     def tick(self) -> None:
-        """Read the probe if a reading is due; log an instrument's error without raising it."""
+        """Read the probe if a reading is due, which blocks; an instrument error is logged, not raised."""
         now_ns = self._clock.mono_ns()
         if not self._log.is_due(now_ns):
             return
@@ -45,14 +45,18 @@ class ClimateLog:
             self._log.record_success(now_ns)
 
     def quality(self) -> ReadingQuality:
-        """Return the quality of the newest reading; "suspect" if it has repeated the same values for long."""
+        """Return the quality of the newest reading, as `ReadingLog.quality`.
+
+        ``suspect`` instead of ``good`` if temperature and humidity have not changed for
+        ``suspect_after_s``.
+        """
         now_ns = self._clock.mono_ns()
         quality = self._log.quality(now_ns)
         unchanged_s = (now_ns - self._changed_ns) / NS_PER_S
         return "suspect" if quality == "good" and unchanged_s >= self._parameters.suspect_after_s else quality
 
     def not_responding(self) -> str:
-        """Return the message of the alarm; empty while the probe responds."""
+        """Return the alarm's message with the time without reading; empty while the probe responds."""
         if self.quality() != "no_communication":
             return ""
         silent_s = self._log.silent_s(self._clock.mono_ns())
@@ -60,7 +64,7 @@ class ClimateLog:
         return str(message.format(silent_s=silent_s, read_error=self._log.error))
 
     def add_to_row(self, row: EnvironmentRow) -> EnvironmentRow:
-        """Add the newest reading, its quality and its age to a row."""
+        """Return a copy of a row with the newest reading (None without one), its quality and its age in s."""
         now_ns, reading = self._clock.mono_ns(), self._reading
         return replace(
             row,

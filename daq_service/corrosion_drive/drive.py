@@ -58,7 +58,7 @@ class ReportsProtections(Protocol):
 
     @property
     def tripped_protections(self) -> tuple[str, ...]:
-        """Return the protections found tripped when the output was last found off."""
+        """Return the protections found tripped when the output was last found off; empty without a trip."""
         ...
 
     @property
@@ -104,7 +104,7 @@ class SupplyLogger:
 
     @property
     def state(self) -> DriveState:
-        """Return the state for the next supply process."""
+        """Return the state that the next supply process restores."""
         return DriveState(
             charge=self._charge,
             command=self._command,
@@ -116,13 +116,17 @@ class SupplyLogger:
 
     @property
     def window_length(self) -> int:
-        """Return the number of readings in the means."""
+        """Return the number of readings since `start_window`, over which the row's means are taken."""
         return len(self._window)
 
     # Called by its owner continuously ------------------------------------------------------------
 
     def tick(self) -> None:
-        """Read the supply or switch it off, if due; log an instrument's error without raising it."""
+        """Read the supply, or switch it off if that is pending, if due.
+
+        Blocks for one call of the supply. An instrument error is logged, not raised; a long silence trips
+        the interlock.
+        """
         now_ns = self._clock.mono_ns()
         if self._supply_log.is_due(now_ns):
             self._supply_log.record_attempt(now_ns)
@@ -134,7 +138,7 @@ class SupplyLogger:
                 self._supply_log.read_within(now_ns, SWITCH_OFF_EVERY_S)
 
     def _switch_off_or_read(self, supply: PowerSupply, now_ns: int) -> None:
-        """Switch off if that is pending; otherwise read."""
+        """Switch off if that is pending, else read and process the reading; InstrumentError if that fails."""
         if self.must_switch_off:
             supply.make_safe()
             self.must_switch_off = False
@@ -145,7 +149,11 @@ class SupplyLogger:
             self._process_reading(reading)
 
     def _process_reading(self, reading: SupplyReading) -> None:
-        """Store a reading, integrate its charge, and switch off if the interlock requires it."""
+        """Store a reading, integrate its charge, and switch off where that is required.
+
+        An output on without a command, a value above its cap, and consecutive high currents switch off; the
+        latter two trip the interlock.
+        """
         self._book_charge(reading)
         self._window.append(reading)
         self._newest = reading
@@ -179,11 +187,14 @@ class SupplyLogger:
         self._deviates_since_ns = (self._deviates_since_ns or reading.stamp.mono_ns) if deviates else None
 
     def _follows_command(self, reading: SupplyReading) -> bool:
-        """Return whether a reading is newer than the last command: an older one does not show its result."""
+        """Return whether a reading is not older than the last command.
+
+        An older one does not show its result.
+        """
         return reading.stamp.mono_ns >= self._commanded_ns
 
     def _commanded_values(self) -> tuple[float, float]:
-        """Return the commanded voltage in V and the commanded current limit in A."""
+        """Return voltage in V and current limit in A of the command, as configured where it has none."""
         command, parameters = self._command or Command(), self._parameters
         return (
             parameters.voltage_v if command.voltage_v is None else command.voltage_v,
@@ -191,12 +202,15 @@ class SupplyLogger:
         )
 
     def _is_limited(self, reading: SupplyReading) -> bool:
-        """Return whether the supply limits its current."""
+        """Return whether the output is on and its current is at the limit, within the tolerance."""
         limit_a = self._commanded_values()[1]
         return reading.output_on and reading.current_a >= limit_a - self._parameters.readback_tolerance_a
 
     def _deviates(self, reading: SupplyReading) -> bool:
-        """Return whether voltage or current deviates; in current limit, only a high voltage does."""
+        """Return whether voltage or current of an output commanded on deviates beyond its tolerance.
+
+        In current limit a low voltage is normal. A current below ``minimum_current_a`` deviates.
+        """
         voltage_v, limit_a = self._commanded_values()
         parameters = self._parameters
         above_v = reading.voltage_v - voltage_v
@@ -213,7 +227,10 @@ class SupplyLogger:
         )
 
     def _book_charge(self, reading: SupplyReading) -> None:
-        """Add the charge since the last reading; a gap adds to the time with unknown current."""
+        """Add the charge since the last reading; a gap adds to the time with unknown current.
+
+        At the first reading the time since the last run's booking is unknown.
+        """
         if self._newest is not None:
             self._charge = add_interval(
                 self._charge,
@@ -229,7 +246,10 @@ class SupplyLogger:
         self._booked_utc_ns = reading.stamp.utc_ns
 
     def _handle_failure(self, error: InstrumentError, now_ns: int) -> None:
-        """Log an instrument's error, and trip the interlock after a long silence."""
+        """Log the first of consecutive instrument errors, and trip the interlock after a long silence.
+
+        It trips only with a command in force; the switch-off is then pending.
+        """
         if not self._supply_log.error:
             log.warning("supply: %s", error)
         self._supply_log.error = str(error)
@@ -303,11 +323,14 @@ class SupplyLogger:
         return Reply(done=True)
 
     def switch_off_at_end(self) -> None:
-        """Switch the output off at the end of a test; raise an InstrumentError where that fails."""
+        """Switch the output off at the end of a test; InstrumentError leaves the switch-off pending."""
         self.switch_off("the end of the test")
 
     def end_command(self) -> None:
-        """End the command `on`; after this, an output found on is switched off."""
+        """End the command `on`, and read at once; an output found on after this is switched off.
+
+        Nothing is sent here.
+        """
         if self._command is not None:
             self._supply_log.read_at_once(self._clock.mono_ns())
         self._command, self._high_readings = None, 0
@@ -330,7 +353,10 @@ class SupplyLogger:
         return self._switch_off_now()
 
     def _latch_interlock(self, reason: str) -> None:
-        """Trip the interlock for a reason, and request that the output is switched off."""
+        """Record the first trip reason, end the command, and request a switch-off.
+
+        Nothing is sent here.
+        """
         if self.tripped is None:
             self.tripped = reason
             log.error("interlock tripped: %s", reason)
@@ -338,7 +364,10 @@ class SupplyLogger:
         self.must_switch_off = True
 
     def _switch_off_now(self) -> bool:
-        """Switch the output off and read it at once; return False after an instrument error."""
+        """Switch the output off; True if it was read back as off.
+
+        False after an instrument error: the switch-off stays pending.
+        """
         now_ns = self._clock.mono_ns()
         self.must_switch_off = True
         try:
@@ -353,13 +382,13 @@ class SupplyLogger:
     # Readings and conditions ----------------------------------------------------------------------
 
     def output(self) -> SupplyState:
-        """Return the output state as last read; unknown once the newest reading is not good."""
+        """Return ``on`` or ``off`` as last read; ``unknown`` unless the newest reading is good."""
         if self._newest is None or self._supply_log.quality(self._clock.mono_ns()) != "good":
             return "unknown"
         return "on" if self._newest.output_on else "off"
 
     def conditions(self) -> tuple[DriveCondition, ...]:
-        """Return each possible alarm of the supply with whether its condition is present."""
+        """Return the condition of each possible alarm of the supply, in the order of `CONDITIONS`."""
         now_ns, reading, command = self._clock.mono_ns(), self._newest, self._command
         voltage_v, limit_a = self._commanded_values()
         measured = "" if reading is None else f"{reading.voltage_v:.3g} V, {reading.current_a:.3g} A"
@@ -398,11 +427,17 @@ class SupplyLogger:
         )
 
     def start_window(self, n_stored: int | None = None) -> None:
-        """Restart the means after a row is stored; keep only readings after its first ``n_stored``."""
+        """Restart the means after a row is stored: delete its first ``n_stored`` readings (None: all).
+
+        Readings after them stay for the next row.
+        """
         del self._window[:n_stored]
 
     def row(self, set_index: int, due_h: float) -> EnvironmentRow:
-        """Build the row of a set in ``environment``: means since `start_window`, totals since hour 0."""
+        """Build the row of a set in ``environment``: means since `start_window`, totals since hour 0.
+
+        Voltages and currents are None without a reading since then.
+        """
         now_ns, reading_log = self._clock.mono_ns(), self._supply_log
         voltages_v = [reading.voltage_v for reading in self._window]
         currents_a = [reading.current_a for reading in self._window]
@@ -432,7 +467,7 @@ class SupplyLogger:
 
 
 def row_without_supply(set_index: int, due_h: float) -> EnvironmentRow:
-    """Build the row of a set without a supply."""
+    """Build the environment row of a set with supply and climate probe marked as absent."""
     return EnvironmentRow(
         set_index=set_index,
         due_h=due_h,
@@ -443,7 +478,7 @@ def row_without_supply(set_index: int, due_h: float) -> EnvironmentRow:
 
 
 def summarise_row(row: EnvironmentRow) -> dict[str, float | str | None]:
-    """Return the columns of ``environment`` without those that identify the set."""
+    """Return the columns of an ``environment`` row by name, without those that identify the set."""
     return {name: value for name, value in as_dict(row).items() if name not in ("id", "set_index", "due_h")}
 
 

@@ -24,25 +24,34 @@ class FileThread:
         return self
 
     def __exit__(self, *_: object) -> None:
-        """Close the thread and wait for the running job for a limited time."""
+        """Close the thread; a pending job is run first.
+
+        Wait for that up to `FLUSH_WITHIN_S`, but not at all while a job is running: it may hang.
+        """
         with self._changed:
             self._closed = True
             self._changed.notify_all()
         self._thread.join(0.0 if self._busy else FLUSH_WITHIN_S)
 
     def run(self, job: Callable[[], None]) -> None:
-        """Run a job as soon as the previous one has ended, without waiting for it."""
+        """Run a job as soon as the previous one has ended, without waiting for it.
+
+        It replaces a job that has not started, which then never runs.
+        """
         with self._changed:
             self._job = job
             self._changed.notify_all()
 
     def flush(self, within_s: float = FLUSH_WITHIN_S) -> bool:
-        """Wait for the end of all jobs, for a limited time; return False if a job hangs."""
+        """Wait until all jobs have ended; False if they have not within ``within_s``."""
         with self._changed:
             return self._changed.wait_for(lambda: self._job is None and not self._busy, within_s)
 
     def _run_newest_jobs(self) -> None:
-        """Run the newest job each time until the thread is closed (body of the thread)."""
+        """Run the newest job each time until the thread is closed (body of the thread).
+
+        A pending job is run before it ends. An error of a job ends the thread.
+        """
         while True:
             with self._changed:
                 self._changed.wait_for(lambda: self._job is not None or self._closed)

@@ -44,7 +44,11 @@ class DriveGuard:
         self._next_s = self._checked_s = machine.mono_s()
 
     def check(self) -> None:
-        """Start, connect to or replace the supply process, if that is due."""
+        """Start, connect to or replace the supply process, if that is due; never waits.
+
+        Without a process, one is started every `CHECK_EVERY_S` while the output may be on, else at the
+        longest interval without a check.
+        """
         now_s = self._machine.mono_s()
         if is_owned(self._folder, DRIVE_LOCK) is not False:
             self._checked_s = now_s

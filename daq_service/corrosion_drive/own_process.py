@@ -63,14 +63,20 @@ Jobs = Callable[[Callable[[], None]], None]
 
 @cache
 def hash_supply_settings(parameters: DriveParameters) -> str:
-    """Compute a hash that must be the same in a recorder and in its supply process."""
+    """Return the SHA-256 (hexadecimal) of solimon's version and the parameters; cached.
+
+    It must be the same in a recorder and in its supply process.
+    """
     return hashlib.sha256(f"{version('solimon')} {parameters!r}".encode()).hexdigest()
 
 
 def decide_next_action(
     *, silent_s: float, alone_s: float, watchdog_timeout_s: float, commanded: bool, pending: bool, stays: bool
 ) -> Action:
-    """Choose the next action from the time without a recorder.
+    """Choose the next action from the time without a recorder: stay, switch off, or leave.
+
+    With a command in force only the watchdog timeout switches off. Without one, the process leaves after at
+    most `LEAVE_AFTER_S`, unless a switch-off is pending or it stays.
 
     Parameters
     ----------
@@ -147,7 +153,10 @@ class DriveProcess:
         self.leaves = False
 
     def step(self) -> None:
-        """Read the supply, store the state, and switch off or end without a recorder."""
+        """Read the supply, store the state; without a recorder switch off, or set `leaves`.
+
+        Blocks for one call of the supply. After a hand-over it only waits for the successor's reading.
+        """
         if self._released_ns is not None:
             self._await_successor(self._released_ns)
             return
@@ -175,7 +184,10 @@ class DriveProcess:
             self._hand_over(self._successor_port)
 
     def store_state(self, *, at_once: bool = False) -> None:
-        """Store the state for the next process; log errors of the disk."""
+        """Queue the state for writing: after a change, at an interval, or ``at_once``.
+
+        The file thread writes it; errors of the disk are logged.
+        """
         stored, now_ns, row = self._stored, self._clock.mono_ns(), self._drive.row(0, 0.0)
         state = self._drive.state
         if row.supply_age_s is not None:
@@ -202,7 +214,7 @@ class DriveProcess:
         self._jobs(partial(self._write_state, self._stored))
 
     def _write_state(self, stored: StoredState) -> None:
-        """Write the state; log the first of consecutive disk errors."""
+        """Write the state to its file; log the first of consecutive disk errors, raise none."""
         try:
             write_stored_state(self._folder, stored)
         except OSError as error:
@@ -213,7 +225,9 @@ class DriveProcess:
             self._disk_error, self._written_state = "", stored
 
     def end(self) -> None:
-        """Switch the output off unless it was read as off.
+        """Switch the output off unless it was read as off, and store the state.
+
+        After a hand-over the port is opened again if no successor has read the supply.
 
         Raises
         ------
@@ -233,7 +247,7 @@ class DriveProcess:
         self.store_state(at_once=True)
 
     def close(self) -> None:
-        """Release the port and the lock."""
+        """Release the port and the lock; harmless when done before."""
         self._resources.close()
 
     # Hand-over ---------------------------------------------------------------------------------------
@@ -242,7 +256,8 @@ class DriveProcess:
         """Release port and lock; before that, switch off a supply that the successor cannot reach.
 
         A supply that was never read at this port is released at once: the successor may reach it. With
-        another port this process then ends.
+        another port this process then ends. Nothing is released before the state is written and a pending
+        switch-off is done: the next step tries again.
         """
         is_off = self._drive.state.command is None and self._drive.output() == "off"
         other_port, was_read = successor_port != self._supply_port, self._last_read_port == self._supply_port
@@ -262,7 +277,10 @@ class DriveProcess:
         self.leaves = other_port
 
     def _await_successor(self, released_ns: int) -> None:
-        """End once the successor has read the supply; if it does not in time, switch off here."""
+        """End once the successor has read the supply; after `SUCCEEDED_WITHIN_S`, switch off here.
+
+        If that fails, it is tried again every `KEEP_AGAIN_S`.
+        """
         now_ns = self._clock.mono_ns()
         if self._succeeded:
             self.leaves = True
@@ -273,12 +291,15 @@ class DriveProcess:
                 self.leaves = self._reclaim_port()
 
     def _check_successor(self) -> None:
-        """Detect whether another process has taken over the supply."""
+        """Read the state file and store whether another process has read the supply since the hand-over."""
         stored = read_stored_state(self._folder)
         self._succeeded = stored is not None and stored.writer != self._writer and stored.output != "unknown"
 
     def _reclaim_port(self) -> bool:
-        """Open the port again and switch off; return True if the output was read back as off."""
+        """Open the port again and switch off; True if the output was read back as off, then stored.
+
+        False, with a logged error, if the port or the supply does not respond.
+        """
         try:
             with self._open_supply() as supply:
                 supply.make_safe()
@@ -302,7 +323,8 @@ class DriveProcess:
     def answer(self, request: Message) -> Message:
         """Execute a request of a recorder and return the state of the supply.
 
-        Each request but ``ping`` shows that a recorder watches.
+        Each request but ``ping`` shows that a recorder watches. A failed request is answered with
+        ``error``, any request after a hand-over with ``released``. Blocks for calls of the supply.
         """
         if self._released_ns is not None:
             return {"id": request["id"], "released": True}
@@ -330,7 +352,11 @@ class DriveProcess:
         }
 
     def _execute(self, request: Message) -> None:
-        """Execute a request of a recorder or of another supply process."""
+        """Execute a request of a recorder or of another supply process; unknown ones are ignored.
+
+        Raise ValueError for `energise` while leaving or too late, InstrumentError if the supply fails,
+        LookupError for a missing field.
+        """
         match request["do"]:
             case "look" if request.get("commanded") is False:
                 self._drive.end_command()
@@ -356,7 +382,10 @@ class DriveProcess:
 
 
 def _state_to_restore(before: StoredState | None, watchdog_timeout_s: float, now_ns: int) -> DriveState:
-    """Restore the state; a command outlives no boot, nor ``watchdog_timeout_s`` without a process."""
+    """Return the stored state to go on with, the default state without one.
+
+    Its command is dropped after another boot, or ``watchdog_timeout_s`` without a process.
+    """
     if before is None:
         return DriveState()
     if before.boot_id == boot_name() and before.written_before_s(now_ns) <= watchdog_timeout_s:
@@ -365,7 +394,7 @@ def _state_to_restore(before: StoredState | None, watchdog_timeout_s: float, now
 
 
 def _parts_to_sync(state: DriveState) -> tuple[object, ...]:
-    """Return the parts of a state that must reach the disk at once."""
+    """Return trip, latched alarms, command and pending switch-off: a change is written at once."""
     return state.tripped, state.latched, state.command, state.must_switch_off
 
 

@@ -20,43 +20,46 @@ class ReadingLog:
         self.error = ""
 
     def is_due(self, now_ns: int) -> bool:
-        """Return whether the next reading is due."""
+        """Return whether the next reading is due at monotonic time ``now_ns``."""
         return now_ns >= self._due_ns
 
     def record_attempt(self, now_ns: int) -> None:
-        """Schedule the next attempt one interval after this one was due; do not catch up missed ones."""
+        """Schedule the next attempt on the interval's grid, after ``now_ns``; missed ones are skipped."""
         missed = (now_ns - self._due_ns) // self._interval_ns
         self._due_ns += (missed + 1) * self._interval_ns
 
     def read_at_once(self, now_ns: int) -> None:
-        """Schedule the next attempt for the next call."""
+        """Schedule the next attempt for now; `is_due` is True until it is recorded."""
         self._due_ns = now_ns
 
     def read_within(self, now_ns: int, seconds: float) -> None:
-        """Schedule the next attempt within a time, s."""
+        """Schedule the next attempt at most ``seconds`` from now; an earlier one stays."""
         self._due_ns = min(self._due_ns, now_ns + round(seconds * NS_PER_S))
 
     def record_success(self, now_ns: int) -> None:
-        """Record a successful reading."""
+        """Record the time of a successful reading, and delete the last error."""
         self._read_ns, self.error = now_ns, ""
 
     def silent_s(self, now_ns: int) -> float:
-        """Compute the time since the newest reading, or since the start, s."""
+        """Return the time in s since the newest reading; since the start if there was none."""
         return (now_ns - (self._started_ns if self._read_ns is None else self._read_ns)) / NS_PER_S
 
     def age_s(self, now_ns: int) -> float | None:
-        """Compute the age of the newest reading, s; None without a reading."""
+        """Return the age of the newest reading in s; None without a reading."""
         return None if self._read_ns is None else self.silent_s(now_ns)
 
     def is_too_old(self, now_ns: int) -> bool:
-        """Return whether the newest reading is older than `LONGEST_GAP_INTERVALS`."""
+        """Return whether the newest reading is older than `LONGEST_GAP_INTERVALS` intervals.
+
+        Without a reading the time counts from the start.
+        """
         return self.silent_s(now_ns) * NS_PER_S > self._longest_ns
 
     def quality(self, now_ns: int) -> ReadingQuality:
         """Return the quality of the newest reading.
 
-        good: recent; stale: not read for long, or the last response is missing; no_communication: no
-        response for long.
+        ``good``: recent; ``stale``: not read for long, never read, or the last response is missing;
+        ``no_communication``: no response for long.
         """
         if self.error:
             return "no_communication" if self.is_too_old(now_ns) else "stale"

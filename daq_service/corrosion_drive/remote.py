@@ -52,7 +52,7 @@ Start = Callable[[], "subprocess.Popen[bytes]"]
 
 
 def longest_answer_time_s(parameters: DriveParameters) -> float:
-    """Compute the longest time from a request to its answer, s: the current call, then the request."""
+    """Return the longest time in s from a request to its answer: the current call, then the request."""
     return parameters.read_timeout_s + 2.0 * parameters.longest_order_s + 5.0
 
 
@@ -119,12 +119,15 @@ class RemoteDrive:
         self._abandon_process()
 
     def _abandon_process(self) -> None:
-        """Drop the child process without waiting for it."""
+        """Mark a running child process as ended, so that nothing waits for it; it keeps running."""
         if self._process is not None and self._process.poll() is None:
             self._process.returncode = 0  # it outlives this process, or was killed: nothing waits for it
 
     def take_over(self, state: DriveState) -> None:
-        """Take over the state in the catalogue, unless a newer one of a supply process is stored."""
+        """Store the catalogue's state, without its command, for the first supply process of the folder.
+
+        A state that a supply process has stored already is kept. An OSError is logged.
+        """
         self._tripped = state.tripped
         stored = read_stored_state(self._folder)
         if stored is not None and stored.utc_ns:
@@ -137,7 +140,11 @@ class RemoteDrive:
     # While the recorder is idle ------------------------------------------------------------------
 
     def tick(self) -> None:
-        """Read answers and send requests without waiting; start a missing process, replace one that hangs."""
+        """Read answers and send requests without waiting; start a missing process, kill one that hangs.
+
+        A command still unsent after `COMES_WITHIN_S` fails. Errors of the connection are logged, not
+        raised.
+        """
         now_s = self._machine.mono_s()
         for request in [request for request in self._unsent if now_s - request.since_s >= COMES_WITHIN_S]:
             self._unsent.remove(request)
@@ -169,7 +176,11 @@ class RemoteDrive:
             self._kill_process(f"it has not answered for {waited_s:.0f} s")
 
     def _connect_or_start(self, now_s: float) -> None:
-        """Connect to the supply process, or start one if none runs."""
+        """Connect to the supply process and send its first request; start a process if none runs.
+
+        Further starts are delayed by `STARTS_AFTER_S`. A process of another configuration is asked to hand
+        over; a failed connection is tried again later.
+        """
         owned = is_owned(self._folder, DRIVE_LOCK)
         if owned is False:
             is_starting = self._process is not None and self._process.poll() is None
@@ -198,13 +209,13 @@ class RemoteDrive:
             self._handle_lost_connection(error)
 
     def _send_to_process(self, do: str, **values: object) -> None:
-        """Send a request to the supply process."""
+        """Send a request whose reply is not awaited; OSError if the process is gone."""
         self._send_request(
             _Request(values={"do": do, **values}, since_s=self._machine.mono_s(), reply=Reply())
         )
 
     def _send_request(self, request: _Request) -> None:
-        """Send a request with a new number."""
+        """Send a request under a new number and keep it until its answer; OSError if the process is gone."""
         assert self._connection is not None, "only called while connected"
         number = next(self._ids)
         request.since_s = self._machine.mono_s()
@@ -212,7 +223,10 @@ class RemoteDrive:
         self._connection.send({"id": number, **request.values})
 
     def _process_answer(self, answer: Message) -> None:
-        """Process an answer of the supply process."""
+        """Fill in the reply of the answered request, and store the state that the answer reports.
+
+        An answer to ``ping`` has no state.
+        """
         request = self._sent.pop(answer["id"], None)
         if request is not None:
             request.reply.error = answer.get("error", "")
@@ -226,12 +240,15 @@ class RemoteDrive:
             self._pending = None  # a failed switch-off is retried by the process itself
 
     def _handle_lost_connection(self, error: Exception) -> None:
-        """Log the lost connection, and mark the state of the output as unknown."""
+        """Log the lost connection, close it, and fail the requests without an answer."""
         log.log(logging.WARNING if self._newest else logging.DEBUG, "the process of the drive: %s", error)
         self._disconnect("the process of the drive has not answered, what the output does is unknown")
 
     def _disconnect(self, reason: str) -> None:
-        """Close the connection and fail the requests without an answer."""
+        """Close the connection and fail the requests without an answer, with this reason.
+
+        Commands among them schedule a switch-off. The output's state is unknown from now on.
+        """
         if self._connection is not None:
             self._connection.close()
         self._connection, self._answers = None, False
@@ -241,14 +258,20 @@ class RemoteDrive:
             self._schedule_switch_off(request)
 
     def _schedule_switch_off(self, request: _Request) -> None:
-        """Schedule a switch-off after a command without an answer, for the next connection."""
+        """Schedule a switch-off after an unanswered command, for the next connection.
+
+        An unanswered trip is scheduled itself; other requests are dropped.
+        """
         if request.values["do"] in ("energise", "switch off"):
             self._pending = self._pending or {"do": "switch off", "author": request.values["author"]}
         elif request.values["do"] == "trip":
             self._pending = request.values
 
     def _kill_process(self, reason: str) -> None:
-        """Kill a process that hangs; the next tick starts another one."""
+        """Kill the process that holds the supply's lock, and disconnect; the next tick starts another one.
+
+        A failure to kill is logged, not raised.
+        """
         try:
             process = read_process_number(self._folder)
             log.error("the process of the drive (%d) is killed: %s", process, reason)
@@ -263,23 +286,32 @@ class RemoteDrive:
     def energise(
         self, author: str, *, voltage_v: float | None = None, current_limit_a: float | None = None
     ) -> Reply:
-        """Command the output on, and reset the interlock."""
+        """Queue the command on, which also resets the interlock; return the object that receives its reply.
+
+        None: as configured. It is never repeated, and expires if the process reads it too late.
+        """
         return self._queue_command(
             "energise", author=author, voltage_v=voltage_v, current_limit_a=current_limit_a
         )
 
     def switch_off(self, author: str) -> Reply:
-        """Command the output off; the interlock stays as it is."""
+        """Queue the command off, without waiting; return the object that receives its reply."""
         return self._queue_command("switch off", author=author)
 
     def trip(self, reason: str) -> bool:
-        """Trip the interlock; the request is repeated until a process answers."""
+        """Queue a trip of the interlock, repeated until a process answers.
+
+        Always return False: the output has not been read back as off yet.
+        """
         self._tripped = self._tripped or reason
         self._queue_command("trip", reason=reason)
         return False
 
     def _queue_command(self, do: str, **values: object) -> Reply:
-        """Queue a command for the supply process; return the object that receives its reply."""
+        """Queue a command and send it at once if possible; return the object that receives its reply.
+
+        A command `energise` carries the boot time after which it must not be executed.
+        """
         if do == "energise":
             within_s = round(self._parameters.read_timeout_s + COMES_WITHIN_S)
             values["until_boot_ns"] = self._machine.elapsed_ns() + within_s * NS_PER_S
@@ -320,7 +352,10 @@ class RemoteDrive:
     # Readings and conditions ---------------------------------------------------------------------
 
     def conditions(self) -> tuple[DriveCondition, ...]:
-        """Return the conditions of the newest answer, and those of a process that does not answer."""
+        """Return the conditions of the newest answer, and those of a process that does not answer.
+
+        These are a trip or switch-off that it has not confirmed, and ``supply_not_responding``.
+        """
         answered = () if self._newest is None else self._newest["conditions"]
         conditions = {condition["name"]: DriveCondition(**condition) for condition in answered}
         tripped = conditions.get("interlock_tripped")
@@ -344,7 +379,10 @@ class RemoteDrive:
         return tuple(conditions.values())
 
     def row(self, set_index: int, due_h: float) -> EnvironmentRow:
-        """Build the row of a set from the newest answer; without one, output and charge are unknown."""
+        """Build the row of a set from the newest answer, with its age added; no request is sent.
+
+        Without a recent answer the output is unknown; without any, so is the charge.
+        """
         unknown = replace(
             row_without_supply(set_index, due_h),
             supply_state="unknown",
@@ -370,7 +408,10 @@ class RemoteDrive:
         )
 
     def start_window(self) -> None:
-        """Restart the means with the readings that are not in the last row."""
+        """Restart the means with the readings that are not in the last row.
+
+        Nothing happens without a connection; one that is lost is logged.
+        """
         if self._connection is not None and self._newest is not None:
             try:
                 self._send_to_process("begin window", window_length=self._newest["window_length"])

@@ -58,7 +58,10 @@ class StoredState:
     supply_port: str = ""
 
     def written_before_s(self, now_ns: int | None = None) -> float:
-        """Compute the time since the file was written, s; by UTC if that was in another boot."""
+        """Return the time in s since the file was written, at least 0.
+
+        By the clock of this boot (``now_ns``, None: now); by UTC if it was written in another boot.
+        """
         boot = boot_name()
         if self.boot_id == boot is not None:
             return max(0.0, ((elapsed_ns() if now_ns is None else now_ns) - self.boot_ns) / NS_PER_S)
@@ -81,13 +84,16 @@ class Address:
 
 
 def hold_supply_lock(folder: Path, address: Address) -> AbstractContextManager[object]:
-    """Hold the lock of the supply, with an address readable only by this user; raise `BusyError` if held."""
+    """Return a context that holds the supply's lock, with an address readable only by this user.
+
+    Entering it raises BusyError if another process holds the lock.
+    """
     text = f"process {os.getpid()}\n{json.dumps(asdict(address))}"
     return hold_lock(folder, DRIVE_LOCK, text, holder="process of the drive", mode=0o600)
 
 
 def read_address(folder: Path) -> Address:
-    """Read the address of the process that holds the lock.
+    """Read port, key and fingerprint of the process that holds the supply's lock.
 
     Raises
     ------
@@ -98,19 +104,19 @@ def read_address(folder: Path) -> Address:
 
 
 def read_process_number(folder: Path) -> int:
-    """Read the process number of the holder of the lock; raise ValueError if it is not written yet."""
+    """Return the process number of the lock's holder; ValueError if it is not written yet."""
     return int(lock_text(folder, DRIVE_LOCK).partition("\n")[0].removeprefix("process "))
 
 
 def stamp_state(state: DriveState, **values: Any) -> StoredState:
-    """Create the stored state with the present time stamps."""
+    """Build the stored state with the present time stamps; ``values`` set or replace other fields."""
     now_ns = elapsed_ns()
     stamps = {"utc_ns": time.time_ns(), "boot_ns": now_ns, "boot_id": boot_name(), "heard_boot_ns": now_ns}
     return StoredState(state=state, **{**stamps, **values})
 
 
 def write_stored_state(folder: Path, stored: StoredState) -> None:
-    """Write the state durably to its file.
+    """Write the state to ``drive.json`` atomically and synced to disk; blocks until then.
 
     Raises
     ------
@@ -124,7 +130,10 @@ def write_stored_state(folder: Path, stored: StoredState) -> None:
 
 
 def read_stored_state(folder: Path) -> StoredState | None:
-    """Read the state; None where there is none, `UNREADABLE` (with a warning) where it is unreadable."""
+    """Read the state from ``drive.json``, also of an older version; None where there is no file.
+
+    `UNREADABLE`, with a warning, where it cannot be read: the output then counts as on, without a command.
+    """
     path = folder / DRIVE_FILE
     try:
         values = json.loads(path.read_bytes())
@@ -173,7 +182,10 @@ class SupplyStatus:
 
 
 def read_supply_status(folder: Path) -> SupplyStatus | None:
-    """Read the present status of the supply; None if it never had a supply process."""
+    """Read the present status of the supply; None if it never had a supply process.
+
+    An unreadable file counts as an output that must be switched off.
+    """
     stored, process = read_stored_state(folder), is_owned(folder, DRIVE_LOCK)
     if stored is None:
         return None
@@ -194,7 +206,7 @@ def read_supply_status(folder: Path) -> SupplyStatus | None:
 
 
 def describe_supply(status: SupplyStatus) -> str:
-    """Describe the status of the supply in one line."""
+    """Describe the supply's status in one line: output, age of the reading, trip, pending switch-off."""
     last = "" if status.quality == "good" else f"{status.last} when it was "
     age = "never read" if status.age_s is None else f"{last}read {status.age_s:.0f} s ago"
     parts = [f"{status.state}, {age}"]

@@ -82,11 +82,14 @@ class DriveWatch:
 
     @property
     def has_supply(self) -> bool:
-        """Return whether there is a supply."""
+        """Return whether the test has a supply, driven here or in the supply process."""
         return self._drive is not None
 
     def tick(self, hour: float) -> None:
-        """Read supply and climate probe if due, and store changed alarms."""
+        """Read supply and climate probe if due, and store changed alarms at this test hour.
+
+        Instrument errors become alarms; an alarm that cannot be stored is logged and tried again.
+        """
         if self._climate is not None:
             self._climate.tick()
         if self._drive is not None:
@@ -94,7 +97,7 @@ class DriveWatch:
         self._update_alarms(hour)
 
     def _conditions(self) -> Iterator[DriveCondition]:
-        """Yield the conditions of climate probe and supply."""
+        """Yield the condition of each possible alarm of climate probe and supply, active or not."""
         if self._climate is not None:
             message = self._climate.not_responding()
             active = bool(message)
@@ -102,7 +105,10 @@ class DriveWatch:
         yield from () if self._drive is None else self._drive.conditions()
 
     def _update_alarms(self, hour: float) -> None:
-        """Update every alarm of the supply with its present condition."""
+        """Update each alarm of supply and climate with its present condition, in one transaction.
+
+        Nothing is stored without a change. A StorageError is logged: the next tick tries again.
+        """
         moment = Moment(utc_ns=self._clock.utc_ns(), due_h=hour, set_index=None)
         transaction = SetCommit()
         for drive_condition in self._conditions():
@@ -125,18 +131,21 @@ class DriveWatch:
     # For the rows of a set -----------------------------------------------------------------------
 
     def summary(self) -> Mapping[str, float | str | None]:
-        """Return the values of supply and probe since the last stored set."""
+        """Return means, extremes and states of supply and probe since the last stored set, by column name."""
         return summarise_row(self._make_row(0, 0.0))
 
     def add_row(self, transaction: SetCommit, due: DueSet, moment: Moment) -> None:
-        """Store the row of a set, and restart the means."""
+        """Add the environment row of a set and its event to the transaction, and restart the means.
+
+        The transaction is not stored here.
+        """
         transaction.environment.append(self._make_row(due.set_index, due.due_h))
         transaction.events.append(moment.event("environment", "environment_read", {}))
         if self._drive is not None:
             self._drive.start_window()
 
     def _make_row(self, set_index: int, due_h: float) -> EnvironmentRow:
-        """Build the row of supply and climate for a set."""
+        """Build the environment row of a set; columns of a missing supply or probe are absent."""
         row = (
             row_without_supply(set_index, due_h) if self._drive is None else self._drive.row(set_index, due_h)
         )
@@ -147,29 +156,36 @@ class DriveWatch:
     def supply_on(
         self, author: str, hour: float, *, voltage_v: float | None, current_limit_a: float | None
     ) -> PendingReply:
-        """Switch the supply on at a person's command; see `_send`."""
+        """Command the supply on for a person; None: values as configured.
+
+        Return a function that polls the reply and raise ValueError as `_send_command` does.
+        """
 
         def energise(drive: SupplyDrive) -> Reply:
-            """Command the output on with the given voltage and current limit."""
+            """Command the output on with the given voltage in V and current limit in A."""
             return drive.energise(author, voltage_v=voltage_v, current_limit_a=current_limit_a)
 
         done, failed = "the supply is on, read back as commanded", "the supply was not switched on: {error}"
         return self._send_command(energise, hour, done, failed)
 
     def supply_off(self, author: str, hour: float) -> PendingReply:
-        """Switch the supply off at a person's command; see `_send`."""
+        """Command the supply off for a person.
+
+        Return a function that polls the reply and raise ValueError as `_send_command` does.
+        """
         done, failed = "the supply is off, read back", "the supply may be on: {error}; switch it off by hand"
         return self._send_command(lambda drive: drive.switch_off(author), hour, done, failed)
 
     def _send_command(
         self, command: Callable[[SupplyDrive], Reply], hour: float, done: str, failed: str
     ) -> PendingReply:
-        """Send a command and return a function that returns its reply, or None before there is one.
+        """Send a command; return a function that returns its reply ``done``, or None before there is one.
 
         Raises
         ------
         ValueError
-            The command failed, with the reason; also raised by the returned function.
+            The command has no author. The returned function raises it where the command failed, also where
+            it could not be sent, with the reason.
         """
         assert self._drive is not None, "a test without a supply forbids the command"
         try:
@@ -178,7 +194,7 @@ class DriveWatch:
             reply = Reply(error=str(error))
 
         def poll_reply() -> str | None:
-            """Return the reply; None before there is one, ValueError if the command failed."""
+            """Return the reply, with alarms updated; None before it, ValueError if the command failed."""
             if reply.error:
                 raise ValueError(failed.format(error=reply.error))
             if not reply.done:
@@ -189,13 +205,19 @@ class DriveWatch:
         return poll_reply
 
     def trip(self, reason: str, hour: float) -> None:
-        """Trip the interlock for a possible hole, through which solution and current can pass."""
+        """Trip the interlock for a possible hole, through which solution and current can pass.
+
+        Store its alarm at this test hour. Nothing happens without a supply.
+        """
         if self._drive is not None:
             self._drive.trip(reason)
             self._update_alarms(hour)
 
     def end(self) -> str:
-        """Switch off at the end of a test if configured; return the result, empty if nothing was done."""
+        """Switch the supply off at the end of a test if configured; return the result as text.
+
+        Empty if nothing was done. A failure is logged and returned, not raised.
+        """
         if not self._off_at_end or self._drive is None:
             return ""
         try:
@@ -207,7 +229,10 @@ class DriveWatch:
 
 
 def _restore_last_state(supply: DriveParameters | None, catalogue: Catalogue, alarms: Alarms) -> DriveState:
-    """Restore the state of the last recorder; the active alarm shows whether the interlock has tripped."""
+    """Restore the supply's state from the newest environment row, the default state without one.
+
+    Only an active alarm `interlock_tripped` restores a tripped interlock.
+    """
     state = DriveState()
     row = None if supply is None else catalogue.read_last_environment()
     last_event = None if row is None else catalogue.read_last_event("environment")

@@ -75,7 +75,10 @@ class MachineClock:
         return time.monotonic_ns()
 
     def wait_until(self, utc_ns: int, idle: Callable[[], bool]) -> bool:
-        """Wait for a wall time; see `hardware_drivers.instruments.Clock`."""
+        """Wait for a wall time (UTC, ns); True once it is reached, False as soon as ``idle()`` is False.
+
+        ``idle`` is called at least every 0.1 s.
+        """
         while (left_ns := utc_ns - self.utc_ns()) > 0:
             if not idle():
                 return False

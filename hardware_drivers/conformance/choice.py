@@ -94,7 +94,7 @@ def choose_instrument(kind_name: str, file: Path | None) -> ChosenInstrument:
 
 
 def find_double(where: str) -> Double:
-    """Import the object that ``MODULE:NAME`` names.
+    """Import the object that ``MODULE:NAME`` names and return it.
 
     Raises
     ------
@@ -114,12 +114,12 @@ def find_double(where: str) -> Double:
 
 
 def _read_parameters(table: Mapping[str, object]) -> dict[str, object]:
-    """Return the parameters of an instrument: its table without the key `kind`."""
+    """Return the parameters of an instrument: a copy of its table without the key ``kind``."""
     return {key: value for key, value in table.items() if key != "kind"}
 
 
 def _read_table(file: Path) -> Mapping[str, Any]:
-    """Read a TOML file; a file that cannot be read is a ConfigurationError."""
+    """Read and parse a TOML file; ConfigurationError if it cannot be read or is no TOML."""
     try:
         return tomllib.loads(file.read_text(encoding="utf-8"))
     except OSError as error:

@@ -21,7 +21,7 @@ OVERRUN_S = 20.0
 
 
 def _acquire_record(digitizer: Digitizer, strike: Strike, key: ShotKey, timeout_s: float) -> Acquired:
-    """Arm, strike and read one shot."""
+    """Arm, strike and read one shot; errors of the instrument are raised."""
     digitizer.arm(key)
     strike(key)
     return digitizer.read(timeout_s)
@@ -46,25 +46,27 @@ class DigitizerContract:
 
     @pytest.fixture
     def timeout_s(self) -> float:
-        """Return a timeout long enough for the instrument to deliver a struck record."""
+        """Return a timeout in s, long enough for the instrument to deliver a struck record."""
         return 1.0
 
     @pytest.fixture
     def longest_read_s(self) -> float:
-        """Return the longest time that a read of `SHORT_TIMEOUT_S` may take."""
+        """Return the longest time in s that a read of `SHORT_TIMEOUT_S` may take."""
         return SHORT_TIMEOUT_S + OVERRUN_S
 
     @pytest.fixture
     def monotonic_s(self) -> Callable[[], float]:
-        """Return the clock of the deadlines."""
+        """Return the function that reads the monotonic time (s) in which reads are timed."""
         return time.monotonic
 
     def test_is_a_digitizer(self, digitizer: Digitizer) -> None:
+        """Check that the instrument has the methods of `Digitizer`."""
         assert isinstance(digitizer, Digitizer)
 
     def test_a_strike_on_an_armed_digitizer_is_recorded(
         self, digitizer: Digitizer, strike: Strike, keys: Keys, timeout_s: float
     ) -> None:
+        """Check that a strike gives a record with a pre-trigger and counts that are not all equal."""
         acquired = _acquire_record(digitizer, strike, keys[0], timeout_s)
         assert isinstance(acquired, Acquired)
         waveform = acquired.waveform
@@ -74,6 +76,7 @@ class DigitizerContract:
     def test_counts_are_read_only_codes_of_their_calibration(
         self, digitizer: Digitizer, strike: Strike, keys: Keys, timeout_s: float
     ) -> None:
+        """Check that counts are read-only and within the codes of the resolution."""
         acquired = _acquire_record(digitizer, strike, keys[0], timeout_s)
         require_record(acquired)
         lowest, highest = acquired.waveform.calibration.full_scale_counts
@@ -83,6 +86,7 @@ class DigitizerContract:
     def test_records_of_one_position_have_one_shape_and_calibration(
         self, digitizer: Digitizer, strike: Strike, keys: Keys, timeout_s: float
     ) -> None:
+        """Check that two records agree in shape, type, sample rate, pre-trigger and calibration."""
         first, second = (_acquire_record(digitizer, strike, key, timeout_s).waveform for key in keys)
         assert first.counts.shape == second.counts.shape
         assert first.counts.dtype == second.counts.dtype
@@ -91,29 +95,34 @@ class DigitizerContract:
         np.testing.assert_array_equal(first.calibration.coefficients_v, second.calibration.coefficients_v)
 
     def test_an_unknown_position_is_refused_by_name(self, digitizer: Digitizer, unknown_key: ShotKey) -> None:
+        """Check that arming an unknown position is a ConfigurationError with its name, and arms nothing."""
         with pytest.raises(ConfigurationError, match=unknown_key.position):
             digitizer.arm(unknown_key)
         with pytest.raises(ConfigurationError):
             digitizer.read(SHORT_TIMEOUT_S)
 
     def test_arming_twice_is_refused(self, digitizer: Digitizer, keys: Keys) -> None:
+        """Check that arming an armed digitizer is a ConfigurationError."""
         digitizer.arm(keys[0])
         with pytest.raises(ConfigurationError):
             digitizer.arm(keys[1])
 
     def test_reading_unarmed_is_refused(self, digitizer: Digitizer) -> None:
+        """Check that reading without arming is a ConfigurationError."""
         with pytest.raises(ConfigurationError):
             digitizer.read(SHORT_TIMEOUT_S)
 
     def test_reading_disarms(
         self, digitizer: Digitizer, strike: Strike, keys: Keys, timeout_s: float
     ) -> None:
+        """Check that nothing is armed after a record was read."""
         _acquire_record(digitizer, strike, keys[0], timeout_s)
         with pytest.raises(ConfigurationError):
             digitizer.read(SHORT_TIMEOUT_S)
         digitizer.arm(keys[1])
 
     def test_no_strike_times_out_and_disarms(self, digitizer: Digitizer, keys: Keys) -> None:
+        """Check that a read without a strike is an AcquisitionTimeoutError, and nothing is armed after it."""
         digitizer.arm(keys[0])
         with pytest.raises(AcquisitionTimeoutError):
             digitizer.read(SHORT_TIMEOUT_S)
@@ -128,6 +137,7 @@ class DigitizerContract:
         longest_read_s: float,
         monotonic_s: Callable[[], float],
     ) -> None:
+        """Check that a read without a strike ends within ``longest_read_s``."""
         digitizer.arm(keys[0])
         began_s = monotonic_s()
         with pytest.raises(AcquisitionTimeoutError):
@@ -136,17 +146,20 @@ class DigitizerContract:
         assert took_s <= longest_read_s, f"read({SHORT_TIMEOUT_S:g}) came back after {took_s:.1f} s"
 
     def test_a_timeout_of_zero_is_refused(self, digitizer: Digitizer, keys: Keys) -> None:
+        """Check that a timeout of 0 s is a ConfigurationError that names ``timeout_s``."""
         digitizer.arm(keys[0])
         with pytest.raises(ConfigurationError, match="timeout_s"):
             digitizer.read(0.0)
 
     def test_a_strike_before_arming_is_lost(self, digitizer: Digitizer, strike: Strike, keys: Keys) -> None:
+        """Check that a strike before arming is not returned by a later read."""
         strike(keys[0])
         digitizer.arm(keys[0])
         with pytest.raises(AcquisitionTimeoutError):
             digitizer.read(SHORT_TIMEOUT_S)
 
     def test_disarming_forgets_the_strike(self, digitizer: Digitizer, strike: Strike, keys: Keys) -> None:
+        """Check that a strike before disarming is not returned by a later read."""
         digitizer.arm(keys[0])
         strike(keys[0])
         digitizer.disarm()
@@ -155,6 +168,7 @@ class DigitizerContract:
             digitizer.read(SHORT_TIMEOUT_S)
 
     def test_disarming_is_harmless_at_any_time(self, digitizer: Digitizer, keys: Keys) -> None:
+        """Check that disarming is allowed armed or not, any number of times, and that arming works again."""
         digitizer.disarm()
         digitizer.disarm()
         digitizer.arm(keys[0])

@@ -46,19 +46,21 @@ class KindContract:
 
     @pytest.fixture
     def parameters(self, kind: Kind[object], table: Mapping[str, object]) -> object:
-        """Return the validated parameters of the kind."""
+        """Return the validated parameters of the kind; ValidationError if the table is not valid."""
         return TypeAdapter(kind.parameters).validate_python(table)
 
     @pytest.fixture
     def open_kind(self, kind: Kind[object], parameters: object, opening: Opening) -> Open:
-        """Return a function that opens the instrument."""
+        """Return a function that returns the context manager of the opened instrument."""
         return lambda: kind.open(parameters, opening)
 
     def test_unknown_parameters_are_refused(self, kind: Kind[object], table: Mapping[str, object]) -> None:
+        """Check that an unknown key is a ValidationError that names it."""
         with pytest.raises(ValidationError, match=NO_KEY):
             TypeAdapter(kind.parameters).validate_python({**table, NO_KEY: 1})
 
     def test_parameters_cannot_be_changed(self, parameters: object) -> None:
+        """Check that assigning any parameter raises."""
         for name in TypeAdapter(type(parameters)).dump_python(parameters):
             with pytest.raises((AttributeError, ValidationError)):
                 setattr(parameters, name, getattr(parameters, name))
@@ -66,6 +68,7 @@ class KindContract:
     def test_parameters_are_the_same_after_they_were_stored(
         self, kind: Kind[object], parameters: object
     ) -> None:
+        """Check that parameters stored as JSON and read again give the same JSON."""
         adapter = TypeAdapter(kind.parameters)
         stored = adapter.dump_json(parameters)
         assert adapter.dump_json(adapter.validate_json(stored)) == stored
@@ -73,6 +76,7 @@ class KindContract:
     def test_the_kind_describes_its_parameters_correctly(
         self, kind: Kind[object], parameters: object
     ) -> None:
+        """Check that ``reached_by`` names parameters, packages are texts, and the longest call is finite."""
         keys = TypeAdapter(kind.parameters).dump_python(parameters)
         assert all(path.partition(".")[0] in keys for path in kind.reached_by), "reached_by names parameters"
         assert all(isinstance(name, str) and name for name in kind.packages(parameters))
@@ -83,6 +87,7 @@ class KindContract:
     def test_reading_a_configuration_imports_none_of_its_packages(
         self, kind: Kind[object], parameters: object, module: str
     ) -> None:
+        """Check in a new process that importing the kind's module imports none of its packages."""
         needed = {_normalize(name) for name in kind.packages(parameters)}
         if not needed:
             return
@@ -93,11 +98,13 @@ class KindContract:
         assert done.stdout.split() == [], f"importing {module} imports them too; import them in `open`"
 
     def test_an_opened_instrument_has_the_requested_roles(self, open_kind: Open, opening: Opening) -> None:
+        """Check that the opened instrument has each requested role and the methods of its Protocol."""
         with open_kind() as opened:
             for role in opening.serves:
                 assert isinstance(getattr(opened, role), PROTOCOLS[role]), f"it opens no {role}"
 
     def test_the_identity_is_reported(self, open_kind: Open) -> None:
+        """Check that names and values of the identity are texts and not empty."""
         with open_kind() as opened:
             identity = opened.identity
         assert all(isinstance(text, str) and text for item in identity.items() for text in item), identity
@@ -105,6 +112,7 @@ class KindContract:
     def test_a_check_returns_findings_with_remedies(
         self, kind: Kind[object], parameters: object, opening: Opening
     ) -> None:
+        """Check that the kind's check yields findings, with a remedy for each that is not ok."""
         found: list[Finding] = []
         with suppress(InstrumentError):  # ends the look as a failed finding
             found.extend(kind.check(parameters, opening))
@@ -112,6 +120,7 @@ class KindContract:
         assert [finding for finding in found if finding.state != "ok" and not finding.remedy] == []
 
     def test_it_can_be_opened_again_after_closing(self, open_kind: Open, opening: Opening) -> None:
+        """Check that the instrument opens three times in succession with all requested roles."""
         for _ in range(3):
             with open_kind() as opened:
                 assert all(getattr(opened, role) is not None for role in opening.serves)
@@ -119,6 +128,7 @@ class KindContract:
     def test_an_error_passes_through_and_it_can_be_opened_again(
         self, open_kind: Open, opening: Opening
     ) -> None:
+        """Check that closing hides no error of the block, and that the instrument opens again after it."""
         with pytest.raises(_FailureAtTheRigError), open_kind():
             raise _FailureAtTheRigError
         with open_kind() as opened:
@@ -130,5 +140,5 @@ class _FailureAtTheRigError(Exception):
 
 
 def _normalize(distribution: str) -> str:
-    """Return the name of a distribution in the one form that is compared."""
+    """Return a distribution's name in lower case with hyphens for underscores, to be compared."""
     return distribution.lower().replace("_", "-")

@@ -25,7 +25,7 @@ DOUBLE: pytest.StashKey[Double | None] = pytest.StashKey()
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
-    """Add the options of `choice` and the suites."""
+    """Add the options ``--solimon-...`` that name kind, configuration and double, and allow strikes."""
     group = parser.getgroup("solimon", "an instrument against solimon's rules")
     group.addoption("--solimon-kind", metavar="NAME", help="kind of instrument, as its entry points call it")
     group.addoption(
@@ -48,7 +48,10 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Resolve the options before anything is collected."""
+    """Find kind, instrument and double of the options before anything is collected, and stash them.
+
+    Without ``--solimon-kind`` do nothing. Raise UsageError if one of them is not found.
+    """
     kind, where = config.getoption("--solimon-kind"), config.getoption("--solimon-double")
     if not kind:
         return
@@ -63,13 +66,16 @@ def pytest_configure(config: pytest.Config) -> None:
 
 
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
-    """Make one test of each fault that the double can inject."""
+    """Parametrize the suites' rules that use ``fault``: one test for each fault of the double."""
     if metafunc.module.__name__ == SUITES and "fault" in metafunc.fixturenames:
         metafunc.parametrize("fault", _list_faults(metafunc.config))
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Deselect the suites of roles that the instrument does not have; bound the time of each rule."""
+    """Deselect the suites of roles that the instrument does not have; bound the time of each rule.
+
+    Raise UsageError if the suites are collected without ``--solimon-kind``.
+    """
     ours = [item for item in items if _find_suite_role(item) is not None]
     if not ours:
         return
@@ -85,7 +91,10 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter, config: pytest.Config) -> None:
-    """Print for each suite how many rules passed, and each failed one by its name."""
+    """Print for each suite the numbers of passed, failed and skipped rules, and the names of failed ones.
+
+    Then print what was not proved. Without a rule that ran, print nothing.
+    """
     rules_by_suite: dict[str, dict[str, list[str]]] = {}
     for outcome in ("passed", "failed", "error", "skipped"):
         for report in terminalreporter.getreports(outcome):
@@ -130,5 +139,5 @@ def _find_suite_role(item: pytest.Item) -> str | None:
 
 
 def _format_rule(nodeid: str) -> str:
-    """Return the rule in words: the name of its test."""
+    """Format a test's name as words: ``test_reading_disarms`` becomes ``reading disarms``."""
     return nodeid.rpartition("::")[2].removeprefix("test_").replace("_", " ")

@@ -27,18 +27,23 @@ class PowerSupplyContract:
 
     @pytest.fixture
     def caps(self) -> Order:
-        """Return the configured caps in V and A."""
+        """Return the configured caps: voltage in V, current limit in A."""
         return 12.0, 2.0
 
     @pytest.fixture
     def order(self) -> Order:
-        """Return voltage and limit within the caps, at which the load does not reach the current limit."""
+        """Return voltage in V and current limit in A, both within the caps.
+
+        The load does not reach that current limit.
+        """
         return 8.0, 1.5
 
     def test_is_a_power_supply(self, supply: PowerSupply) -> None:
+        """Check that the instrument has the methods of `PowerSupply`."""
         assert isinstance(supply, PowerSupply)
 
     def test_a_reading_is_measured_and_dated(self, supply: PowerSupply) -> None:
+        """Check that a reading has finite voltage and current, a time stamp, and the output on."""
         reading = supply.read(TIMEOUT_S)
         assert isinstance(reading, SupplyReading)
         assert reading.output_on
@@ -47,19 +52,23 @@ class PowerSupplyContract:
         assert reading.stamp.utc_ns > 0
 
     def test_safe_means_off(self, supply: PowerSupply) -> None:
+        """Check that the output is off after `make_safe`."""
         supply.make_safe()
         assert not supply.read(TIMEOUT_S).output_on
 
     def test_making_safe_is_harmless_when_off(self, supply: PowerSupply) -> None:
+        """Check that a second `make_safe` raises nothing and leaves the output off."""
         supply.make_safe()
         supply.make_safe()
         assert not supply.read(TIMEOUT_S).output_on
 
     def test_reading_never_switches_it_on_again(self, supply: PowerSupply) -> None:
+        """Check that readings leave an output that is off as it is."""
         supply.make_safe()
         assert not any(supply.read(TIMEOUT_S).output_on for _ in range(3))
 
     def test_energise_switches_on_at_the_requested_values(self, supply: PowerSupply, order: Order) -> None:
+        """Check that `energise` switches on, within 1 % of the voltage and not above the current limit."""
         supply.make_safe()
         voltage_v, current_limit_a = order
         supply.energise(voltage_v, current_limit_a)
@@ -70,12 +79,17 @@ class PowerSupplyContract:
         assert 0.0 < reading.current_a <= current_limit_a
 
     def test_a_command_replaces_the_previous_one(self, supply: PowerSupply, order: Order) -> None:
+        """Check that a second `energise` sets its own voltage, within 1 %."""
         voltage_v, current_limit_a = order
         supply.energise(voltage_v, current_limit_a)
         supply.energise(voltage_v / 2, current_limit_a)
         assert supply.read(TIMEOUT_S).voltage_v == pytest.approx(voltage_v / 2, rel=0.01)  # as above
 
     def test_it_stays_off_above_the_caps(self, supply: PowerSupply, caps: Order, order: Order) -> None:
+        """Check that values above a cap, not positive or NaN are a ConfigurationError that names the value.
+
+        The output stays off.
+        """
         supply.make_safe()
         voltage_v, current_limit_a = order
         for refused in (
@@ -92,6 +106,7 @@ class PowerSupplyContract:
             assert not supply.read(TIMEOUT_S).output_on
 
     def test_the_identity_is_reported(self, supply: PowerSupply) -> None:
+        """Check that the identity has maker and model, texts only, and is the same in a second query."""
         identity = supply.identity()
         assert identity["maker"]
         assert identity["model"]
@@ -99,5 +114,6 @@ class PowerSupplyContract:
         assert supply.identity() == identity
 
     def test_a_timeout_of_zero_is_refused(self, supply: PowerSupply) -> None:
+        """Check that a timeout of 0 s is a ConfigurationError that names ``timeout_s``."""
         with pytest.raises(ConfigurationError, match="timeout_s"):
             supply.read(0.0)

@@ -30,15 +30,17 @@ class PulseEchoUnitContract:
 
     @pytest.fixture
     def timeout_s(self) -> float:
-        """Return a timeout long enough for a record of all averages."""
+        """Return a timeout in s, long enough for a record of all averages."""
         return 1.0
 
     def test_is_a_pulse_echo_unit(self, pulse_echo: PulseEchoUnit) -> None:
+        """Check that the instrument has the methods of `PulseEchoUnit`."""
         assert isinstance(pulse_echo, PulseEchoUnit)
 
     def test_a_record_starts_at_the_firing_pulse_and_names_its_receiver(
         self, pulse_echo: PulseEchoUnit, keys: Keys, timeout_s: float
     ) -> None:
+        """Check that a record has no pre-trigger, counts not all equal, and finite gain and offset."""
         echo = pulse_echo.acquire(keys[0], timeout_s)
         assert isinstance(echo, Echo)
         assert echo.waveform.pretrigger_samples == 0
@@ -51,6 +53,7 @@ class PulseEchoUnitContract:
     def test_records_of_one_position_have_one_shape(
         self, pulse_echo: PulseEchoUnit, keys: Keys, timeout_s: float
     ) -> None:
+        """Check that two records agree in shape, sample rate, gain, offset and number of averages."""
         first, second = (pulse_echo.acquire(key, timeout_s) for key in keys)
         assert first.waveform.counts.shape == second.waveform.counts.shape
         assert first.waveform.sample_rate_hz == second.waveform.sample_rate_hz
@@ -63,9 +66,11 @@ class PulseEchoUnitContract:
     def test_an_unknown_position_is_refused_by_name(
         self, pulse_echo: PulseEchoUnit, unknown_key: ShotKey, timeout_s: float
     ) -> None:
+        """Check that an unknown position is a ConfigurationError with its name."""
         with pytest.raises(ConfigurationError, match=unknown_key.position):
             pulse_echo.acquire(unknown_key, timeout_s)
 
     def test_a_timeout_of_zero_is_refused(self, pulse_echo: PulseEchoUnit, keys: Keys) -> None:
+        """Check that a timeout of 0 s is a ConfigurationError that names ``timeout_s``."""
         with pytest.raises(ConfigurationError, match="timeout_s"):
             pulse_echo.acquire(keys[0], 0.0)

@@ -42,6 +42,7 @@ class SafetyContract:
     """
 
     def test_it_is_safe_after_an_interruption(self, bench: Bench, open_kind: Open, opening: Opening) -> None:
+        """Check that coils are off after leaving an armed instrument, and that it opens and arms again."""
         with open_kind() as opened:
             for _, call in _list_calls(opened, opening, ("arm", "strike"), WHOLE_TIMEOUT_S):
                 call()
@@ -53,6 +54,8 @@ class SafetyContract:
     def test_opening_fails_by_errors_of_hardware_drivers_only(
         self, bench: Bench, open_kind: Open, fault: str
     ) -> None:
+        """Check that opening a faulty instrument raises nothing but an `InstrumentError`."""
+
         def open_it() -> None:
             """Open the instrument and leave it at once."""
             with open_kind():
@@ -64,6 +67,7 @@ class SafetyContract:
     def test_calls_fail_by_errors_of_hardware_drivers_only(
         self, bench: Bench, open_kind: Open, opening: Opening, fault: str
     ) -> None:
+        """Check that calls of a faulty instrument raise `InstrumentError` only, and at least one does."""
         errors = {}
         with _open_failing(open_kind) as opened, _inject_fault(bench, fault):
             for name, call in _list_calls(opened, opening):
@@ -75,6 +79,10 @@ class SafetyContract:
     def test_after_an_error_nothing_is_armed(
         self, bench: Bench, open_kind: Open, opening: Opening, fault: str
     ) -> None:
+        """Check that a read that failed leaves nothing armed: a second read does not time out.
+
+        Skipped for an instrument that is no digitizer.
+        """
         with _open_failing(open_kind) as opened:
             if opened.digitizer is None or "digitizer" not in opening.serves:
                 pytest.skip("it is no digitizer")
@@ -90,6 +98,10 @@ class SafetyContract:
     def test_after_an_error_every_coil_is_off(
         self, bench: Bench, open_kind: Open, opening: Opening, fault: str
     ) -> None:
+        """Check that every coil is off after each failed strike and `make_safe`.
+
+        Skipped if the bench does not report the coils.
+        """
         if bench.coil_levels is None:
             pytest.skip("it has no coil, or nobody knows what its coils did")
         with _open_failing(open_kind) as opened, _inject_fault(bench, fault):
@@ -101,6 +113,7 @@ class SafetyContract:
     def test_after_a_fault_it_can_be_opened_again(
         self, bench: Bench, open_kind: Open, opening: Opening, fault: str
     ) -> None:
+        """Check that an instrument left while it fails can be opened and called again after the fault."""
         with ExitStack() as still, _open_failing(open_kind) as opened:
             # Ended last: the instrument is left while it fails.
             still.enter_context(_inject_fault(bench, fault))
@@ -113,7 +126,7 @@ class SafetyContract:
 
 @contextmanager
 def _open_failing(open_kind: Open) -> Iterator[Opened]:
-    """Open an instrument that will fail: an error when it is closed is expected."""
+    """Open an instrument that will fail; an `InstrumentError` at its closing is suppressed."""
     with ExitStack() as stack:
         yield stack.enter_context(open_kind())
         with suppress(InstrumentError):
@@ -121,13 +134,16 @@ def _open_failing(open_kind: Open) -> Iterator[Opened]:
 
 
 def _inject_fault(bench: Bench, fault: str) -> AbstractContextManager[object]:
-    """Return the context in which the instrument has a fault."""
+    """Return the context in which the instrument has a fault; AssertionError if the bench has none."""
     assert bench.fault is not None, "a double that names faults gives Bench.fault"
     return bench.fault(fault)
 
 
 def _capture_error(name: str, call: Call) -> InstrumentError | None:
-    """Return the error of a call; one that is not of `hardware_drivers.errors` breaks the rule."""
+    """Run a call and return its `InstrumentError`, None if it succeeds.
+
+    Any other exception breaks the rule: AssertionError.
+    """
     try:
         call()
     except InstrumentError as error:
@@ -140,14 +156,20 @@ def _capture_error(name: str, call: Call) -> InstrumentError | None:
 
 
 def _make_key(role: Role, opening: Opening) -> ShotKey:
-    """Return the key of a shot at the first position that the instrument serves in a role."""
+    """Return the key of shot 0 of set 0 at the first position that the instrument serves in a role."""
     return ShotKey(position=opening.serves[role][0], set_index=0, shot_index=0)
 
 
 def _list_calls(
     opened: Opened, opening: Opening, only: tuple[str, ...] = (), timeout_s: float = TIMEOUT_S
 ) -> Iterator[tuple[str, Call]]:
-    """Return the calls of every requested role in the order of a shot, each with its name."""
+    """List the calls of every requested role with their names, in the order of a shot; none is made.
+
+    Parameters
+    ----------
+    only
+        Names of the calls wanted; empty: all.
+    """
     calls_by_role: dict[str, list[Call]] = {
         name: [] for name in ("arm", "strike", "read", "disarm", "make_safe", "measure")
     }
@@ -176,6 +198,6 @@ def _list_calls(
 
 
 def _find_energised_coils(bench: Bench) -> list[str]:
-    """Return the positions whose coil is on after all switchings so far."""
+    """Return the positions whose coil is on after all switchings so far; empty if none is reported."""
     levels: Mapping[str, bool] = dict(bench.coil_levels()) if bench.coil_levels is not None else {}
     return [position for position, on in levels.items() if on]

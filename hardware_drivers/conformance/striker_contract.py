@@ -30,35 +30,41 @@ class StrikerContract:
     """
 
     def test_is_a_striker(self, striker: Striker) -> None:
+        """Check that the instrument has the methods of `Striker`."""
         assert isinstance(striker, Striker)
 
     def test_a_strike_is_one_pulse_of_its_own_coil(
         self, striker: Striker, coil_levels: CoilLevels, keys: Keys
     ) -> None:
+        """Check that a strike switches the coil of its position on, then off, and no other."""
         for key in keys:
             before = len(coil_levels())
             striker.strike(key)
             assert list(coil_levels())[before:] == [(key.position, ON), (key.position, OFF)]
 
     def test_an_unknown_position_is_refused_by_name(self, striker: Striker, unknown_key: ShotKey) -> None:
+        """Check that a strike at an unknown position is a ConfigurationError with its name."""
         with pytest.raises(ConfigurationError, match=unknown_key.position):
             striker.strike(unknown_key)
 
     def test_a_refused_strike_moves_nothing(
         self, striker: Striker, coil_levels: CoilLevels, unknown_key: ShotKey
     ) -> None:
+        """Check that a rejected strike switches no coil on."""
         before = len(coil_levels())
         with pytest.raises(ConfigurationError):
             striker.strike(unknown_key)
         assert not any(level for _, level in coil_levels()[before:])
 
     def test_making_safe_twice_is_harmless(self, striker: Striker) -> None:
+        """Check that a second `make_safe` raises nothing."""
         striker.make_safe()
         striker.make_safe()
 
     def test_making_safe_is_never_a_pulse(
         self, striker: Striker, coil_levels: CoilLevels, keys: Keys
     ) -> None:
+        """Check that `make_safe` switches no coil on, and that it is off after a strike."""
         before = len(coil_levels())
         striker.make_safe()
         assert all(level is OFF for _, level in coil_levels()[before:])
@@ -69,6 +75,7 @@ class StrikerContract:
     def test_making_safe_does_not_end_the_test(
         self, striker: Striker, coil_levels: CoilLevels, keys: Keys
     ) -> None:
+        """Check that the striker strikes again after `make_safe`."""
         striker.make_safe()
         striker.strike(keys[0])
         assert (keys[0].position, ON) in coil_levels()

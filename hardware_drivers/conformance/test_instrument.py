@@ -36,7 +36,7 @@ class OnTheBench:
 
     @pytest.fixture
     def bench(self, pytestconfig: pytest.Config) -> Iterator[Bench]:
-        """Return the test bench of the instrument."""
+        """Yield the double's bench, left at the end of the rule; without a double an empty bench."""
         double = pytestconfig.stash[DOUBLE]
         if double is None:
             yield Bench()
@@ -46,7 +46,7 @@ class OnTheBench:
 
     @pytest.fixture
     def chosen(self, pytestconfig: pytest.Config) -> ChosenInstrument:
-        """Return the instrument that the options name."""
+        """Return the instrument that the options of the command name."""
         return pytestconfig.stash[CHOSEN]
 
     @pytest.fixture
@@ -56,17 +56,17 @@ class OnTheBench:
 
     @pytest.fixture
     def table(self, chosen: ChosenInstrument, bench: Bench) -> Mapping[str, object]:
-        """Return the parameters of the instrument, with those that only the double knows."""
+        """Return the instrument's parameters; those of the running double replace the configured ones."""
         return {**chosen.table, **bench.parameters}
 
     @pytest.fixture
     def parameters(self, kind: Kind[object], table: Mapping[str, object]) -> object:
-        """Return the validated parameters of the instrument."""
+        """Return the validated parameters of the instrument; ValidationError if they are not valid."""
         return TypeAdapter(kind.parameters).validate_python(table)
 
     @pytest.fixture
     def opening(self, chosen: ChosenInstrument, pytestconfig: pytest.Config) -> Opening:
-        """Return the opening of the instrument; requests to a person go to the terminal."""
+        """Return the context of the opening; requests to a person are printed on the terminal."""
         capture = pytestconfig.pluginmanager.getplugin("capturemanager")
 
         def ask(request: str) -> None:
@@ -79,24 +79,24 @@ class OnTheBench:
 
     @pytest.fixture
     def open_kind(self, kind: Kind[object], parameters: object, opening: Opening) -> Open:
-        """Return a function that opens the instrument."""
+        """Return a function that returns the context manager of the opened instrument."""
         return lambda: kind.open(parameters, opening)
 
     @pytest.fixture
     def opened(self, open_kind: Open) -> Iterator[Opened]:
-        """Return the instrument, opened for one rule."""
+        """Yield the opened instrument; it is closed at the end of the rule."""
         with open_kind() as opened:
             yield opened
 
     @pytest.fixture
     def allowed(self, pytestconfig: pytest.Config) -> None:
-        """Skip rules that move or fire real equipment unless an option allows it."""
+        """Skip rules that move or fire real equipment, unless there is a double or ``--solimon-strike``."""
         if pytestconfig.stash[DOUBLE] is None and not pytestconfig.getoption("--solimon-strike"):
             pytest.skip(NOT_ALLOWED)
 
     @pytest.fixture
     def keys(self, chosen: ChosenInstrument) -> Keys:
-        """Return two shots of one position."""
+        """Return shots 0 and 1 of set 0 at the first position of the suite's role."""
         (position, *_) = next(names for role, names in chosen.serves.items() if role == self.suite)
         return tuple(ShotKey(position=position, set_index=0, shot_index=i) for i in (0, 1))
 
@@ -107,12 +107,12 @@ class OnTheBench:
 
     @pytest.fixture
     def timeout_s(self) -> float:
-        """Return a timeout long enough for a person."""
+        """Return a timeout in s, long enough for a person who strikes by hand."""
         return TIMEOUT_S
 
     @pytest.fixture
     def coil_levels(self, bench: Bench) -> CoilLevels:
-        """Return a function that reads the switchings of the coils."""
+        """Return the bench's function that reads the coils' switchings; skip the rule if it has none."""
         if bench.coil_levels is None:
             pytest.skip("it has no coil, or nobody knows what its coils did: a double's Bench.coil_levels")
         return bench.coil_levels
@@ -136,7 +136,7 @@ class TestSafety(OnTheBench, SafetyContract):
 
     @pytest.fixture
     def open_kind(self, kind: Kind[object], parameters: object, opening: Opening, allowed: None) -> Open:
-        """Return a function that opens the instrument, which then strikes."""
+        """Return a function that opens the instrument, which then strikes; skipped unless allowed."""
         return lambda: kind.open(parameters, opening)
 
 
@@ -147,7 +147,7 @@ class TestDigitizer(OnTheBench, DigitizerContract):
 
     @pytest.fixture
     def digitizer(self, opened: Opened) -> Digitizer:
-        """Return the digitizer, disarmed."""
+        """Return the digitizer, disarmed; AssertionError if the kind opened none."""
         assert opened.digitizer is not None
         return opened.digitizer
 
@@ -161,7 +161,10 @@ class TestDigitizer(OnTheBench, DigitizerContract):
         keys: Keys,
         allowed: None,
     ) -> Iterator[Strike]:
-        """Return a strike by the double, the instrument itself, or the striker of its position."""
+        """Yield a function that strikes: of the double, the instrument itself, or its position's striker.
+
+        Another instrument is opened for it. Without any, the rule is skipped.
+        """
         if bench.strike is not None:
             yield bench.strike
             return
@@ -180,7 +183,7 @@ class TestDigitizer(OnTheBench, DigitizerContract):
 
     @pytest.fixture
     def longest_read_s(self, kind: Kind[object], parameters: object) -> float:
-        """Return the time limit of any digitizer plus that of the kind's calls."""
+        """Return the time limit of any digitizer plus the kind's longest call, in s."""
         return SHORT_TIMEOUT_S + OVERRUN_S + kind.longest_call_s(parameters)
 
 
@@ -191,13 +194,13 @@ class TestStriker(OnTheBench, StrikerContract):
 
     @pytest.fixture
     def striker(self, opened: Opened, allowed: None) -> Striker:
-        """Return the striker with every coil off."""
+        """Return the striker with every coil off; skipped unless strikes are allowed."""
         assert opened.striker is not None
         return opened.striker
 
     @pytest.fixture
     def keys(self, chosen: ChosenInstrument) -> Keys:
-        """Return a shot of each of two positions, of one if it has no more."""
+        """Return shot 0 of set 0 at up to two positions of the striker."""
         names = chosen.serves["striker"][:2]
         return tuple(ShotKey(position=name, set_index=0, shot_index=0) for name in names)
 
@@ -209,7 +212,7 @@ class TestPulseEcho(OnTheBench, PulseEchoUnitContract):
 
     @pytest.fixture
     def pulse_echo(self, opened: Opened, allowed: None) -> PulseEchoUnit:
-        """Return the pulse-echo unit."""
+        """Return the pulse-echo unit; skipped unless firing is allowed."""
         assert opened.pulse_echo is not None
         return opened.pulse_echo
 
@@ -221,24 +224,24 @@ class TestSupply(OnTheBench, PowerSupplyContract):
 
     @pytest.fixture
     def supply(self, opened: Opened, order: Order) -> PowerSupply:
-        """Return the supply, switched on."""
+        """Return the supply, switched on at the double's voltage and limit."""
         assert opened.supply is not None
         opened.supply.energise(*order)
         return opened.supply
 
     @pytest.fixture
     def caps(self, bench: Bench) -> Order:
-        """Return the caps of the double's configuration."""
+        """Return the double's caps (V, A); skip the rule without a double."""
         return _require_double(bench.caps)
 
     @pytest.fixture
     def order(self, bench: Bench) -> Order:
-        """Return a command that the double accepts."""
+        """Return a command (V, A) that the double accepts; skip the rule without a double."""
         return _require_double(bench.order)
 
 
 def _require_double(order: Order | None) -> Order:
-    """Return a value of the double; skip the rule where there is no double."""
+    """Return a value of the double (V, A); skip the rule if it is None: there is no double."""
     if order is None:
         pytest.skip("no rule switches a supply that is no double's: Bench.caps and Bench.order")
     return order
@@ -251,13 +254,13 @@ class TestClimate(OnTheBench, ClimateProbeContract):
 
     @pytest.fixture
     def climate(self, opened: Opened) -> ClimateProbe:
-        """Return the climate probe."""
+        """Return the climate probe; AssertionError if the kind opened none."""
         assert opened.climate is not None
         return opened.climate
 
     @pytest.fixture
     def air(self, bench: Bench) -> tuple[float, float]:
-        """Return the double's air."""
+        """Return the double's temperature (degrees Celsius) and humidity (0 to 1); skip without a double."""
         if bench.air is None:
             pytest.skip("nobody knows the true air: a double's Bench.air")
         return bench.air

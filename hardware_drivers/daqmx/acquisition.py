@@ -68,12 +68,22 @@ class Acquisition:
     settings: Mapping[str, float | str]
 
     def start(self) -> None:
-        """Start sampling, at once or at the edge of the coil's counter."""
+        """Start sampling, at once or at the edge of the coil's counter; the vendor's error is translated."""
         with translate_errors(f"starting the acquisition of {self.position!r}"):
             self.task.start()
 
     def read(self, timeout_s: float) -> Waveform:
-        """Wait for the record and return it; the buffer's content is used only after a complete read."""
+        """Wait for the record and return it; the buffer's content is used only after a complete read.
+
+        ``timeout_s`` bounds each part of ``part_samples``.
+
+        Raises
+        ------
+        AcquisitionTimeoutError
+            Nothing triggered in time.
+        ConnectionLostError
+            Samples are missing, or the record does not cross its trigger level.
+        """
         with translate_errors(f"reading the record of {self.position!r}"):
             read = self.reader.read_int16 if self.buffer.dtype == np.int16 else self.reader.read_int32
             wanted = self.buffer.shape[1]
@@ -96,16 +106,19 @@ class Acquisition:
         return waveform
 
     def stop(self) -> None:
-        """Return the task to committed, ready for the next shot."""
+        """Stop the task and return it to committed, ready for the next shot; InstrumentError on failure."""
         with translate_errors(f"stopping the acquisition of {self.position!r}"):
             self.task.stop()
 
     def close(self) -> bool:
-        """Release the board; True if the driver confirmed it (errors are logged)."""
+        """Abort and clear the task; True if the driver confirmed it, else the error is logged."""
         return clear_task(self.task, f"closing the acquisition of {self.position!r}")
 
     def _require_edge(self, waveform: Waveform) -> None:
-        """Reject a record that does not cross its own trigger level at the stated trigger sample."""
+        """Raise ConnectionLostError if a record does not cross its trigger level at the trigger sample.
+
+        Within `EDGE_S` of it, and `EDGE_FRACTION` of the range.
+        """
         reach = max(2, round(EDGE_S * self.sample_rate_hz))
         trigger = self.pretrigger_samples
         around = waveform.calibration.volts(waveform.counts[max(0, trigger - reach) : trigger + reach + 1])
@@ -139,7 +152,7 @@ def commit_acquisition(
     ------
     ConfigurationError
         The board would use another rate, range or holdoff than asked, or codes this driver does not know;
-        or the coil's counter cannot start it.
+        or the coil's counter cannot start it. The task is cleared.
     """
     wiring = parameters.transducers[position]
     task = connection.task("digitizer")
@@ -160,7 +173,7 @@ def commit_acquisition(
 def _configure_task(
     task: Task, parameters: DaqmxParameters, wiring: TransducerWiring, board: Board, record: Record
 ) -> AIChannel:
-    """Configure channel, sample clock, reference clock and trigger of a task; return its channel."""
+    """Configure channel, sample clock, reference clock and trigger (shots only); return the channel."""
     from nidaqmx.constants import AcquisitionType, Coupling, Slope, TerminalConfiguration
 
     physical = f"{board.name}/{wiring.input}"
@@ -191,7 +204,7 @@ def _configure_task(
 
 
 def _count_samples(parameters: DaqmxParameters, record: Record) -> int:
-    """Return the number of samples of a record."""
+    """Return the number of samples of a record: a complete strike for ``pulse``, else the configured one."""
     return parameters.whole_strike_samples if record == "pulse" else parameters.record_samples
 
 
@@ -200,7 +213,8 @@ def _configure_coil_start(
 ) -> None:
     """Configure the start by an edge of the coil's counter: with the pulse, or the holdoff after its end.
 
-    Verified here, so that a route or delay that the boards do not have is reported as what it is.
+    Verified here, so that a route or delay that the boards do not have is reported as what it is:
+    ConfigurationError for the delay, ConnectionLostError for another source.
     """
     from nidaqmx.constants import DigitalWidthUnits, Edge, TaskMode
 
@@ -226,7 +240,10 @@ def _configure_coil_start(
 
 
 def _check_delay(parameters: DaqmxParameters, board: Board, delay_s: float) -> None:
-    """Reject a start delay of the board that is not the requested holdoff, or cannot work."""
+    """Raise ConfigurationError if the board's start delay cannot work or is not the requested holdoff.
+
+    A difference up to `DELAY_AGREEMENT_S` is accepted.
+    """
     asked_s = parameters.holdoff_s or 0.0
     try:
         parameters.check_holdoff(delay_s)
@@ -254,7 +271,10 @@ _CLOCK_HZ = {"PXI_Clk10": 10e6, "PXIe_Clk100": 100e6}
 def _verify_committed(
     task: Task, channel: AIChannel, parameters: DaqmxParameters, position: str, board: Board, record: Record
 ) -> Acquisition:
-    """Read back the essential settings and reject silent changes."""
+    """Read back the essential settings and return the acquisition.
+
+    Raise ConfigurationError where rate, range or trigger level differs, or the sample size is unknown.
+    """
     from nidaqmx.stream_readers import AnalogUnscaledReader
 
     wiring, triggered = parameters.transducers[position], record == "shot"
@@ -304,7 +324,10 @@ def _verify_committed(
 
 
 def _read_calibration(channel: AIChannel, wiring: TransducerWiring, board: Board) -> Calibration:
-    """Return the scaling of the board's codes; reject it if its ends are not those of the range."""
+    """Read the scaling of the board's codes to volts.
+
+    Raise ConnectionLostError if it makes no sense: not finite, or its ends are not those of the range.
+    """
     coefficients = np.array(channel.ai_dev_scaling_coeff, dtype=np.float64)
     bits = float(channel.ai_resolution)
     if coefficients.size < 2 or not np.isfinite(coefficients).all() or not 2.0 <= bits <= 32.0:
@@ -330,7 +353,10 @@ def _read_calibration(channel: AIChannel, wiring: TransducerWiring, board: Board
 def _collect_settings(
     parameters: DaqmxParameters, wiring: TransducerWiring, board: Board, level_v: float, *, triggered: bool
 ) -> dict[str, float | str]:
-    """Return the settings that are stored with each record, SI units in the names."""
+    """Collect the settings that are stored with each record, SI units in the names.
+
+    ``trigger_level_v`` is NaN for a record without trigger.
+    """
     settings: dict[str, float | str] = {
         "board_serial": board.serial,
         "product": board.product,

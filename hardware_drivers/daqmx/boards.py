@@ -51,22 +51,26 @@ class Board:
 
     @property
     def label(self) -> str:
-        """Return the name of the board in messages."""
+        """Return product and serial number, the name of the board in messages."""
         return f"{self.product} {self.serial}"
 
 
 def format_serial(serial: int) -> str:
-    """Return a serial number as NI prints it on the label."""
+    """Format a serial number as NI prints it on the label: 8 hexadecimal digits, upper case."""
     return f"{serial:08X}"
 
 
 def normalize_serial(text: str) -> str:
-    """Return a configured serial number in the one form that is compared."""
+    """Convert a hexadecimal serial number to 8 upper-case digits; ValueError if it is none."""
     return format_serial(int(text, 16))
 
 
 def list_boards(connection: Connection) -> dict[str, Device]:
-    """Return all boards the driver knows by serial number (0: NI's simulated devices; use one at a time)."""
+    """List the boards that the driver knows and that answer, by serial number.
+
+    NI's simulated devices all have serial number 0: only the last one is kept. A listed board that is
+    absent is left out; other errors are raised.
+    """
     system = connection.system()
     with translate_errors("listing the boards"):
         devices = list(system.devices)
@@ -84,7 +88,7 @@ def list_boards(connection: Connection) -> dict[str, Device]:
 
 
 def find_boards(connection: Connection, serials: Iterable[str]) -> dict[str, Board]:
-    """Return the boards with these serial numbers under their present names.
+    """Find the boards with these serial numbers and describe them under their present names.
 
     Raises
     ------
@@ -104,7 +108,11 @@ def find_boards(connection: Connection, serials: Iterable[str]) -> dict[str, Boa
 
 
 def describe_board(serial: str, device: Device) -> Board:
-    """Read a board's description from the driver."""
+    """Read a board's name, product, self-calibration, and whether NI's driver simulates it.
+
+    Optional metadata that is unknown is logged: empty date, NaN temperature. Raise ConnectionLostError if
+    the board has no name or product.
+    """
     with translate_errors(f"reading what board {serial} is"):
         name, product = str(device.name), str(device.product_type)
         if not (name and product):
@@ -137,17 +145,17 @@ def describe_board(serial: str, device: Device) -> Board:
 
 
 def _format_board_names(boards: Mapping[str, Device]) -> str:
-    """Return serial numbers and names of boards for a message."""
+    """Format serial numbers and names of boards for a message; ``none`` without boards."""
     return ", ".join(f"{serial} ({device.name})" for serial, device in boards.items()) or "none"
 
 
 def check_board(board: Board, wiring: TransducerWiring, parameters: DaqmxParameters) -> None:
-    """Check that a board can take the requested record, and return its limits.
+    """Check that a board can take the requested record; nothing is returned.
 
     Raises
     ------
     ConfigurationError
-        Too slow, no such range, or no analog trigger.
+        Too slow, no such range, or no analog trigger (which a dry run does not need).
     """
     with translate_errors(f"reading what {board.label} can do"):
         limit_hz = float(board.device.ai_max_single_chan_rate)
@@ -173,5 +181,5 @@ def check_board(board: Board, wiring: TransducerWiring, parameters: DaqmxParamet
 
 
 def is_accepted(given: float, requested: float) -> bool:
-    """Check whether the driver took the requested value."""
+    """Return whether the value that the driver reports equals the requested one within 1e-6 of it."""
     return math.isclose(given, requested, rel_tol=RELATIVE_AGREEMENT)

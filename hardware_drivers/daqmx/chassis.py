@@ -88,7 +88,7 @@ class Chassis:
     # One thread ----------------------------------------------------------------------------------
 
     def check_thread(self) -> None:
-        """Raise for calls from another thread: NI's tasks are not thread-safe."""
+        """Raise ConfigurationError for a call from another thread: NI's tasks are not thread-safe."""
         if threading.get_ident() != self._thread:
             raise ConfigurationError(
                 f"the instruments were opened by thread {self._thread} and called by thread "
@@ -98,7 +98,7 @@ class Chassis:
     # Turns ---------------------------------------------------------------------------------------
 
     def start_turn(self, position: str, record: Record = "shot") -> Turn:
-        """Commit the tasks of a transducer, after the next recovery step if the connection was lost.
+        """Commit a transducer's tasks and return them; first take the next recovery step after a loss.
 
         Parameters
         ----------
@@ -115,19 +115,19 @@ class Chassis:
         return self._turn
 
     def acquisition(self, position: str, record: Record = "shot") -> Acquisition:
-        """Return the acquisition of a transducer that these boards digitize, after its commit."""
+        """Commit a transducer's tasks if necessary, and return its acquisition; it must be wired here."""
         acquisition = self.start_turn(position, record).acquisition
         assert acquisition is not None, "asked for with its input only"
         return acquisition
 
     def coil(self, position: str, record: Record = "shot") -> Coil:
-        """Return the coil of a transducer that these boards strike, after its commit."""
+        """Commit a transducer's tasks if necessary, and return its coil; its counter must be wired here."""
         coil = self.start_turn(position, record).coil
         assert coil is not None, "asked for with its counter only"
         return coil
 
     def end_turn(self) -> None:
-        """Clear the tasks, the coil's first; remember a coil that may still be on."""
+        """Clear the committed tasks, the coil's first; remember a coil that may still be on."""
         turn, self._turn = self._turn, None
         if turn is None:
             return
@@ -142,7 +142,7 @@ class Chassis:
             self._clear_by_name(ROLES)
 
     def _commit(self, position: str, record: Record) -> Turn:
-        """Commit the tasks of a transducer, the coil first; an error leaves none of them."""
+        """Commit the tasks of a transducer, the coil first; after an error none of them is left."""
         wiring = self.parameters.transducers[position]
         connection = self.connection
         coil_board = self._boards[normalize_serial(wiring.coil_serial)]
@@ -160,7 +160,7 @@ class Chassis:
         return Turn(position=position, record=record, acquisition=acquisition, coil=coil)
 
     def commit_all_once(self) -> None:
-        """Commit every transducer once, so that the hardware rejects settings before a test starts."""
+        """Commit and clear every transducer once, so that hardware rejects settings before a test starts."""
         for position, wiring in self.parameters.transducers.items():
             if wiring.digitizes:
                 check_board(self._boards[normalize_serial(wiring.board_serial)], wiring, self.parameters)
@@ -168,13 +168,7 @@ class Chassis:
         self.end_turn()
 
     def require_real_boards(self) -> None:
-        """Raise for devices that NI's driver simulates: their records contain no wave.
-
-        Raises
-        ------
-        ConfigurationError
-            A board is simulated, and this is no rehearsal.
-        """
+        """Raise ConfigurationError for a board that NI's driver simulates, except in a dry run."""
         simulated = [board.label for board in self._boards.values() if board.simulated]
         if simulated and not self.parameters.dry_run:
             raise ConfigurationError(
@@ -185,7 +179,7 @@ class Chassis:
     # The coil ------------------------------------------------------------------------------------
 
     def make_safe(self) -> None:
-        """Switch the coil off.
+        """Switch the coil off: clear all tasks, by name on a server if it may still be on.
 
         Raises
         ------
@@ -203,7 +197,7 @@ class Chassis:
         )
 
     def _clear_by_name(self, roles: Sequence[str]) -> bool:
-        """Clear tasks on a server that remain after the loss of their local object."""
+        """Clear a lost object's tasks on a server; True if none is left, False without server or on error."""
         try:
             cleared = self._connection is not None and self._connection.clear_leftovers(roles)
         except InstrumentError as error:
@@ -217,7 +211,7 @@ class Chassis:
 
     @contextmanager
     def attempt(self) -> Iterator[None]:
-        """Run an operation on the boards; an error leaves them safe and selects the next recovery step."""
+        """Run a block on the boards; an error clears the tasks, selects a recovery step and is raised."""
         try:
             yield
         except BaseException as error:
@@ -229,7 +223,7 @@ class Chassis:
             raise
 
     def _count_loss(self, error: ConnectionLostError) -> None:
-        """Count a lost connection and select the next recovery step; raise after the last one failed too."""
+        """Count a loss and select the next recovery step; ConnectionLostError if the last one failed."""
         self._lost += 1
         tried = self._rung
         self._rung = min(tried + 1, len(LADDER))
@@ -244,7 +238,7 @@ class Chassis:
             ) from error
 
     def _handle_busy_board(self, error: BusyError) -> None:
-        """Distinguish another owner, who is never disturbed, from a leftover task of this program."""
+        """Leave another owner's board alone from now on; raise ConnectionLostError for our own old task."""
         # The driver's text names the task that was refused too, and that one is always ours.
         owner = find_owner(str(error.__cause__))
         if self._connection is None or not self._connection.is_own_task(owner):
@@ -259,7 +253,7 @@ class Chassis:
         self._rung = self._lost = 0
 
     def _recover(self) -> None:
-        """Take the next recovery step after a loss."""
+        """Take the selected recovery step (`LADDER`) if the connection was lost; else do nothing."""
         if not self._broken:
             return
         log.info("recovering: %s", LADDER[self._rung - 1])
@@ -274,7 +268,7 @@ class Chassis:
         self._broken = False
 
     def _reset_boards(self) -> None:
-        """Reset the boards, unless another program uses one of them."""
+        """Reset all boards, unless another program was found to use one of them."""
         if self._shared:
             log.warning("not resetting: somebody else uses a board of ours too")
             return
@@ -285,11 +279,11 @@ class Chassis:
 
     @property
     def coil_off_at(self) -> float:
-        """Return the monotonic time by which every coil is off in any case: now, or a pulse's own end."""
+        """Return the monotonic time (s) by which every coil is off in any case: now, or a pulse's own end."""
         return max(time.monotonic(), self._maybe_on[1])
 
     def _connect(self) -> None:
-        """Reconnect to the driver and find the boards under their present names."""
+        """Reconnect to the driver, clear leftover tasks, find the boards under their present names."""
         if self._connection is not None:
             self._connection.close()
         self._connection = Connection(self.parameters)
@@ -299,7 +293,7 @@ class Chassis:
 
     @property
     def connection(self) -> Connection:
-        """Return the connection to the driver."""
+        """Return the connection to the driver; ConfigurationError if the rig is closed."""
         if self._connection is None:
             raise ConfigurationError("the rig is closed; open it again")
         return self._connection
@@ -307,7 +301,7 @@ class Chassis:
     # Calibration, identity, end ------------------------------------------------------------------
 
     def self_calibrate(self) -> dict[str, str]:
-        """Calibrate every digitizer board, then read date, temperature and scaling."""
+        """Calibrate the digitizer boards, commit all again; return date and temperature by serial number."""
         self.end_turn()
         self._recover()
         done = {}
@@ -328,7 +322,7 @@ class Chassis:
         return done
 
     def identity(self) -> dict[str, str]:
-        """Return versions, transport and boards, for every set's record."""
+        """Return transport, versions and each board's product by name of the item, for every set's record."""
         return {
             "transport": self.parameters.transport,
             "daqmx_driver_version": self.driver_version,
@@ -351,6 +345,6 @@ class Chassis:
 
 
 def list_serials(parameters: DaqmxParameters) -> list[str]:
-    """Return the serial numbers of the boards of every transducer."""
+    """Return the serial numbers of all transducers' digitizer boards, then coil boards; with repetitions."""
     wirings = parameters.transducers.values()
     return [wiring.board_serial for wiring in wirings] + [wiring.coil_serial for wiring in wirings]

@@ -50,14 +50,14 @@ class ClientLock:
         self._file.flush()
 
     def release(self) -> None:
-        """Release the name; harmless when done before."""
+        """Release the name by closing the lock file, which stays; harmless when done before."""
         file, self._file = self._file, None
         if file is not None:
             file.close()
 
 
 def _lock_first_byte(file: IO[bytes]) -> None:
-    """Lock the first byte of a file for this process; an OSError if another process holds it."""
+    """Lock a file (Windows: its first byte) for this process, without waiting; OSError if it is taken."""
     if sys.platform == "win32":
         import msvcrt
 

@@ -78,7 +78,10 @@ class Coil:
             self._stop_watchdog(self.watchdog)
 
     def _stop_watchdog(self, watchdog: WatchdogTask) -> None:
-        """Stop the watchdog; an expired one pulled the coil low during the strike, which is then missed."""
+        """Stop the watchdog and clear an expiration.
+
+        Raise AcquisitionTimeoutError if it expired: it pulled the coil low, so the strike was missed.
+        """
         with translate_errors(f"stopping the watchdog of {self.position!r}"):
             expired = bool(watchdog.expired)
             if expired:
@@ -120,6 +123,8 @@ def commit_coil(connection: Connection, parameters: DaqmxParameters, position: s
     ------
     ConfigurationError
         The pulse is longer than the cap, would be given another length or would idle high.
+    ConnectionLostError
+        The board would pulse another terminal. No task is left after an error.
     """
     if not 0.0 < parameters.pulse_s <= CAP_S:
         raise ConfigurationError(
@@ -147,7 +152,10 @@ def commit_coil(connection: Connection, parameters: DaqmxParameters, position: s
 
 
 def _configure_pulse(task: Task, parameters: DaqmxParameters, position: str, board: Board) -> None:
-    """Configure one pulse that idles low, verify terminal, level and length, then commit."""
+    """Configure one pulse that idles low, verify terminal, level and length, then commit.
+
+    Raise ConfigurationError for another level or length, ConnectionLostError for another terminal.
+    """
     from nidaqmx.constants import Level, TaskMode
 
     wiring = parameters.transducers[position]
@@ -178,7 +186,10 @@ def _configure_pulse(task: Task, parameters: DaqmxParameters, position: str, boa
 
 
 def _commit_watchdog(connection: Connection, wired: WatchdogWiring, board: Board) -> WatchdogTask:
-    """Create and commit a board's watchdog, which pulls the wired lines low when it expires."""
+    """Create and commit a board's watchdog, which pulls the wired lines low when it expires.
+
+    It is not started; an error clears it.
+    """
     from nidaqmx.constants import Level, TaskMode
     from nidaqmx.types import DOExpirationState
 

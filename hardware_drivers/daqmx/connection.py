@@ -39,7 +39,7 @@ NAME_TAKEN = -200089
 
 
 def build_client_name(parameters: DaqmxParameters) -> str:
-    """Return the name that marks this rig's tasks on a gRPC server."""
+    """Return the name that marks this rig's tasks on a server: configured, else from the host name."""
     return parameters.grpc_client_name or re.sub(r"[^A-Za-z0-9_.-]", "_", socket.gethostname())[:40]
 
 
@@ -68,13 +68,13 @@ class Connection:
             self._channel = _open_channel(parameters)
 
     def close(self) -> None:
-        """End the connection; tasks must be cleared before."""
+        """End the connection; tasks must be cleared before. Harmless when closed."""
         channel, self._channel = self._channel, None
         if channel is not None:
             channel.close()
 
     def system(self) -> System:
-        """Return NI's view of all boards (`nidaqmx.system.System`)."""
+        """Return NI's view of all boards (`nidaqmx.system.System`), local or of the server."""
         from nidaqmx.system import System
 
         with translate_errors("reaching NI-DAQmx"):
@@ -90,13 +90,19 @@ class Connection:
         )
 
     def task(self, role: str) -> Task:
-        """Create an empty task (`nidaqmx.Task`) named after this client and its role."""
+        """Create an empty task (`nidaqmx.Task`) named after this client and its role.
+
+        Raise InstrumentError if it cannot be created; nothing is left then.
+        """
         from nidaqmx import Task
 
         return self._create_named(role, lambda name: self._create(Task, f"creating the task {name}", name))
 
     def watchdog(self, device: str, role: str, timeout_s: float) -> WatchdogTask:
-        """Create the watchdog task of a board (`nidaqmx.system.watchdog.WatchdogTask`)."""
+        """Create a board's watchdog task (`nidaqmx.system.watchdog.WatchdogTask`).
+
+        It expires ``timeout_s`` after its last reset. Raise InstrumentError if it cannot be created.
+        """
         from nidaqmx.system.watchdog import WatchdogTask
 
         doing = f"creating the watchdog of {device}"
@@ -105,7 +111,10 @@ class Connection:
         )
 
     def _create_named(self, role: str, create: Callable[[str], T]) -> T:
-        """Create a task under a name that a later process finds, or under any if those are taken."""
+        """Create a task under a name that a later process finds; under a random one if that is taken.
+
+        Any other error of ``create`` is raised.
+        """
         self._created[role] += 1
         number = self._created[role] if self._channel is None else self._created[role] % NAMES
         try:
@@ -117,11 +126,11 @@ class Connection:
             return create(self._build_task_name(role, uuid.uuid4().hex[:8]))
 
     def is_own_task(self, owner: str) -> bool:
-        """Check whether a resource is owned by an uncleared task of this program."""
+        """Return whether an owner that the driver names is a task of this client."""
         return f"solimon-{self._client}-" in owner
 
     def _build_task_name(self, role: str, mark: int | str) -> str:
-        """Return the name of a task of this client."""
+        """Return the name of a task of this client: ``solimon-CLIENT-ROLE-MARK``."""
         return f"solimon-{self._client}-{role}-{mark}"
 
     def clear_leftovers(self, roles: Sequence[str]) -> bool:
@@ -158,7 +167,15 @@ class Connection:
     def _create(
         self, kind: type[T], doing: str, *arguments: object, session: str = "", attach: bool = False
     ) -> T:
-        """Create one of NI's task objects; an error half-way clears what was created."""
+        """Create one of NI's task objects, and return it; an error half-way clears what was created.
+
+        Parameters
+        ----------
+        session
+            Name of a watchdog's session; empty: a task, named by the first argument.
+        attach
+            Take the server's task of this name if there is one.
+        """
         # NI's constructors create first and ask for the task's name then; if that fails, the object is
         # lost and its task stays. So the object is kept apart from its construction.
         task = kind.__new__(kind)
@@ -174,7 +191,7 @@ class Connection:
 
 
 def _make_options(channel: Channel, name: str, *, attach: bool) -> GrpcSessionOptions:
-    """Return options for a new session on a server, or (`attach`) for the one of this name if it exists."""
+    """Build the options for a new session on a server, or (`attach`) for the existing one of this name."""
     from nidaqmx.grpc_session_options import GrpcSessionOptions, SessionInitializationBehavior
 
     behaviour = SessionInitializationBehavior
@@ -198,12 +215,15 @@ def clear_task(task: Task | WatchdogTask, doing: str) -> bool:
 
 
 def clear_watchdog(watchdog: WatchdogTask, doing: str) -> bool:
-    """Release and clear a watchdog, which NI's package lets be cleared a second time, unlike a task."""
+    """Release and clear a watchdog in any state, with a second try; True if it was cleared.
+
+    NI's package lets it be cleared a second time, unlike a task.
+    """
     return clear_task(watchdog, doing) or _run_cleanup_step(watchdog.close, doing)
 
 
 def _run_cleanup_step(step: Callable[[], None], doing: str) -> bool:
-    """Run one step of a clean-up; return False and log the error if it fails."""
+    """Run one step of a clean-up; True if it succeeds, False with a debug log entry if it raises."""
     with warnings.catch_warnings():
         # A task that was never created needs no clearing; NI warns of that.
         warnings.simplefilter("ignore")
@@ -217,17 +237,17 @@ def _run_cleanup_step(step: Callable[[], None], doing: str) -> bool:
 
 
 def _is_name_taken(error: ConnectionLostError) -> bool:
-    """Check whether an error states that a task of this name exists already."""
+    """Return whether an error has NI's status -200089: a task of this name exists already."""
     return getattr(error.__cause__, "error_code", 0) == NAME_TAKEN
 
 
 def read_package_versions() -> dict[str, str]:
-    """Return the versions of NI's Python package, for the record."""
+    """Return the version of NI's Python package as ``nidaqmx_version``, for the record."""
     return {"nidaqmx_version": version("nidaqmx")}
 
 
 def _open_channel(parameters: DaqmxParameters) -> Channel:
-    """Open the channel to the gRPC server; a missing extra is a ConfigurationError."""
+    """Open the channel to the gRPC server; ConfigurationError if the extra `grpc` is not installed."""
     try:
         import nidaqmx._grpc_interpreter  # noqa: F401 # the parts of the extra that NI's client needs
 

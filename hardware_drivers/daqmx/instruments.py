@@ -28,8 +28,15 @@ class DaqmxBoards:
     def arm(self, key: ShotKey) -> None:
         """Start the acquisition: its pre-trigger fills from now on, or after the coil's ringing.
 
-        A striker of an earlier strike that no one recorded is left to land first: its wave belongs to
-        no shot.
+        A striker of an earlier strike that no one recorded is left to land first: its wave belongs to no
+        shot.
+
+        Raises
+        ------
+        ConfigurationError
+            Already armed, a position without input here, or a call from another thread.
+        BusyError, ConnectionLostError
+            Another program holds the board, or it does not answer.
         """
         chassis = self._chassis
         chassis.check_thread()
@@ -47,7 +54,19 @@ class DaqmxBoards:
         self._armed = key
 
     def read(self, timeout_s: float) -> Acquired:
-        """Wait for the record and disarm; an error leaves nothing running."""
+        """Wait for the record and disarm; an error leaves nothing running.
+
+        A complete record is returned even if ending its acquisition fails; that is logged.
+
+        Raises
+        ------
+        AcquisitionTimeoutError
+            Nothing triggered within ``timeout_s``.
+        ConfigurationError
+            Not armed, a timeout that is not positive, or a call from another thread.
+        ConnectionLostError
+            The board does not answer; the next call takes a recovery step.
+        """
         chassis = self._chassis
         chassis.check_thread()
         require_timeout(timeout_s)
@@ -72,14 +91,25 @@ class DaqmxBoards:
         return acquired
 
     def disarm(self) -> None:
-        """Stop waiting; harmless when not armed, and when the connection is lost."""
+        """Stop waiting; harmless when not armed, and when the connection is lost.
+
+        Raise ConfigurationError in another thread than the one that opened the boards.
+        """
         self._chassis.check_thread()
         if self._armed is not None:
             self._armed = None
             self._chassis.end_turn()
 
     def strike(self, key: ShotKey) -> None:
-        """Pulse the coil once; on return it is off. In a dry run nothing moves."""
+        """Pulse the coil once; on return it is off. In a dry run nothing moves.
+
+        Raises
+        ------
+        ConfigurationError
+            A position without counter here, another position is armed, or a call from another thread.
+        AcquisitionTimeoutError, BusyError, ConnectionLostError
+            The pulse failed: nothing is armed any more.
+        """
         chassis, parameters = self._chassis, self._chassis.parameters
         chassis.check_thread()
         _require_wired(
@@ -102,13 +132,19 @@ class DaqmxBoards:
             self._lands_at = chassis.coil_off_at + parameters.fall_s + parameters.fall_margin_s
 
     def make_safe(self) -> None:
-        """Switch off every coil that may be on; disarm the armed acquisition."""
+        """Switch off every coil that may be on; disarm the armed acquisition.
+
+        Raise ConnectionLostError if a coil's state is unknown; its counter ends the pulse in any case.
+        """
         self._chassis.check_thread()
         self._armed = None
         self._chassis.make_safe()
 
     def self_calibrate(self) -> Mapping[str, str]:
-        """Calibrate every digitizer board and read its scaling."""
+        """Calibrate every digitizer board and read its scaling; return date and temperature by serial number.
+
+        Raise ConfigurationError while armed; other errors are those of a record.
+        """
         chassis = self._chassis
         chassis.check_thread()
         if self._armed is not None:
@@ -118,7 +154,7 @@ class DaqmxBoards:
 
 
 def _require_wired(key: ShotKey, role: str, positions: Collection[str]) -> None:
-    """Reject a position that is not wired for a role."""
+    """Raise ConfigurationError unless a key's position is among those that are wired for a role."""
     if key.position not in positions:
         raise ConfigurationError(
             f"no {role} at position {key.position!r}; there are: {', '.join(sorted(positions))}; wire it in "

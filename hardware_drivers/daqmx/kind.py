@@ -10,26 +10,26 @@ from hardware_drivers.kinds import Finding, Kind, Opened, Opening, Role
 
 
 def _open_boards(parameters: DaqmxParameters, opening: Opening) -> AbstractContextManager[Opened]:
-    """Open the boards."""
+    """Return the context manager that opens the boards (`open_daqmx`); nothing is opened yet."""
     from hardware_drivers.daqmx.instruments import open_daqmx
 
     return open_daqmx(parameters)
 
 
 def _check_boards(parameters: DaqmxParameters, opening: Opening) -> Iterator[Finding]:
-    """Return findings on driver, boards and wiring; nothing strikes."""
+    """Yield findings on driver, boards and wiring; nothing strikes."""
     from hardware_drivers.daqmx.look import yield_board_findings
 
     return yield_board_findings(parameters, shot_interval_s=opening.shot_interval_s)
 
 
 def _list_packages(parameters: DaqmxParameters) -> tuple[str, ...]:
-    """Return the distributions that the transport needs."""
+    """Return the distributions that the transport needs: nidaqmx, with grpcio for ``grpc``."""
     return ("nidaqmx", "grpcio") if parameters.transport == "grpc" else ("nidaqmx",)
 
 
 def _check_wired_positions(parameters: DaqmxParameters, serves: Mapping[Role, tuple[str, ...]]) -> None:
-    """Check that every wired end is used, and every used end is wired."""
+    """Raise ValueError for a wired input or counter that serves no position, or a served one not wired."""
     ends: tuple[tuple[Role, str], ...] = (("digitizer", "input"), ("striker", "counter"))
     for position, wiring in parameters.transducers.items():
         for role, end in ends:

@@ -24,7 +24,10 @@ LARGEST_DUTY = 0.25
 
 
 def yield_board_findings(parameters: DaqmxParameters, *, shot_interval_s: float) -> Iterator[Finding]:
-    """Yield findings on driver, boards, every transducer's wiring and the watchdogs."""
+    """Yield findings on duty cycle, driver, boards, every transducer's wiring and the watchdogs.
+
+    Without a connection to the gRPC server that finding is the last one. Nothing strikes.
+    """
     if any(wiring.strikes for wiring in parameters.transducers.values()):
         yield _check_duty_cycle(parameters.pulse_s, shot_interval_s)
     if parameters.transport == "grpc":
@@ -42,7 +45,7 @@ def yield_board_findings(parameters: DaqmxParameters, *, shot_interval_s: float)
 
 
 def _check_duty_cycle(pulse_s: float, shot_interval_s: float) -> Finding:
-    """Return the finding on the coil's duty cycle while its transducer is struck."""
+    """Return the finding on the coil's duty cycle while struck; a warning above `LARGEST_DUTY`."""
     part = pulse_s / shot_interval_s
     return Finding(
         subject="coils",
@@ -55,7 +58,10 @@ def _check_duty_cycle(pulse_s: float, shot_interval_s: float) -> Finding:
 
 
 def _check_server(address: str) -> Finding:
-    """Check the connection to the server: a missing one is found at once, not at every call's deadline."""
+    """Return the finding on a connection to the server, tried for at most `SERVER_TIMEOUT_S`.
+
+    A missing server is found at once, not at every call's deadline.
+    """
     host, _, port = address.rpartition(":")
     try:
         with socket.create_connection((host.strip("[]"), int(port)), timeout=SERVER_TIMEOUT_S):
@@ -73,7 +79,7 @@ def _check_server(address: str) -> Finding:
 
 
 def _check_driver_version(text: str) -> Finding:
-    """Return the finding on the driver's version."""
+    """Return the finding on the driver's version; failed if it is older than `OLDEST_DRIVER`."""
     oldest = ".".join(map(str, OLDEST_DRIVER))
     fits = tuple(int(part) for part in re.findall(r"\d+", text)) >= OLDEST_DRIVER
     return Finding(
@@ -87,7 +93,7 @@ def _check_driver_version(text: str) -> Finding:
 
 
 def _check_watchdog(parameters: DaqmxParameters, watchdog: WatchdogWiring) -> Finding:
-    """Check that each coil of the board is among the lines that the watchdog pulls low."""
+    """Return the finding on a watchdog; failed unless it pulls the line of each coil of its board low."""
     board = int(watchdog.board_serial, 16)
     uncovered = [
         f"{wiring.output_terminal} (position {position})"
@@ -108,7 +114,7 @@ def _check_watchdog(parameters: DaqmxParameters, watchdog: WatchdogWiring) -> Fi
 
 
 def _check_missing_watchdogs(parameters: DaqmxParameters) -> Iterator[Finding]:
-    """Return warnings on boards that drive coils without a watchdog while others have one."""
+    """Yield a warning for each board, by serial number, that drives coils without a watchdog."""
     coils = {int(wiring.coil_serial, 16) for wiring in parameters.transducers.values() if wiring.strikes}
     return (
         Finding(
@@ -124,7 +130,7 @@ def _check_missing_watchdogs(parameters: DaqmxParameters) -> Iterator[Finding]:
 
 
 def find_digital_name(terminal: str) -> str:
-    """Return the digital name of an X Series terminal: PFI 0..7 are port 1, 8..15 port 2; else empty."""
+    """Return an X Series PFI's digital name: PFI 0..7 are port 1, 8..15 port 2; empty for others."""
     match = re.fullmatch(r"PFI(\d+)", terminal)
     if match is None:
         return ""

@@ -34,7 +34,7 @@ _CLIENT = re.compile(r"[A-Za-z0-9_.-]{0,40}\Z")
 
 
 def fall_s(height_m: float) -> float:
-    """Return the time of a free fall, s."""
+    """Return the time in s of a free fall from ``height_m``, sqrt(2 h / g)."""
     return math.sqrt(2.0 * height_m / GRAVITY_M_PER_S2)
 
 
@@ -82,17 +82,17 @@ class TransducerWiring:
 
     @property
     def digitizes(self) -> bool:
-        """Return whether a board here samples the transducer."""
+        """Return whether a board of this table samples the transducer: ``input`` is not empty."""
         return bool(self.input)
 
     @property
     def strikes(self) -> bool:
-        """Return whether a counter here pulses its coil."""
+        """Return whether a counter of this table pulses its coil: ``counter`` is not empty."""
         return bool(self.counter)
 
     @property
     def coil_serial(self) -> str:
-        """Return the serial number of the board that drives the coil."""
+        """Return the serial number of the board that drives the coil: the striker's, else the digitizer's."""
         return self.striker_serial or self.board_serial
 
 
@@ -204,7 +204,10 @@ class DaqmxParameters:
         self._check_watchdogs()
 
     def _check_record(self) -> None:
-        """Reject a pre-trigger longer than the record, no transducer, or a trigger level outside a range."""
+        """Raise ValueError for a pre-trigger not shorter than the record, or no transducer.
+
+        So too for a trigger level that is not inside the range of a digitized position.
+        """
         check_pair(self, "pretrigger_samples", "less than", "record_samples")
         if not self.transducers:
             raise ValueError("transducers is empty; wire at least one position")
@@ -216,7 +219,11 @@ class DaqmxParameters:
                 )
 
     def check_holdoff(self, holdoff_s: float | None) -> None:
-        """Raise ValueError for a holdoff, as requested or as timed by a board, that cannot work."""
+        """Raise ValueError for a holdoff, as requested or as timed by a board, that cannot work.
+
+        It must be longer than ``ringing_s`` and shorter than the fall less the pre-trigger; None is valid
+        only without ringing.
+        """
         latest_s = self.fall_s - self.pretrigger_samples / self.sample_rate_hz
         if self.ringing_s >= latest_s:
             raise ValueError(
@@ -236,7 +243,7 @@ class DaqmxParameters:
             )
 
     def _check_holdoff_counter(self) -> None:
-        """Reject a holdoff without the coil's counter, which starts it."""
+        """Raise ValueError for a holdoff without input or coil's counter, which starts it."""
         if self.holdoff_s is None:
             return
         alone = [name for name, wiring in self.transducers.items() if wiring.digitizes and not wiring.strikes]
@@ -249,7 +256,7 @@ class DaqmxParameters:
             )
 
     def _check_transport(self) -> None:
-        """Reject an address, a name or encryption that does not fit the transport."""
+        """Raise ValueError for an address, client name or encryption that does not fit the transport."""
         if self.transport == "grpc":
             _require_match("grpc_address", self.grpc_address, _ADDRESS, "host:port, like chassis.lab:31763")
         elif self.grpc_address:
@@ -263,10 +270,10 @@ class DaqmxParameters:
         )
 
     def _check_wiring(self) -> None:
-        """Reject two transducers on one input, counter or terminal.
+        """Raise ValueError for two transducers on one input, counter or terminal.
 
-        A counter cannot serve two coils in turn: a route that a task has given up may stay connected,
-        and then both coils would pulse.
+        A counter cannot serve two coils in turn: a route that a task has given up may stay connected, and
+        then both coils would pulse.
         """
         taken: dict[tuple[int, str], str] = {}
         for position, wiring in self.transducers.items():
@@ -283,17 +290,20 @@ class DaqmxParameters:
                     )
 
     def find_watchdog(self, serial: str) -> WatchdogWiring | None:
-        """Return the watchdog of a board, by its serial number in any form."""
+        """Find the watchdog of a board by its hexadecimal serial number, any case; None without one."""
         of_board = (one for one in self.all_watchdogs if int(one.board_serial, 16) == int(serial, 16))
         return next(of_board, None)
 
     @property
     def all_watchdogs(self) -> tuple[WatchdogWiring, ...]:
-        """Return every watchdog, in either notation."""
+        """Return the watchdogs of all boards, in either notation; empty without any."""
         return (self.watchdog,) if self.watchdog is not None else self.watchdogs or ()
 
     def _check_watchdogs(self) -> None:
-        """Reject two watchdogs of one board, or both notations at once."""
+        """Raise ValueError for two watchdogs of one board, or both notations at once.
+
+        So too for a watchdog that `_check_watchdog` rejects.
+        """
         if self.watchdog is not None and self.watchdogs:
             raise ValueError(
                 "watchdog and watchdogs are both given; write that of each board as [[rig.daqmx.watchdogs]]"
@@ -307,7 +317,7 @@ class DaqmxParameters:
             self._check_watchdog(watchdog)
 
     def _check_watchdog(self, watchdog: WatchdogWiring) -> None:
-        """Reject a watchdog shorter than a strike, or of a board that drives no coil."""
+        """Raise ValueError for a watchdog not longer than a strike, or of a board that drives no coil."""
         if watchdog.timeout_s <= self.longest_strike_s:
             raise ValueError(
                 f"watchdog.timeout_s is {watchdog.timeout_s} s; it must be longer than a strike "
@@ -322,12 +332,12 @@ class DaqmxParameters:
 
     @property
     def fall_s(self) -> float:
-        """Return the free fall of the striker, s."""
+        """Return the time in s of the striker's free fall from ``drop_height_m``."""
         return fall_s(self.drop_height_m)
 
     @property
     def longest_call_s(self) -> float:
-        """Return the longest time that one call may take over gRPC, clean-up included.
+        """Return the longest time in s that one call may take over gRPC, clean-up included.
 
         Self-calibration is slowest: ten times `call_timeout_s`; the nine calls that stop and clear what is
         left take one each.
@@ -336,7 +346,7 @@ class DaqmxParameters:
 
     @property
     def initial_delay_s(self) -> float:
-        """Return the delay from the counter's start to the coil's pulse.
+        """Return the delay in s from the counter's start to the coil's pulse.
 
         Twice the pre-trigger, which fills then.
         """
@@ -344,17 +354,17 @@ class DaqmxParameters:
 
     @property
     def whole_strike_samples(self) -> int:
-        """Return the samples from the coil's switching on to the last of a wave, with margin for friction."""
+        """Return the samples from the coil's switching on to the wave's end, with margin for friction."""
         return math.ceil((self.longest_strike_s - self.initial_delay_s) * self.sample_rate_hz)
 
     @property
     def longest_strike_s(self) -> float:
-        """Return the time from the counter's start to the last sample, with margin for friction."""
+        """Return the time in s from the counter's start to the last sample, with margin for friction."""
         record_s = self.record_samples / self.sample_rate_hz
         return self.initial_delay_s + self.pulse_s + self.fall_s + self.fall_margin_s + record_s
 
 
 def _require_match(name: str, value: str, pattern: re.Pattern[str], wanted: str) -> None:
-    """Raise ValueError unless a text has the pattern that its key requires."""
+    """Raise ValueError, with key, value and the required form, unless the pattern matches the value."""
     if not pattern.match(value):
         raise ValueError(f"{name} is {value!r}; it must be {wanted}")

@@ -36,7 +36,7 @@ class FreeInput:
         self._chassis = Chassis(parameters)
 
     def quiet(self) -> Waveform:
-        """Record the input at once, with the coil at rest, for the length of a shot."""
+        """Record the input at once, with the coil at rest, for the length of a shot; no trigger."""
         with self._chassis.attempt():
             acquisition = self._chassis.acquisition(self.position, "noise")
             acquisition.start()
@@ -47,7 +47,8 @@ class FreeInput:
     def strike(self) -> Waveform:
         """Record one strike; on return the coil is off.
 
-        The first sample is taken as the coil goes on, which is `DaqmxParameters.pulse_s` before it goes off.
+        The first sample is taken as the coil goes on, which is `DaqmxParameters.pulse_s` before it goes
+        off. Raise ConfigurationError for boards that NI's driver simulates.
         """
         self._chassis.require_real_boards()
         with self._chassis.attempt():
@@ -59,5 +60,5 @@ class FreeInput:
         return record
 
     def close(self) -> None:
-        """Switch the coil off and clear every task; harmless when done before."""
+        """Switch the coil off, clear every task and end the connection; harmless when done before."""
         self._chassis.close()

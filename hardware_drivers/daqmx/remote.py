@@ -50,7 +50,7 @@ class Deadlines(grpc.UnaryUnaryClientInterceptor):  # type: ignore[misc] # grpc 
     def intercept_unary_unary(
         self, continuation: Callable[..., grpc.Call], details: grpc.ClientCallDetails, request: Any
     ) -> grpc.Call:
-        """Send the request with its deadline."""
+        """Send the request with the deadline of `deadline_s`; any deadline of the caller is replaced."""
         bounded = _CallDetails(
             details.method,
             self.deadline_s(details.method, request),
@@ -62,7 +62,10 @@ class Deadlines(grpc.UnaryUnaryClientInterceptor):  # type: ignore[misc] # grpc 
         return continuation(bounded, request)
 
     def deadline_s(self, method: str, request: Any) -> float:
-        """Return the longest time this call may take."""
+        """Return the longest time in s that this call may take.
+
+        The call's timeout plus the request's own wait; `SLOWER` times the timeout for `SLOW_CALLS`.
+        """
         name = method.rsplit("/", 1)[-1]
         if name in SLOW_CALLS:
             return SLOWER * self._call_timeout_s
@@ -102,18 +105,22 @@ class Channel:
         self.calls = grpc.intercept_channel(self._plain, Deadlines(call_timeout_s))
 
     def close(self) -> None:
-        """End the connection."""
+        """End the connection; calls on it fail from then on."""
         self._plain.close()
 
 
 def _read_credentials(tls: GrpcTls) -> grpc.ChannelCredentials:
-    """Return the credentials of an encrypted channel, from PEM files."""
+    """Build the credentials of an encrypted channel from PEM files; ConfigurationError for a wrong file."""
     root, key, certificate = map(_read_pem_file, (tls.root_certificate, tls.private_key, tls.certificate))
     return grpc.ssl_channel_credentials(root, key, certificate)
 
 
 def _read_pem_file(file: Path | None) -> bytes | None:
-    """Return the bytes of a PEM file, or raise: later a wrong file would look like an unreachable server."""
+    """Read a PEM file; None without a file.
+
+    Raise ConfigurationError if it cannot be read or is no PEM: later it would look like an unreachable
+    server.
+    """
     if file is None:
         return None
     try:

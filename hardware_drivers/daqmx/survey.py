@@ -60,7 +60,7 @@ class BoardFacts(Board):
 
 
 def survey_boards(transport: Literal["library", "grpc"] = "library", grpc_address: str = "") -> Survey:
-    """Survey driver and boards before anything is wired; errors become findings."""
+    """Survey driver and boards before anything is wired; instrument errors become failed findings."""
     no_wiring = {"": TransducerWiring(board_serial="0")}
     survey = Survey(DaqmxParameters(transducers=no_wiring, transport=transport, grpc_address=grpc_address))
     with ExitStack() as stack:
@@ -70,7 +70,7 @@ def survey_boards(transport: Literal["library", "grpc"] = "library", grpc_addres
 
 
 def survey_rig(parameters: DaqmxParameters) -> Survey:
-    """Survey driver, boards and every transducer's wiring without a strike; errors become findings."""
+    """Survey driver, boards and every transducer without a strike; instrument errors become findings."""
     survey = Survey(parameters)
     with ExitStack() as stack:
         if (connection := survey.connect_driver(stack)) is not None:
@@ -105,11 +105,14 @@ class Survey:
 
     @property
     def boards(self) -> tuple[BoardFacts, ...]:
-        """Return the facts of each board that responds."""
+        """Return the facts of each board that answered, in the order of the survey."""
         return tuple(self.facts_by_serial.values())
 
     def connect_driver(self, stack: ExitStack) -> Connection | None:
-        """Connect to the driver, on a server under this rig's own name, until the stack is left."""
+        """Connect to the driver, on a server under this rig's own name, until the stack is left.
+
+        Return None if that fails; the finding is added either way.
+        """
         parameters = self.parameters
         reached: list[Connection] = []
 
@@ -128,7 +131,7 @@ class Survey:
         return reached[0] if reached else None
 
     def list_boards(self, connection: Connection, ours: Collection[str] | None = None) -> Collection[str]:
-        """Survey each board that the driver lists, and return their serial numbers.
+        """Add a finding on each board that the driver lists; return their serial numbers, maybe none.
 
         Parameters
         ----------
@@ -145,7 +148,10 @@ class Survey:
         return listed
 
     def check_boards(self, connection: Connection) -> None:
-        """Survey all boards, the configured ones in detail."""
+        """Survey all boards, and add findings on the configured ones: present, real, calibrated.
+
+        A simulated board fails, or is a warning in a dry run.
+        """
         ours = set(map(normalize_serial, list_serials(self.parameters)))
         listed = self.list_boards(connection, ours)
         for serial in sorted(ours - set(listed)):
@@ -169,7 +175,10 @@ class Survey:
                 self._add_result(f"board {facts.serial}", "calibrated", *_rate_calibration(facts))
 
     def _describe(self, serial: str, device: Device, *, ours: bool) -> str:
-        """Read the facts of a board; return them in words."""
+        """Read and store the facts of a board; return a summary for its finding.
+
+        Raise InstrumentError if the board does not answer.
+        """
         board = describe_board(serial, device)
         with translate_errors(f"reading what {board.label} can do"):
             ends_v = [float(value) for value in device.ai_voltage_rngs]
@@ -190,7 +199,10 @@ class Survey:
         return f"{board.product} as {board.name}, up to {facts.max_rate_hz:.10g} Hz a channel"
 
     def check_transducer(self, connection: Connection, position: str) -> None:
-        """Survey input, trigger, coil and noise of one transducer."""
+        """Add findings on input, trigger, coil and noise of one transducer; nothing strikes.
+
+        Does nothing if one of its boards did not answer: that board has a failed finding.
+        """
         parameters, wiring = self.parameters, self.parameters.transducers[position]
         board = self.facts_by_serial.get(normalize_serial(wiring.board_serial))
         coil_board = self.facts_by_serial.get(normalize_serial(wiring.coil_serial))
@@ -199,20 +211,20 @@ class Survey:
         subject = f"transducer {position}"
 
         def commit(record: Literal["shot", "noise"]) -> Acquisition:
-            """Commit the transducer's acquisition."""
+            """Commit the transducer's acquisition of a triggered shot or of noise."""
             return commit_acquisition(connection, parameters, position, board, coil_board, record=record)
 
         def check_limits() -> str:
-            """Check that the board can take the record."""
+            """Check that the board can take the record; return the accepted input as text."""
             check_board(board, wiring, parameters)
             return f"as asked: {_format_input(parameters, wiring)}"
 
         def check_trigger() -> str:
-            """Commit the triggered acquisition and release it."""
+            """Commit the triggered acquisition and clear it; return the accepted trigger as text."""
             return f"{_release_task(commit('shot'))}: {format_trigger(parameters, wiring)}"
 
         def check_counter() -> str:
-            """Commit the coil's counter and release it."""
+            """Commit the coil's counter and clear it; return the accepted pulse as text."""
             # Committed, the output is connected and low; the counter is not started.
             coil = commit_coil(connection, parameters, position, coil_board)
             return f"{_release_task(coil)}: {_format_counter(parameters, wiring)}"
@@ -228,7 +240,7 @@ class Survey:
             self._rate_noise(position, board)
 
     def _check_terminal(self, subject: str, wiring: TransducerWiring, board: BoardFacts) -> None:
-        """Check that the coil's terminal exists on its board."""
+        """Add the finding on the coil's output terminal; failed if its board does not have it."""
         terminal = f"/{board.name}/{wiring.output_terminal}"
         known = terminal in board.terminals
         self._add_result(
@@ -240,7 +252,10 @@ class Survey:
         )
 
     def _measure_noise(self, position: str, acquisition: Acquisition) -> str:
-        """Record once without a trigger and store the noise; return the record in words."""
+        """Record once without a trigger and store the rms noise in V; return a summary of the record.
+
+        The task is cleared in any case; instrument errors are raised.
+        """
         try:
             acquisition.start()
             waveform = acquisition.read(READ_TIMEOUT_S)
@@ -250,7 +265,10 @@ class Survey:
         return f"{waveform.counts.size} samples at {waveform.sample_rate_hz:.10g} Hz"
 
     def _rate_noise(self, position: str, board: Board) -> None:
-        """Compare the noise with the trigger level, if it was measured."""
+        """Add the finding on noise: a warning above `NOISE_TO_LEVEL` of the trigger level.
+
+        Nothing is added if it was not measured; that of a simulated board is a warning.
+        """
         noise_v = self.noise_rms_v.get(position)
         if noise_v is None:
             return
@@ -266,7 +284,13 @@ class Survey:
     def _run_check(
         self, subject: str, check: str, work: Callable[[], str | None], *, failed: State = "fail"
     ) -> None:
-        """Run a check; an error becomes a finding, its message names the remedy."""
+        """Run a check and add its finding: ``ok`` with the returned detail, else the instrument error.
+
+        Parameters
+        ----------
+        failed
+            State of the finding if `work` raises; its message names the remedy.
+        """
         try:
             detail = work()
         except InstrumentError as error:
@@ -284,7 +308,7 @@ class Survey:
         remedy: str = "",
         values: Mapping[str, Value] | None = None,
     ) -> None:
-        """Add a finding; only a finding that is not ok has a remedy."""
+        """Add a finding; the remedy is left out where the state is ``ok``."""
         self._add_finding(
             Finding(
                 subject=subject,
@@ -297,7 +321,7 @@ class Survey:
         )
 
     def _add_finding(self, finding: Finding) -> None:
-        """Add a finding, with the facts of its board for programs."""
+        """Add a finding; one on a board gets that board's `BOARD_VALUES` instead of its own values."""
         facts = self.facts_by_serial.get(finding.subject.removeprefix("board "))
         if facts is not None:
             finding = replace(finding, values={name: getattr(facts, name) for name in BOARD_VALUES})
@@ -305,7 +329,10 @@ class Survey:
 
 
 def _rate_calibration(facts: BoardFacts) -> tuple[State, str, str]:
-    """Return state, detail and remedy of a board's self-calibration, by the board's temperature since."""
+    """Return state, detail and remedy of a board's self-calibration.
+
+    A warning if the temperature has changed by more than `WARMED_K` since, or the date is unknown.
+    """
     if not facts.calibrates_itself:
         return "warn", "cannot calibrate itself", "follow its external interval"
     date = facts.calibration_date
@@ -327,12 +354,12 @@ def _rate_calibration(facts: BoardFacts) -> tuple[State, str, str]:
 
 
 def _format_input(parameters: DaqmxParameters, wiring: TransducerWiring) -> str:
-    """Return in words the input, range and rate that the board accepted."""
+    """Format input, range in V and rate in MS/s of a transducer for a finding."""
     return f"{wiring.input}, +-{wiring.range_v:g} V, {parameters.sample_rate_hz / 1e6:g} MS/s"
 
 
 def format_trigger(parameters: DaqmxParameters, wiring: TransducerWiring) -> str:
-    """Return in words the trigger that the board accepted."""
+    """Format trigger level, slope, pre-trigger and holdoff of a transducer for a finding."""
     held = "" if parameters.holdoff_s is None else f", held off for {parameters.holdoff_s * 1e3:g} ms"
     return (
         f"{parameters.trigger_level_v:g} V {parameters.trigger_slope} at {wiring.input}, "
@@ -341,12 +368,15 @@ def format_trigger(parameters: DaqmxParameters, wiring: TransducerWiring) -> str
 
 
 def _format_counter(parameters: DaqmxParameters, wiring: TransducerWiring) -> str:
-    """Return in words the pulse that the board accepted."""
+    """Format counter, terminal and pulse length in s of a coil for a finding."""
     return f"{wiring.counter} to {wiring.output_terminal}, {parameters.pulse_s:g} s, low when idle"
 
 
 def _release_task(committed: Acquisition | Coil) -> str:
-    """Release a committed task and return the result in words; raise if the driver does not confirm it."""
+    """Clear a committed task and return the result for a finding.
+
+    Raise ConnectionLostError if the driver does not confirm it.
+    """
     if not committed.close():
         raise ConnectionLostError(
             "committed, but the driver did not take it back; end what else uses the board, or reset it"

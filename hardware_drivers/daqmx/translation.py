@@ -52,14 +52,14 @@ _NOISE = re.compile(r"status code: ?-?\d+\.?", re.IGNORECASE)
 
 
 def find_owner(text: str) -> str:
-    """Return the owner of a resource if the driver's text names one, else empty."""
+    """Return the owner of a resource that the driver's text names, the longest if several; else empty."""
     named = _OWNING_TASK.findall(text) or _OWNER.findall(text)
     # The driver's own sentence ("reserved by another process") is the shorter one.
     return max((owner.strip(" .'\"") for owner in named), key=len, default="")
 
 
 def translate_error(error: Exception, doing: str) -> InstrumentError:
-    """Translate a vendor's exception to an instrument error.
+    """Return the instrument error for a vendor's exception; an InstrumentError is returned as it is.
 
     Parameters
     ----------
@@ -102,7 +102,10 @@ def translate_error(error: Exception, doing: str) -> InstrumentError:
 
 @contextmanager
 def translate_errors(doing: str) -> Iterator[None]:
-    """Translate what a vendor's call raises; log the driver's warnings instead of printing them."""
+    """Raise the vendor's exceptions as instrument errors; log the driver's warnings instead of printing them.
+
+    Warnings are caught for the whole process meanwhile, and are not logged after an error.
+    """
     caught: list[warnings.WarningMessage]
     try:
         with warnings.catch_warnings(record=True) as caught:
@@ -117,7 +120,7 @@ def translate_errors(doing: str) -> Iterator[None]:
 
 
 def read_metadata(read: Callable[[], T], unknown: T, subject: str) -> T:
-    """Read optional metadata (date, temperature, version); unknown, with a warning, is enough.
+    """Read optional metadata (date, version); return ``unknown`` and log a warning if that fails.
 
     Raises
     ------
@@ -137,7 +140,10 @@ def read_metadata(read: Callable[[], T], unknown: T, subject: str) -> T:
 
 
 def _build_status_error(error: Exception, doing: str) -> InstrumentError:
-    """Return the error of a DAQmx status, with the driver's text, the owner if busy, and the remedy."""
+    """Return the error of a DAQmx status, with the driver's text, the owner if busy, and the remedy.
+
+    A status that is not in `CLASS_OF_STATUS` is an UnknownStatusError.
+    """
     status = int(getattr(error, "error_code", 0))
     kind = CLASS_OF_STATUS.get(status, UnknownStatusError)
     name = getattr(getattr(error, "error_type", None), "name", "UNKNOWN")
@@ -149,12 +155,15 @@ def _build_status_error(error: Exception, doing: str) -> InstrumentError:
 
 
 def _find_reason(error: BaseException | None) -> str:
-    """Return gRPC's own words, which NI's package hides behind "Failed to connect to server"."""
+    """Return gRPC's own description, which NI's package hides; empty if the error has none."""
     return str(getattr(error, "details", str)() or "")
 
 
 def _map_rpc(code: str, text: str, doing: str) -> InstrumentError:
-    """Return the error of a gRPC code, with its reason and remedy."""
+    """Return the error of a gRPC code, with its reason and remedy.
+
+    ConfigurationError for a code in `RPC_CONFIGURATION`, else ConnectionLostError.
+    """
     kind = ConfigurationError if code in RPC_CONFIGURATION else ConnectionLostError
     remedy = (
         "check the address, version and rights of the gRPC device server"
@@ -165,11 +174,11 @@ def _map_rpc(code: str, text: str, doing: str) -> InstrumentError:
 
 
 def _is_bare_rpc_error(error: Exception) -> bool:
-    """Check for an error of gRPC that NI's package did not translate."""
+    """Return whether an exception is a gRPC error that NI's package did not translate."""
     grpc = sys.modules.get("grpc")
     return grpc is not None and isinstance(error, grpc.RpcError)
 
 
 def _join_lines(text: str) -> str:
-    """Return text without line breaks, status line (reported apart) and the full stop at its end."""
+    """Return the text in one line, without the driver's status line and a full stop at its end."""
     return " ".join(_NOISE.sub("", text).split()).rstrip(". ")

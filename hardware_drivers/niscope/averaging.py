@@ -34,12 +34,12 @@ class Codes:
 
     @property
     def lowest(self) -> int:
-        """Return the code at the lower end."""
+        """Return the lowest code, -2**(width_bits - 1)."""
         return -(1 << (self.width_bits - 1))
 
     @property
     def highest(self) -> int:
-        """Return the code at the upper end."""
+        """Return the highest code, 2**(width_bits - 1) - step."""
         return (1 << (self.width_bits - 1)) - self.step
 
 
@@ -100,7 +100,7 @@ def sum_records(
     range_v: float,
     calibration_date: str,
 ) -> AveragedRecord:
-    """Sum the records without rounding.
+    """Sum the records sample by sample without rounding, and count those that are clipped.
 
     Parameters
     ----------
@@ -130,12 +130,12 @@ def sum_records(
 
 
 def _count_sum_bits(n_records: int, width_bits: int) -> int:
-    """Return the bits that a sum of so many counts may need."""
+    """Return the number of bits that a sum of ``n_records`` counts of ``width_bits`` bits may need."""
     return width_bits + math.ceil(math.log2(n_records))
 
 
 def check_sum_fits(n_records: int, width_bits: int) -> None:
-    """Raise ConfigurationError if a sum of that many records may leave 32 bits."""
+    """Raise ConfigurationError if a sum of ``n_records`` counts may need more than 32 bits."""
     if _count_sum_bits(n_records, width_bits) > 32:
         raise ConfigurationError(
             f"averages is {n_records}; with counts of {width_bits} bits it must be at most "

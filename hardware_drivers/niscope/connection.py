@@ -61,7 +61,7 @@ class BoardConnection:
 
     @property
     def board(self) -> Board | None:
-        """Return the board's description from when it was last opened."""
+        """Return the board's description from when it was last opened; None if it never was."""
         return self._board
 
     def prepare(self, position: str, wiring: ProbeWiring) -> tuple[Board, Setup]:
@@ -78,12 +78,14 @@ class BoardConnection:
     def acquire(
         self, position: str, wiring: ProbeWiring, timeout_s: float
     ) -> tuple[Board, Setup, Fetched, str]:
-        """Return the records of one acquisition, and the warnings of the driver meanwhile.
+        """Acquire the records of one average; return them with board, settings and the driver's warnings.
+
+        The warnings are one text, empty if there were none. ``timeout_s`` bounds the wait for all records.
 
         Raises
         ------
         InstrumentError
-            As for `prepare`.
+            As for `prepare`; `AcquisitionTimeoutError` without enough triggers in time.
         """
         with self._count_loss():
             board, setup = self._open_and_configure(position, wiring)
@@ -93,7 +95,10 @@ class BoardConnection:
             return board, setup, fetched, "; ".join(noted)
 
     def self_calibrate(self) -> Board:
-        """Run the board's self-calibration; it is configured again before the next record."""
+        """Open the board if necessary, run its self-calibration, and return its description.
+
+        It is configured again before the next record. Raise as `prepare` does.
+        """
         with self._count_loss():
             board = self._open()
             self._position = None
@@ -102,7 +107,10 @@ class BoardConnection:
             return board
 
     def close(self) -> None:
-        """Release the board, even over a dead connection."""
+        """Release the board, even over a dead connection; harmless when closed.
+
+        An instrument error is suppressed: the next opening reports it if that matters.
+        """
         session, self._session, self._position = self._session, None, None
         if session is None:
             return
@@ -112,7 +120,11 @@ class BoardConnection:
 
     @contextlib.contextmanager
     def _count_loss(self) -> Iterator[None]:
-        """Count a loss: the next call takes one more recovery step."""
+        """Close the board and count a failure if the block loses the connection, and raise the error again.
+
+        The next call then takes one more recovery step. After any other error but a timeout the board is
+        configured again before the next record.
+        """
         try:
             yield
         except ConnectionLostError as error:
@@ -129,7 +141,10 @@ class BoardConnection:
             raise
 
     def _open_and_configure(self, position: str, wiring: ProbeWiring) -> tuple[Board, Setup]:
-        """Open the board if necessary, and configure it unless it is configured for this probe."""
+        """Open the board if necessary, and configure it unless it is configured for this probe.
+
+        Return the board's description and its settings as read back.
+        """
         board = self._open()
         if self._position != position or self._setup is None:
             self._position, self._setup = None, None
@@ -139,7 +154,11 @@ class BoardConnection:
         return board, self._setup
 
     def _open(self) -> Board:
-        """Open the board with the recovery step that the failures require."""
+        """Open the board with the recovery step that the failures require; an open board is only returned.
+
+        Raise BusyError if a name's board is in use, ConfigurationError if a board that never answered is
+        absent under all names, otherwise ConnectionLostError.
+        """
         if self._session is not None and self._board is not None:
             return self._board
         known = self._board
@@ -162,7 +181,10 @@ class BoardConnection:
         raise kind("; ".join(map(str, problems))) from problems[0]
 
     def _open_named(self, name: str) -> Board:
-        """Open the board of a name, verify its serial number, and reset it if recovery requires that."""
+        """Open the board of a name, verify its serial number, and reset it if recovery requires that.
+
+        Raise BoardAbsentError if another board has the name; after any error the board is closed.
+        """
         with translate_errors(self._niscope, f"opening {name!r}"):
             self._session = open_session(self._niscope, name)
         try:
@@ -184,5 +206,5 @@ class BoardConnection:
 
 
 def _normalize_serial(serial_number: str) -> str:
-    """Remove the differences between a label and a driver: case and leading zeros."""
+    """Remove differences between label and driver: surrounding spaces, leading zeros, letter case."""
     return serial_number.strip().lstrip("0").casefold()

@@ -21,7 +21,7 @@ SAFE_PART = 0.9
 
 @contextmanager
 def _open_probes(parameters: NiscopeParameters, opening: Opening) -> Iterator[Opened]:
-    """Open the boards of all probes."""
+    """Open the boards of all probes as one pulse-echo unit; they are closed on exit."""
     from hardware_drivers.niscope.pulse_echo import open_niscope
 
     with open_niscope(parameters) as unit:
@@ -29,7 +29,11 @@ def _open_probes(parameters: NiscopeParameters, opening: Opening) -> Iterator[Op
 
 
 def check_probes(parameters: NiscopeParameters, opening: Opening) -> Iterator[Finding]:
-    """Open each probe's board, read its identity, and take one averaged record without firing."""
+    """Open the board of each probe, read its identity, take one averaged record, and yield the findings.
+
+    Nothing is fired from here: the record needs the pulser's own triggers. An instrument's error becomes a
+    failed finding, and the next probe follows.
+    """
     from hardware_drivers.niscope.pulse_echo import open_niscope
 
     for position, wiring in parameters.probes.items():
@@ -54,7 +58,10 @@ def check_probes(parameters: NiscopeParameters, opening: Opening) -> Iterator[Fi
 
 
 def _check_record(subject: str, echo: Echo) -> Iterator[Finding]:
-    """Yield findings on one record: its amplitude, and the self-calibration."""
+    """Yield findings on one record: its amplitude, and the last self-calibration.
+
+    The amplitude is a warning if a sample is clipped or the peak exceeds `SAFE_PART` of the range.
+    """
     waveform, settings = echo.waveform, echo.settings
     peak_v = float(np.abs(waveform.volts() - echo.offset_v).max())
     part = peak_v / waveform.calibration.range_v
@@ -78,7 +85,7 @@ def _check_record(subject: str, echo: Echo) -> Iterator[Finding]:
 
 
 def _check_served_probes(parameters: NiscopeParameters, serves: Mapping[Role, tuple[str, ...]]) -> None:
-    """Check that every served position has a probe, and every probe a position."""
+    """Raise ValueError for a served position without a probe, or a probe without a position."""
     wanted = set(serves.get("pulse_echo", ()))
     if missing := sorted(wanted - set(parameters.probes)):
         raise ValueError(f"probes has no {missing[0]!r}, which it serves; wire it in probes.{missing[0]}")

@@ -84,7 +84,10 @@ class NiscopeParameters:
         self._check_sharing()
 
     def _check_sharing(self) -> None:
-        """Check probes that share a board: each on its own input, with equal settings of the board."""
+        """Check the probes that share a board.
+
+        Raise ValueError if their serial number or other resources differ, or if two use one channel.
+        """
         first_on: dict[str, str] = {}
         wired: dict[tuple[str, str], str] = {}
         for position, wiring in self.probes.items():

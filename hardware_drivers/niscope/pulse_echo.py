@@ -87,12 +87,17 @@ class NiscopePulseEchoUnit:
         )
 
     def self_calibrate(self) -> Mapping[str, str]:
-        """Run the self-calibration of each board, between sets.
+        """Run the self-calibration of each board once, between sets, and configure it again.
 
         Returns
         -------
         Mapping
             By serial number: date and temperature of the calibration as the board reports them.
+
+        Raises
+        ------
+        BusyError, ConnectionLostError, ConfigurationError
+            As `acquire`; the remaining boards are not calibrated.
         """
         done = {}
         for position, wiring in self._parameters.probes.items():
@@ -107,7 +112,11 @@ class NiscopePulseEchoUnit:
         return dict(done.values())
 
     def identity(self) -> Mapping[str, str]:
-        """Return boards, serial numbers and versions, as stored with every set."""
+        """Return versions and boards as stored with every set, by name of the item.
+
+        ``niscope`` and ``ni_scope`` are the versions of package and driver; ``probe_NAME`` is product,
+        serial number, resource and channel. A probe whose board was never opened is left out.
+        """
         named = {"niscope": read_version()}
         for position, wiring in self._parameters.probes.items():
             board = self._connections[wiring.resource].board
@@ -119,7 +128,7 @@ class NiscopePulseEchoUnit:
         return named
 
     def serial_number(self, position: str) -> str:
-        """Return the serial number that a probe's board reports; empty where it has none."""
+        """Return the serial number that a position's board reported; empty if it was never opened."""
         board = self._connections[self._parameters.probes[position].resource].board
         return "" if board is None else board.serial_number
 
@@ -127,6 +136,8 @@ class NiscopePulseEchoUnit:
 @contextlib.contextmanager
 def open_niscope(parameters: NiscopeParameters) -> Iterator[NiscopePulseEchoUnit]:
     """Open the boards of all probes and configure each once, so that a wrong value shows at the start.
+
+    All boards are closed on exit.
 
     Raises
     ------
@@ -150,7 +161,10 @@ def open_niscope(parameters: NiscopeParameters) -> Iterator[NiscopePulseEchoUnit
 def _collect_settings(
     wiring: ProbeWiring, board: Board, setup: Setup, fetched: Fetched, averaged: AveragedRecord, warned: str
 ) -> dict[str, float | str]:
-    """Return all settings that a reader of the record may need, SI units in the names."""
+    """Collect the settings stored with a record: board, input, trigger, calibration; SI units in the names.
+
+    ``driver_warnings`` is there only if the driver warned.
+    """
     settings: dict[str, float | str] = {
         "board_serial": board.serial_number,
         "product": board.product,

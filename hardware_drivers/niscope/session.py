@@ -63,7 +63,10 @@ def import_vendor() -> ModuleType:
 
 
 def open_session(niscope: ModuleType, resource: str) -> Session:
-    """Open a board without resetting it; nothing stays open if that fails half-way."""
+    """Open a board without resetting it; nothing stays open if that fails half-way.
+
+    Raise ConfigurationError if NI-SCOPE is not installed; other errors are the package's own.
+    """
     session = niscope.Session.__new__(niscope.Session)
     try:
         session.__init__(resource)
@@ -82,7 +85,7 @@ def open_session(niscope: ModuleType, resource: str) -> Session:
 
 
 def close_session(niscope: ModuleType, session: Session) -> None:
-    """Close a board, with a second try: no later call can close it."""
+    """Close a board, with a second try if NI-SCOPE refuses: no later call can close it."""
     handle = session._interpreter.get_session_handle()
     try:
         session.close()
@@ -104,7 +107,7 @@ class Board:
 
 
 def describe_board(session: Session, resource: str) -> Board:
-    """Read a board's description."""
+    """Read serial number, product, driver version and channel names of an open board."""
     return Board(
         resource=resource,
         serial_number=session.serial_number,
@@ -132,12 +135,14 @@ class Setup:
 def configure_board(
     niscope: ModuleType, session: Session, board: Board, parameters: NiscopeParameters, wiring: ProbeWiring
 ) -> Setup:
-    """Configure the board for one probe and read back its settings.
+    """Configure the board for one probe, disable its other channels, and read back its settings.
 
     Raises
     ------
     ConfigurationError
-        No such channel, or the board coerced a value.
+        No such channel, the board coerced a value, or the sum of the records may exceed 32 bits.
+    ConnectionLostError
+        The board reports another trigger source, or a resolution that no ADC has.
     """
     if wiring.channel not in board.channels:
         raise ConfigurationError(
@@ -174,12 +179,12 @@ def configure_board(
 
 
 def find_trigger_terminal(wiring: ProbeWiring) -> str:
-    """Return NI-SCOPE's name of the trigger source."""
+    """Return NI-SCOPE's name of the trigger source; the input's own channel for ``channel``."""
     return TRIGGER_TERMINALS.get(wiring.trigger_source, wiring.channel)
 
 
 def _configure_trigger(niscope: ModuleType, session: Session, wiring: ProbeWiring) -> None:
-    """Configure the trigger by the pulser's sync, delayed to the firing pulse."""
+    """Configure the trigger by the pulser's sync (PFI line or analog edge), delayed to the firing pulse."""
     slope = getattr(niscope.TriggerSlope, "POSITIVE" if wiring.trigger_slope == "rising" else "NEGATIVE")
     terminal = find_trigger_terminal(wiring)
     if wiring.trigger_source.startswith("pfi"):
@@ -195,7 +200,10 @@ def _configure_trigger(niscope: ModuleType, session: Session, wiring: ProbeWirin
 
 
 def _read_back_settings(niscope: ModuleType, session: Session, channel: Session, board: Board) -> Setup:
-    """Read the settings that the board committed, and its last self-calibration."""
+    """Read the settings that the board committed, and its last self-calibration.
+
+    Its date is empty and its temperature (degrees Celsius) NaN where the board does not report them.
+    """
     last = read_metadata(
         niscope,
         # A board that never calibrated itself says 0-0-0, which is no date.
@@ -224,7 +232,11 @@ def _read_back_settings(niscope: ModuleType, session: Session, channel: Session,
 def _reject_coerced(
     parameters: NiscopeParameters, wiring: ProbeWiring, setup: Setup, channel: Session, board: Board
 ) -> None:
-    """Reject a setting that the board changed, or a resolution that no ADC has."""
+    """Raise ConfigurationError for a setting that the board changed.
+
+    Values within `RELATIVE_TOLERANCE` are equal. A resolution outside 2 to 32 bits is a
+    ConnectionLostError.
+    """
     pairs: Mapping[str, tuple[float, float]] = {
         "sample_rate_hz": (parameters.sample_rate_hz, setup.sample_rate_hz),
         "record_samples": (parameters.record_samples, setup.record_samples),
@@ -270,6 +282,11 @@ class Fetched:
 def fetch_records(session: Session, setup: Setup, wiring: ProbeWiring, timeout_s: float) -> Fetched:
     """Acquire all records of one averaged record; the board is idle again on return.
 
+    Parameters
+    ----------
+    timeout_s
+        Longest wait for all records; the package raises its own error after it.
+
     Raises
     ------
     ConnectionLostError
@@ -313,7 +330,11 @@ def fetch_records(session: Session, setup: Setup, wiring: ProbeWiring, timeout_s
 def _check_record_times(
     waveforms: list[WaveformInfo], first_sample_s: NDArray[np.float64], setup: Setup, wiring: ProbeWiring
 ) -> None:
-    """Check by the driver's times that time zero is the firing pulse, one firing per record."""
+    """Check by the driver's times that time zero is the firing pulse, one firing per record.
+
+    Raise ConnectionLostError for a wrong sample interval, a start more than two samples from
+    ``firing_delay_s``, or equal time stamps of two records.
+    """
     step_s = 1.0 / setup.sample_rate_hz
     steps = {waveform.x_increment for waveform in waveforms}
     if not all(math.isclose(step, step_s, rel_tol=RELATIVE_TOLERANCE) for step in steps):
@@ -334,5 +355,5 @@ def _check_record_times(
 
 
 def read_version() -> str:
-    """Return the version of the `niscope` package."""
+    """Return the version of the installed `niscope` package."""
     return version("niscope")

@@ -56,13 +56,16 @@ _REMEDY: Mapping[type[InstrumentError], str] = {
 
 
 def find_error_class(code: int, description: str) -> type[InstrumentError]:
-    """Return the error class of a driver's error code."""
+    """Return the error class of a driver's status code, or of a status wrapped in its description.
+
+    `UnknownStatusError` if neither is in `CLASS_OF_CODE`.
+    """
     codes = (code, *map(int, _WRAPPED.findall(description)))
     return next((CLASS_OF_CODE[number] for number in codes if number in CLASS_OF_CODE), UnknownStatusError)
 
 
 def translate_error(niscope: ModuleType, error: Exception, doing: str) -> InstrumentError:
-    """Translate an exception of the `niscope` package.
+    """Return the instrument error for an exception of the `niscope` package; it is not raised here.
 
     Parameters
     ----------
@@ -117,7 +120,7 @@ def translate_errors(niscope: ModuleType, doing: str) -> Iterator[list[str]]:
 
 
 def read_metadata(niscope: ModuleType, read: Callable[[], T], unknown: T, subject: str) -> T:
-    """Read optional metadata (date, temperature); unknown, with a warning, is enough.
+    """Read optional metadata (date, temperature); return ``unknown`` and log a warning if that fails.
 
     Raises
     ------

@@ -35,15 +35,18 @@ class RecordedClock:
         self._tolerance_ns = round(tolerance_s * NS_PER_S)
 
     def utc_ns(self) -> int:
-        """Return the time of the moment that was reached last."""
+        """Return the test time, ns since 1970: the recorded moment or planned time reached last."""
         return self._clock.utc_ns()
 
     def mono_ns(self) -> int:
-        """Return the monotonic time of the clock below."""
+        """Return the monotonic time of the underlying clock, ns."""
         return self._clock.mono_ns()
 
     def wait_until(self, utc_ns: int, idle: Callable[[], bool]) -> bool:
-        """Wait for the recorded moment at or soon after ``utc_ns``, or for ``utc_ns``."""
+        """Wait for the recorded moment within the tolerance after ``utc_ns``, else for ``utc_ns`` itself.
+
+        Return False as soon as ``idle()`` returns False, else True.
+        """
         # Each moment belongs to one wait: the next one lies after now, and not before the planned time.
         moment_ns = self._next_moment(max(self._clock.utc_ns(), utc_ns - 1))
         if moment_ns is not None and moment_ns - utc_ns <= self._tolerance_ns:

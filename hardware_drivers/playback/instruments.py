@@ -32,7 +32,7 @@ class Recording(StruckDigitizer):
         self._source = source
 
     def require(self, key: ShotKey, method: str) -> None:
-        """Reject a position that was not recorded by this method."""
+        """Raise ConfigurationError, with the recorded positions, unless this method was recorded there."""
         known = self._source.positions
         if known.get(key.position) != method:
             recorded = sorted(name for name in known if known[name] == method)
@@ -43,11 +43,14 @@ class Recording(StruckDigitizer):
             )
 
     def require_transducer(self, key: ShotKey) -> None:
-        """Reject a position without recorded solitary waves."""
+        """Raise ConfigurationError for a position without recorded solitary waves."""
         self.require(key, SOLITARY_WAVE)
 
     def record_of(self, key: ShotKey) -> Acquired:
-        """Return the recorded shot, and whether it was the last attempt."""
+        """Return the recorded shot; its ``last_attempt`` is True if no further attempt was recorded.
+
+        AcquisitionTimeoutError, with the same attribute, if this attempt has no record.
+        """
         last_attempt = not self._source.tried(replace(key, attempt=key.attempt + 1))
         try:
             return replace(self.find(key), last_attempt=last_attempt)
@@ -56,7 +59,7 @@ class Recording(StruckDigitizer):
             raise
 
     def find(self, key: ShotKey) -> Acquired:
-        """Return the record of a shot; one that was not recorded is a missed strike."""
+        """Return the record of a shot; AcquisitionTimeoutError (a missed strike) if it was not recorded."""
         acquired = self._source.find(key)
         if acquired is None:
             raise AcquisitionTimeoutError(
@@ -66,7 +69,15 @@ class Recording(StruckDigitizer):
         return acquired
 
     def acquire(self, key: ShotKey, timeout_s: float) -> Echo:
-        """Return the recorded echo."""
+        """Return the recorded echo at once; the timeout is checked but never waited for.
+
+        Raises
+        ------
+        AcquisitionTimeoutError
+            This echo was not recorded.
+        ConfigurationError
+            No pulse-echo position was recorded there, its record is no echo, or the timeout is not positive.
+        """
         require_timeout(timeout_s)
         self.require(key, PULSE_ECHO)
         echo = self.find(key)
@@ -87,11 +98,14 @@ class RecordedStriker:
 
     @property
     def switchings(self) -> tuple[tuple[str, bool], ...]:
-        """Return the newest switchings, oldest first: position, energised or not."""
+        """Return the newest `SWITCHINGS_KEPT` switchings, oldest first: position, energised or not."""
         return tuple(self._switchings)
 
     def strike(self, key: ShotKey) -> None:
-        """Make the armed digitizer play back this shot."""
+        """Make the armed digitizer play back this shot, and record the coil's two switchings.
+
+        Raise ConfigurationError for a position without recorded solitary waves.
+        """
         self._recording.require_transducer(key)
         self._switchings.extend(((key.position, True), (key.position, False)))
         self._recording.strike(key)
@@ -101,7 +115,7 @@ class RecordedStriker:
 
 
 def build_instruments(source: ShotSource, *, wanted: Mapping[str, str] | None = None) -> Opened:
-    """Build the instruments that play back one recording.
+    """Build striker, digitizer and pulse-echo unit that play back one recording.
 
     Parameters
     ----------

@@ -32,7 +32,7 @@ class ScalingError(ValueError):
 
 
 def build_raw_polynomial(properties: Mapping[str, Any]) -> Polynomial | None:
-    """Return the physical value as a polynomial of the raw one.
+    """Build the physical value as a polynomial of the raw one from NI's scaling properties.
 
     Returns
     -------
@@ -57,7 +57,7 @@ def build_raw_polynomial(properties: Mapping[str, Any]) -> Polynomial | None:
 
 
 def _count_scales(properties: Mapping[str, Any]) -> int:
-    """Return the number of scales, from its property or the highest numbered scale."""
+    """Return the number of scales: its own property, else the highest scale number + 1; 0 without scales."""
     if "NI_Number_Of_Scales" in properties:
         return int(properties["NI_Number_Of_Scales"])
     return max(
@@ -66,7 +66,11 @@ def _count_scales(properties: Mapping[str, Any]) -> int:
 
 
 def _resolve(source: int, properties: Mapping[str, Any], *, limit: int) -> Polynomial:
-    """Return the polynomial of the raw values of a source; its inputs must have smaller numbers."""
+    """Return the value of a source as a polynomial of the raw values.
+
+    Raise ScalingError for an input that is not an earlier scale (below ``limit``), a missing property, or a
+    scale that is no polynomial.
+    """
     identity = np.array([0.0, 1.0])
     if source == RAW:
         return identity
@@ -79,7 +83,7 @@ def _resolve(source: int, properties: Mapping[str, Any], *, limit: int) -> Polyn
         return identity
 
     def input_of(name: str) -> Polynomial:
-        """Return the polynomial of the input of this scale."""
+        """Return the polynomial of this scale's named input; the raw values where it names none."""
         return _resolve(int(properties.get(f"{prefix}{name}_Input_Source", RAW)), properties, limit=source)
 
     if kind == "Linear":
@@ -103,7 +107,10 @@ def _resolve(source: int, properties: Mapping[str, Any], *, limit: int) -> Polyn
 
 
 def _compose_polynomials(outer: Polynomial, inner: Polynomial) -> Polynomial:
-    """Compose two polynomials, outer of inner; the identity changes no bit."""
+    """Compose two polynomials, outer of inner; an identity as ``inner`` changes no bit.
+
+    Raise ScalingError if the order exceeds `_LARGEST_ORDER`.
+    """
     if inner.tolist() == [0.0, 1.0]:
         return outer
     if (outer.size - 1) * (inner.size - 1) > _LARGEST_ORDER:
@@ -116,7 +123,7 @@ def _compose_polynomials(outer: Polynomial, inner: Polynomial) -> Polynomial:
 
 
 def _number(properties: Mapping[str, Any], name: str) -> float:
-    """Return a property as a number; a missing or other one is a ScalingError."""
+    """Parse a property as a float; ScalingError if it is missing or no number."""
     try:
         return float(properties[name])
     except KeyError as error:

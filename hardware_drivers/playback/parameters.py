@@ -129,7 +129,10 @@ class PlaybackParameters:
 
 
 def _list_named_groups(name: str, pattern: str) -> set[str]:
-    """Return the named groups of a pattern; an unknown one is a ValueError."""
+    """Return the named groups of a pattern; empty if it has none.
+
+    Raise ValueError for no regular expression, or a group that is not in `KEY_PARTS`.
+    """
     try:
         parts = set(re.compile(pattern).groupindex)
     except re.error as error:

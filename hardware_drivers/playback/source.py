@@ -35,7 +35,7 @@ class ShotSource(Protocol):
         """
 
     def tried(self, key: ShotKey) -> bool:
-        """Return whether the recording has a shot, as a record or as missed."""
+        """Return whether the recording has this attempt at a shot, as a record or as missed."""
 
 
 def convert_stored_record(record: Record) -> Acquired:
@@ -68,7 +68,7 @@ class ShotsBySet:
 
         @lru_cache(maxsize=SETS_KEPT)
         def records_of_set(set_key: SetKey) -> Mapping[ShotKey, Record]:
-            """Read the records of a set, by key."""
+            """Read the records of a set, by key; the last `SETS_KEPT` sets are kept."""
             return {record.key: record for record in read(set_key)}
 
         self.records_of_set = records_of_set
@@ -76,14 +76,14 @@ class ShotsBySet:
 
     @property
     def positions(self) -> Mapping[str, str]:
-        """Return the recorded positions and their method."""
+        """Return the recorded positions and their method: ``solitary_wave`` or ``pulse_echo``."""
         return self._positions
 
     def find(self, key: ShotKey) -> Acquired | None:
-        """Return the record of a shot, None if it was not recorded."""
+        """Return the record of a shot, None if it was not recorded; reads its set if it is not in memory."""
         record = self.records_of_set(key.set_key).get(key)
         return None if record is None else convert_stored_record(record)
 
     def tried(self, key: ShotKey) -> bool:
-        """Return whether the shot was recorded."""
+        """Return whether the shot has a record; reads its set if it is not in memory."""
         return key in self.records_of_set(key.set_key)

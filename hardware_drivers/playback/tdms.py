@@ -78,20 +78,20 @@ class TdmsShots:
 
     @property
     def positions(self) -> Mapping[str, str]:
-        """Return the recorded positions and their method."""
+        """Return the recorded positions and their method: ``solitary_wave`` or ``pulse_echo``."""
         return self._positions
 
     def next_moment(self, after_utc_ns: int) -> int | None:
-        """Return the first recorded time after a time, None after the last one."""
+        """Return the first recorded time after ``after_utc_ns`` (ns UTC); None after the last one."""
         index = bisect_right(self._moments, after_utc_ns)
         return self._moments[index] if index < len(self._moments) else None
 
     def tried(self, key: ShotKey) -> bool:
-        """Return whether the shot was recorded."""
+        """Return whether the files have a record of this attempt at a shot."""
         return key in self.places
 
     def find(self, key: ShotKey) -> Acquired | None:
-        """Return the record of a shot, None if it was not recorded.
+        """Read the record of a shot from its file; None if it was not recorded.
 
         Raises
         ------
@@ -138,7 +138,7 @@ class TdmsShots:
 def open_tdms(
     source: Path, mapping: TdmsMapping | None = None, *, positions: Mapping[str, str] = MappingProxyType({})
 ) -> TdmsShots:
-    """Find every shot in a folder of TDMS files, or in one file.
+    """Find every shot in a folder of TDMS files, or in one file, by their metadata; read no samples.
 
     Parameters
     ----------
@@ -182,7 +182,10 @@ def open_tdms(
 
 
 def _find_files(source: Path, mapping: TdmsMapping) -> list[tuple[Path, str]]:
-    """Return the files, and the names that are matched."""
+    """Return the sorted files of the source, each with the name that `file_pattern` is matched with.
+
+    The name is relative to the folder. Raise ConfigurationError without a source or a file.
+    """
     if source.is_file():
         return [(source, source.name)]
     if not source.is_dir():
@@ -201,7 +204,11 @@ def _find_file_records(
     others: list[str],
     by_name: Sequence[str],
 ) -> Iterator[tuple[ShotKey, _RecordLocation]]:
-    """Find the records of the matching channels; names that do not match are added to ``others``."""
+    """Yield key and location of each record of the matching channels in one file.
+
+    Names that do not match are added to ``others``, conversions to ``shared``. Raise ConfigurationError for
+    a damaged file or incomplete metadata.
+    """
     from_file = re.fullmatch(mapping.file_pattern, name)
     if from_file is None:
         others.append(name)
@@ -210,7 +217,7 @@ def _find_file_records(
     unmatched: list[tuple[str, str]] = []
 
     def wanted(group: str, channel: str) -> bool:
-        """Check whether the names of group and channel match; collect the shots that they name."""
+        """Return whether the names of group and channel match; store what their named groups matched."""
         from_group = re.fullmatch(mapping.group_pattern, group)
         from_channel = re.fullmatch(mapping.channel_pattern, channel)
         if from_group is None or from_channel is None:
@@ -244,7 +251,10 @@ def _find_first_location(
     mapping: TdmsMapping,
     shared: dict[tuple[object, ...], Conversion],
 ) -> _RecordLocation:
-    """Return the first record of a channel."""
+    """Return location and conversion of a channel's first record.
+
+    Raise ConfigurationError where rate, trigger, scaling or a settings property is missing.
+    """
     n_samples = count_record_samples(channel, mapping)
     rate_hz = sample_rate_hz(channel, mapping)
     conversion = _share_conversion(build_conversion(channel, mapping), shared)
@@ -271,7 +281,10 @@ def _find_first_location(
 def _yield_appended_records(
     key: ShotKey, place: _RecordLocation, n_samples: int, mapping: TdmsMapping
 ) -> Iterator[tuple[ShotKey, _RecordLocation]]:
-    """Yield the first record of a channel and those appended to it."""
+    """Yield key and location of a channel's first record and of those appended to it.
+
+    Their shot index rises by 1, their time by ``shot_interval_s`` (None if the file has none).
+    """
     for number in range(n_samples // place.n_samples):
         later_ns = round(number * mapping.shot_interval_s * NS_PER_S)
         yield (
@@ -285,7 +298,7 @@ def _yield_appended_records(
 
 
 def _share_conversion(conversion: Conversion, known: dict[tuple[object, ...], Conversion]) -> Conversion:
-    """Return one object for all channels with equal conversion: a recording has thousands of them."""
+    """Return the known equal conversion, else store this one: a recording has thousands of channels."""
     calibration = conversion.calibration
     polynomial = None if conversion.polynomial is None else conversion.polynomial.tobytes()
     key = (
@@ -300,7 +313,10 @@ def _share_conversion(conversion: Conversion, known: dict[tuple[object, ...], Co
 def _collect_settings(
     channel: Channel, name: str, mapping: TdmsMapping, conversion: Conversion
 ) -> Mapping[str, float | str]:
-    """Return the settings that are stored with each shot of a channel."""
+    """Collect the settings that are stored with each shot of a channel, with the step of quantised values.
+
+    Raise ConfigurationError if a property of ``settings_properties`` is missing.
+    """
     settings: dict[str, float | str] = {"tdms_channel": name}
     properties = channel.properties
     for property_name, setting in mapping.settings_properties.items():
@@ -317,5 +333,5 @@ def _collect_settings(
 
 
 def _find_method(position: str, mapping: TdmsMapping) -> str:
-    """Return the measuring method of a position."""
+    """Return ``pulse_echo`` for a position listed in the mapping as such, else ``solitary_wave``."""
     return PULSE_ECHO if position in mapping.pulse_echo_positions else SOLITARY_WAVE

@@ -15,7 +15,7 @@ _NUMBER = r"[ _.-]*(?:shot)?[ _.-]*(?P<shot>\d+)"
 
 
 def is_mapped_by_name(mapping: TdmsMapping) -> bool:
-    """Return whether the mapping leaves the shots to the names of channels."""
+    """Return whether the mapping leaves the shots to the names of channels: its keys are the defaults."""
     defaults = TdmsMapping()
     keys = (
         "group_pattern",
@@ -31,7 +31,10 @@ def is_mapped_by_name(mapping: TdmsMapping) -> bool:
 def find_shots_by_name(
     channels: Collection[tuple[str, str]], positions: Collection[str], mapping: TdmsMapping, file: str
 ) -> dict[tuple[str, str], Mapping[str, str | None]]:
-    """Return position and shot of the channels named after a position; other channels are not read.
+    """Return position and shot number of each channel named after a position, by group and name.
+
+    Other channels are left out; empty if the channels are not all in one group. The shot is a text of
+    digits, None for a bare position.
 
     Parameters
     ----------
@@ -70,7 +73,10 @@ def find_shots_by_name(
 
 
 def _list_possible_shots(name: str, positions: Collection[str]) -> list[tuple[str, str | None]]:
-    """Return each position and shot that a channel's name may mean, the exact one first."""
+    """Return each position and shot number that a channel's name may mean; empty if none.
+
+    The name of a position itself means that position alone, without a number (None).
+    """
     if name in positions:
         return [(name, None)]
     matches = ((one, re.fullmatch(re.escape(one) + _NUMBER, name, re.IGNORECASE)) for one in positions)

@@ -56,20 +56,20 @@ class Channel:
 
     @property
     def where(self) -> str:
-        """Return file, group and channel, for messages."""
+        """Return file, group and channel as the beginning of a message."""
         return f"{self.path}, group {self.group!r}, channel {self.name!r}"
 
     @property
     def properties(self) -> Mapping[str, Any]:
-        """Return the properties of the channel, over those of its group, over those of its file."""
+        """Return the merged properties; the channel's take precedence over its group's, then its file's."""
         return {**self.file_properties, **self.group_properties, **self.own_properties}
 
     def error(self, problem: str, remedy: str) -> ConfigurationError:
-        """Return an error that names the channel."""
+        """Return, not raise, a ConfigurationError that names file, group and channel."""
         return ConfigurationError(f"{self.where}: {problem}; {remedy}")
 
     def number(self, name: str) -> float | None:
-        """Return a property as a finite number, None if absent."""
+        """Return a property as a finite float, None if absent; ConfigurationError if it is no such number."""
         value = self.properties.get(name)
         if value is None:
             return None
@@ -98,6 +98,9 @@ class Conversion:
     def counts(self, values: NDArray[np.generic], where: str) -> Counts:
         """Convert the values of a record to counts, shape (n_samples,).
 
+        Raw codes keep their value, as int32 if they have 4 bytes, else as int16; scaled values become
+        int32.
+
         Raises
         ------
         ConfigurationError
@@ -112,7 +115,11 @@ class Conversion:
 def _quantise(
     values: NDArray[np.generic], polynomial: NDArray[np.float64], calibration: Calibration, where: str
 ) -> NDArray[np.int32]:
-    """Return the nearest code of each value; the end of the range is the highest code, so it is clipped."""
+    """Return the nearest code of each value, int32; the end of the range becomes the highest code.
+
+    So a value at full scale counts as clipped. Raise ConfigurationError for a value that is not finite or
+    beyond the range.
+    """
     volts = np.polynomial.polynomial.polyval(values.astype(np.float64), polynomial)
     largest_v = float(np.max(np.abs(volts), initial=0.0))
     if not math.isfinite(largest_v):
@@ -128,7 +135,7 @@ def _quantise(
 
 
 def build_conversion(channel: Channel, mapping: TdmsMapping) -> Conversion:
-    """Return the conversion of the channel's values to counts and volts.
+    """Build the conversion of the channel's values to counts and volts.
 
     Raises
     ------
@@ -161,7 +168,10 @@ def build_conversion(channel: Channel, mapping: TdmsMapping) -> Conversion:
 
 
 def _find_resolution_bits(channel: Channel, mapping: TdmsMapping) -> int:
-    """Return the ADC resolution; it must be given for 32-bit codes, and fit the stored codes."""
+    """Return the ADC resolution in bits: the mapping's, else that of the stored type.
+
+    Raise ConfigurationError if 32-bit codes have none, or if it exceeds the stored type.
+    """
     stored_bits = _RAW_TYPES[channel.dtype]
     if mapping.resolution_bits is None and stored_bits == 32:
         raise channel.error(
@@ -177,7 +187,10 @@ def _find_resolution_bits(channel: Channel, mapping: TdmsMapping) -> int:
 
 
 def _compute_range_v(channel: Channel, coefficients_v: NDArray[np.float64], bits: int) -> float:
-    """Return the volts at the extreme codes, the larger of both."""
+    """Return the larger magnitude of the volts at the two extreme codes.
+
+    Raise ConfigurationError if it is not positive and finite.
+    """
     codes = np.array([-(2.0 ** (bits - 1)), 2.0 ** (bits - 1) - 1.0])
     range_v = float(np.abs(np.polynomial.polynomial.polyval(codes, coefficients_v)).max())
     if not (math.isfinite(range_v) and range_v > 0.0):
@@ -190,7 +203,11 @@ def _compute_range_v(channel: Channel, coefficients_v: NDArray[np.float64], bits
 def _build_volts_polynomial(
     channel: Channel, mapping: TdmsMapping, *, default: NDArray[np.float64] | None
 ) -> NDArray[np.float64]:
-    """Return volts as a polynomial of the values in the file; ``default`` where the file has no scales."""
+    """Return volts as a polynomial of the values in the file, constant first, shape (order + 1,).
+
+    It is the mapping's, else NI's scaling, else ``default`` (None: whole numbers need one), multiplied by
+    ``volts_per_unit`` unless the unit is V. Raise ConfigurationError where scaling or unit is missing.
+    """
     if mapping.coefficients_v:
         return np.array(mapping.coefficients_v)
     scaling = _read_scaling(channel)
@@ -213,7 +230,10 @@ def _build_volts_polynomial(
 
 
 def _read_scaling(channel: Channel) -> NDArray[np.float64] | None:
-    """Return NI's scaling as a polynomial, from channel, else group, else file; None if absent."""
+    """Return NI's scaling as a polynomial, from channel, else group, else file; None if absent.
+
+    Raise ConfigurationError for a scaling that is no polynomial.
+    """
     for properties in (channel.own_properties, channel.group_properties, channel.file_properties):
         try:
             polynomial = build_raw_polynomial(properties)
@@ -225,7 +245,9 @@ def _read_scaling(channel: Channel) -> NDArray[np.float64] | None:
 
 
 def sample_rate_hz(channel: Channel, mapping: TdmsMapping) -> float:
-    """Return the sample rate from the mapping or the increment.
+    """Return the sample rate in Hz: the mapping's, else the reciprocal of the increment property.
+
+    A rate within 1e-12 of a whole number of hertz is rounded to it.
 
     Raises
     ------
@@ -251,7 +273,9 @@ def sample_rate_hz(channel: Channel, mapping: TdmsMapping) -> float:
 def pretrigger_samples(
     channel: Channel, mapping: TdmsMapping, *, rate_hz: float, record_samples: int, method: str
 ) -> int:
-    """Count the samples before the trigger, by the mapping or the start offset.
+    """Return the number of samples before the trigger, by the mapping, else by the start offset.
+
+    0 for pulse-echo records, which start at the firing pulse.
 
     Raises
     ------
@@ -285,7 +309,10 @@ def pretrigger_samples(
 
 
 def read_start_utc_ns(channel: Channel, mapping: TdmsMapping) -> int | None:
-    """Return UTC of the channel's first record, None if the file has none."""
+    """Return UTC of the channel's first record in ns since 1970, None if the file has none.
+
+    Raise ConfigurationError if the property is no time stamp.
+    """
     stamp = channel.properties.get(mapping.start_time_property)
     if stamp is None:
         return None

@@ -26,7 +26,7 @@ _UNFINISHED = 0xFFFF_FFFF_FFFF_FFFF
 
 
 def require_nptdms() -> None:
-    """Raise with an installation hint if npTDMS is missing."""
+    """Raise ConfigurationError with an installation hint if npTDMS is missing."""
     try:
         import nptdms  # noqa: F401
     except ImportError as error:
@@ -36,7 +36,9 @@ def require_nptdms() -> None:
 
 
 def read_channels(path: Path, wanted: Callable[[str, str], bool]) -> list[Channel]:
-    """Return metadata of the channels whose group and name are wanted, without the empty ones.
+    """Read the metadata of the channels that ``wanted(group, name)`` accepts, in file order.
+
+    Channels without values are left out.
 
     Raises
     ------
@@ -64,7 +66,9 @@ class ValuesReader:
         self._closing = ExitStack()
 
     def read(self, path: Path, group: str, name: str, first: int, n_samples: int) -> NDArray[np.generic]:
-        """Return raw values of a channel; fewer than wanted if the file was changed meanwhile.
+        """Read raw values of a channel, shape (n_samples,); fewer if the file was changed meanwhile.
+
+        A file stays open until another one is read.
 
         Raises
         ------
@@ -78,14 +82,14 @@ class ValuesReader:
             return _read_raw_values(self._open[1][group][name], first, n_samples)
 
     def close(self) -> None:
-        """Close the file; a later `read` opens it again."""
+        """Close the open file, if any; a later `read` opens it again."""
         self._open = None
         self._closing.close()
 
 
 @contextmanager
 def _open_file(path: Path) -> Iterator[TdmsFile]:
-    """Open a file directly: npTDMS would leave a corrupt one open, and trust an index file next to it."""
+    """Yield an open TDMS file, closed on exit, without npTDMS's index files and time conversion."""
     import nptdms
 
     with path.open("rb") as file:
@@ -94,7 +98,7 @@ def _open_file(path: Path) -> Iterator[TdmsFile]:
 
 
 def _describe_channel(path: Path, file: TdmsFile, group: TdmsGroup, channel: TdmsChannel) -> Channel:
-    """Return the metadata of a channel and the type of its raw values."""
+    """Read the metadata of a channel and one value, which shows the type of its raw values."""
     return Channel(
         path=path,
         group=group.name,
@@ -109,7 +113,10 @@ def _describe_channel(path: Path, file: TdmsFile, group: TdmsGroup, channel: Tdm
 
 
 def _read_raw_values(channel: TdmsChannel, first: int, n_samples: int) -> NDArray[np.generic]:
-    """Return the unscaled values of some samples."""
+    """Read ``n_samples`` unscaled values from sample ``first`` on, fewer at the channel's end.
+
+    Raise ConfigurationError if the channel has several DAQmx scalers.
+    """
     values = channel.read_data(offset=first, length=n_samples, scaled=False)
     if isinstance(values, dict):
         if len(values) != 1:
@@ -123,7 +130,10 @@ def _read_raw_values(channel: TdmsChannel, first: int, n_samples: int) -> NDArra
 def _require_complete_values(
     path: Path, channel: TdmsChannel, statuses: Mapping[str, ChannelSegmentStatus]
 ) -> None:
-    """Reject missing values, which npTDMS fills with zeros or omits; only its status shows them."""
+    """Raise ConfigurationError if values of a channel are missing.
+
+    npTDMS fills them with zeros or omits them; only its status shows that.
+    """
     status = statuses.get(channel.path)
     if status is not None and status.read_length < status.expected_length:
         raise ConfigurationError(
@@ -133,12 +143,12 @@ def _require_complete_values(
 
 
 def _require_complete_end(path: Path) -> None:
-    """Reject a last segment with cut metadata, which npTDMS takes for the end of the file.
+    """Raise ConfigurationError for a cut last segment, which npTDMS takes for the end of the file.
 
-    Shots would vanish.
+    Shots would vanish. A writer that crashed (length unknown) is accepted.
 
-    A segment starts with 28 bytes: tag, flags (bit 6: big-endian), version, length of the rest, and
-    length of its metadata (NI: "TDMS file format internal structure").
+    A segment starts with 28 bytes: tag, flags (bit 6: big-endian), version, length of the rest, and length
+    of its metadata (NI: "TDMS file format internal structure").
     """
     position, n_bytes = 0, path.stat().st_size
     with path.open("rb") as file:
@@ -158,7 +168,7 @@ def _require_complete_end(path: Path) -> None:
 
 @contextmanager
 def _translate_errors(path: Path) -> Iterator[None]:
-    """Translate any error of npTDMS on a corrupt file."""
+    """Raise any error of npTDMS or the file as a ConfigurationError with file and remedy."""
     try:
         yield
     except ConfigurationError:

@@ -11,7 +11,7 @@ from hardware_drivers.playback.tdms_channel import Channel
 
 
 def build_shot_key(channel: Channel, names: Mapping[str, str | None], mapping: TdmsMapping) -> ShotKey:
-    """Return the shot of a channel's first record.
+    """Build the key of a channel's first record from matched names, properties and the mapping.
 
     Parameters
     ----------
@@ -47,7 +47,10 @@ def build_shot_key(channel: Channel, names: Mapping[str, str | None], mapping: T
 
 
 def _read_index(channel: Channel, part: str, values: Any, first: int) -> int:
-    """Return an index from 0; a missing one is 0."""
+    """Convert the number of a set, shot or attempt to an index from 0; a missing one is 0.
+
+    Raise ConfigurationError for no whole number, or one below ``first``.
+    """
     if values is None:
         return 0
     try:
@@ -65,7 +68,7 @@ def _read_index(channel: Channel, part: str, values: Any, first: int) -> int:
 
 
 def count_record_samples(channel: Channel, mapping: TdmsMapping) -> int:
-    """Return the length of each record of a channel.
+    """Return the number of samples in each record of a channel: all of them unless records are appended.
 
     Raises
     ------

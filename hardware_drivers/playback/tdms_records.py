@@ -41,7 +41,10 @@ class ChannelRecords:
     conversion: Conversion
 
     def values(self) -> Iterator[NDArray[Any]]:
-        """Return each record's raw values, shape (samples,)."""
+        """Yield each record's raw values in file order, shape (samples,); the file is closed at the end.
+
+        Raise ConfigurationError if the file is gone or damaged.
+        """
         reader = ValuesReader()
         try:
             for number in range(self.n):
@@ -52,7 +55,7 @@ class ChannelRecords:
             reader.close()
 
     def volts(self, values: NDArray[Any]) -> NDArray[np.float64]:
-        """Convert raw values into volts."""
+        """Convert raw or scaled values into volts (float64, same shape)."""
         if self.conversion.polynomial is None:
             return self.conversion.calibration.volts(values)
         return np.asarray(
@@ -68,7 +71,7 @@ def list_channel_records(
     rails_marked: bool,
     unitless_are_volts: bool = False,
 ) -> list[ChannelRecords]:
-    """Return the channels with numbers.
+    """List the records of each channel of numbers in a file; other channels are left out.
 
     Parameters
     ----------

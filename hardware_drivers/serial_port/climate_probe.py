@@ -16,7 +16,7 @@ class ScpiClimateProbe(SerialInstrument[ClimateParameters]):
     """Climate probe with a text protocol; a `ClimateProbe` of the instrument Protocols."""
 
     def read(self, timeout_s: float) -> ClimateReading:
-        """Measure temperature and relative humidity.
+        """Measure temperature in degrees Celsius and relative humidity, 0 to 1 (up to 1.05 is read as 1).
 
         Raises
         ------

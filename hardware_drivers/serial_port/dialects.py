@@ -111,12 +111,14 @@ class Dialect:
 
 @lru_cache
 def build_channel_dialect(name: str, channel: int) -> Dialect:
-    """Return the commands of a dialect for one channel of the supply.
+    """Build the commands of a dialect for one channel of the supply; cached.
 
     Raises
     ------
     ValueError
         The dialect has no channel in its commands, and the channel is not 1.
+    KeyError
+        No dialect has this name.
     """
     if name == "scpi" and channel != 1:
         raise ValueError(

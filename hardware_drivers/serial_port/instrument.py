@@ -47,7 +47,9 @@ class SerialInstrument(Generic[Parameters]):
         )
 
     def identity(self) -> Mapping[str, str]:
-        """Return maker, model, serial number and firmware, as the instrument reports them, and its port.
+        """Return what the instrument reports of itself, and its port, by name of the item.
+
+        ``maker``, ``model``, ``serial_number`` and ``firmware`` are empty where its response has none.
 
         Raises
         ------
@@ -65,18 +67,21 @@ class SerialInstrument(Generic[Parameters]):
 
     @property
     def _name_pattern(self) -> str:
-        """Return the pattern of the response to the identity query."""
+        """Return the pattern of the response to the identity query, with named groups."""
         return NAME_BY_COMMAS
 
     def close(self) -> None:
-        """Release the port."""
+        """Release the port; harmless when closed. A later call opens it again."""
         self._line.close()
 
     def _connect(self, deadline_s: float, *, at_once: bool = False) -> None:
-        """Connect, unless the line is in step already."""
+        """Connect, unless the line is in step already; raise as `SerialLine.connect` does."""
         self._line.connect(deadline_s, at_once=at_once)
 
     def _deadline_s(self, timeout_s: float) -> float:
-        """Return the monotonic time at which a call must have ended."""
+        """Return the monotonic time (s) at which a call must have ended.
+
+        Raise ConfigurationError for a timeout that is not positive.
+        """
         require_timeout(timeout_s)
         return self._line.monotonic_s() + timeout_s

@@ -19,7 +19,7 @@ CABLE = "check power, cable and the name in the configuration"
 
 
 def _list_packages(parameters: SupplyParameters | ClimateParameters) -> tuple[str, ...]:
-    """Return the distributions that the line needs."""
+    """Return the distributions that the line needs: pyserial, with pyvisa and pyvisa-py for ``visa:``."""
     over_visa = parameters.line.port.startswith(VISA_PREFIX)
     return ("pyserial", "pyvisa", "pyvisa-py") if over_visa else ("pyserial",)
 
@@ -29,7 +29,7 @@ def _list_packages(parameters: SupplyParameters | ClimateParameters) -> tuple[st
 
 @contextmanager
 def _open_supply(parameters: SupplyParameters, opening: Opening) -> Iterator[Opened]:
-    """Yield the supply; its first call opens the port."""
+    """Yield the supply and close it on exit; its first call opens the port."""
     from hardware_drivers.serial_port.power_supply import ScpiPowerSupply
 
     with closing(ScpiPowerSupply(parameters, stamp=opening.stamp)) as supply:
@@ -38,7 +38,7 @@ def _open_supply(parameters: SupplyParameters, opening: Opening) -> Iterator[Ope
 
 @contextmanager
 def _open_climate(parameters: ClimateParameters, opening: Opening) -> Iterator[Opened]:
-    """Yield the climate probe; its first call opens the port."""
+    """Yield the climate probe and close it on exit; its first call opens the port."""
     from hardware_drivers.serial_port.climate_probe import ScpiClimateProbe
 
     with closing(ScpiClimateProbe(parameters, stamp=opening.stamp)) as probe:
@@ -46,13 +46,17 @@ def _open_climate(parameters: ClimateParameters, opening: Opening) -> Iterator[O
 
 
 def _build_identity_finding(subject: str, identity: Mapping[str, str]) -> Finding:
-    """Return the finding on the identity that an instrument reports."""
+    """Build the ok finding on the identity that an instrument reports."""
     detail = ", ".join(identity.values())
     return Finding(subject=subject, check="identity", state="ok", detail=detail, values=dict(identity))
 
 
 def check_supply(parameters: SupplyParameters, opening: Opening) -> Iterator[Finding]:
-    """Check the supply: identity, settings, protections and output."""
+    """Query identity, settings, protections and output of the supply, and yield the findings.
+
+    A tripped protection fails; an unknown one, and an output that is on, are warnings. An instrument error
+    becomes a failed finding, and is the last one. Nothing is set or switched.
+    """
     from hardware_drivers.serial_port.power_supply import ScpiPowerSupply
 
     subject, check = "supply", "identity"
@@ -92,7 +96,10 @@ def check_supply(parameters: SupplyParameters, opening: Opening) -> Iterator[Fin
 
 
 def check_climate(parameters: ClimateParameters, opening: Opening) -> Iterator[Finding]:
-    """Check the climate probe: identity and one reading."""
+    """Query identity and one reading of the climate probe, and yield the findings.
+
+    An instrument error becomes a failed finding, and is the last one.
+    """
     from hardware_drivers.serial_port.climate_probe import ScpiClimateProbe
 
     subject, check = "climate probe", "identity"

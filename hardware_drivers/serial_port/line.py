@@ -148,7 +148,10 @@ class SerialLine:
         return True
 
     def _reach_instrument(self, deadline_s: float) -> str:
-        """Return the identity behind the open port, else behind the port opened again."""
+        """Return the identity of the instrument behind the open port, else behind the port opened again.
+
+        A silent instrument behind an open port is a ConnectionLostError; the port stays open.
+        """
         if self._port is not None:
             try:
                 return self._identify(deadline_s)
@@ -160,7 +163,11 @@ class SerialLine:
         return self._identify(deadline_s)
 
     def _identify(self, deadline_s: float) -> str:
-        """Query the identity; text before the expected name is a late response and discarded."""
+        """Query the identity and return it; text before the expected name is a late response and discarded.
+
+        The wait ends at ``deadline_s`` (monotonic), after the reply timeout or `LINES_BEFORE_NAME` lines.
+        Raise ConfigurationError if another instrument answers, ConnectionLostError for silence or garbage.
+        """
         deadline_s = min(deadline_s, self.monotonic_s() + self.parameters.reply_timeout_s)
         self._echoes = False
         self._write(self._identity_query)
@@ -199,7 +206,7 @@ class SerialLine:
         )
 
     def close(self) -> None:
-        """Close the port; harmless when closed."""
+        """Close the port; harmless when closed. Errors of a port that is gone are suppressed."""
         port, self._port, self.in_step = self._port, None, False
         if port is None:
             return
@@ -213,6 +220,9 @@ class SerialLine:
 
     def send(self, command: str) -> None:
         """Send a command without a response.
+
+        Blocks for one poll without terminator, and for the echo, up to the reply timeout, where there is
+        one.
 
         Raises
         ------
@@ -229,7 +239,12 @@ class SerialLine:
             self._next_line(bytearray(), self.monotonic_s() + self.parameters.reply_timeout_s)
 
     def query(self, question: str, deadline_s: float) -> str:
-        """Send a query and return its response without its terminator.
+        """Send a query; return its response as printable ASCII without terminator and outer spaces.
+
+        Parameters
+        ----------
+        deadline_s
+            Monotonic time at which the call must have ended; the reply timeout may end it sooner.
 
         Raises
         ------
@@ -244,7 +259,10 @@ class SerialLine:
         return reply
 
     def _query(self, question: str, deadline_s: float) -> bytes:
-        """Send a query and return its response as bytes; no response, or a second one, is an error."""
+        """Send a query and return its response as bytes, without its terminator and the command's echo.
+
+        Raise ConnectionLostError at the deadline or the reply timeout, and for a second response.
+        """
         now_s = self.monotonic_s()
         if now_s >= deadline_s:
             raise ConnectionLostError(
@@ -362,7 +380,10 @@ class SerialLine:
         return None if int(reply.partition(",")[0]) == 0 else reply
 
     def _write(self, command: str) -> None:
-        """Discard late responses, then send a command."""
+        """Discard late responses, then send a command with its terminator.
+
+        Raise ConnectionLostError if the port is closed, gone or does not take it within the reply timeout.
+        """
         if self._port is None:
             raise ConnectionLostError(f"{self._locate()} is closed")
         with self._translate_errors(f"send {command}"):
@@ -401,7 +422,10 @@ class SerialLine:
 
     @contextlib.contextmanager
     def _translate_errors(self, doing: str) -> Iterator[None]:
-        """Translate errors of the port; a port that is gone is closed."""
+        """Raise port errors as ConnectionLostError, with the line out of step; close a port that is gone.
+
+        A write timeout leaves the port open.
+        """
         try:
             yield
         except serial.SerialTimeoutException as error:
@@ -416,12 +440,15 @@ class SerialLine:
         return ConnectionLostError(f"{self._locate()} {message}")
 
     def _locate(self) -> str:
-        """Return name and port of the instrument, for messages."""
+        """Return name (``the instrument`` if unknown) and port of the instrument, for messages."""
         return f"{self.name.rstrip() or 'the instrument'} at {self.parameters.port}"
 
 
 def _decode_response(raw: bytes | bytearray) -> str | None:
-    """Return the printable ASCII of a response, or None, without outer spaces and a stray carriage return."""
+    """Decode a response without surrounding white space (a stray carriage return too).
+
+    Return None if it is empty or has a byte that is no printable ASCII.
+    """
     stripped = raw.strip(b" \t\r\n")
     if not stripped or not all(0x20 <= byte < 0x7F for byte in stripped):
         return None
@@ -429,7 +456,10 @@ def _decode_response(raw: bytes | bytearray) -> str | None:
 
 
 def _is_instrument_name(reply: str) -> bool:
-    """Distinguish another instrument's name from a late number or error of the right one."""
+    """Return whether a reply may be another instrument's name: it contains a letter.
+
+    False for a number, ON, OFF or an entry of an error queue: late responses of the right one.
+    """
     if _ERROR_QUEUE_ENTRY.match(reply) or reply.upper() in {"ON", "OFF"}:
         return False
     try:
@@ -440,5 +470,5 @@ def _is_instrument_name(reply: str) -> bool:
 
 
 def _quote(raw: bytes) -> str:
-    """Return the beginning of a response for a message."""
+    """Return the first `SHOWN_BYTES` of a response as a Python literal, with ``...`` if it is longer."""
     return repr(raw[:SHOWN_BYTES]) + ("..." if len(raw) > SHOWN_BYTES else "")

@@ -65,7 +65,7 @@ class SerialLineParameters:
 
     @property
     def address(self) -> tuple[str, int]:
-        """Return host and port of a `tcp:` line."""
+        """Return host and port of a ``tcp:`` line; ValueError if it is no HOST:PORT, 1 to 65,535."""
         found = _TCP_ADDRESS.fullmatch(self.port.removeprefix(TCP_PREFIX))
         if found is None or not 0 < int(found[2]) < 65_536:
             raise ValueError(
@@ -118,7 +118,7 @@ class SupplyParameters(DriveParameters):
 
     @property
     def longest_order_s(self) -> float:
-        """Return the longest time of a command, and of switching off again where it fails."""
+        """Return 2 x `ORDER_REPLIES` reply timeouts: a command in s, and switching off if it fails."""
         return 2.0 * ORDER_REPLIES * self.line.reply_timeout_s
 
     def __post_init__(self) -> None:
@@ -170,7 +170,7 @@ class ClimateParameters(LogParameters):
 
 
 def check_identity(pattern: str) -> None:
-    """Reject an identity that is no regular expression or that matches anything."""
+    """Raise ValueError for an identity that is no regular expression or that matches an empty text."""
     try:
         matches_anything = re.match(pattern, "") is not None
     except re.error as error:
@@ -180,6 +180,9 @@ def check_identity(pattern: str) -> None:
 
 
 def check_query(name: str, query: str) -> None:
-    """Reject a text that is not one query."""
+    """Raise ValueError, naming the key, for a text that is not one query.
+
+    It must be printable ASCII without a semicolon, and not blank.
+    """
     if not (query.isascii() and query.isprintable() and query.strip()) or ";" in query:
         raise ValueError(f"{name} is {query!r}; give one command of printable ASCII characters")

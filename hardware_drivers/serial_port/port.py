@@ -46,22 +46,22 @@ class Port(Protocol):
 
     @property
     def in_waiting(self) -> int:
-        """Return how many bytes can be read at once; an upper bound where that is unknown."""
+        """Return the number of bytes that can be read at once; an upper bound where that is unknown."""
 
     def read(self, size: int, /) -> bytes:
-        """Wait up to `POLL_S` for data, and return up to ``size`` bytes, or none."""
+        """Wait up to `POLL_S` for data; return up to ``size`` bytes, empty if none came."""
 
     def write(self, data: bytes, /) -> int | None:
-        """Write all of the data."""
+        """Write all of the data; one of `PORT_ERRORS` if it is not taken in time or the port is gone."""
 
     def reset_input_buffer(self) -> None:
-        """Discard the received data."""
+        """Discard the received data without waiting; one of `PORT_ERRORS` if the port is gone."""
 
     def reset_output_buffer(self) -> None:
-        """Discard the data that was not sent."""
+        """Discard the data that was not sent; one of `PORT_ERRORS` if the port is gone."""
 
     def close(self) -> None:
-        """Close the port."""
+        """Close the port; one of `PORT_ERRORS` if that fails."""
 
 
 class TcpPort:
@@ -76,7 +76,10 @@ class TcpPort:
         self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
 
     def read(self, size: int) -> bytes:
-        """Return the data received within `POLL_S`; a closed connection is an error."""
+        """Return up to ``size`` bytes received within `POLL_S`, empty if none came.
+
+        A connection that the instrument closed is a ConnectionResetError.
+        """
         self._socket.settimeout(POLL_S)
         try:
             return self._receive(size)
@@ -84,33 +87,33 @@ class TcpPort:
             return b""
 
     def write(self, data: bytes) -> None:
-        """Write all of the data."""
+        """Write all of the data; TimeoutError if that exceeds the reply timeout."""
         self._socket.settimeout(self._timeout_s)
         self._socket.sendall(data)
 
     def reset_input_buffer(self) -> None:
-        """Discard the received data."""
+        """Discard the received data without waiting; a closed connection is a ConnectionResetError."""
         self._socket.setblocking(False)
         with contextlib.suppress(BlockingIOError):
             while True:
                 self._receive(self.in_waiting)
 
     def reset_output_buffer(self) -> None:
-        """Do nothing: no data waits here."""
+        """Do nothing: data is never queued here."""
 
     def close(self) -> None:
-        """Close the connection."""
+        """Close the connection; harmless when closed."""
         self._socket.close()
 
     def _receive(self, size: int) -> bytes:
-        """Receive up to so many bytes; a closed connection is an error."""
+        """Receive up to ``size`` bytes; ConnectionResetError if the instrument closed the connection."""
         if not (data := self._socket.recv(size)):
             raise ConnectionResetError(errno.ECONNRESET, "the instrument hung up")
         return data
 
 
 def open_port(parameters: SerialLineParameters) -> Port:
-    """Open the port that the parameters name.
+    """Open the serial port, TCP socket or VISA resource that the parameters name.
 
     Raises
     ------
@@ -137,7 +140,7 @@ def open_port(parameters: SerialLineParameters) -> Port:
 
 
 def _open_serial(parameters: SerialLineParameters) -> Port:
-    """Open a serial port for this process alone.
+    """Open a serial port for this process alone; reads on it wait up to `POLL_S`.
 
     Raises
     ------
@@ -173,7 +176,10 @@ def _open_serial(parameters: SerialLineParameters) -> Port:
 
 
 def list_serial_ports() -> dict[str, str]:
-    """Return the serial ports of this computer: a permanent name and a description of each."""
+    """List the serial ports of this computer: name and description, sorted by device.
+
+    The name is ``serial:`` with the adapter's serial number, else that of the device.
+    """
     ports = {}
     for info in sorted(list_ports.comports()):
         name = f"{USB_SERIAL_PREFIX}{info.serial_number}" if info.serial_number else info.device
@@ -182,7 +188,10 @@ def list_serial_ports() -> dict[str, str]:
 
 
 def _find_port_path(port: str) -> str:
-    """Return the path of a port; a port named by its adapter's serial number is searched every time."""
+    """Return the path of a port; one named by its adapter's serial number is searched at every call.
+
+    Raise ConnectionLostError if no port has that number, ConfigurationError if several have.
+    """
     if not port.startswith(USB_SERIAL_PREFIX):
         return port
     wanted = port.removeprefix(USB_SERIAL_PREFIX)
@@ -201,7 +210,11 @@ def _find_port_path(port: str) -> str:
 
 
 def _explain_open_error(path: str, error: Exception) -> InstrumentError:
-    """Return the reason why a port could not be opened; a temporary one is no configuration error."""
+    """Return the instrument error that explains why a port could not be opened.
+
+    BusyError if it is in use, ConfigurationError without the right or for no serial port, else
+    ConnectionLostError: a temporary reason is no configuration error.
+    """
     code = getattr(error, "errno", None)
     if code is None and error.__context__ is not None and error.__context__.args:
         code = error.__context__.args[0]  # pyserial raises again without the number
@@ -225,7 +238,10 @@ def _explain_open_error(path: str, error: Exception) -> InstrumentError:
 
 
 def _find_owners(path: str) -> str:
-    """Return the programs that have the port open, if this system reports them."""
+    """Return command and process number of the programs that have the port open, by `/proc`.
+
+    ``another program`` where there is no `/proc`, or the processes are another user's.
+    """
     owners = []
     device = os.path.realpath(path)
     for process in Path("/proc").glob("[0-9]*"):

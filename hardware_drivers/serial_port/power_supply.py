@@ -33,7 +33,7 @@ class ScpiPowerSupply(SerialInstrument[SupplyParameters]):
 
     @property
     def tripped_protections(self) -> tuple[str, ...]:
-        """Return the protections that were tripped when the output was last found off, by query."""
+        """Return names of the protections that were tripped when the output was last found off."""
         return self._tripped
 
     @property
@@ -45,7 +45,7 @@ class ScpiPowerSupply(SerialInstrument[SupplyParameters]):
         return f"the supply does not know {unknown}" if unknown else ""
 
     def read(self, timeout_s: float) -> SupplyReading:
-        """Measure voltage and current and query the output state.
+        """Measure voltage in V and current in A, and query the output state, within ``timeout_s``.
 
         The stamp is that of the current, which is what is integrated.
 
@@ -63,7 +63,10 @@ class ScpiPowerSupply(SerialInstrument[SupplyParameters]):
         return self._measure(deadline_s)
 
     def read_back(self, timeout_s: float) -> Mapping[str, float | str]:
-        """Query the settings: voltage, current limit, output and tripped protections; changes nothing.
+        """Query settings, output and tripped protections by name; nothing is changed.
+
+        ``set_voltage_v`` and ``set_current_limit_a`` are numbers (V, A), ``output`` is ``on`` or ``off``;
+        ``tripped`` and ``protection_unknown`` are texts, empty if there is nothing to report.
 
         Raises
         ------
@@ -82,7 +85,7 @@ class ScpiPowerSupply(SerialInstrument[SupplyParameters]):
         }
 
     def energise(self, voltage_v: float, current_limit_a: float) -> None:
-        """Switch off, set, read back, then switch on and measure; on any doubt switch off.
+        """Switch off, set (V, A), read back, then switch on and measure; on any doubt switch off.
 
         Raises
         ------
@@ -118,7 +121,7 @@ class ScpiPowerSupply(SerialInstrument[SupplyParameters]):
             raise type(error)(f"{error}; the output is off") from error
 
     def make_safe(self) -> None:
-        """Switch the output off and read that back.
+        """Switch the output off and read that back; over a dead line, try once more.
 
         Raises
         ------
@@ -145,36 +148,36 @@ class ScpiPowerSupply(SerialInstrument[SupplyParameters]):
 
     @property
     def _dialect(self) -> Dialect:
-        """Return the commands of this supply."""
+        """Return the commands of this supply's dialect for the configured channel."""
         return build_channel_dialect(self._parameters.dialect, self._parameters.channel)
 
     @property
     def _name_pattern(self) -> str:
-        """Return the pattern of the dialect's response to the identity query."""
+        """Return the dialect's pattern of the response to the identity query, with named groups."""
         return self._dialect.name
 
     def _list_protections(self) -> tuple[Flag, ...]:
-        """Return the queries of tripped protections, the configured ones before those of the dialect."""
+        """Return the configured queries of tripped protections, else the dialect's; empty: none is sent."""
         given = self._parameters.protection_queries
         return self._dialect.protections if given is None else tuple(Flag(ask=query) for query in given)
 
     def _query_number(self, number: Number, deadline_s: float) -> float:
-        """Query a number."""
+        """Query a number in its SI unit; ConnectionLostError for anything else or at the deadline."""
         return self._line.query_number(
             number.ask, deadline_s, units=(number.unit,), header=number.header, stray=number.stray
         )
 
     def _query_flag(self, flag: Flag, deadline_s: float) -> bool:
-        """Query a yes or no."""
+        """Query yes (True) or no; ConnectionLostError for any other answer or at the deadline."""
         return self._line.query_flag(flag.ask, deadline_s, mask=flag.mask, raw=flag.raw)
 
     def _connect(self, deadline_s: float, *, at_once: bool = False) -> None:
-        """Connect, send the setup commands if the line was opened, and log the errors that they cause."""
+        """Connect; if that brought the line into step, send the setup commands and log errors they cause."""
         for entry in self._connect_without_error(deadline_s, at_once=at_once):
             log.warning("%s after the setup commands: %s", self._line.name, entry)
 
     def _connect_without_error(self, deadline_s: float, *, at_once: bool) -> list[str]:
-        """Connect, then raise for errors that the supply reports."""
+        """Connect and, newly in step, send the setup commands; return the errors they cause, else none."""
         if not self._line.connect(deadline_s, at_once=at_once) or not self._parameters.setup_commands:
             return []
         for command in self._parameters.setup_commands:
@@ -182,7 +185,10 @@ class ScpiPowerSupply(SerialInstrument[SupplyParameters]):
         return self._drain_errors(deadline_s)
 
     def _measure(self, deadline_s: float) -> SupplyReading:
-        """Measure voltage, current and output state; if the output is off, also the tripped protections."""
+        """Measure voltage and current and query the output; if it is off, query the protections too.
+
+        The stamp is read between voltage and current. Tripped protections are stored.
+        """
         voltage_v = self._query_number(self._dialect.measured_voltage, deadline_s)
         stamp = self._stamp()
         current_a = self._query_number(self._dialect.measured_current, deadline_s)
@@ -191,13 +197,17 @@ class ScpiPowerSupply(SerialInstrument[SupplyParameters]):
         return SupplyReading(stamp=stamp, voltage_v=voltage_v, current_a=current_a, output_on=output_on)
 
     def _switch_off(self, deadline_s: float) -> None:
-        """Switch the output off and read that back."""
+        """Switch the output off and read that back; ConnectionLostError if it still reports on."""
         self._line.send(self._dialect.switch_off)
         if self._query_flag(self._dialect.output, deadline_s):
             raise self._line.lost("was told to switch its output off and says it is on")
 
     def _set(self, voltage_v: float, current_limit_a: float, deadline_s: float) -> None:
-        """Set the limit first, so that a voltage never meets the limit of an earlier command."""
+        """Set protection levels, current limit, then voltage, each read back.
+
+        The limit comes first, so that a voltage never meets the limit of an earlier command. With an
+        over-voltage level the voltage is set to 0 V before all.
+        """
         parameters, dialect = self._parameters, self._dialect
         if parameters.over_voltage_v is not None:
             # Some supplies refuse a protection below the voltage that was set, or a voltage above the
@@ -213,7 +223,11 @@ class ScpiPowerSupply(SerialInstrument[SupplyParameters]):
                 self._set_level(level, value, deadline_s)
 
     def _set_level(self, level: Level, value: float, deadline_s: float) -> None:
-        """Set a level and its switch, and read both back."""
+        """Set a level and its switch, and read both back.
+
+        Raise ConfigurationError if the supply reports an error, the level differs by more than the
+        tolerance, or the switch reads off.
+        """
         parameters, unit = self._parameters, level.read.unit
         tolerance = parameters.readback_tolerance_v if unit == "V" else parameters.readback_tolerance_a
         for command in (f"{level.command}{value:{level.digits}}", level.enable):
@@ -232,7 +246,7 @@ class ScpiPowerSupply(SerialInstrument[SupplyParameters]):
             )
 
     def _check_output(self, voltage_v: float, current_limit_a: float, deadline_s: float) -> None:
-        """Check the output after switching on; a voltage drop in current limit is normal."""
+        """Measure after switching on; ConfigurationError if off or above its settings and tolerances."""
         parameters = self._parameters
         reading = self._measure(deadline_s)
         if not reading.output_on:
@@ -248,7 +262,7 @@ class ScpiPowerSupply(SerialInstrument[SupplyParameters]):
                 )
 
     def _require_no_protection_tripped(self, deadline_s: float) -> None:
-        """Raise ConfigurationError if a protection has tripped."""
+        """Raise ConfigurationError that names tripped protections; a trip that is an event is forgotten."""
         self._tripped = tripped = self._query_protections(deadline_s)
         if tripped:
             if self._dialect.trips_are_events:
@@ -260,7 +274,11 @@ class ScpiPowerSupply(SerialInstrument[SupplyParameters]):
             )
 
     def _query_protections(self, deadline_s: float) -> tuple[str, ...]:
-        """Return the names of the tripped protections; an unknown query is remembered and left out."""
+        """Query and return the names of the tripped protections.
+
+        A query that the supply reports as undefined is remembered and never sent again: that protection is
+        unknown. Where trips are events, those found before are kept.
+        """
         tripped = list(self._tripped) if self._dialect.trips_are_events else []
         for flag in self._list_protections():
             if flag.ask in self._undefined:
@@ -280,18 +298,21 @@ class ScpiPowerSupply(SerialInstrument[SupplyParameters]):
         return tuple(tripped)
 
     def _reports_undefined(self, deadline_s: float) -> bool:
-        """Check whether the supply reports that it did not know the last query."""
+        """Connect again, empty the error queue, and return whether it has `UNDEFINED_HEADER`."""
         entries = self._connect_without_error(deadline_s, at_once=True) + self._drain_errors(deadline_s)
         return any(int(entry.partition(",")[0]) == UNDEFINED_HEADER for entry in entries)
 
     def _require_no_error(self, doing: str, deadline_s: float) -> None:
-        """Raise ConfigurationError if the supply reports an error."""
+        """Empty the error queue; raise ConfigurationError with its entries if there are any."""
         entries = self._drain_errors(deadline_s)
         if entries:
             raise ConfigurationError(f"{self._line.name} refused to {doing}: {'; '.join(entries)}")
 
     def _drain_errors(self, deadline_s: float) -> list[str]:
-        """Return every entry of the supply's error queue, which is empty afterwards."""
+        """Read and return all entries of the supply's error queue, oldest first; it is empty afterwards.
+
+        Empty where the dialect has no query. Raise ConnectionLostError after `ERROR_QUEUE_LENGTH` entries.
+        """
         entries: list[str] = []
         query, bare = self._dialect.error_query, self._dialect.bare_errors
         while query and (entry := self._line.query_error(query, deadline_s, bare=bare)) is not None:

@@ -78,17 +78,17 @@ class VisaPort:
             resource.set_visa_attribute(ResourceAttribute.suppress_end_enabled, False)
 
     def read(self, size: int) -> bytes:
-        """Return the data received within one poll."""
+        """Return up to ``size`` bytes received within one poll (a socket) or the reply timeout; else none."""
         return self._read_bytes(size, self._wait_ms)
 
     def write(self, data: bytes) -> None:
-        """Write all of the data."""
+        """Write all of the data within the reply timeout; OSError if that fails."""
         with _translate_to_os_error():
             self._resource.timeout = self._write_ms
             self._resource.write_raw(data)
 
     def reset_input_buffer(self) -> None:
-        """Discard the received data."""
+        """Discard the data received by a socket; clear another resource that still owes a response."""
         if self._streams:
             while self._read_bytes(self.in_waiting, 0.0):
                 pass
@@ -98,15 +98,18 @@ class VisaPort:
             self._owes_an_answer = False
 
     def reset_output_buffer(self) -> None:
-        """Do nothing: no data waits here."""
+        """Do nothing: data is never queued here."""
 
     def close(self) -> None:
-        """Close the resource."""
+        """Close the resource; OSError if that fails."""
         with _translate_to_os_error():
             self._resource.close()
 
     def _read_bytes(self, size: int, wait_ms: float) -> bytes:
-        """Read up to so many bytes within a time; none at its end."""
+        """Read up to ``size`` bytes within ``wait_ms``; empty after that time.
+
+        The resource then owes a response. Any other error is an OSError.
+        """
         with _translate_to_os_error():
             self._resource.timeout = wait_ms
             try:
@@ -120,7 +123,7 @@ class VisaPort:
 
 @contextlib.contextmanager
 def _translate_to_os_error() -> Iterator[None]:
-    """Translate pyvisa's errors, which are no OSError, into those that a line handles."""
+    """Raise pyvisa's errors, which are no OSError, as OSError, which a line handles."""
     try:
         yield
     except pyvisa.Error as error:
