@@ -73,7 +73,7 @@ class Allowance:
         self._most, self._every_s, self._machine = most, every_s, machine
         self._left, self._at_s = float(most), machine.mono_s()
 
-    def take(self) -> bool:
+    def try_take(self) -> bool:
         """Use one of the remaining uses, refilled with time; return False, and use none, if none is left."""
         now_s = self._machine.mono_s()
         self._left = min(self._most, self._left + (now_s - self._at_s) / self._every_s)
@@ -105,7 +105,7 @@ class Audit:
         """
         entry = AuditEntry(**fields)
         with self._lock:
-            if entry.result == "rejected" and not self._find_rate_limit(entry).take():
+            if entry.result == "rejected" and not self._find_rate_limit(entry).try_take():
                 self._left_out += 1
                 return
             left_out, self._left_out = self._left_out, 0

@@ -68,7 +68,7 @@ class CommandExecutor:
         # A restart never ends a pause.
         self.paused = catalogue.paused() or ""
 
-    def begin(self) -> None:
+    def close_earlier_commands(self) -> None:
         """Close the commands that an earlier recorder left open, without executing them.
 
         Does so once; later calls do nothing.
@@ -87,7 +87,7 @@ class CommandExecutor:
             answer = FAILED if is_unknown else ("expired", describe_expiry(reason))
             self._store_answer(row, self._answers.get(row.id, answer))
 
-    def leave(self) -> None:
+    def expire_open_commands(self) -> None:
         """Answer the commands that are still open when this recorder ends, as `close` does.
 
         An error of catalogue or disk is logged: the next recorder answers them.
@@ -97,13 +97,13 @@ class CommandExecutor:
         except (StorageError, OSError) as error:
             log.warning("open commands are not answered; the next recorder does it: %s", error)
 
-    def listen(self) -> None:
+    def execute_open_commands(self) -> None:
         """Execute the open commands in turn, store each answer, and update `paused`.
 
         A rejected command is answered with the reason. An answer that an instrument owes is polled at the
         next call. Raise StorageError if start or answer cannot be stored.
         """
-        self.begin()
+        self.close_earlier_commands()
         for row in self._catalogue.list_open_commands():
             # Once: if the disk cannot store an answer, the supply must not be switched on a second time.
             answer = self._answers.get(row.id) or self._execute(row)

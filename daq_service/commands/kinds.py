@@ -538,7 +538,7 @@ class Annotate(StoredCommand):
             author=self.author,
             written_utc_ns=test.moment().utc_ns,
         )
-        test.annotate(row, "annotation_added")
+        test.store_annotation(row, "annotation_added")
         return "noted"
 
 
@@ -567,5 +567,5 @@ class WithdrawAnnotation(StoredCommand):
         """Store time and author of the withdrawal; the annotation is kept. Return the result as text."""
         (row,) = (row for row in test.annotations() if row.id == self.arguments.annotation_id)
         withdrawn = replace(row, withdrawn_utc_ns=test.moment().utc_ns, withdrawn_by=self.author)
-        test.annotate(withdrawn, "annotation_withdrawn")
+        test.store_annotation(withdrawn, "annotation_withdrawn")
         return "withdrawn"

@@ -65,13 +65,13 @@ class StoredTest:
         """Store an event of the stream ``service``, in a transaction of its own, at the present moment."""
         self.store(SetCommit(events=[self.moment().event("service", kind, payload)]))
 
-    def annotate(self, row: AnnotationRow, kind: str) -> None:
+    def store_annotation(self, row: AnnotationRow, kind: str) -> None:
         """Store a new or changed annotation together with its event of this kind in one transaction."""
         transaction = SetCommit()
         transaction.add_annotation(row, self.moment().event("annotations", kind, {}, position=row.position))
         self.store(transaction)
 
-    def alarm(self, alarm_id: int) -> AlarmRow:
+    def find_alarm(self, alarm_id: int) -> AlarmRow:
         """Return the current alarm with this id; a shelf that has expired is removed from it.
 
         ValueError if no current alarm has the id.

@@ -381,13 +381,13 @@ class SupplyLogger:
 
     # Readings and conditions ----------------------------------------------------------------------
 
-    def output(self) -> SupplyState:
+    def find_output_state(self) -> SupplyState:
         """Return ``on`` or ``off`` as last read; ``unknown`` unless the newest reading is good."""
         if self._newest is None or self._supply_log.quality(self._clock.mono_ns()) != "good":
             return "unknown"
         return "on" if self._newest.output_on else "off"
 
-    def conditions(self) -> tuple[DriveCondition, ...]:
+    def list_conditions(self) -> tuple[DriveCondition, ...]:
         """Return the condition of each possible alarm of the supply, in the order of `CONDITIONS`."""
         now_ns, reading, command = self._clock.mono_ns(), self._newest, self._command
         voltage_v, limit_a = self._commanded_values()
@@ -433,7 +433,7 @@ class SupplyLogger:
         """
         del self._window[:n_stored]
 
-    def row(self, set_index: int, due_h: float) -> EnvironmentRow:
+    def build_row(self, set_index: int, due_h: float) -> EnvironmentRow:
         """Build the row of a set in ``environment``: means since `start_window`, totals since hour 0.
 
         Voltages and currents are None without a reading since then.

@@ -168,7 +168,7 @@ class DriveProcess:
             alone_s=(now_ns - self._met_ns) / NS_PER_S,
             watchdog_timeout_s=self._parameters.watchdog_timeout_s,
             commanded=self._drive.state.command is not None,
-            pending=self._drive.must_switch_off or self._drive.output() == "on",
+            pending=self._drive.must_switch_off or self._drive.find_output_state() == "on",
             stays=self._stays,
         )
         if action == "switch off":
@@ -188,7 +188,7 @@ class DriveProcess:
 
         The file thread writes it; errors of the disk are logged.
         """
-        stored, now_ns, row = self._stored, self._clock.mono_ns(), self._drive.row(0, 0.0)
+        stored, now_ns, row = self._stored, self._clock.mono_ns(), self._drive.build_row(0, 0.0)
         state = self._drive.state
         if row.supply_age_s is not None:
             self._last_read_port = self._supply_port
@@ -239,7 +239,7 @@ class DriveProcess:
                 raise RigError("the supply was handed over and may still be on; switch it off by hand")
             return
         commanded = self._drive.state.command is not None
-        if (commanded or self._drive.output() != "off") and not self._drive.trip(
+        if (commanded or self._drive.find_output_state() != "off") and not self._drive.trip(
             "the process of the drive was stopped, and no other one watches", kind="supply_watchdog_trip"
         ):
             self.store_state(at_once=True)
@@ -259,7 +259,7 @@ class DriveProcess:
         another port this process then ends. Nothing is released before the state is written and a pending
         switch-off is done: the next step tries again.
         """
-        is_off = self._drive.state.command is None and self._drive.output() == "off"
+        is_off = self._drive.state.command is None and self._drive.find_output_state() == "off"
         other_port, was_read = successor_port != self._supply_port, self._last_read_port == self._supply_port
         if was_read and other_port and not is_off:
             try:
@@ -320,7 +320,7 @@ class DriveProcess:
 
     # Requests of a recorder --------------------------------------------------------------------------
 
-    def answer(self, request: Message) -> Message:
+    def answer_request(self, request: Message) -> Message:
         """Execute a request of a recorder and return the state of the supply.
 
         Each request but ``ping`` shows that a recorder watches. A failed request is answered with
@@ -342,8 +342,8 @@ class DriveProcess:
         now_ns, written = self._clock.mono_ns(), self._written_state
         return {
             "id": request["id"],
-            "row": summarise_row(self._drive.row(0, 0.0)),
-            "conditions": [asdict(condition) for condition in self._drive.conditions()],
+            "row": summarise_row(self._drive.build_row(0, 0.0)),
+            "conditions": [asdict(condition) for condition in self._drive.list_conditions()],
             "window_length": self._drive.window_length,
             "commanded": self._drive.state.command is not None,
             "pending": self._drive.must_switch_off,
@@ -446,7 +446,7 @@ def run_supply_process(
                 if (now_s := time.monotonic()) - last_beat_s >= BEAT_EVERY_S:
                     last_beat_s = now_s
                     beat()
-                server.serve(TICK_S, process.answer)
+                server.serve(TICK_S, process.answer_request)
             if not process.leaves:
                 process.end()
             return process.leaves

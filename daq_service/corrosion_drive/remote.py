@@ -351,7 +351,7 @@ class RemoteDrive:
 
     # Readings and conditions ---------------------------------------------------------------------
 
-    def conditions(self) -> tuple[DriveCondition, ...]:
+    def list_conditions(self) -> tuple[DriveCondition, ...]:
         """Return the conditions of the newest answer, and those of a process that does not answer.
 
         These are a trip or switch-off that it has not confirmed, and ``supply_not_responding``.
@@ -378,7 +378,7 @@ class RemoteDrive:
             )
         return tuple(conditions.values())
 
-    def row(self, set_index: int, due_h: float) -> EnvironmentRow:
+    def build_row(self, set_index: int, due_h: float) -> EnvironmentRow:
         """Build the row of a set from the newest answer, with its age added; no request is sent.
 
         Without a recent answer the output is unknown; without any, so is the charge.

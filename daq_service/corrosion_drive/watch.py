@@ -102,7 +102,7 @@ class DriveWatch:
             message = self._climate.not_responding()
             active = bool(message)
             yield DriveCondition(name="climate_not_responding", active=active, message=message or NORMAL)
-        yield from () if self._drive is None else self._drive.conditions()
+        yield from () if self._drive is None else self._drive.list_conditions()
 
     def _update_alarms(self, hour: float) -> None:
         """Update each alarm of supply and climate with its present condition, in one transaction.
@@ -134,7 +134,7 @@ class DriveWatch:
         """Return means, extremes and states of supply and probe since the last stored set, by column name."""
         return summarise_row(self._make_row(0, 0.0))
 
-    def add_row(self, transaction: SetCommit, due: DueSet, moment: Moment) -> None:
+    def add_environment_row(self, transaction: SetCommit, due: DueSet, moment: Moment) -> None:
         """Add the environment row of a set and its event to the transaction, and restart the means.
 
         The transaction is not stored here.
@@ -147,7 +147,7 @@ class DriveWatch:
     def _make_row(self, set_index: int, due_h: float) -> EnvironmentRow:
         """Build the environment row of a set; columns of a missing supply or probe are absent."""
         row = (
-            row_without_supply(set_index, due_h) if self._drive is None else self._drive.row(set_index, due_h)
+            row_without_supply(set_index, due_h) if self._drive is None else self._drive.build_row(set_index, due_h)
         )
         return row if self._climate is None else self._climate.add_to_row(row)
 
@@ -213,7 +213,7 @@ class DriveWatch:
             self._drive.trip(reason)
             self._update_alarms(hour)
 
-    def end(self) -> str:
+    def switch_off_at_end(self) -> str:
         """Switch the supply off at the end of a test if configured; return the result as text.
 
         Empty if nothing was done. A failure is logged and returned, not raised.

@@ -88,7 +88,7 @@ class Recorder:
         storage = StorageAlarms(resources, assessor, persistence)
         self.waiting = waiting = Waiting(resources, assessor, persistence, storage, activity)
         self.commands = commands = build_command_executor(resources, assessor, waiting)
-        activity.looks = (storage.watch_web, partial(persistence.attempt, commands.listen))
+        activity.looks = (storage.watch_web, partial(persistence.attempt, commands.execute_open_commands))
         self._acquisition = SetAcquisition(resources, assessor, persistence, features_of, commands, activity)
         self._carried_over = CarriedOver(resources, assessor, persistence, self._acquisition)
         self._due_sets = DueSets(
@@ -103,7 +103,7 @@ class Recorder:
         """
         resources, persistence, waiting = self._resources, self._persistence, self.waiting
         done = resources.catalogue.list_committed_sets()
-        persistence.do(self.commands.begin)
+        persistence.do(self.commands.close_earlier_commands)
         origin = self._acquisition.provenance
         started = build_started_payload(resources.rig, not_running_reason, len(done), origin)
         persistence.say("recorder_started", started)
@@ -238,7 +238,7 @@ class Recorder:
         finished, is_unsupervised = not self._stop.is_set(), self._resources.options.unsupervised.is_set()
         # A supervisor that was killed is no end of the test: the drive's process watches the supply.
         drive = None if is_unsupervised else self._set_assessor.drive
-        supply = "" if drive is None else drive.end()
+        supply = "" if drive is None else drive.switch_off_at_end()
         farewell = {"cost": self._cost.as_row(), **({"supply": supply} if supply else {})}
         stopped = "recorder_left_alone" if is_unsupervised else "recorder_stopped"
         self.waiting.end()

@@ -135,7 +135,7 @@ def record_test(
         for task in reversed(resources.tasks):
             stack.callback(task.close)
         recorder = Recorder(resources)
-        stack.callback(recorder.commands.leave)
+        stack.callback(recorder.commands.expire_open_commands)
         finished = recorder.run(
             not_running_reason=not_running_reason, opening=Opening(since_mono_ns=since_mono_ns, text=did)
         )

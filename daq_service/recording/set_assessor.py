@@ -275,7 +275,7 @@ class SetAssessor:
     def add_environment(self, due: DueSet, moment: Moment, transaction: SetCommit) -> SetCommit:
         """Add the readings of supply and climate since the last set to the transaction; return it."""
         if self.drive is not None:
-            self.drive.add_row(transaction, due, moment)
+            self.drive.add_environment_row(transaction, due, moment)
         return transaction
 
     def commit(self, transaction: SetCommit) -> None:

@@ -100,12 +100,12 @@ class ArchivedShots:
             )
         return found
 
-    def tried(self, key: ShotKey) -> bool:
+    def has_attempt(self, key: ShotKey) -> bool:
         """Return whether a shot was recorded or missed; of a corrupt set only recorded shots are known.
 
         Raises ConfigurationError if the file of its set cannot be opened.
         """
-        recorded = self._shots.tried(key)
+        recorded = self._shots.has_attempt(key)
         return recorded or (key in self._missed and key.set_key not in self._damaged)
 
     def next_moment(self, after_utc_ns: int) -> int | None:

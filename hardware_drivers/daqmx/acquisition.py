@@ -155,7 +155,7 @@ def commit_acquisition(
         or the coil's counter cannot start it. The task is cleared.
     """
     wiring = parameters.transducers[position]
-    task = connection.task("digitizer")
+    task = connection.create_task("digitizer")
     try:
         with translate_errors(f"setting up the acquisition of {position!r} on {board.label}"):
             channel = _configure_task(task, parameters, wiring, board, record)

@@ -210,7 +210,7 @@ class Chassis:
     # Losses and recovery -------------------------------------------------------------------------
 
     @contextmanager
-    def attempt(self) -> Iterator[None]:
+    def guard_operation(self) -> Iterator[None]:
         """Run a block on the boards; an error clears the tasks, selects a recovery step and is raised."""
         try:
             yield

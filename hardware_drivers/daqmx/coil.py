@@ -137,7 +137,7 @@ def commit_coil(connection: Connection, parameters: DaqmxParameters, position: s
         watchdog = None if wired is None else _commit_watchdog(connection, wired, board)
         if watchdog is not None:
             undo.callback(clear_watchdog, watchdog, doing)
-        task = connection.task("striker")
+        task = connection.create_task("striker")
         undo.callback(clear_task, task, doing)
         with translate_errors(doing):
             _configure_pulse(task, parameters, position, board)
@@ -193,7 +193,7 @@ def _commit_watchdog(connection: Connection, wired: WatchdogWiring, board: Board
     from nidaqmx.constants import Level, TaskMode
     from nidaqmx.types import DOExpirationState
 
-    watchdog = connection.watchdog(board.name, "watchdog", wired.timeout_s)
+    watchdog = connection.create_watchdog(board.name, "watchdog", wired.timeout_s)
     doing = f"setting up the watchdog of {board.label}"
     try:
         with translate_errors(doing):

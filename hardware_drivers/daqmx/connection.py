@@ -89,7 +89,7 @@ class Connection:
             lambda: ".".join(str(part) for part in system.driver_version), "unknown", "the driver's version"
         )
 
-    def task(self, role: str) -> Task:
+    def create_task(self, role: str) -> Task:
         """Create an empty task (`nidaqmx.Task`) named after this client and its role.
 
         Raise InstrumentError if it cannot be created; nothing is left then.
@@ -98,7 +98,7 @@ class Connection:
 
         return self._create_named(role, lambda name: self._create(Task, f"creating the task {name}", name))
 
-    def watchdog(self, device: str, role: str, timeout_s: float) -> WatchdogTask:
+    def create_watchdog(self, device: str, role: str, timeout_s: float) -> WatchdogTask:
         """Create a board's watchdog task (`nidaqmx.system.watchdog.WatchdogTask`).
 
         It expires ``timeout_s`` after its last reset. Raise InstrumentError if it cannot be created.

@@ -49,7 +49,7 @@ class DaqmxBoards:
         falling_s = self._lands_at - time.monotonic()
         if falling_s > 0.0:
             time.sleep(falling_s)
-        with chassis.attempt():
+        with chassis.guard_operation():
             chassis.acquisition(key.position).start()
         self._armed = key
 
@@ -75,7 +75,7 @@ class DaqmxBoards:
             raise ConfigurationError("not armed; arm before the strike, then read")
         acquired = None
         try:
-            with chassis.attempt():
+            with chassis.guard_operation():
                 acquisition = chassis.acquisition(key.position)
                 waveform = acquisition.read(timeout_s)
                 settings = {**acquisition.settings, "driver_version": chassis.driver_version}
@@ -123,7 +123,7 @@ class DaqmxBoards:
         if parameters.dry_run:
             return
         try:
-            with chassis.attempt():
+            with chassis.guard_operation():
                 chassis.coil(key.position).pulse()
         except BaseException:
             self._armed = None  # its acquisition was ended with the coil
@@ -149,7 +149,7 @@ class DaqmxBoards:
         chassis.check_thread()
         if self._armed is not None:
             raise ConfigurationError(f"armed for {self._armed}; calibrate between sets")
-        with chassis.attempt():
+        with chassis.guard_operation():
             return chassis.self_calibrate()
 
 

@@ -35,9 +35,9 @@ class FreeInput:
         self._timeout_s = timeout_s
         self._chassis = Chassis(parameters)
 
-    def quiet(self) -> Waveform:
+    def record_quiet_input(self) -> Waveform:
         """Record the input at once, with the coil at rest, for the length of a shot; no trigger."""
-        with self._chassis.attempt():
+        with self._chassis.guard_operation():
             acquisition = self._chassis.acquisition(self.position, "noise")
             acquisition.start()
             record = acquisition.read(self._timeout_s)
@@ -51,7 +51,7 @@ class FreeInput:
         off. Raise ConfigurationError for boards that NI's driver simulates.
         """
         self._chassis.require_real_boards()
-        with self._chassis.attempt():
+        with self._chassis.guard_operation():
             acquisition = self._chassis.acquisition(self.position, "pulse")
             acquisition.start()
             self._chassis.coil(self.position, "pulse").pulse()

@@ -31,7 +31,7 @@ class Recording(StruckDigitizer):
         super().__init__()
         self._source = source
 
-    def require(self, key: ShotKey, method: str) -> None:
+    def require_recorded(self, key: ShotKey, method: str) -> None:
         """Raise ConfigurationError, with the recorded positions, unless this method was recorded there."""
         known = self._source.positions
         if known.get(key.position) != method:
@@ -44,14 +44,14 @@ class Recording(StruckDigitizer):
 
     def require_transducer(self, key: ShotKey) -> None:
         """Raise ConfigurationError for a position without recorded solitary waves."""
-        self.require(key, SOLITARY_WAVE)
+        self.require_recorded(key, SOLITARY_WAVE)
 
     def record_of(self, key: ShotKey) -> Acquired:
         """Return the recorded shot; its ``last_attempt`` is True if no further attempt was recorded.
 
         AcquisitionTimeoutError, with the same attribute, if this attempt has no record.
         """
-        last_attempt = not self._source.tried(replace(key, attempt=key.attempt + 1))
+        last_attempt = not self._source.has_attempt(replace(key, attempt=key.attempt + 1))
         try:
             return replace(self.find(key), last_attempt=last_attempt)
         except AcquisitionTimeoutError as error:
@@ -79,7 +79,7 @@ class Recording(StruckDigitizer):
             No pulse-echo position was recorded there, its record is no echo, or the timeout is not positive.
         """
         require_timeout(timeout_s)
-        self.require(key, PULSE_ECHO)
+        self.require_recorded(key, PULSE_ECHO)
         echo = self.find(key)
         if not isinstance(echo, Echo):
             raise ConfigurationError(
@@ -129,5 +129,5 @@ def build_instruments(source: ShotSource, *, wanted: Mapping[str, str] | None = 
     """
     recording = Recording(source)
     for position, method in (wanted or {}).items():
-        recording.require(ShotKey(position=position, set_index=0, shot_index=0), method)
+        recording.require_recorded(ShotKey(position=position, set_index=0, shot_index=0), method)
     return Opened(striker=RecordedStriker(recording), digitizer=recording, pulse_echo=recording)

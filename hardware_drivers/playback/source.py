@@ -34,7 +34,7 @@ class ShotSource(Protocol):
             The recording as a whole cannot be read.
         """
 
-    def tried(self, key: ShotKey) -> bool:
+    def has_attempt(self, key: ShotKey) -> bool:
         """Return whether the recording has this attempt at a shot, as a record or as missed."""
 
 
@@ -84,6 +84,6 @@ class ShotsBySet:
         record = self.records_of_set(key.set_key).get(key)
         return None if record is None else convert_stored_record(record)
 
-    def tried(self, key: ShotKey) -> bool:
+    def has_attempt(self, key: ShotKey) -> bool:
         """Return whether the shot has a record; reads its set if it is not in memory."""
         return key in self.records_of_set(key.set_key)

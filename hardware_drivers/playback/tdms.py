@@ -86,7 +86,7 @@ class TdmsShots:
         index = bisect_right(self._moments, after_utc_ns)
         return self._moments[index] if index < len(self._moments) else None
 
-    def tried(self, key: ShotKey) -> bool:
+    def has_attempt(self, key: ShotKey) -> bool:
         """Return whether the files have a record of this attempt at a shot."""
         return key in self.places
 
@@ -110,7 +110,7 @@ class TdmsShots:
                 "it was played back: open the recording again"
             )
         waveform = Waveform(
-            counts=place.conversion.counts(values, str(place)),
+            counts=place.conversion.convert_to_counts(values, str(place)),
             sample_rate_hz=place.sample_rate_hz,
             pretrigger_samples=place.pretrigger_samples,
             calibration=place.conversion.calibration,
@@ -321,7 +321,7 @@ def _collect_settings(
     properties = channel.properties
     for property_name, setting in mapping.settings_properties.items():
         if property_name not in properties:
-            raise channel.error(
+            raise channel.build_error(
                 f"the property {property_name!r} is missing", "take it out of settings_properties"
             )
         value = properties[property_name]

@@ -64,11 +64,11 @@ class Channel:
         """Return the merged properties; the channel's take precedence over its group's, then its file's."""
         return {**self.file_properties, **self.group_properties, **self.own_properties}
 
-    def error(self, problem: str, remedy: str) -> ConfigurationError:
+    def build_error(self, problem: str, remedy: str) -> ConfigurationError:
         """Return, not raise, a ConfigurationError that names file, group and channel."""
         return ConfigurationError(f"{self.where}: {problem}; {remedy}")
 
-    def number(self, name: str) -> float | None:
+    def read_float(self, name: str) -> float | None:
         """Return a property as a finite float, None if absent; ConfigurationError if it is no such number."""
         value = self.properties.get(name)
         if value is None:
@@ -76,9 +76,9 @@ class Channel:
         try:
             number = float(value)
         except (TypeError, ValueError) as error:
-            raise self.error(f"{name} is {value!r}, no number", "correct the file") from error
+            raise self.build_error(f"{name} is {value!r}, no number", "correct the file") from error
         if not math.isfinite(number):
-            raise self.error(f"{name} is {number}", "correct the file")
+            raise self.build_error(f"{name} is {number}", "correct the file")
         return number
 
 
@@ -95,7 +95,7 @@ class Conversion:
     calibration: Calibration
     polynomial: NDArray[np.float64] | None = None
 
-    def counts(self, values: NDArray[np.generic], where: str) -> Counts:
+    def convert_to_counts(self, values: NDArray[np.generic], where: str) -> Counts:
         """Convert the values of a record to counts, shape (n_samples,).
 
         Raw codes keep their value, as int32 if they have 4 bytes, else as int16; scaled values become
@@ -152,7 +152,7 @@ def build_conversion(channel: Channel, mapping: TdmsMapping) -> Conversion:
             polynomial=_build_volts_polynomial(channel, mapping, default=np.array([0.0, 1.0])),
         )
     if channel.dtype not in _RAW_TYPES:
-        raise channel.error(
+        raise channel.build_error(
             f"values of type {channel.dtype} are neither counts nor volts",
             "write I16, I32, SGL or DBL, or leave the channel out of channel_pattern",
         )
@@ -174,13 +174,13 @@ def _find_resolution_bits(channel: Channel, mapping: TdmsMapping) -> int:
     """
     stored_bits = _RAW_TYPES[channel.dtype]
     if mapping.resolution_bits is None and stored_bits == 32:
-        raise channel.error(
+        raise channel.build_error(
             "32-bit codes of a converter whose resolution is not told: clipping could not be seen",
             "give resolution_bits (18 for a PXIe-6396)",
         )
     bits = stored_bits if mapping.resolution_bits is None else mapping.resolution_bits
     if bits > stored_bits:
-        raise channel.error(
+        raise channel.build_error(
             f"resolution_bits is {bits}, yet the codes have {stored_bits}", "correct resolution_bits"
         )
     return bits
@@ -194,7 +194,7 @@ def _compute_range_v(channel: Channel, coefficients_v: NDArray[np.float64], bits
     codes = np.array([-(2.0 ** (bits - 1)), 2.0 ** (bits - 1) - 1.0])
     range_v = float(np.abs(np.polynomial.polynomial.polyval(codes, coefficients_v)).max())
     if not (math.isfinite(range_v) and range_v > 0.0):
-        raise channel.error(
+        raise channel.build_error(
             f"the scaling {coefficients_v.tolist()} gives a range of {range_v} V", "give range_v"
         )
     return range_v
@@ -215,7 +215,7 @@ def _build_volts_polynomial(
     if scaling is None:
         scaling = default
     if scaling is None and (unit.casefold() in _VOLT or mapping.volts_per_unit is None):
-        raise channel.error(
+        raise channel.build_error(
             "whole numbers without NI scaling",
             "give coefficients_v of the board (volts as a polynomial of its codes)",
         )
@@ -225,7 +225,7 @@ def _build_volts_polynomial(
         return scaling
     if mapping.volts_per_unit is None:
         unit_text = f"the unit is {unit!r}" if unit else f"no unit ({mapping.unit_property} is missing)"
-        raise channel.error(f"{unit_text}, V is needed", "give volts_per_unit")
+        raise channel.build_error(f"{unit_text}, V is needed", "give volts_per_unit")
     return scaling * mapping.volts_per_unit
 
 
@@ -238,7 +238,7 @@ def _read_scaling(channel: Channel) -> NDArray[np.float64] | None:
         try:
             polynomial = build_raw_polynomial(properties)
         except ScalingError as error:
-            raise channel.error(str(error), "give coefficients_v") from error
+            raise channel.build_error(str(error), "give coefficients_v") from error
         if polynomial is not None:
             return polynomial
     return None
@@ -256,13 +256,13 @@ def sample_rate_hz(channel: Channel, mapping: TdmsMapping) -> float:
     """
     if mapping.sample_rate_hz is not None:
         return mapping.sample_rate_hz
-    increment_s = channel.number(mapping.increment_property)
+    increment_s = channel.read_float(mapping.increment_property)
     if increment_s is None:
-        raise channel.error(
+        raise channel.build_error(
             f"no sample rate ({mapping.increment_property} is missing)", "give sample_rate_hz"
         )
     if not increment_s > 0.0:
-        raise channel.error(
+        raise channel.build_error(
             f"{mapping.increment_property} is {increment_s} s; it must be positive", "give sample_rate_hz"
         )
     rate_hz = 1.0 / increment_s
@@ -284,24 +284,24 @@ def pretrigger_samples(
     """
     name = mapping.start_offset_property
     if method == PULSE_ECHO:
-        if channel.number(name):
-            raise channel.error(
-                f"{name} is {channel.number(name)} s, yet a pulse-echo record starts at the firing pulse",
+        if channel.read_float(name):
+            raise channel.build_error(
+                f"{name} is {channel.read_float(name)} s, yet a pulse-echo record starts at the firing pulse",
                 "write it from the pulse on",
             )
         return 0
     samples = mapping.pretrigger_samples
     if samples is None:
-        offset_s = channel.number(name)
+        offset_s = channel.read_float(name)
         if offset_s is None or offset_s >= 0.0:
             problem = f"{name} is missing" if offset_s is None else f"{name} is {offset_s} s"
-            raise channel.error(
+            raise channel.build_error(
                 f"where the trigger is cannot be told: {problem}, a pre-trigger needs a negative one",
                 "give pretrigger_samples",
             )
         samples = round(-offset_s * rate_hz)
     if samples >= record_samples:
-        raise channel.error(
+        raise channel.build_error(
             f"the trigger at sample {samples} is outside the record of {record_samples} samples",
             "give pretrigger_samples",
         )
@@ -319,7 +319,7 @@ def read_start_utc_ns(channel: Channel, mapping: TdmsMapping) -> int | None:
     try:
         seconds, fractions = int(stamp.seconds), int(stamp.second_fractions)
     except AttributeError as error:
-        raise channel.error(
+        raise channel.build_error(
             f"{mapping.start_time_property} is {stamp!r}, no time stamp", "give another start_time_property"
         ) from error
     # Fractions are 2^-64 s; half is added to round to the nearest nanosecond.

@@ -28,14 +28,14 @@ def build_shot_key(channel: Channel, names: Mapping[str, str | None], mapping: T
         property_name = getattr(mapping, f"{part}_property")
         if property_name:
             if property_name not in channel.properties:
-                raise channel.error(
+                raise channel.build_error(
                     f"the property {property_name!r} that tells the {part} is missing",
                     f"correct {part}_property, or leave the channel out of the patterns",
                 )
             values[part] = channel.properties[property_name]
     position = str(values["position"] if values["position"] is not None else mapping.position)
     if not position:
-        raise channel.error("nothing names the position", "correct the patterns")
+        raise channel.build_error("nothing names the position", "correct the patterns")
     firsts = {"set": mapping.first_set, "shot": mapping.first_shot, "attempt": 0}
     indices = {part: _read_index(channel, part, values[part], first) for part, first in firsts.items()}
     return ShotKey(
@@ -56,11 +56,11 @@ def _read_index(channel: Channel, part: str, values: Any, first: int) -> int:
     try:
         number = int(values)
     except (TypeError, ValueError) as error:
-        raise channel.error(
+        raise channel.build_error(
             f"the {part} is called {values!r}, which is no whole number", f"correct what names the {part}"
         ) from error
     if number < first or number != float(values):
-        raise channel.error(
+        raise channel.build_error(
             f"the {part} has the number {values}; whole numbers count from {first}",
             f"correct first_{part}" if part != "attempt" else "correct the pattern",
         )
@@ -75,10 +75,10 @@ def count_record_samples(channel: Channel, mapping: TdmsMapping) -> int:
     ConfigurationError
         A record is cut short; the length of appended ones is not told, or does not fit the channel.
     """
-    written = channel.number(mapping.samples_property)
+    written = channel.read_float(mapping.samples_property)
     if not mapping.appended:
         if written is not None and written > channel.n_samples:
-            raise channel.error(
+            raise channel.build_error(
                 f"cut short, {channel.n_samples} of {written:.0f} samples ({mapping.samples_property}) are "
                 "left",
                 "bring the file back from a copy, or take it away: its shots are missed strikes then",
@@ -86,12 +86,12 @@ def count_record_samples(channel: Channel, mapping: TdmsMapping) -> int:
         return channel.n_samples
     samples = mapping.record_samples or written
     if samples is None or samples < 1:
-        raise channel.error(
+        raise channel.build_error(
             f"the length of a record cannot be told ({mapping.samples_property} is missing)",
             "give record_samples",
         )
     if channel.n_samples % int(samples):
-        raise channel.error(
+        raise channel.build_error(
             f"{channel.n_samples} samples are not a whole number of records of {int(samples)}",
             "correct record_samples, or take the file away if its last record was cut short",
         )

@@ -98,7 +98,7 @@ def list_channel_records(
         unit = str(channel.properties.get(mapping.unit_property, "")).strip()
         if unitless_are_volts and channel.dtype.kind == "f" and not unit:
             own = replace(own, volts_per_unit=1.0)
-        written = channel.number(mapping.samples_property)
+        written = channel.read_float(mapping.samples_property)
         # DAQmx logs a whole record with wf_samples of 1.
         if written is not None and 1 < written < channel.n_samples:
             own = replace(own, appended=True, channel_pattern=".*")

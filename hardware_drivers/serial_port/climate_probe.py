@@ -43,7 +43,7 @@ class ScpiClimateProbe(SerialInstrument[ClimateParameters]):
             (f"a relative humidity (told in {parameters.humidity_unit})", humidity, HUMIDITY_RANGE),
         ):
             if not low <= value <= high:
-                raise self._line.lost(
+                raise self._line.mark_lost(
                     f"tells {value:g} as {name}; it must lie in {low:g}..{high:g}: check its sensor and unit"
                 )
         return ClimateReading(stamp=stamp, temperature_c=temperature_c, relative_humidity=min(humidity, 1.0))

@@ -255,7 +255,7 @@ class SerialLine:
         raw = self._query(question, deadline_s)
         reply = _decode_response(raw)
         if reply is None:
-            raise self.lost(f"answered {_quote(raw)} to {question}: that is no text")
+            raise self.mark_lost(f"answered {_quote(raw)} to {question}: that is no text")
         return reply
 
     def _query(self, question: str, deadline_s: float) -> bytes:
@@ -276,12 +276,12 @@ class SerialLine:
         if self._echoes and raw is not None and _decode_response(raw) == question:
             raw = self._next_line(pending, answered_by_s)
         if raw is None:
-            raise self.lost(
+            raise self.mark_lost(
                 f"did not answer {question} in time (at most {reply_timeout_s:g} s)"
                 + (f"; it sent only {_quote(bytes(pending))}" if pending else "")
             )
         if pending:
-            raise self.lost(f"answered {question} twice: {_quote(raw)} and {_quote(bytes(pending))}")
+            raise self.mark_lost(f"answered {question} twice: {_quote(raw)} and {_quote(bytes(pending))}")
         return raw
 
     def query_number(
@@ -313,20 +313,20 @@ class SerialLine:
         reply = self.query(question, deadline_s)
         found = _NUMBER.fullmatch(reply)
         if found is None:
-            raise self.lost(f"answered {reply!r} to {question}: that is no number")
+            raise self.mark_lost(f"answered {reply!r} to {question}: that is no number")
         value = float(found["number"])
         if not math.isfinite(value) or abs(value) >= 9.9e37:
-            raise self.lost(f"answered {reply!r} to {question}: it has no value to give")
+            raise self.mark_lost(f"answered {reply!r} to {question}: it has no value to give")
         headers = {"", header.upper(), question.rstrip("?").upper()}
         if (found["header"] or "").upper() not in headers:
-            raise self.lost(f"answered {reply!r} to {question}: that answers another question")
+            raise self.mark_lost(f"answered {reply!r} to {question}: that answers another question")
         if found["unit"] in {"", stray}:
             return value
         for unit in units:
             prefix = found["unit"][: len(found["unit"]) - len(unit)]
             if found["unit"].upper().endswith(unit.upper()) and prefix in _PREFIXES:
                 return value * _PREFIXES[prefix]
-        raise self.lost(
+        raise self.mark_lost(
             f"answered {reply!r} to {question}: expected {' or '.join(units) or 'no unit'} behind the number"
         )
 
@@ -349,7 +349,7 @@ class SerialLine:
         if raw:
             byte = self._query(question, deadline_s)
             if len(byte) != 1:
-                raise self.lost(f"answered {_quote(byte)} to {question}: expected one byte")
+                raise self.mark_lost(f"answered {_quote(byte)} to {question}: expected one byte")
             return bool(byte[0] & mask)
         reply = self.query(question, deadline_s)
         state_text = reply.upper().removeprefix(f"{question.rstrip('?').upper()} ")
@@ -359,7 +359,7 @@ class SerialLine:
             return True
         if not mask and state_text in {"0", "+0", "OFF", "NO"}:
             return False
-        raise self.lost(f"answered {reply!r} to {question}: expected {'a number' if mask else '0 or 1'}")
+        raise self.mark_lost(f"answered {reply!r} to {question}: expected {'a number' if mask else '0 or 1'}")
 
     def query_error(self, question: str, deadline_s: float, *, bare: bool = False) -> str | None:
         """Return one entry of the instrument's error queue; None when there is none.
@@ -376,7 +376,7 @@ class SerialLine:
         """
         reply = self.query(question, deadline_s)
         if not (_BARE_ERROR if bare else _ERROR_QUEUE_ENTRY).match(reply):
-            raise self.lost(f"answered {reply!r} to {question}: that is no entry of an error queue")
+            raise self.mark_lost(f"answered {reply!r} to {question}: that is no entry of an error queue")
         return None if int(reply.partition(",")[0]) == 0 else reply
 
     def _write(self, command: str) -> None:
@@ -406,7 +406,7 @@ class SerialLine:
                 line, _, pending[:] = pending.partition(terminator)
                 return bytes(line)
             if len(pending) > self.parameters.longest_reply_bytes:
-                raise self.lost(
+                raise self.mark_lost(
                     f"sent more than {self.parameters.longest_reply_bytes} bytes without a terminator: "
                     f"{_quote(bytes(pending))}; check baud rate and terminator"
                 )
@@ -429,12 +429,12 @@ class SerialLine:
         try:
             yield
         except serial.SerialTimeoutException as error:
-            raise self.lost(f"does not take commands (could not {doing}); check flow control") from error
+            raise self.mark_lost(f"does not take commands (could not {doing}); check flow control") from error
         except PORT_ERRORS as error:
             self.close()
-            raise self.lost(f"is gone (could not {doing}: {error}); check its plug and power") from error
+            raise self.mark_lost(f"is gone (could not {doing}: {error}); check its plug and power") from error
 
-    def lost(self, message: str) -> ConnectionLostError:
+    def mark_lost(self, message: str) -> ConnectionLostError:
         """Mark the line as out of step after an impossible response; return the error to raise."""
         self.in_step = False
         return ConnectionLostError(f"{self._locate()} {message}")

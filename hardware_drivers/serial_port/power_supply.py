@@ -200,7 +200,7 @@ class ScpiPowerSupply(SerialInstrument[SupplyParameters]):
         """Switch the output off and read that back; ConnectionLostError if it still reports on."""
         self._line.send(self._dialect.switch_off)
         if self._query_flag(self._dialect.output, deadline_s):
-            raise self._line.lost("was told to switch its output off and says it is on")
+            raise self._line.mark_lost("was told to switch its output off and says it is on")
 
     def _set(self, voltage_v: float, current_limit_a: float, deadline_s: float) -> None:
         """Set protection levels, current limit, then voltage, each read back.
@@ -318,5 +318,5 @@ class ScpiPowerSupply(SerialInstrument[SupplyParameters]):
         while query and (entry := self._line.query_error(query, deadline_s, bare=bare)) is not None:
             entries.append(entry)
             if len(entries) == ERROR_QUEUE_LENGTH:
-                raise self._line.lost(f"has an error queue that does not end: {entry}")
+                raise self._line.mark_lost(f"has an error queue that does not end: {entry}")
         return entries

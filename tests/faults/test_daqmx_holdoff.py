@@ -182,7 +182,7 @@ def test_a_whole_strike_is_recorded_with_both_edges_and_the_wave(doubles, parame
     mine = only(parameters, "C", holdoff_s=HOLDOFF_S)
     doubles.control.disturb("C", replace(SPIKE, off_v=-0.4, decay_s=50e-6))
     with closing(FreeInput(mine, "C", READ_TIMEOUT_S)) as free:
-        noise, strike = free.quiet(), free.strike()
+        noise, strike = free.record_quiet_input(), free.strike()
     rate_hz = strike.sample_rate_hz
     volts = strike.volts()
     off = round(mine.pulse_s * rate_hz)

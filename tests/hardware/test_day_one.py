@@ -267,7 +267,7 @@ def test_the_watchdog_cuts_a_pulse_short(loopback):
             "this board's coils leave it at terminals without a digital line: it has no such watchdog"
         )
     timeout_s = parameters.initial_delay_s + 0.5 * parameters.pulse_s
-    with closing(loopback.connection.watchdog(board.name, "watchdog", timeout_s)) as watchdog:
+    with closing(loopback.connection.create_watchdog(board.name, "watchdog", timeout_s)) as watchdog:
         watchdog.cfg_watchdog_do_expir_states(
             [DOExpirationState(physical_channel=f"{board.name}/{line}", expiration_state=Level.LOW)]
         )

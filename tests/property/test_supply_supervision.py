@@ -84,7 +84,7 @@ class Process:
 
     def run(self):
         self.drive.step()
-        self.server.serve(0.0, self.drive.answer)
+        self.server.serve(0.0, self.drive.answer_request)
 
     def die(self):
         self.drive.close()
@@ -167,7 +167,7 @@ class World:
                 drive = process.drive
                 handed_over = drive._released_ns is not None and drive._last_read_port == drive._supply_port
                 may_be_on = ("on", "unknown") if handed_over else ("on",)
-                left_on = self.supply.error is None and self.supply.on and drive._drive.output() in may_be_on
+                left_on = self.supply.error is None and self.supply.on and drive._drive.find_output_state() in may_be_on
                 assert drive._succeeded or not left_on, "it leaves an output on"
                 process.die()
 

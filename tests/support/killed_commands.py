@@ -122,10 +122,10 @@ def recorder_on(folder: Path, catalogue: RecorderCatalogue) -> Callable[[], None
     history = HistoryFollower(folder, catalogue)
     history.begin()
     listener = CommandExecutor(catalogue, test)
-    listener.begin()
+    listener.close_earlier_commands()
 
     def look() -> None:
-        listener.listen()
+        listener.execute_open_commands()
         history.follow(now=True)
 
     return look

@@ -295,7 +295,7 @@ class Line:
             try:
                 return recorder.run(not_running_reason=cause)
             finally:
-                recorder.commands.leave()
+                recorder.commands.expire_open_commands()
                 self.runs = False
 
     def features_of(self, shot: Shot) -> ShotFeatures:

@@ -33,7 +33,7 @@ def survey_coil(parameters: DaqmxParameters, position: str, timeout_s: float) ->
     from hardware_drivers.daqmx.pulse_record import FreeInput
 
     with closing(FreeInput(parameters, position, timeout_s)) as free:
-        noise, strike = free.quiet(), free.strike()
+        noise, strike = free.record_quiet_input(), free.strike()
     return survey_spike(
         strike,
         noise,

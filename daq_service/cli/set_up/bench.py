@@ -100,7 +100,7 @@ class Bench:
 
     def look(self, position: str) -> Waveform:
         """Record the input of a transducer at rest, store and return the record; raise as `wire`."""
-        self.quiet[position] = record = self._on_boards(position, lambda free: free.quiet())
+        self.quiet[position] = record = self._on_boards(position, lambda free: free.record_quiet_input())
         return record
 
     def watch(self) -> tuple[str | None, Waveform | None]:
@@ -116,7 +116,7 @@ class Bench:
         position = self.position
         if position is None:
             return None, None
-        return position, self._on_boards(position, lambda free: free.quiet())
+        return position, self._on_boards(position, lambda free: free.record_quiet_input())
 
     def strike(self, position: str) -> None:
         """Strike once and store the complete record; blocks up to `READ_TIMEOUT_S`.

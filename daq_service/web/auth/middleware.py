@@ -95,7 +95,7 @@ class AccessPolicy:
         token = self.tokens.find(text)
         if token is not None and token.state == "valid":
             return Person(name=token.name, role=token.role)
-        if not self._find_allowance(address).take():
+        if not self._find_allowance(address).try_take():
             raise Problem(
                 "too-many-wrong-tokens",
                 f"More than {MOST_WRONG} wrong tokens came from {address}; a right one is always let in.",

@@ -104,7 +104,7 @@ class StuckLine(AnsweringLine):
     def query_flag(self, question, deadline_s, **_):
         return question == "OUTP?"
 
-    def lost(self, message):
+    def mark_lost(self, message):
         return ConnectionLostError(message)
 
 

@@ -216,7 +216,7 @@ def test_a_counter_that_starts_nothing_leaves_a_rig_without_holdoff(monkeypatch,
         def __init__(self, parameters, position, timeout_s):
             self.parameters, self.position = parameters, position
 
-        def quiet(self):
+        def record_quiet_input(self):
             return waveform_of(np.zeros(100), pretrigger_samples=0)
 
         def strike(self):

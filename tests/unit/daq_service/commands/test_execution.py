@@ -83,7 +83,7 @@ class Bench:
         )
         self.listener = CommandExecutor(self.catalogue, test, left_s=lambda row: self.left_s)
         if begin:
-            self.listener.begin()
+            self.listener.close_earlier_commands()
 
     def write(self, kind, **arguments):
         return self.catalogue.add_command("ann", kind, arguments)
@@ -94,7 +94,7 @@ class Bench:
 
     def execute(self, kind, **arguments):
         order_id = self.write(kind, **arguments)
-        self.listener.listen()
+        self.listener.execute_open_commands()
         return self.answer(order_id)
 
     def alarm(self, position):
@@ -173,7 +173,7 @@ def test_a_retired_baseline_resets_its_change_alarms_with_the_same_author(bench)
     for position, kind in [("B", "wall_change"), ("B", "transducer_change"), ("C", "wall_change")]:
         bench.ledger.update_alarm(condition(position=position, kind=kind), moment)
     seen = bench.catalogue.add_command("bob", "acknowledge_alarm", {"alarm_id": 2, "note": "a worn sensor"})
-    bench.listener.listen()
+    bench.listener.execute_open_commands()
     assert bench.answer(seen)[0] == "done"
     assert bench.execute("renew_baseline", position="B", note="coupled anew")[0] == "done"
     assert [row.state for row in bench.catalogue.rows(AlarmRow)] == ["normal", "normal", "unacknowledged"]
@@ -202,8 +202,8 @@ def test_a_command_without_a_stored_result_is_executed_once(bench, monkeypatch):
         locked.setattr(bench.catalogue, "finish_command", refused)
         for _ in range(2):
             with pytest.raises(CatalogueBusyError):
-                bench.listener.listen()
-    bench.listener.listen()
+                bench.listener.execute_open_commands()
+    bench.listener.execute_open_commands()
     assert bench.answer(order_id) == ("done", "the supply is on")
     assert [what for what, *_ in bench.switch.done] == ["on"]
 
@@ -220,7 +220,7 @@ def test_the_rows_of_a_command_are_stored_with_its_result(bench, monkeypatch):
         raise AssertionError(f"a commit of its own for {answer}")
 
     monkeypatch.setattr(bench.catalogue, "finish_command", killed)
-    bench.listener.listen()
+    bench.listener.execute_open_commands()
     assert [bench.answer(order_id)[0] for order_id in orders] == ["done"] * 3
     assert bench.listener.paused == "paused by ann: door open"
 
@@ -253,7 +253,7 @@ def test_an_open_command_of_an_earlier_recorder_is_closed_and_never_executed(ben
         bench.catalogue.start_command(order_id)  # ... and killed
     bench.restart(begin=begin)
     if not begin:  # the disk did not take it
-        bench.listener.listen()
+        bench.listener.execute_open_commands()
     assert bench.answer(started) == (
         "failed",
         "the recorder ended while carrying it out; look before you give it again",
@@ -287,7 +287,7 @@ def test_without_a_mark_only_repeatable_commands_are_executed(bench, monkeypatch
     assert bench.execute("supply_off")[0] == "done"
     bench.write("supply_on")
     with pytest.raises(CatalogueWriteError):
-        bench.listener.listen()
+        bench.listener.execute_open_commands()
     assert [what for what, *_ in bench.switch.done] == ["off"]
 
 
@@ -336,7 +336,7 @@ def test_pending_commands_are_executed_in_order(bench):
         *(bench.write("pause", note="why") for _ in range(2)),
         *(bench.write("resume") for _ in range(2)),
     ]
-    bench.listener.listen()
+    bench.listener.execute_open_commands()
     assert [bench.answer(order)[0] for order in orders] == ["done", "rejected", "done", "rejected"]
     assert bench.listener.paused == ""
 

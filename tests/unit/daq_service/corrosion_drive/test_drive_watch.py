@@ -95,5 +95,5 @@ def test_an_alarm_is_stored_when_it_changes_and_once():
 def test_the_end_of_a_test_leaves_the_supply_as_configured(off_at_end, error, expected, on):
     watch, supply, _ = start_watch(off_at_end=off_at_end)
     supply.error = error
-    assert watch.end() == expected
+    assert watch.switch_off_at_end() == expected
     assert supply.on is on

@@ -63,13 +63,13 @@ class Bench:
             self.clock.advance(0.5)
 
     def summary(self):
-        return summarise_row(self.climate.add_to_row(self.drive.row(0, 0.0)))
+        return summarise_row(self.climate.add_to_row(self.drive.build_row(0, 0.0)))
 
     def active(self):
-        return {condition.name for condition in self.drive.conditions() if condition.active}
+        return {condition.name for condition in self.drive.list_conditions() if condition.active}
 
     def message(self, name):
-        return next(condition.message for condition in self.drive.conditions() if condition.name == name)
+        return next(condition.message for condition in self.drive.list_conditions() if condition.name == name)
 
 
 @pytest.fixture
@@ -214,7 +214,7 @@ def test_a_trip_switches_off_and_lasts_until_a_command(energised):
     energised.run(INTERVAL_S)
     assert energised.active() == set()
     assert energised.drive.tripped is None
-    assert energised.drive.output() == "on"
+    assert energised.drive.find_output_state() == "on"
 
 
 def test_the_first_reason_of_a_trip_is_kept(energised):
@@ -291,7 +291,7 @@ def test_silence_of_a_supply_that_is_off_trips_nothing(off):
         bench.run(60.0)
         bench.drive.switch_off("Ada")
     bench.run(60.0)
-    assert (bench.active(), bench.drive.output()) == (set(), "off"), "which is no alarm"
+    assert (bench.active(), bench.drive.find_output_state()) == (set(), "off"), "which is no alarm"
     bench.supply.error = LOST
     bench.run(1000.0)
     assert bench.active() == {"supply_not_responding"}

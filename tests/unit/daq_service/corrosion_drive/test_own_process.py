@@ -80,7 +80,7 @@ class Bench:
             self.ports -= 1
 
     def ask(self, do="look", **values):
-        return dict(self.process.answer({"id": 1, "do": do, **values}))
+        return dict(self.process.answer_request({"id": 1, "do": do, **values}))
 
     def run(self, seconds, *, step_s=5.0):
         """Run the process alone."""

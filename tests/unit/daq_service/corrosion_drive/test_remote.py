@@ -91,14 +91,14 @@ class Bench:
         self.now_s += seconds
         if self.server is not None and self.process is not None:
             self.process.step()
-            self.server.serve(seconds, self.process.answer)
+            self.server.serve(seconds, self.process.answer_request)
 
     def wait_for_row(self, **row):
         """Tick until the row has these values."""
         for _ in range(PATIENCE):
             self.remote.tick()
             self.pause(0.01)
-            latest = self.remote.row(0, 0.0)
+            latest = self.remote.build_row(0, 0.0)
             if all(getattr(latest, name) == value for name, value in row.items()):
                 return
         pytest.fail(f"never told: {row}, but {latest}")
@@ -113,7 +113,7 @@ class Bench:
         pytest.fail("never answered")
 
     def active(self):
-        return {found.name: found.message for found in self.remote.conditions() if found.active}
+        return {found.name: found.message for found in self.remote.list_conditions() if found.active}
 
 
 @pytest.fixture
@@ -170,7 +170,7 @@ def test_a_missing_process_is_started_with_growing_intervals(bench):
 
 def test_a_missing_first_response_raises_an_alarm_after_a_while(bench):
     bench.remote.tick()
-    row = bench.remote.row(3, 1.5)
+    row = bench.remote.build_row(3, 1.5)
     assert (row.set_index, row.supply_state, row.supply_quality) == (3, "unknown", "stale")
     assert bench.active() == {}
     bench.now_s += COMES_WITHIN_S
@@ -181,12 +181,12 @@ def test_a_missing_process_gives_an_unknown_state_with_its_age(bench):
     bench.comes_up()
     bench.answer(bench.remote.energise("Ada"))
     bench.wait_for_row(supply_state="on")
-    unknown_s = bench.remote.row(0, 0.0).unknown_s or 0.0
+    unknown_s = bench.remote.build_row(0, 0.0).unknown_s or 0.0
     bench.is_killed()
     bench.wait_for_row(supply_state="unknown", supply_quality="no_communication")
     assert list(bench.active()) == ["supply_not_responding"]
     bench.now_s += 100.0
-    row = bench.remote.row(0, 0.0)
+    row = bench.remote.build_row(0, 0.0)
     assert row.supply_age_s >= 100.0
     assert (row.unknown_s or 0.0) - unknown_s >= 100.0
     assert "nothing was sent to it" in bench.answer(bench.remote.energise("Ada"), step_s=1.0)
@@ -201,7 +201,7 @@ def test_a_trip_that_reached_no_process_is_sent_first_to_the_next_one(bench):
     bench.is_killed()
     bench.remote.trip("hole at B")
     bench.remote.tick()
-    assert bench.remote.row(0, 0.0).supply_tripped == "hole at B"
+    assert bench.remote.build_row(0, 0.0).supply_tripped == "hole at B"
     assert bench.supply.on
     assert {"interlock_tripped", "supply_switch_off_pending"} <= bench.active().keys()
     bench.comes_up()
@@ -365,7 +365,7 @@ def test_the_guard_looks_again_at_an_output_that_was_off(guarded):
 
 def test_the_guard_replaces_a_process_that_stalls_and_is_no_recorder(guarded):
     guarded.comes_up()
-    guarded.process.answer({"id": 1, **ON})
+    guarded.process.answer_request({"id": 1, **ON})
     heard_ns = guarded.process._heard_ns
     guarded.look(20.0)
     assert guarded.process._heard_ns == heard_ns

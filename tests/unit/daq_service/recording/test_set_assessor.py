@@ -37,7 +37,7 @@ class Drive:
     def trip(self, reason, hour):
         self.trips.append((reason, hour))
 
-    def add_row(self, transaction, due, moment):
+    def add_environment_row(self, transaction, due, moment):
         self.rows += 1
 
 

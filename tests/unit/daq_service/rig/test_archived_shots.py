@@ -128,22 +128,22 @@ def test_a_corrupt_record_is_a_missed_strike_and_its_set_knows_no_others(tmp_pat
     first, _ = stored(tmp_path, make_set(), other_set(make_set(), SET_INDEX + 1))
     key = ShotKey(position="D", set_index=SET_INDEX + 1, shot_index=0, attempt=1)
     source = ArchivedShots(FolderSetReader(tmp_path))
-    assert source.tried(key)
-    assert source.tried(replace(key, position="B", shot_index=1))
-    assert not source.tried(replace(key, shot_index=1))
+    assert source.has_attempt(key)
+    assert source.has_attempt(replace(key, position="B", shot_index=1))
+    assert not source.has_attempt(replace(key, shot_index=1))
     image = bytearray(first.read_bytes())
     with h5py.File(first) as file:
         image[file["entry/B_waveforms/waveform"].id.get_chunk_info(0).byte_offset + 40] ^= 0x10
     first.write_bytes(image)
     source = ArchivedShots(FolderSetReader(tmp_path))
-    assert not source.tried(replace(key, set_index=SET_INDEX))
+    assert not source.has_attempt(replace(key, set_index=SET_INDEX))
     corrupt = ShotKey(position="B", set_index=SET_INDEX, shot_index=0)
     assert source.find(replace(corrupt, position="C")) is not None
     with pytest.raises(
         AcquisitionTimeoutError, match=r"shot 0 of set 7 at 'B' cannot be .*\.h5: shot 0 of B"
     ):
         source.find(corrupt)
-    assert source.tried(ShotKey(position="B", set_index=SET_INDEX, shot_index=1, attempt=1))
+    assert source.has_attempt(ShotKey(position="B", set_index=SET_INDEX, shot_index=1, attempt=1))
 
 
 def test_a_relative_source_counts_from_the_configuration(tmp_path):
