@@ -43,7 +43,7 @@ def print_scatter(model: ShotModel, scale: float, sets: int, seed: int) -> None:
         for shot_index in range(10):
             key = ShotKey(position="D", set_index=set_index, shot_index=shot_index)
             start = time.perf_counter()
-            acquired = healthy.solitary_wave(key, 0.0)
+            acquired = healthy.simulate_wave(key, 0.0)
             seconds += time.perf_counter() - start
             if acquired is None:
                 missed += 1

@@ -34,13 +34,13 @@ import numpy as np
 from analysis.diagnosis.hypotheses import WALL
 from analysis.statistics.baseline import fit_baseline
 from analysis.statistics.chart import chart_with_phi, design_chart
-from analysis.statistics.design import next_alarm
-from analysis.statistics.directions import directions_of
+from analysis.statistics.design import is_chart_alarm_active
+from analysis.statistics.directions import find_directions
 from analysis.statistics.distance import distance_squared
 from analysis.statistics.limits import f_predictive_limit
-from analysis.statistics.memory import prewhitened
+from analysis.statistics.memory import prewhiten_sets
 from analysis.statistics.mewma import known_limit, mewma
-from analysis.statistics.rules import AlarmRule, AlarmState, next_alarm_state
+from analysis.statistics.rules import AlarmRule, AlarmState, update_alarm_state
 from analysis.waves.features import FEATURE_NAMES
 from daq_service.assessment.rules import compute_run_length
 from daq_service.cli.offline.twin_line import build_twin, simulate_assessed_sets
@@ -114,7 +114,7 @@ def assess_run(run: Run) -> Outcome:
     assessed_rows = [row for row in assessments.values() if row.outlier is not None]
     rule, states = AlarmRule(k=settings.alarms.k, n=settings.alarms.n), [AlarmState()]
     for row in assessed_rows:
-        states.append(next_alarm_state(states[-1], row.outlier, rule))
+        states.append(update_alarm_state(states[-1], row.outlier, rule))
     standing = {
         "chart": [bool(row.mewma_alarm) for row in assessed_rows],
         "k_of_n": [state.active for state in states[1:]],
@@ -156,7 +156,7 @@ def alarms_of_other_designs(
     budget = compute_run_length(
         settings.schedule, settings.baseline.hours, settings.false_alarms_per_sensor_year()
     )
-    found, designs = directions_of(history), design_chart(history, budget)
+    found, designs = find_directions(history), design_chart(history, budget)
     charts = {
         "chart, memory as found": chart_with_phi(history, found.matrix, found.guarded, designs.limit),
         "chart, no memory": chart_with_phi(history, found.matrix, 0.0 * found.phi, designs.limit),
@@ -166,20 +166,20 @@ def alarms_of_other_designs(
     standing: dict[str, list[bool]] = {}
     for name, chart in charts.items():
         alarming, standing[name] = False, []
-        for value in mewma(chart.whitened(sets)[n:])[np.array(rows) - n].tolist():
-            alarming = next_alarm(alarming, value, chart.limit, p)
+        for value in mewma(chart.whiten_sets(sets)[n:])[np.array(rows) - n].tolist():
+            alarming = is_chart_alarm_active(alarming, value, chart.limit, p)
             standing[name].append(alarming)
     along = (sets - designs.mean) @ designs.directions
     for name, phi in (
         ("k_of_n, memory as found", found.guarded),
         ("k_of_n, memory of the chart", designs.phi),
     ):
-        freed = prewhitened(along, 0.0, phi)
+        freed = prewhiten_sets(along, 0.0, phi)
         fitted = fit_baseline(freed[:n][np.isfinite(freed[:n]).all(axis=1)], range(n), name=name)
         state, standing[name] = AlarmState(), []
         for distance in distance_squared(freed, fitted)[rows].tolist():
             beyond = distance > f_predictive_limit(fitted.n, p)
-            state = next_alarm_state(state, beyond, AlarmRule(k=settings.alarms.k, n=settings.alarms.n))
+            state = update_alarm_state(state, beyond, AlarmRule(k=settings.alarms.k, n=settings.alarms.n))
             standing[name].append(state.active)
     return standing
 

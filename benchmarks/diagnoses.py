@@ -35,13 +35,13 @@ from diagnosis_slopes import MEAN_TILT_RAD, slopes, walls
 
 from analysis.diagnosis.diagnose import diagnose_latest_set, update_state
 from analysis.diagnosis.hypotheses import COUPLING, ENVIRONMENT, OK, SENSOR, WALL
-from analysis.diagnosis.parameters import diagnosis_parameters
+from analysis.diagnosis.parameters import compute_diagnosis_parameters
 from analysis.diagnosis.slopes import COMPONENTS, DEPTHS
-from analysis.diagnosis.state import DiagnosisState, with_confirmation, with_set
+from analysis.diagnosis.state import DiagnosisState, add_confirmation_set, add_set
 from analysis.statistics.baseline import fit_baseline
 from analysis.statistics.distance import distance_squared
 from analysis.statistics.limits import f_predictive_limit
-from analysis.statistics.rules import NOMINAL_RATE, AlarmRule, AlarmState, next_alarm_state
+from analysis.statistics.rules import NOMINAL_RATE, AlarmRule, AlarmState, update_alarm_state
 from daq_service.cli.offline.twin_line import simulate_assessed_sets
 from daq_service.settings.file import load_settings
 from hardware_drivers.measurement import SetKey
@@ -201,7 +201,7 @@ def diagnose_run(
 ) -> dict[str, Any]:
     """Diagnose one run with the last sets before `BASELINE`; depths are None where it was never WALL."""
     logs, confirmation_logs, depths = sets_of(case, level, model, seed)
-    design = diagnosis_parameters(logs[BASELINE - baseline_sets : BASELINE], BASELINE - baseline_sets)
+    design = compute_diagnosis_parameters(logs[BASELINE - baseline_sets : BASELINE], BASELINE - baseline_sets)
     raw = np.exp(logs[:, :5])
     baseline = fit_baseline(raw[BASELINE - baseline_sets : BASELINE], range(baseline_sets), name="b")
     limit = f_predictive_limit(baseline.n, baseline.p, NOMINAL_RATE)
@@ -212,13 +212,13 @@ def diagnose_run(
     first: dict[str, float | None] = {"wall": None, "f": None}
     confirmed_at = -CONFIRMED_FOR
     for index in range(BASELINE, BASELINE + AFTER):
-        memory = with_set(memory, design.mean, logs[index], index)
-        state = next_alarm_state(state, bool(beyond[index]), RULE)
+        memory = add_set(memory, design.mean, logs[index], index)
+        state = update_alarm_state(state, bool(beyond[index]), RULE)
         diagnosis = diagnose_latest_set(memory, design, suspicious=state.active)
         memory = update_state(memory, diagnosis)
         if diagnosis.cause not in (OK, COUPLING) and index - confirmed_at >= CONFIRMED_FOR:
             confirmed_at = index
-            memory = with_confirmation(memory, design.mean, confirmation_logs[index])
+            memory = add_confirmation_set(memory, design.mean, confirmation_logs[index])
             diagnosis = diagnose_latest_set(memory, design, suspicious=True)
             memory = update_state(memory, diagnosis)
         calls[diagnosis.cause] += 1

@@ -75,7 +75,7 @@ def own_time_s(wired: DaqmxParameters) -> float:
         probed_thickness_m={},
     )
     key = ShotKey(position=POSITION, set_index=0, shot_index=0)
-    acquired = specimen.solitary_wave(key, 0.0)
+    acquired = specimen.simulate_wave(key, 0.0)
     assert acquired is not None, "the strike reaches the level"
     after_s = (wired.record_samples - wired.pretrigger_samples) / wired.sample_rate_hz
     height_m = specimen.strike(key, 0.0).drop_height_m

@@ -25,8 +25,8 @@ from analysis.ultrasound.thickness import (
 )
 from hardware_drivers.measurement import ShotKey, Waveform
 from simulator.echo.far_wall import draw_gaussian_field, draw_rough_spot
-from simulator.echo.pulse import bubble_volts, echo_calibration, echo_volts
-from simulator.echo.records import ProbedWall, average_record, draw_disturbance, probe_wall
+from simulator.echo.pulse import build_echo_calibration, simulate_bubbles, simulate_echo
+from simulator.echo.records import ProbedWall, build_wall, draw_disturbance, simulate_record
 from simulator.electronics.transduction import quantise_volts
 from simulator.parameters.echo import EchoParameters
 from simulator.parameters.experiment import TwinParameters
@@ -72,7 +72,7 @@ class Reading:
 
 
 def waveform_of(volts: NDArray[np.float64], echo: EchoParameters) -> Waveform:
-    calibration = echo_calibration(echo)
+    calibration = build_echo_calibration(echo)
     return Waveform(
         counts=quantise_volts(volts, calibration),
         sample_rate_hz=echo.sample_rate_hz,
@@ -85,14 +85,16 @@ def record_wall(wall: ProbedWall, echo: EchoParameters, seed: int) -> Waveform:
     """Return the averaged record of a wall with noise and bubbles."""
     key = ShotKey(position="A", set_index=seed, shot_index=0)
     found, _ = draw_disturbance(echo, seed=seed, key=key)
-    volts, _ = average_record(wall, echo, echo_calibration(echo), found, seed=seed, key=key, noisy=True)
+    volts, _ = simulate_record(
+        wall, echo, build_echo_calibration(echo), found, seed=seed, key=key, noisy=True
+    )
     return waveform_of(volts, echo)
 
 
 def sound_wall(echo: EchoParameters) -> EchoReference:
     """Return the reference without noise, so that one draw of it does not shift every reading."""
     return find_reference_echo(
-        waveform_of(echo_volts(PRISTINE_M, echo), echo),
+        waveform_of(simulate_echo(PRISTINE_M, echo), echo),
         delay_s=echo.delay_s,
         initial_thickness_m=PRISTINE_M,
     )
@@ -110,7 +112,7 @@ def readings(
     reference = sound_wall(echo)
     for seed in range(first_seed, first_seed + walls):
         spot = draw_rough_spot(echo, seed=seed, position="A")
-        wall = probe_wall(PRISTINE_M, 1.0 - thickness_m / PRISTINE_M, spot, 0.0)
+        wall = build_wall(PRISTINE_M, 1.0 - thickness_m / PRISTINE_M, spot, 0.0)
         found = travel_time(record_wall(wall, echo, seed), reference)
         read = compute_thickness(
             found.travel_time_s, reference.travel_time_s, echo.delay_s, PRISTINE_M, known_separation_m
@@ -129,7 +131,7 @@ def readings(
 def pick_bound_m(echo: EchoParameters, thickness_m: float) -> float:
     """Return the Cramer-Rao bound of the thickness: a pulse of known shape in the mean's white noise."""
     alone = replace(echo, multiple_ratio=0.0, front_wall_v=0.0)
-    slope = np.gradient(echo_volts(thickness_m, alone)) * echo.sample_rate_hz
+    slope = np.gradient(simulate_echo(thickness_m, alone)) * echo.sample_rate_hz
     noise_v = echo.noise_rms_v / math.sqrt(echo.averages)
     return 0.5 * echo.velocity_m_per_s * noise_v / math.sqrt(float(slope @ slope))
 
@@ -155,7 +157,7 @@ def print_path() -> None:
     echo = replace(DEFAULT, roughness_fraction=0.0)
     reference = sound_wall(echo)
     for mm in THICKNESSES_MM:
-        found = travel_time(waveform_of(echo_volts(mm * 1e-3, echo), echo), reference)
+        found = travel_time(waveform_of(simulate_echo(mm * 1e-3, echo), echo), reference)
         times = (found.travel_time_s, reference.travel_time_s, echo.delay_s, PRISTINE_M)
         plain, known = compute_thickness(*times), compute_thickness(*times, echo.element_separation_m)
         print(f"| {mm:g} mm | {1e3 * plain.thickness_m:.3f} mm | {1e3 * known.thickness_m:.3f} mm |")
@@ -238,8 +240,8 @@ def print_demo() -> None:
 
 
 def print_bubbles() -> None:
-    records = bubble_volts(CORE_M, DEFAULT, np.random.default_rng(0), 400)
-    echo_v = float(np.abs(echo_volts(CORE_M, SMOOTH)).max())
+    records = simulate_bubbles(CORE_M, DEFAULT, np.random.default_rng(0), 400)
+    echo_v = float(np.abs(simulate_echo(CORE_M, SMOOTH)).max())
     print(
         f"\nBubbles: RMS {records.std() / echo_v:.1e}, highest crest {np.abs(records).max() / echo_v:.1e} of "
         f"a smooth wall's echo; {DEFAULT.bubbles_per_beam:g} of {1e3 * DEFAULT.bubble_radius_m:g} mm a record"

@@ -77,7 +77,7 @@ def faulty_shots(
     specimen = faulty_specimen(model, name, seed)
     for k in range(shots):
         key = ShotKey(position="B", set_index=k // 10, shot_index=k % 10)
-        acquired = specimen.solitary_wave(key, HOUR_H)
+        acquired = specimen.simulate_wave(key, HOUR_H)
         yield None if acquired is None else (acquired.truth, extract_features(acquired.waveform))
 
 

@@ -23,13 +23,13 @@ from typing import Any
 import numpy as np
 
 from daq_service.cli.forecast import predict_stored_bytes
-from daq_service.processes.data_folder import own_data_folder, prepare_data_folder
+from daq_service.processes.data_folder import hold_recorder_lock, prepare_data_folder
 from daq_service.processes.resource_use import open_handles, resident_bytes
 from daq_service.recording.session import record_test
 from daq_service.settings.tree import Settings
 from hardware_drivers.instruments import Acquired, Clock, Echo, Rig
 from hardware_drivers.measurement import Calibration, ShotKey, Waveform
-from simulator.echo.pulse import echo_calibration, echo_volts
+from simulator.echo.pulse import build_echo_calibration, simulate_echo
 
 EVERY_SETS = 25
 POOL = 97
@@ -59,9 +59,9 @@ class PooledInstruments:
             )
             for one in noise
         ]
-        receiver = echo_calibration(echo)
+        receiver = build_echo_calibration(echo)
         self._echo = Waveform(
-            counts=np.rint(echo_volts(6.35e-3, echo) / receiver.coefficients_v[1]).astype(np.int16),
+            counts=np.rint(simulate_echo(6.35e-3, echo) / receiver.coefficients_v[1]).astype(np.int16),
             sample_rate_hz=echo.sample_rate_hz,
             pretrigger_samples=0,
             calibration=receiver,
@@ -135,7 +135,7 @@ def measure(hours: float, folder: Path) -> dict[str, Any]:
             print(f"\r{values['done']} of {values['planned']} sets", end="", file=sys.stderr)
 
     prepare_data_folder(folder)
-    with own_data_folder(folder):
+    with hold_recorder_lock(folder):
         record_test(settings, folder, opened, stop=threading.Event(), report=report)
     print(file=sys.stderr)
     sets = [count for count, *_ in samples]

@@ -35,12 +35,12 @@ from pathlib import Path
 from daq_service.processes.resource_use import resident_bytes
 from daq_service.settings.tree import Settings
 from daq_service.web.multi_test import open_tests
-from daq_service.web.multi_test.app import create_app_of_many
+from daq_service.web.multi_test.app import create_multi_test_app
 from daq_service.web.server import serve
 
 open_tests.IDLE_S, open_tests.LOOK_EVERY_S = 1.0, 0.2
 own, *folders = map(Path, sys.argv[1:])
-app = create_app_of_many(folders, Settings(), own)
+app = create_multi_test_app(folders, Settings(), own)
 stop = threading.Event()
 
 def answer():

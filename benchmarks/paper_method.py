@@ -65,7 +65,7 @@ class System:
     """
 
     def __init__(self, chain: Chain, plate: AffinePlate, depth: float, *, lumped: bool) -> None:
-        stiffness, mass = plate.at_depth(depth)
+        stiffness, mass = plate.evaluate_at_depth(depth)
         self._chain = chain
         self._bodies = len(chain.mass_kg)
         self._stiffness = stiffness.tocsr()

@@ -136,7 +136,7 @@ def unreduced_force(chain: Chain, plate: AffinePlate, depth: float, h: float) ->
 
     Plate: ``M (v_1 - v_0) = -h K (u_0 + u_1) / 2 + b B``, solved with ``M + h^2 K / 4``.
     """
-    stiffness, mass = (matrix.tocsr() for matrix in plate.at_depth(depth))
+    stiffness, mass = (matrix.tocsr() for matrix in plate.evaluate_at_depth(depth))
     factor = linalg.cholesky_banded(lower_band(mass + 0.25 * h**2 * stiffness), lower=True)
     contact = int(np.flatnonzero(plate.load)[0])
     response = linalg.cho_solve_banded((factor, True), plate.load, check_finite=False)

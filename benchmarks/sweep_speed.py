@@ -25,7 +25,7 @@ from concurrent.futures import Executor
 from functools import partial
 
 from daq_service.cli.sweep.execution import compute_plan
-from daq_service.cli.sweep.plan import Model, Plan, make_plan
+from daq_service.cli.sweep.plan import Model, Plan, build_plan
 from daq_service.cli.sweep.shot import compute_zener_impact, summarise_coupled_shot
 from daq_service.cli.sweep.specification import parse_axis
 from daq_service.processes.executors import count_usable_cores, open_executor
@@ -49,7 +49,7 @@ def plan_sweep(sweep: str, rows: int, run: int) -> Plan:
     if sweep == "depths x heights":
         specifications.append(f"chain.drop_height_m=0.003:0.008:{side}")
     model: Model = "zener" if sweep == "zener" else "coupled"
-    return make_plan(model, BASE, [parse_axis(text) for text in specifications])
+    return build_plan(model, BASE, [parse_axis(text) for text in specifications])
 
 
 def seconds(work: Callable[[], object]) -> float:

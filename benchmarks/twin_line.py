@@ -84,7 +84,7 @@ def ratios() -> dict[str, float]:
         later_h = list(specimens).index(level) / 120.0
         for index in range(SETS * turn, SETS * turn + SETS):
             keys = [ShotKey(position="B", set_index=index, shot_index=k) for k in range(SHOTS)]
-            specimens[level].solitary_waves([(key, 0.5 * index + later_h) for key in keys])
+            specimens[level].simulate_waves([(key, 0.5 * index + later_h) for key in keys])
 
     for level in specimens:
         sets(level, TURNS)

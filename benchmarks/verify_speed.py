@@ -23,7 +23,7 @@ from pathlib import Path
 
 import h5py
 
-from daq_service.archive.verification import check_file
+from daq_service.archive.verification import check_set_file
 from daq_service.cli.maintenance.verify import verify_folder
 
 
@@ -53,8 +53,8 @@ def measure(folder: Path, rounds: int) -> dict[str, float]:
     known = {path: hashlib.sha256(path.read_bytes()).hexdigest() for path in paths}
     ways: dict[str, Callable[[], object]] = {
         "verify": lambda: verify_folder(folder),
-        "files_with_sha256": lambda: [check_file(path, sha256=known[path]) for path in paths],
-        "files_without": lambda: [check_file(path) for path in paths],
+        "files_with_sha256": lambda: [check_set_file(path, sha256=known[path]) for path in paths],
+        "files_without": lambda: [check_set_file(path) for path in paths],
         "h5py_reads_all": lambda: read_with_h5py(paths),
         "sha256_of_all": lambda: [hashlib.sha256(path.read_bytes()).hexdigest() for path in paths],
     }

@@ -25,7 +25,7 @@ from daq_service.archive import FolderArchive, PositionRecord, SetRecord, SetRef
 from daq_service.archive.finalize_set import finalize_set
 from daq_service.archive.waterfall.image import Picture, Wanted, WaterfallReader
 from daq_service.archive.waterfall.tile_files import build_tiles, write_tiles_of_file
-from daq_service.archive.waterfall.tiles import Tiles, count_tile_bytes
+from daq_service.archive.waterfall.tiles import Tiles, sum_tile_bytes
 from hardware_drivers.measurement import Calibration, SetKey, Shot, ShotKey, Stamp, Waveform
 from hardware_drivers.nanoseconds import NS_PER_H
 
@@ -159,7 +159,7 @@ def main() -> None:
             "numpy_over_files_s": min(numpy_s),
             "ratio": min(numpy_s) / min(tiles_s),
             "keep_a_set_s": kept_s / given.sets,
-            "tiles_mb": count_tile_bytes(folder) / 1e6,
+            "tiles_mb": sum_tile_bytes(folder) / 1e6,
             "files_mb": sum((folder / file).stat().st_size for file in files.values()) / 1e6,
         }
     if given.json:

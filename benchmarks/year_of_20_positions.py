@@ -37,7 +37,7 @@ from analysis.waves.features import EXTRACTOR_VERSION
 from daq_service.acquisition.schedule import plan_sets
 from daq_service.archive import FolderArchive, PositionRecord, SetRecord
 from daq_service.archive.finalize_set import finalize_set
-from daq_service.archive.records import to_reference
+from daq_service.archive.records import build_reference
 from daq_service.assessment.diagnosis_texts import build_diagnosis_details
 from daq_service.background.live_figure import LiveFigure
 from daq_service.catalogue import SetCommit, open_catalogue
@@ -64,12 +64,12 @@ from daq_service.recording.resources import Resources
 from daq_service.settings.tree import Settings
 from daq_service.web.app import create_app
 from daq_service.web.context import find_app_context
-from daq_service.web.routes.stream import send_frames
+from daq_service.web.routes.stream import generate_frames
 from daq_service.web.tables.choice import TABLES
 from hardware_drivers.instruments import Rig
 from hardware_drivers.measurement import Calibration, DueSet, PulseEchoRecord, Shot, ShotKey, Stamp, Waveform
 from simulator.clock import SimulatedClock
-from simulator.echo.pulse import echo_calibration, echo_volts
+from simulator.echo.pulse import build_echo_calibration, simulate_echo
 
 SETS = 17_500
 SETS_A_COMMIT = 25
@@ -123,7 +123,7 @@ def fill(folder: Path, settings: Settings, n_sets: int) -> None:
     # The first one that the probe took (`MISSED_EVERY`): what every later reading refers to.
     first, last = records_of(settings, due_sets[1], 0), records_of(settings, due_sets[-1], sequence)
     for due in (due_sets[0], *due_sets[2:-1]):
-        path = folder / to_reference(due.set_key, due.due_utc_ns)
+        path = folder / build_reference(due.set_key, due.due_utc_ns)
         path.write_bytes(b"a file without content is one that was lost")
     with closing(FolderArchive(folder)) as archive:
         for record in (first, last):
@@ -164,7 +164,7 @@ def _add_set(
     commit: SetCommit, settings: Settings, due: DueSet, sequence: int, rng: np.random.Generator
 ) -> int:
     """Add all rows of a set to a commit; return the sequence of its last shot."""
-    file = to_reference(due.set_key, due.due_utc_ns)
+    file = build_reference(due.set_key, due.due_utc_ns)
     values = rng.standard_normal((len(settings.positions), 5))
     for number, (position, place) in enumerate(settings.positions.items()):
         own: dict[str, Any] = {"set_index": due.set_index, "position": position}
@@ -295,8 +295,10 @@ def records_of(settings: Settings, due: DueSet, first: int) -> SetRecord:
                 "stamp": Stamp(utc_ns=due.due_utc_ns, mono_ns=first, boot_id="simulated"),
             }
             if place.method == "pulse_echo":
-                calibration = echo_calibration(echo)
-                counts = np.rint(echo_volts(6.35e-3, echo) / calibration.coefficients_v[1]).astype(np.int16)
+                calibration = build_echo_calibration(echo)
+                counts = np.rint(simulate_echo(6.35e-3, echo) / calibration.coefficients_v[1]).astype(
+                    np.int16
+                )
                 wave = Waveform(
                     counts=counts, sample_rate_hz=echo.sample_rate_hz, pretrigger_samples=0,
                     calibration=calibration,
@@ -381,7 +383,7 @@ def queries(path: str, n_sets: int, chance: random.Random) -> list[str]:
         return [path.format(table=table) + f"?{query}" for table, query in day.items()]
     if path.endswith("/files/{name}"):
         last = plan_sets(year_settings().schedule.phases, parse_utc(year_settings().clock.epoch))[n_sets - 1]
-        return [path.format(name=Path(to_reference(last.set_key, last.due_utc_ns)).name)]
+        return [path.format(name=Path(build_reference(last.set_key, last.due_utc_ns)).name)]
     if path.endswith("/waveforms/{position}"):
         path += f"?first_set={n_sets - 1}&last_set={n_sets - 1}"
     path = path.replace("{set_index}", str(n_sets - 1)).replace("{shot_index}", "0")
@@ -416,7 +418,7 @@ async def routes_s(folder: Path, settings: Settings, n_sets: int, rounds: int) -
         last = (await client.get("/api/v1/info")).json()["last_event_id"]
         for _ in range(FEWEST_A_ROUND * rounds):
             began = _now()
-            stream = send_frames(context, context.hub, None, last - CATCH_UP_EVENTS)
+            stream = generate_frames(context, context.hub, None, last - CATCH_UP_EVENTS)
             async for chunk in stream:
                 if b"id: %d\n" % last in chunk:
                     break

@@ -1,8 +1,8 @@
 """Files shared by the processes of a test: one writer, any number of readers, virus scanners and indexers.
 
 There are two kinds. A *durable* file is complete or absent after a power cut: `write_durably`. A *hint*
-(heartbeat, live figure, log) may be empty, torn or missing, and readers continue without it: `write_hint`,
-`read_hint`.
+(heartbeat, live figure, log) may be empty, torn or missing, and readers continue without it:
+`write_best_effort`, `read_best_effort`.
 
 Windows neither opens, renames nor removes a file that another process holds in certain ways (sharing
 violation, a PermissionError); a moment later it does. Calls that must not fail for that are retried by
@@ -45,7 +45,7 @@ BUFFERS_A_CALL = 512
 O_BINARY = getattr(os, "O_BINARY", 0)
 
 
-def load_table(module: str) -> dict[str, object]:
+def load_module_toml(module: str) -> dict[str, object]:
     """Read the TOML file next to a module, with the same name and the suffix ``.toml``.
 
     Parameters
@@ -119,7 +119,7 @@ def read_shared(path: Path, first: int = 0, last: int | None = None) -> bytes:
     return retry(read)
 
 
-def read_hint(path: Path) -> bytes | None:
+def read_best_effort(path: Path) -> bytes | None:
     """Read a file without waiting; return None if it is absent or cannot be read at this moment."""
     try:
         return path.read_bytes()
@@ -130,7 +130,7 @@ def read_hint(path: Path) -> bytes | None:
         return None
 
 
-def write_hint(path: Path, content: bytes) -> OSError | None:
+def write_best_effort(path: Path, content: bytes) -> OSError | None:
     """Replace a file by rename, without fsync or retry; return the error if it was not replaced, else None.
 
     The temporary file has the same name with the suffix `HINT_SUFFIX`; after an error it may remain.

@@ -75,7 +75,7 @@ def check_bounds(parameters: Any) -> None:
     )
 
 
-def check_values(parameters: type, values: Mapping[str, Any]) -> None:
+def check_value_bounds(parameters: type, values: Mapping[str, Any]) -> None:
     """Check values by field name against a class's bounds, before the parameters are made.
 
     Raise ValueError as `check_bounds` does, KeyError for a name that is no field.
@@ -96,7 +96,7 @@ def _check_named_values(checked: Iterable[tuple[str, list[_Bound], Any]]) -> Non
                 raise ValueError(f"{name} is {value}; it must be {relation} {limit}")
 
 
-def check_pair(parameters: Any, name: str, relation: str, other: str, unit: str = "") -> None:
+def check_field_relation(parameters: Any, name: str, relation: str, other: str, unit: str = "") -> None:
     """Raise ValueError unless the value of one field has a given relation to that of another.
 
     Parameters

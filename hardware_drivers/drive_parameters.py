@@ -7,7 +7,7 @@ from typing import Annotated
 
 from annotated_types import Ge, Gt, Le
 
-from hardware_drivers.bounds import bounded, check_pair
+from hardware_drivers.bounds import bounded, check_field_relation
 from hardware_drivers.errors import ConfigurationError
 
 LOG_KEYS = frozenset({"log_interval_s", "read_timeout_s"})
@@ -89,8 +89,8 @@ class DriveParameters(ABC):
                 )
 
     def __post_init__(self) -> None:
-        check_pair(self, "voltage_v", "at most", "voltage_cap_v")
-        check_pair(self, "current_limit_a", "at most", "current_cap_a")
+        check_field_relation(self, "voltage_v", "at most", "voltage_cap_v")
+        check_field_relation(self, "current_limit_a", "at most", "current_cap_a")
 
 
 @bounded

@@ -216,7 +216,7 @@ class PersonRequests:
         """
         self._hear = hear
 
-    def about(self, key: ShotKey) -> None:
+    def set_next_shot(self, key: ShotKey) -> None:
         """Set the shot that the next requests belong to; nothing is sent."""
         self._key = key
 

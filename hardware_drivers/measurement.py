@@ -240,7 +240,7 @@ class ShotKey(OfSet):
                 raise ValueError(f"{name} is {getattr(self, name)}; it must not be negative")
 
     @classmethod
-    def in_set(cls, set_key: SetKey, position: str, shot_index: int, attempt: int = 0) -> ShotKey:
+    def from_set(cls, set_key: SetKey, position: str, shot_index: int, attempt: int = 0) -> ShotKey:
         """Return the key of one attempt at a shot of a set; ValueError if an index is negative."""
         return cls(
             position=position,

@@ -81,7 +81,7 @@ class Offer:
         return kind
 
 
-def offers() -> Mapping[str, Offer]:
+def find_offers() -> Mapping[str, Offer]:
     """Return the installed kinds by name in alphabetical order, none of them imported.
 
     Cached; the installed packages are searched again only if `sys.path` has changed.
@@ -100,7 +100,7 @@ def _read_offers(path: tuple[str, ...]) -> Mapping[str, Offer]:
     every = entry_points()
     for role in ROLES:
         for entry_point in every.select(group=GROUPS[role]):
-            given = found.setdefault(entry_point.name, {}).setdefault(_find_distribution(entry_point), {})
+            given = found.setdefault(entry_point.name, {}).setdefault(_format_distribution(entry_point), {})
             given[role] = entry_point
     return {
         name: Offer(name=name, by_role=next(iter(given.values())), distributions=tuple(sorted(given)))
@@ -116,7 +116,7 @@ def find_kind(name: str) -> tuple[Kind[Any], Offer]:
     ConfigurationError
         No one offers it, or as `Offer.load`.
     """
-    known = offers()
+    known = find_offers()
     if name not in known:
         raise ConfigurationError(
             f"no installed package offers the kind {name!r}; there are: "
@@ -138,7 +138,7 @@ def _format_kind_names(known: Iterable[Offer]) -> str:
     return ", ".join(names) or f"none, not even those of {OURS} itself: install {OURS} again"
 
 
-def _find_distribution(entry_point: EntryPoint) -> str:
+def _format_distribution(entry_point: EntryPoint) -> str:
     """Return name and version of an entry point's distribution; ``an unknown package`` without metadata."""
     found = entry_point.dist
     return "an unknown package" if found is None else f"{found.name} {found.version}"

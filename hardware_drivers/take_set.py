@@ -111,7 +111,7 @@ def take_set(
             continue
         if not rig.clock.wait_until(start_ns, idle):
             return
-        key = ShotKey.in_set(plan.due.set_key, position, 0)
+        key = ShotKey.from_set(plan.due.set_key, position, 0)
         yield _acquire_echo(rig, plan, key, sequence, boot_id)
     strikes = itertools.product(plan.list_positions(SOLITARY_WAVE), range(plan.shots_per_set))
     slot = itertools.count(progress.n_strikes)
@@ -125,7 +125,7 @@ def take_set(
                 return
             if not may_strike(position):  # commands are executed while waiting
                 break
-            key = ShotKey.in_set(plan.due.set_key, position, shot_index, attempt)
+            key = ShotKey.from_set(plan.due.set_key, position, shot_index, attempt)
             measurement, error, last_attempt = _acquire_shot(rig, plan, key, sequence, boot_id)
             yield measurement
             n_lost = 0 if error is None else n_lost + 1

@@ -67,7 +67,7 @@ class RecordsAhead:
         Runs the computations, in a thread or a process of its own. Its owner cancels what is left when it
         closes. Where it breaks, every record is computed by its reader.
     compute
-        What `executor` runs for `Specimen.solitary_waves`: another process cannot be handed a specimen.
+        What `executor` runs for `Specimen.simulate_waves`: another process cannot be handed a specimen.
     """
 
     def __init__(
@@ -100,7 +100,7 @@ class RecordsAhead:
             except BrokenExecutor as error:
                 log.warning("records are not computed ahead any more: %s", error)
                 self._broken = True
-        return self._specimen.solitary_wave(key, hour_h(utc_ns))
+        return self._specimen.simulate_wave(key, hour_h(utc_ns))
 
     def _record(self, key: ShotKey, utc_ns: int, hour_h: Callable[[int], float]) -> Acquired | None:
         """Return the record of a strike and start the next; raise BrokenExecutor if the executor broke."""
@@ -127,7 +127,7 @@ class RecordsAhead:
             if isinstance(error, BrokenExecutor):
                 raise error
             log.warning("a group of records failed, so each is computed by its reader: %s", error)
-        return self._specimen.solitary_wave(*strike)
+        return self._specimen.simulate_wave(*strike)
 
     def _submit_strikes(
         self, group: Sequence[TimedStrike], previous: dict[TimedStrike, _PendingRecord]
@@ -225,7 +225,7 @@ class Bench(StruckDigitizer):
     def _record(self, key: ShotKey, utc_ns: int) -> Acquired | None:
         """Return the record of a strike, computed now or ahead of time; None if it does not trigger."""
         if self._ahead is None:
-            return self.specimen.solitary_wave(key, self.hour_h(utc_ns))
+            return self.specimen.simulate_wave(key, self.hour_h(utc_ns))
         return self._ahead.record(key, utc_ns, self.hour_h)
 
 
@@ -338,12 +338,12 @@ def build_bench(
         when it is read. The records are the same to the last bit. The caller owns the executor and
         cancels what is pending when it closes.
     compute
-        What an executor of other processes runs for this specimen's `solitary_waves`.
+        What an executor of other processes runs for this specimen's `simulate_waves`.
     """
     specimen = build_specimen(twin, transducers=transducers, probed_thickness_m=probed_thickness_m)
     ahead = None
     if executor is not None and strikes_after is not None:
-        ahead = RecordsAhead(specimen, executor, strikes_after, compute or specimen.solitary_waves)
+        ahead = RecordsAhead(specimen, executor, strikes_after, compute or specimen.simulate_waves)
     bench = Bench(specimen, clock, epoch_utc_ns=epoch_utc_ns, ahead=ahead)
     return SimulatedInstruments(
         striker=SimulatedStriker(bench),

@@ -16,16 +16,16 @@ import numpy as np
 from hardware_drivers.instruments import Acquired, Echo
 from hardware_drivers.measurement import Calibration, ShotKey, Waveform
 from simulator.echo.far_wall import RoughSpot, draw_rough_spot
-from simulator.echo.pulse import echo_calibration
-from simulator.echo.records import Disturbance, ProbedWall, average_record, draw_disturbance, probe_wall
+from simulator.echo.pulse import build_echo_calibration
+from simulator.echo.records import Disturbance, ProbedWall, build_wall, draw_disturbance, simulate_record
 from simulator.electronics.transduction import make_adc_calibration, quantise_volts, simulate_triggered_record
 from simulator.errors import SpecimenError
-from simulator.experiment.corrosion import Wall, WallHistory, draw_wall_history, held_hour_h
+from simulator.experiment.corrosion import Wall, WallHistory, draw_wall_history, round_down_hour_h
 from simulator.experiment.environmental_variability import (
     ShotNuisance,
     TransducerNuisance,
-    disturb_noise,
     disturb_strike,
+    scale_noise,
 )
 from simulator.experiment.faults import (
     NO_FAULTS,
@@ -142,7 +142,7 @@ class Specimen:
 
         It advances in steps of `TwinParameters.update_interval_s`.
         """
-        return held_hour_h(elapsed_ns, self.twin.update_interval_s)
+        return round_down_hour_h(elapsed_ns, self.twin.update_interval_s)
 
     def faults(self, key: ShotKey, hour_h: float) -> ShotFaults:
         """Draw the faults of one strike, its chain and its gain; hum and spikes are drawn with the record."""
@@ -194,7 +194,7 @@ class Specimen:
 
         A second impact and variability are not included.
         """
-        model = _model_of_transducer(self.transducers[position], faults)
+        model = _select_shot_model(self.transducers[position], faults)
         if wall.is_hole:
             return model.shot_at_hole(drop_height_m=strike.drop_height_m, tilt_rad=strike.tilt_rad)
         return model.shot(
@@ -203,21 +203,21 @@ class Specimen:
             tilt_rad=strike.tilt_rad,
         )
 
-    def solitary_wave(self, key: ShotKey, hour_h: float) -> Acquired | None:
+    def simulate_wave(self, key: ShotKey, hour_h: float) -> Acquired | None:
         """Simulate the record of one strike; None if it is missed or does not reach the trigger level."""
-        (acquired,) = self.solitary_waves([(key, hour_h)])
+        (acquired,) = self.simulate_waves([(key, hour_h)])
         return acquired
 
-    def solitary_waves(self, strikes: Sequence[tuple[ShotKey, float]]) -> list[Acquired | None]:
+    def simulate_waves(self, strikes: Sequence[tuple[ShotKey, float]]) -> list[Acquired | None]:
         """Simulate the records of strikes at their hours, bit-identical to those of `solitary_wave`.
 
         Strikes of one transducer on a wall of one depth cost half as much together as one after the other.
         """
-        blows = [self._draw_blow(key, hour_h) for key, hour_h in strikes]
+        blows = [self._draw_strike_and_wall(key, hour_h) for key, hour_h in strikes]
         forces = self._compute_forces([blow for blow in blows if blow is not None])
         return [None if blow is None else self._digitize_force(blow, *next(forces)) for blow in blows]
 
-    def _draw_blow(self, key: ShotKey, hour_h: float) -> _DrawnStrike | None:
+    def _draw_strike_and_wall(self, key: ShotKey, hour_h: float) -> _DrawnStrike | None:
         """Draw a strike with its wall, faults and variability; None if the strike is missed."""
         faults = self.faults(key, hour_h)
         if faults.missed:
@@ -243,15 +243,15 @@ class Specimen:
         for (position, liquid, *_), numbers in alike.items():
             of_chain = [blows[number] for number in numbers]
             transducer = self.wet.get(position, {}).get(liquid, self.transducers[position])
-            model = _model_of_transducer(transducer, of_chain[0].faults)
+            model = _select_shot_model(transducer, of_chain[0].faults)
             if isinstance(model, ShotModel):
-                found = _integrate_blows(model, of_chain)
+                found = _simulate_strikes(model, of_chain)
             else:
-                found = [self._force_alone(model, blow) for blow in of_chain]
+                found = [self._simulate_force(model, blow) for blow in of_chain]
             forces.update(zip(numbers, found, strict=True))
         return (forces[number] for number in range(len(blows)))
 
-    def _force_alone(self, model: SolitaryWaveModel, blow: _DrawnStrike) -> tuple[ShotForce, ShotForce]:
+    def _simulate_force(self, model: SolitaryWaveModel, blow: _DrawnStrike) -> tuple[ShotForce, ShotForce]:
         """Simulate the force of one shot of a model without batches, also without variability.
 
         Raise SpecimenError for a second impact or variability, which such a model does not have.
@@ -279,7 +279,7 @@ class Specimen:
         )
         noise, found = self.twin.noise, blow.nuisance
         if found is not None:
-            noise = disturb_noise(noise, found.noise_factor)
+            noise = scale_noise(noise, found.noise_factor)
         record = simulate_triggered_record(
             force_step_s=_grid_step_s(force),
             dynamic_force_n=every_impact.force_n - every_impact.preload_n,
@@ -291,7 +291,7 @@ class Specimen:
             noise=noise,
             random=keyed_generator(seed, Purpose.NOISE, key=key),
             interference=interference,
-            stray=self._stray_volts(blow.nuisance),
+            stray=self._combine_stray_volts(blow.nuisance),
         )
         if record is None:
             return None
@@ -301,13 +301,13 @@ class Specimen:
             pretrigger_samples=adc.pretrigger_samples,
             calibration=self.adc_calibration,
         )
-        truth = _true_values_of_shot(blow.wall, blow.strike, force)
+        truth = _collect_true_values(blow.wall, blow.strike, force)
         temperature_c = self._temperature_c(hour_h, blow.faults, found)
         truth |= {"temperature_c": temperature_c, "trigger_time_s": record.trigger_time_s}
         truth |= blow.faults.truth | electrical_truth
         return Acquired(waveform=waveform, truth=truth if found is None else truth | found.truth())
 
-    def _stray_volts(self, found: ShotNuisance | None) -> Stray | None:
+    def _combine_stray_volts(self, found: ShotNuisance | None) -> Stray | None:
         """Return a function of all voltages that no strike causes, ringing included; None without any."""
         if found is None or not found.rings:
             return self.stray
@@ -324,7 +324,7 @@ class Specimen:
 
     def probed_wall(self, position: str, hour_h: float) -> ProbedWall:
         """Return the wall under the ultrasonic probe of a position at an hour of the test."""
-        return probe_wall(
+        return build_wall(
             self.probed_thickness_m[position],
             self.walls[position].at(hour_h).depth_fraction,
             self.spots[position],
@@ -339,7 +339,7 @@ class Specimen:
         echo, seed, noisy = self.twin.echo, self.twin.seed, self.twin.noise.enabled
         wall = self.probed_wall(key.position, hour_h)
         found, disturbed = draw_disturbance(echo, seed=seed, key=key) if noisy else (Disturbance(), {})
-        volts, clipped = average_record(
+        volts, clipped = simulate_record(
             wall, echo, self.echo_calibration, found, seed=seed, key=key, noisy=noisy
         )
         waveform = Waveform(
@@ -357,7 +357,7 @@ class Specimen:
         )
 
 
-def _model_of_transducer(transducer: Transducer, faults: ShotFaults) -> SolitaryWaveModel:
+def _select_shot_model(transducer: Transducer, faults: ShotFaults) -> SolitaryWaveModel:
     """Return the model of a transducer, with a changed chain if a fault changed its contacts.
 
     Raise SpecimenError if the model cannot change its chain.
@@ -372,7 +372,7 @@ def _model_of_transducer(transducer: Transducer, faults: ShotFaults) -> Solitary
     return transducer.model.with_chain(apply_chain_faults(transducer.chain, faults))
 
 
-def _integrate_blows(model: ShotModel, blows: Sequence[_DrawnStrike]) -> list[tuple[ShotForce, ShotForce]]:
+def _simulate_strikes(model: ShotModel, blows: Sequence[_DrawnStrike]) -> list[tuple[ShotForce, ShotForce]]:
     """Simulate strikes on one chain side by side; return each one's first impact and complete force."""
     bounced = [blow for blow in blows if blow.faults.double_delay_s is not None]
     found = iter(model.shots([*(blow.impact() for blow in blows), *(blow.impacts() for blow in bounced)]))
@@ -388,7 +388,7 @@ def _grid_step_s(force: ShotForce) -> float:
     return float(force.time_s[-1]) / (force.time_s.size - 1)
 
 
-def _true_values_of_shot(wall: Wall, strike: Strike, force: ShotForce) -> dict[str, float]:
+def _collect_true_values(wall: Wall, strike: Strike, force: ShotForce) -> dict[str, float]:
     """Return the true values of a shot, by column name; NaN for a wave that is missing.
 
     The values of its force are those of ``solimon simulate``.
@@ -401,16 +401,16 @@ def _true_values_of_shot(wall: Wall, strike: Strike, force: ShotForce) -> dict[s
         "tilt_rad": strike.tilt_rad,
         "sensor_gain_v_per_n": strike.sensor_gain_v_per_n,
         "isw_peak_n": pulses.isw_peak_n,
-        "isw_time_s": _si_or_nan(pulses.isw_time_us, 1e-6),
-        "psw_peak_n": _si_or_nan(pulses.psw_peak_n),
-        "psw_time_s": _si_or_nan(pulses.psw_time_us, 1e-6),
-        "tof_s": _si_or_nan(pulses.tof_us, 1e-6),
-        "amplitude_ratio": _si_or_nan(pulses.amplitude_ratio),
+        "isw_time_s": _to_si_or_nan(pulses.isw_time_us, 1e-6),
+        "psw_peak_n": _to_si_or_nan(pulses.psw_peak_n),
+        "psw_time_s": _to_si_or_nan(pulses.psw_time_us, 1e-6),
+        "tof_s": _to_si_or_nan(pulses.tof_us, 1e-6),
+        "amplitude_ratio": _to_si_or_nan(pulses.amplitude_ratio),
         "energy_residual": force.energy_residual,
     }
 
 
-def _si_or_nan(value: float | None, unit: float = 1.0) -> float:
+def _to_si_or_nan(value: float | None, unit: float = 1.0) -> float:
     """Multiply a value by the unit's size in SI; NaN if it is None because no wave was reflected."""
     return math.nan if value is None else unit * value
 
@@ -434,7 +434,7 @@ def build_specimen(
             nuisances[name] = TransducerNuisance(
                 level=twin.nuisance, seed=twin.seed, chain=place.chain, climate=weather
             )
-            wet[name] = _transducers_by_liquid(place, list_liquid_factors(weather.parameters))
+            wet[name] = _build_wet_transducers(place, list_liquid_factors(weather.parameters))
     return Specimen(
         twin=twin,
         transducers=dict(transducers),
@@ -445,14 +445,14 @@ def build_specimen(
         },
         room=draw_room_temperature(twin.drift, seed=twin.seed),
         adc_calibration=make_adc_calibration(twin.adc),
-        echo_calibration=echo_calibration(twin.echo),
+        echo_calibration=build_echo_calibration(twin.echo),
         climate=weather,
         nuisances=nuisances,
         wet=wet,
     )
 
 
-def _transducers_by_liquid(place: Transducer, factors: Sequence[float]) -> dict[float, Transducer]:
+def _build_wet_transducers(place: Transducer, factors: Sequence[float]) -> dict[float, Transducer]:
     """Return the transducer for each depth of the liquid over the full depth; empty for a dry plate."""
     if not isinstance(place.model, ShotModel):
         return {}

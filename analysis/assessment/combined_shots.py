@@ -40,7 +40,7 @@ class CombinedShots:
     accepted: Sequence[ShotFeatures]
     mean: SetFeatures
 
-    def as_set(self, set_index: int, due_h: float, n_tried: int) -> SetOfShots:
+    def to_set_of_shots(self, set_index: int, due_h: float, n_tried: int) -> SetOfShots:
         """Convert the combined shots to a `SetOfShots` for the assessment.
 
         ``n_tried`` counts the attempts with or without a record. A mean that is not finite becomes None.

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from analysis.assessment.step import AssessedSet, Rules, SetAssessment, State, wall_alarm_active
+from analysis.assessment.step import AssessedSet, Rules, SetAssessment, State, is_wall_alarm_active
 from analysis.statistics.baseline import Baseline
 from analysis.statistics.distance import distance_squared
 
@@ -14,7 +14,7 @@ ALARM = "the change of the wall became an alarm with it"
 STEP = "it is the first set beyond the limit"
 
 
-def request_reason(before: State, after: State, assessment: SetAssessment, rules: Rules) -> str:
+def explain_confirmation_request(before: State, after: State, assessment: SetAssessment, rules: Rules) -> str:
     """Return why a scheduled set requests a confirmation set (English text); empty if it requests none.
 
     A set requests one when it is an outlier after `alarms.n` sets without one, and when the wall alarm
@@ -22,7 +22,7 @@ def request_reason(before: State, after: State, assessment: SetAssessment, rules
     """
     if assessment.in_baseline or assessment.outlier is None:
         return ""
-    if wall_alarm_active(after, rules) and not wall_alarm_active(before, rules):
+    if is_wall_alarm_active(after, rules) and not is_wall_alarm_active(before, rules):
         return ALARM
     return STEP if assessment.outlier and not any(before.alarm.recent) else ""
 

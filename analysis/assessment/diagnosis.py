@@ -9,9 +9,9 @@ import numpy as np
 
 from analysis.diagnosis.diagnose import Diagnosis, diagnose_latest_set, update_state
 from analysis.diagnosis.hypotheses import COUPLING, ENVIRONMENT, OK, SENSOR, WALL
-from analysis.diagnosis.parameters import DiagnosisParameters, diagnosis_parameters, log_features
+from analysis.diagnosis.parameters import DiagnosisParameters, compute_diagnosis_parameters, log_features
 from analysis.diagnosis.slopes import COMPONENTS
-from analysis.diagnosis.state import DiagnosisState, with_confirmation, with_set
+from analysis.diagnosis.state import DiagnosisState, add_confirmation_set, add_set
 from analysis.errors import SingularCovarianceError
 from analysis.statistics.rules import MINIMUM_SETS
 
@@ -75,7 +75,7 @@ def fit_diagnosis_parameters(healthy: Sequence[tuple[int, Values]]) -> Diagnosis
     for index, components in logs:
         history[index - first] = components
     try:
-        return diagnosis_parameters(history, first)
+        return compute_diagnosis_parameters(history, first)
     except SingularCovarianceError:
         return None
 
@@ -90,7 +90,7 @@ def diagnose_scheduled(
     logs = log_features(values)
     if logs is None:
         return memory, None
-    return _diagnose_newest_set(with_set(memory, design.mean, logs, index), design, suspicious=suspicious)
+    return _diagnose_newest_set(add_set(memory, design.mean, logs, index), design, suspicious=suspicious)
 
 
 def diagnose_confirmation(
@@ -103,7 +103,7 @@ def diagnose_confirmation(
     logs = log_features(values)
     if logs is None:
         return memory, None
-    return _diagnose_newest_set(with_confirmation(memory, design.mean, logs), design, suspicious=True)
+    return _diagnose_newest_set(add_confirmation_set(memory, design.mean, logs), design, suspicious=True)
 
 
 def _diagnose_newest_set(

@@ -18,7 +18,7 @@ from analysis.diagnosis.parameters import DiagnosisParameters
 from analysis.diagnosis.state import DiagnosisState
 from analysis.errors import NotEnoughSetsError, SingularCovarianceError
 from analysis.statistics.baseline import Baseline, fit_baseline
-from analysis.statistics.design import ChartState, Design, design_of, next_chart_state, state_at_end_of
+from analysis.statistics.design import ChartState, Design, build_design, find_end_state, update_chart_state
 from analysis.statistics.distance import distance_squared, named_contributions
 from analysis.statistics.limits import F_PREDICTIVE, PAPER_MEAN_3SD, f_predictive_limit, paper_limit
 from analysis.statistics.named_limits import DISTANCE, LIMITS
@@ -28,9 +28,9 @@ from analysis.statistics.rules import (
     AlarmState,
     HoleRule,
     HoleState,
-    next_alarm_state,
-    next_hole_state,
-    next_poor_sets,
+    count_poor_sets,
+    update_alarm_state,
+    update_hole_state,
 )
 from analysis.waves.features import FEATURE_NAMES
 
@@ -136,7 +136,7 @@ class FrozenBaseline:
     design: Design | None = None
     causes: DiagnosisParameters | None = None
 
-    def effective_limit(self, name: str) -> str:
+    def choose_limit_name(self, name: str) -> str:
         """Return the name of the outlier limit: ``name`` if the baseline has it, else the F limit.
 
         A baseline without limits returns ``name`` unchanged.
@@ -209,7 +209,7 @@ class SetAssessment:
     origin: Origin | None = None
 
 
-def wall_alarm_active(state: State, rules: Rules) -> bool:
+def is_wall_alarm_active(state: State, rules: Rules) -> bool:
     """Check whether the wall alarm is active.
 
     The rules choose: an alarm of the chart or the diagnosis WALL, or k outliers of the last n sets.
@@ -232,7 +232,7 @@ def assess_next_set(
         return state, SetAssessment(
             reason="its baseline was retired before it was assessed"
         ) if set_of_shots.n_taken else None
-    poor_sets = next_poor_sets(
+    poor_sets = count_poor_sets(
         state.poor_sets,
         n_valid=set_of_shots.n_valid,
         n_tried=set_of_shots.n_tried,
@@ -242,7 +242,7 @@ def assess_next_set(
     state = replace(state, poor_sets=poor_sets)
     if not set_of_shots.n_taken:
         return state, None
-    state = replace(state, hole=next_hole_state(state.hole, set_of_shots.flags, rules.hole))
+    state = replace(state, hole=update_hole_state(state.hole, set_of_shots.flags, rules.hole))
     in_baseline = set_of_shots.set_index <= rules.last_baseline_set
     if in_baseline:
         state = _add_to_baseline(state, set_of_shots)
@@ -259,7 +259,7 @@ def assess_next_set(
         )
     assert state.baseline is not None, "the first set after it freezes it"
     assessment = _assess_with_baseline(set_of_shots, state, state.baseline, rules)
-    alarm = next_alarm_state(state.alarm, assessment.outlier, rules.alarm)
+    alarm = update_alarm_state(state.alarm, assessment.outlier, rules.alarm)
     assessment = _add_diagnosis(assessment, set_of_shots, state, rules, suspicious=alarm.active)
     vector = set_of_shots.vector()
     if assessment.outlier is not None and vector is not None:
@@ -291,7 +291,7 @@ def _add_diagnosis(
     if cause is None:
         return replace(assessment, diagnosis_state=diagnosis_state)
     origin = update_origin(
-        state.origin, cause.cause, was_active=wall_alarm_active(state, rules), n=rules.alarm.n
+        state.origin, cause.cause, was_active=is_wall_alarm_active(state, rules), n=rules.alarm.n
     )
     return replace(assessment, cause=cause, diagnosis_state=diagnosis_state, origin=origin)
 
@@ -327,7 +327,7 @@ def _freeze_baseline(state: State, rules: Rules) -> State:
         fitted = fit_baseline(vectors, indices, name=rules.baseline_name)
     except (NotEnoughSetsError, SingularCovarianceError) as error:
         return replace(
-            state, baseline=FrozenBaseline(fitted=None, reason=f"{error}; {_remedy_for_baseline(rules)}")
+            state, baseline=FrozenBaseline(fitted=None, reason=f"{error}; {_suggest_baseline_remedy(rules)}")
         )
     if rules.run_length is None:
         limits = {
@@ -337,7 +337,7 @@ def _freeze_baseline(state: State, rules: Rules) -> State:
         return replace(state, baseline=FrozenBaseline(fitted=fitted, limits=limits))
     history = np.full((indices[-1] - indices[0] + 1, fitted.p), np.nan)
     history[np.array(indices) - indices[0]] = vectors
-    design = design_of(history, fitted, rules.run_length, rules.false_alarm_rate)
+    design = build_design(history, fitted, rules.run_length, rules.false_alarm_rate)
     return replace(
         state,
         baseline=FrozenBaseline(
@@ -348,7 +348,7 @@ def _freeze_baseline(state: State, rules: Rules) -> State:
                 [(healthy_set.set_index, healthy_set.values) for healthy_set in state.healthy]
             ),
         ),
-        memory=state_at_end_of(fitted, vectors[-1]),
+        memory=find_end_state(fitted, vectors[-1]),
         diagnosis_state=DiagnosisState(),
         origin=Origin(),
     )
@@ -359,7 +359,7 @@ def _minimum_sets(rules: Rules) -> int:
     return max(rules.minimum_sets, MINIMUM_SETS)
 
 
-def _remedy_for_baseline(rules: Rules) -> str:
+def _suggest_baseline_remedy(rules: Rules) -> str:
     """Return the advice (English text) for a baseline with too few sets: a new test, or a new baseline."""
     n_planned = 1 + rules.last_baseline_set - rules.first_baseline_set
     if n_planned < _minimum_sets(rules):
@@ -379,10 +379,10 @@ def _assess_with_baseline(
     vector = np.array(values)
     memory, statistics = None, {DISTANCE: float(distance_squared(vector, baseline.fitted))}
     if baseline.design is not None and state.memory is not None:
-        memory, statistics = next_chart_state(state.memory, baseline.design, set_of_shots.set_index, vector)
+        memory, statistics = update_chart_state(state.memory, baseline.design, set_of_shots.set_index, vector)
     return SetAssessment(
         distance_squared=statistics[DISTANCE],
-        outlier=exceeds_limit(baseline.effective_limit(rules.limit), statistics, baseline.limits),
+        outlier=exceeds_limit(baseline.choose_limit_name(rules.limit), statistics, baseline.limits),
         outlier_mean_3sd=exceeds_limit(PAPER_MEAN_3SD, statistics, baseline.limits),
         contributions=named_contributions(vector, baseline.fitted),
         statistics=statistics,

@@ -19,7 +19,7 @@ from analysis.diagnosis.hypotheses import COUPLING, OK, WALL
 from analysis.diagnosis.noise import compute_covariances
 from analysis.diagnosis.parameters import FEWEST_GROWN, GROWTHS, POWERS, STEPS, DiagnosisParameters
 from analysis.diagnosis.slopes import COMPONENTS
-from analysis.diagnosis.state import MOST_AVERAGED, SETTLING, DiagnosisState, after_reseat, average_weights
+from analysis.diagnosis.state import MOST_AVERAGED, SETTLING, DiagnosisState, average_weights, restart_state
 from analysis.waves.record_reduction import FloatArray
 
 UNDETERMINED = "undetermined"
@@ -129,14 +129,14 @@ def _is_nearer_to_its_baseline(memory: DiagnosisState, design: DiagnosisParamete
 def update_state(memory: DiagnosisState, assessment: Diagnosis) -> DiagnosisState:
     """Return the state with what a diagnosis implies for the next sets: a wall change or a re-seat."""
     if assessment.reseated:
-        return after_reseat(memory, memory.confirmation)
+        return restart_state(memory, memory.confirmation)
     healthy = assessment.cause in (OK, COUPLING)
     memory = replace(
         memory,
         wall=assessment.cause == WALL or (memory.wall and not healthy),
         likely=assessment.probabilities[WALL] >= WALL_STATED,
     )
-    return after_reseat(memory, ()) if assessment.returned else memory
+    return restart_state(memory, ()) if assessment.returned else memory
 
 
 def _compute_posterior(
@@ -191,7 +191,7 @@ def _log_densities(
 
 
 @lru_cache(maxsize=512)
-def _courses_of_change(n: int, gap: int, gap_ago: int, confirmation_ago: int | None) -> FloatArray:
+def _compute_change_courses(n: int, gap: int, gap_ago: int, confirmation_ago: int | None) -> FloatArray:
     """Return the averages that a change of final size 1 produces, for each time course; shape (s, r).
 
     The averages begin with the first of n sets after the baseline. A step is between two sets, however far
@@ -229,7 +229,7 @@ def _collect_observations(
         averaged, min(max(since, averaged), MOST_REMEMBERED), confirmation_ago, reference
     )
     seen, noise = memory.averages(from_moved=from_moved), np.tensordot(design.variances_in_time, parts, 1)
-    course = _courses_of_change(n, memory.gap, memory.gap_ago, confirmation_ago)
+    course = _compute_change_courses(n, memory.gap, memory.gap_ago, confirmation_ago)
     ends = len(design.ends)
     if from_moved:
         return seen, noise[ends:, ends:], course

@@ -98,9 +98,9 @@ def make_hypotheses(baseline: FloatArray) -> tuple[Hypothesis, ...]:
         for covariance, part in ((nothing, 1.0 - WANDERING), (baseline, WANDERING))
     ]
     found += _weight_hypotheses(WALL, list(_make_wall_hypotheses()), abrupt=0.0)
-    found += _weight_hypotheses(SENSOR, list(_spread_over_sizes(_sensor_sources())), abrupt=0.5)
-    found += _weight_hypotheses(COUPLING, list(_spread_over_sizes(_coupling_sources())), abrupt=RE_SEATS)
-    found += _weight_hypotheses(ENVIRONMENT, list(_spread_over_sizes([_environment_sources()])), abrupt=0.0)
+    found += _weight_hypotheses(SENSOR, list(_spread_over_sizes(_build_sensor_covariances())), abrupt=0.5)
+    found += _weight_hypotheses(COUPLING, list(_spread_over_sizes(_coupling_covariances())), abrupt=RE_SEATS)
+    found += _weight_hypotheses(ENVIRONMENT, list(_spread_over_sizes([_climate_covariance()])), abrupt=0.0)
     return tuple(found)
 
 
@@ -140,7 +140,7 @@ def _spread_over_sizes(covariances: Sequence[FloatArray]) -> Iterator[Signature]
             yield np.zeros(len(covariance)), size**2 * covariance
 
 
-def _sum_of_sources(sources: Sequence[tuple[Sequence[float], float]]) -> FloatArray:
+def _sum_source_covariances(sources: Sequence[tuple[Sequence[float], float]]) -> FloatArray:
     """Return the covariance of independent sources, shape (7, 7), each given by slope and SD.
 
     `MISMATCH` adds independent scatter to each feature's own variance.
@@ -149,7 +149,7 @@ def _sum_of_sources(sources: Sequence[tuple[Sequence[float], float]]) -> FloatAr
     return np.asarray(slopes.T @ slopes + MISMATCH**2 * np.diag((slopes**2).sum(axis=0)))
 
 
-def _sensor_sources() -> list[FloatArray]:
+def _build_sensor_covariances() -> list[FloatArray]:
     """Return the covariance, shape (7, 7), of each sensor fault alone: one component fails at a time.
 
     Gain, striker, tilt, wear of all contacts.
@@ -158,13 +158,13 @@ def _sensor_sources() -> list[FloatArray]:
     wear = 0.5 * np.sum(STIFFNESS, axis=0)  # A goes with the root of the radius
     return [
         USUAL_GAIN**2 * np.outer(gain, gain),
-        _sum_of_sources([(DROP_HEIGHT, USUAL_DROP)]),
-        _sum_of_sources([(TILT, USUAL_TILT_RAD)]),
-        _sum_of_sources([(wear.tolist(), USUAL_WEAR)]),
+        _sum_source_covariances([(DROP_HEIGHT, USUAL_DROP)]),
+        _sum_source_covariances([(TILT, USUAL_TILT_RAD)]),
+        _sum_source_covariances([(wear.tolist(), USUAL_WEAR)]),
     ]
 
 
-def _coupling_sources() -> list[FloatArray]:
+def _coupling_covariances() -> list[FloatArray]:
     """Return the two covariances, shape (7, 7), of coupling changes.
 
     The foot of the chain alone, or a re-seated chain with tilt and height.
@@ -173,12 +173,12 @@ def _coupling_sources() -> list[FloatArray]:
     everywhere = [(slope, USUAL_STIFFNESS) for slope in STIFFNESS]
     everywhere += [(slope, USUAL_DAMPING) for slope in DAMPING]
     everywhere += [(DROP_HEIGHT, 0.5 * USUAL_DROP), (TILT, 0.5 * USUAL_TILT_RAD), (GAIN, 0.5 * USUAL_GAIN)]
-    return [_sum_of_sources(foot), _sum_of_sources(everywhere)]
+    return [_sum_source_covariances(foot), _sum_source_covariances(everywhere)]
 
 
-def _environment_sources() -> FloatArray:
+def _climate_covariance() -> FloatArray:
     """Return the covariance, shape (7, 7), of a temperature change: modulus, PZT and the striker's guide."""
-    return _sum_of_sources(
+    return _sum_source_covariances(
         [
             ([1e-3 * slope for slope in MODULUS_K], USUAL_K),
             (GAIN, SENSITIVITY_PER_K * USUAL_K),

@@ -77,7 +77,7 @@ def _end_weights(n: int) -> FloatArray:
 
 
 @lru_cache(maxsize=64)
-def _reference_observations(sets: int) -> tuple[FloatArray, FloatArray, FloatArray]:
+def _compute_reference_moments(sets: int) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return weights, covariance and reach of the reference: the mean of ``sets`` sets and two end averages.
 
     Each observation is a weighted sum of the sets; unit component variances.
@@ -109,7 +109,7 @@ def compute_covariances(n: int, since: int, confirmation_ago: int | None, refere
     reference
         Number of reference sets.
     """
-    sums, before, reach = _reference_observations(reference)
+    sums, before, reach = _compute_reference_moments(reference)
     after = average_weights(n, confirmation_ago)
     k, r = len(sums), len(after)
     # A difference is an average less the mean of reference, as often as its weights sum to.

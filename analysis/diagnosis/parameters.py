@@ -79,7 +79,7 @@ def log_features(values: Mapping[str, float | None]) -> FloatArray | None:
     return np.log(known) if len(known) == len(found) else None
 
 
-def diagnosis_parameters(history: ArrayLike, first_index: int = 0) -> DiagnosisParameters:
+def compute_diagnosis_parameters(history: ArrayLike, first_index: int = 0) -> DiagnosisParameters:
     """Compute the diagnosis parameters from the logarithms of the baseline's features.
 
     Parameters

@@ -76,7 +76,7 @@ class DiagnosisState:
         return np.asarray(np.array(rows) - np.outer(since, self.moved))
 
 
-def with_set(before: DiagnosisState, mean: FloatArray, logs: FloatArray, index: int) -> DiagnosisState:
+def add_set(before: DiagnosisState, mean: FloatArray, logs: FloatArray, index: int) -> DiagnosisState:
     """Return the diagnosis state after one more complete scheduled set.
 
     A confirmation set is dropped 24 sets later; the position after a re-seat is the mean of the first 24
@@ -97,7 +97,7 @@ def with_set(before: DiagnosisState, mean: FloatArray, logs: FloatArray, index: 
     if before.moved and n <= SETTLING:
         moved = moved + (change - moved) / n
     known = bool(before.confirmation) and before.confirmation_ago + 1 < CONFIRMATION_SETS
-    gap, gap_ago = _widest_gap(before, index)
+    gap, gap_ago = _find_widest_gap(before, index)
     return DiagnosisState(
         n=n,
         wall=before.wall,
@@ -112,7 +112,7 @@ def with_set(before: DiagnosisState, mean: FloatArray, logs: FloatArray, index: 
     )
 
 
-def _widest_gap(before: DiagnosisState, index: int) -> tuple[int, int]:
+def _find_widest_gap(before: DiagnosisState, index: int) -> tuple[int, int]:
     """Return the length of the widest gap in the last 250 sets, and the sets since; (0, 0) without one."""
     missed = 0 if before.index is None else index - before.index - 1
     old = before.gap if before.gap_ago < MOST_AVERAGED else 0
@@ -121,12 +121,12 @@ def _widest_gap(before: DiagnosisState, index: int) -> tuple[int, int]:
     return old, before.gap_ago + 1 if old else 0
 
 
-def with_confirmation(memory: DiagnosisState, mean: FloatArray, logs: FloatArray) -> DiagnosisState:
+def add_confirmation_set(memory: DiagnosisState, mean: FloatArray, logs: FloatArray) -> DiagnosisState:
     """Return the state with a confirmation set, which replaces an earlier one; the averages ignore it."""
     return replace(memory, confirmation=tuple((logs - mean).tolist()), confirmation_ago=0)
 
 
-def after_reseat(memory: DiagnosisState, moved: tuple[float, ...]) -> DiagnosisState:
+def restart_state(memory: DiagnosisState, moved: tuple[float, ...]) -> DiagnosisState:
     """Restart the averages after a re-seat; later changes are measured from the position ``moved``.
 
     ``moved`` is the mean change of the log features, length 7; empty: as in the baseline.

@@ -74,7 +74,7 @@ def find_anomalies(vectors: ArrayLike) -> tuple[Anomaly, ...]:
         if group.size:
             found.append(Anomaly(kind="group", rows=tuple(group.tolist())))
         found += [Anomaly(kind="outlier", rows=(row,)) for row in outside.tolist() if row not in group]
-    if trend_probability(x[core], np.flatnonzero(core)) < TREND_RATE:
+    if compute_trend_p_value(x[core], np.flatnonzero(core)) < TREND_RATE:
         found.append(Anomaly(kind="trend", rows=tuple(range(len(x)))))
     return tuple(found)
 
@@ -150,7 +150,7 @@ def _find_group(whitened: FloatArray, outside: np.ndarray, fewest: int) -> np.nd
     return outside[near] if near.sum() >= fewest else outside[:0]
 
 
-def trend_probability(x: FloatArray, rows: ArrayLike) -> float:
+def compute_trend_p_value(x: FloatArray, rows: ArrayLike) -> float:
     """Return the p-value of a linear trend of x, shape (n, p), over its rows (Hotelling's test of slopes).
 
     Autocorrelated healthy sets drift slowly: the variance of the slopes is (1 + phi)/(1 - phi) times that of

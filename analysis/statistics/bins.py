@@ -37,7 +37,7 @@ _JOINED_BY = MappingProxyType(
 _OF_EACH_VALUE = 4
 
 
-def choose_bin_type(n_values: int) -> np.dtype[np.void]:
+def build_bin_dtype(n_values: int) -> np.dtype[np.void]:
     """Return the structured NumPy dtype of a bin with ``n_values`` numbers in each of its value fields."""
     names = list(_JOINED_BY)
     of_value = [(name, "<f8", (n_values,)) for name in names[:_OF_EACH_VALUE]]
@@ -56,7 +56,7 @@ def make_bins(
     in_baseline: Sequence[bool],
     n_alarms: Sequence[int],
 ) -> NDArray[np.void]:
-    """Convert each set to a bin that represents it exactly; shape (n,), dtype of `choose_bin_type`.
+    """Convert each set to a bin that represents it exactly; shape (n,), dtype of `build_bin_dtype`.
 
     Parameters
     ----------
@@ -68,7 +68,7 @@ def make_bins(
         None: not assessed.
     """
     index, numbers = np.asarray(set_index, dtype=np.float64), np.asarray(values, dtype=np.float64)
-    bins = np.zeros(index.size, choose_bin_type(numbers.shape[1]))
+    bins = np.zeros(index.size, build_bin_dtype(numbers.shape[1]))
     present = np.isfinite(numbers)
     bins["count"], bins["sum"] = present, np.where(present, numbers, 0.0)
     bins["minimum"], bins["maximum"] = (np.where(present, numbers, nothing) for nothing in (np.inf, -np.inf))

@@ -15,11 +15,11 @@ import numpy as np
 import scipy  # `scipy.special` comes when asked for
 from numpy.typing import ArrayLike
 
-from analysis.statistics.baseline_check import trend_probability
-from analysis.statistics.directions import Directions, directions_of
+from analysis.statistics.baseline_check import compute_trend_p_value
+from analysis.statistics.directions import Directions, find_directions
 from analysis.statistics.limits import f_predictive_limit
-from analysis.statistics.memory import LARGEST_PHI, innovation, prewhitened
-from analysis.statistics.mewma import WEIGHT, averages, estimated_limit
+from analysis.statistics.memory import LARGEST_PHI, innovation, prewhiten_sets
+from analysis.statistics.mewma import WEIGHT, compute_averages, estimated_limit
 from analysis.waves.record_reduction import FloatArray
 
 CAP_RATE = 0.01
@@ -62,22 +62,24 @@ class Chart:
     cap: float
     limit: float
 
-    def whitened(self, vectors: ArrayLike) -> FloatArray:
+    def whiten_sets(self, vectors: ArrayLike) -> FloatArray:
         """Return the chart's inputs, whitened and clipped, shape (n, p), for sets from the baseline on."""
-        return self._entering(prewhitened(self._along(vectors), 0.0, self.phi))
+        return self._whiten_and_clip(prewhiten_sets(self._project(vectors), 0.0, self.phi))
 
-    def whitened_after(self, vector: FloatArray, before: FloatArray, distance: int) -> FloatArray:
+    def whiten_next_set(self, vector: FloatArray, before: FloatArray, distance: int) -> FloatArray:
         """Return the chart's clipped whitened input of one complete set, shape (p,).
 
         ``before`` is the last complete set, ``distance`` sets earlier.
         """
-        return self._entering(innovation(self._along(vector), self._along(before), distance, self.phi))
+        return self._whiten_and_clip(
+            innovation(self._project(vector), self._project(before), distance, self.phi)
+        )
 
-    def _along(self, vectors: ArrayLike) -> FloatArray:
+    def _project(self, vectors: ArrayLike) -> FloatArray:
         """Subtract the baseline's mean from vectors, shape (..., p), and project them onto the directions."""
         return np.asarray((np.asarray(vectors, dtype=np.float64) - self.mean) @ self.directions)
 
-    def _entering(self, new: FloatArray) -> FloatArray:
+    def _whiten_and_clip(self, new: FloatArray) -> FloatArray:
         """Whiten the innovations of sets, shape (..., p), and shorten vectors longer than the cap."""
         w = new @ self.whitening
         length = np.sqrt((w**2).sum(axis=-1, keepdims=True))
@@ -99,7 +101,7 @@ class Chart:
         z, first = np.zeros(whitened.shape[1]), 0
         while first < rows.size:
             part = rows[first : first + CHUNK]
-            path = averages(whitened[part], z)
+            path = compute_averages(whitened[part], z)
             values = (2.0 - WEIGHT) / WEIGHT * (path**2).sum(axis=1)
             beyond = np.flatnonzero(values > self.limit)
             done = int(beyond[0]) + 1 if beyond.size else part.size
@@ -127,8 +129,8 @@ def design_chart(baseline: ArrayLike, run_length: float, least_phi: ArrayLike = 
     """
     x = np.asarray(baseline, dtype=np.float64)
     n, p = int(np.isfinite(x).all(axis=1).sum()), x.shape[1]
-    found = directions_of(x)
-    phi = np.maximum(widened_phi(found), least_phi)
+    found = find_directions(x)
+    phi = np.maximum(widen_phi(found), least_phi)
     return chart_with_phi(x, found.matrix, phi, estimated_limit(n, p, run_length))
 
 
@@ -137,7 +139,7 @@ def chart_with_phi(baseline: FloatArray, directions: FloatArray, phi: FloatArray
     complete = np.isfinite(baseline).all(axis=1)
     n, p = int(complete.sum()), baseline.shape[1]
     mean = baseline[complete].mean(axis=0)
-    new = prewhitened((baseline - mean) @ directions, 0.0, phi)[complete]
+    new = prewhiten_sets((baseline - mean) @ directions, 0.0, phi)[complete]
     root = np.linalg.inv(np.linalg.cholesky(np.atleast_2d(np.cov(new, rowvar=False)))).T
     # Turned so that features in their SD times the whole is symmetric, as a whitening by features is.
     left, _, right = np.linalg.svd(baseline[complete].std(axis=0)[:, None] * (directions @ root))
@@ -151,7 +153,7 @@ def chart_with_phi(baseline: FloatArray, directions: FloatArray, phi: FloatArray
     )
 
 
-def widened_phi(found: Directions) -> FloatArray:
+def widen_phi(found: Directions) -> FloatArray:
     """Return an autocorrelation above the estimate, shape (p,), with more margin for few sets; at most 0.95.
 
     artanh phi is half the logarithm of (1 + phi)/(1 - phi), by which autocorrelation widens the scatter of
@@ -163,7 +165,7 @@ def widened_phi(found: Directions) -> FloatArray:
     return np.asarray(np.minimum(np.tanh(steps), LARGEST_PHI))
 
 
-def unverified_rate_reason(baseline: ArrayLike) -> str:
+def explain_unverified_rate(baseline: ArrayLike) -> str:
     """Return why the chart's false-alarm rate is not verified (English text); empty where it is.
 
     Parameters
@@ -176,21 +178,21 @@ def unverified_rate_reason(baseline: ArrayLike) -> str:
     n = int(complete.sum())
     if n < ENOUGH_SETS:
         return f"{n} sets cannot show slow memory; {ENOUGH_SETS} and more can: extend the baseline"
-    if trend_probability(x[complete], np.flatnonzero(complete)) < SLOW_RATE:
+    if compute_trend_p_value(x[complete], np.flatnonzero(complete)) < SLOW_RATE:
         return "the baseline has a trend: find its cause, or record another"
-    if slow_drift_probability(_prewhitened_by_last_set(x)[complete]) < SLOW_RATE:
+    if compute_slow_drift_p_value(_whiten_without_lag_1(x)[complete]) < SLOW_RATE:
         return "the baseline wanders more slowly than its memory from set to set explains: find the cause"
     return ""
 
 
-def _prewhitened_by_last_set(baseline: FloatArray) -> FloatArray:
+def _whiten_without_lag_1(baseline: FloatArray) -> FloatArray:
     """Whiten a baseline, shape (n, p), without its lag-1 autocorrelation and unclipped; NaN at gaps."""
-    found = directions_of(baseline)
+    found = find_directions(baseline)
     chart = chart_with_phi(baseline, found.matrix, found.phi, math.inf)
-    return replace(chart, cap=math.inf).whitened(baseline)
+    return replace(chart, cap=math.inf).whiten_sets(baseline)
 
 
-def slow_drift_probability(whitened: FloatArray) -> float:
+def compute_slow_drift_p_value(whitened: FloatArray) -> float:
     """Return the p-value of a chi-square test for slow drift between `BLOCKS` blocks of sets.
 
     It is the chance that the block means of independent sets scatter so much.

@@ -14,7 +14,7 @@ from analysis.statistics.baseline import Baseline, fit_baseline
 from analysis.statistics.distance import distance_squared
 from analysis.statistics.heavy_tails import HEAVY, tail_limit
 from analysis.statistics.limits import f_predictive_limit
-from analysis.statistics.memory import innovation, pooled_phi, prewhitened, significant_phi
+from analysis.statistics.memory import innovation, pooled_phi, prewhiten_sets, significant_phi
 from analysis.statistics.rules import NOMINAL_RATE
 from analysis.waves.record_reduction import FloatArray
 
@@ -49,7 +49,7 @@ class DefaultLimit:
 
         NaN for incomplete sets.
         """
-        new = prewhitened(vectors, self.mean, self.phi) if self.phi else vectors
+        new = prewhiten_sets(vectors, self.mean, self.phi) if self.phi else vectors
         known = np.asarray(np.isfinite(new).all(axis=1))
         distances = distance_squared(np.where(known[:, None], new, 0.0), self.residuals)
         return np.asarray(np.where(known, distances, np.nan))
@@ -81,7 +81,7 @@ def default_limit(history: FloatArray, baseline: Baseline, rate: float = NOMINAL
     phi = significant_phi(pooled_phi(history), n)
     residuals = baseline
     if phi:
-        new = prewhitened(history, baseline.mean, phi)
+        new = prewhiten_sets(history, baseline.mean, phi)
         residuals = fit_baseline(
             new[np.isfinite(new).all(axis=1)],
             baseline.set_indices,

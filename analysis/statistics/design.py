@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from analysis.statistics.baseline import Baseline
-from analysis.statistics.chart import Chart, design_chart, unverified_rate_reason
+from analysis.statistics.chart import Chart, design_chart, explain_unverified_rate
 from analysis.statistics.default_limit import DefaultLimit, default_limit
 from analysis.statistics.distance import distance_squared
 from analysis.statistics.memory import effective_sets, pooled_phi
@@ -72,7 +72,7 @@ class Design:
     rate_not_verified_reason: str
 
 
-def design_of(
+def build_design(
     history: FloatArray,
     baseline: Baseline,
     run_length: float,
@@ -102,7 +102,7 @@ def design_of(
         limits=compute_limits(facts),
         phi_pooled=phi,
         n_eff=effective_sets(baseline.n, phi),
-        rate_not_verified_reason=unverified_rate_reason(history),
+        rate_not_verified_reason=explain_unverified_rate(history),
     )
 
 
@@ -117,7 +117,7 @@ class ChartState:
     averages
         Exponentially weighted vector of each chart, by its statistic's name.
     alarming
-        The chart's alarm is on: it was beyond its limit, and is not back yet (`next_alarm`).
+        The chart's alarm is on: it was beyond its limit, and is not back yet (`is_chart_alarm_active`).
     """
 
     index: int
@@ -126,7 +126,7 @@ class ChartState:
     alarming: bool = False
 
 
-def state_at_end_of(baseline: Baseline, last: FloatArray) -> ChartState:
+def find_end_state(baseline: Baseline, last: FloatArray) -> ChartState:
     """Return the chart's state after a baseline: averages zero, no alarm.
 
     ``last`` is the baseline's last complete set.
@@ -139,7 +139,7 @@ def state_at_end_of(baseline: Baseline, last: FloatArray) -> ChartState:
     )
 
 
-def next_chart_state(
+def update_chart_state(
     memory: ChartState, design: Design, index: int, vector: FloatArray
 ) -> tuple[ChartState, dict[str, float]]:
     """Assess one more complete set, shape (p,); return the next state and every statistic by name."""
@@ -147,7 +147,7 @@ def next_chart_state(
     before, distance = np.array(memory.vector), max(1, index - memory.index)
     entering = {
         AVERAGE: (vector - baseline.mean) / baseline.sd @ baseline.whitening,
-        MEWMA: chart.whitened_after(vector, before, distance),
+        MEWMA: chart.whiten_next_set(vector, before, distance),
     }
     averages = {
         name: WEIGHT * w + (1.0 - WEIGHT) * np.array(memory.averages[name]) for name, w in entering.items()
@@ -155,22 +155,22 @@ def next_chart_state(
     statistics = {
         DISTANCE: float(distance_squared(vector, baseline)),
         PREWHITENED: design.by_default.distance_squared_after(vector, before, distance),
-        **{name: float(sum(contributions_of(z))) for name, z in averages.items()},
+        **{name: float(sum(compute_chart_contributions(z))) for name, z in averages.items()},
     }
     return ChartState(
         index=index,
         vector=tuple(vector.tolist()),
         averages={name: tuple(z.tolist()) for name, z in averages.items()},
-        alarming=next_alarm(memory.alarming, statistics[MEWMA], design.limits[MEWMA], baseline.p),
+        alarming=is_chart_alarm_active(memory.alarming, statistics[MEWMA], design.limits[MEWMA], baseline.p),
     ), statistics
 
 
-def contributions_of(average: FloatArray) -> FloatArray:
+def compute_chart_contributions(average: FloatArray) -> FloatArray:
     """Return each feature's contribution to a chart's statistic, (2 - weight)/weight z^2, shape (p,)."""
     return np.asarray((2.0 - WEIGHT) / WEIGHT * average**2)
 
 
-def next_alarm(alarming: bool, statistic: float, limit: float, p: int) -> bool:
+def is_chart_alarm_active(alarming: bool, statistic: float, limit: float, p: int) -> bool:
     """Return whether the chart alarm is active: from above the limit until the statistic is at most p.
 
     p is its mean while the sensor is healthy, so the chart continues like one after a restart: an alarm that

@@ -48,7 +48,7 @@ class Directions:
     error: float
 
 
-def directions_of(vectors: ArrayLike) -> Directions:
+def find_directions(vectors: ArrayLike) -> Directions:
     """Find the directions of falling autocorrelation in sets, shape (n, p), in the order of time.
 
     Rows of NaN are gaps and keep their position.
@@ -80,8 +80,8 @@ def directions_of(vectors: ArrayLike) -> Directions:
     true_part = max(0.0, 1.0 - by_chance / spread) if spread > 0.0 else 0.0
     phi = np.clip(middle + true_part * (r - middle), 0.0, LARGEST_PHI)
     of_direction = np.einsum("ij,kil,lj->kj", turn, found, turn)
-    together = phi_of_averages(of_direction.mean(axis=1), n, directions=p)
-    guarded = np.maximum(np.maximum(phi, together), phi_of_averages(of_direction, n))
+    together = compute_equivalent_phi(of_direction.mean(axis=1), n, directions=p)
+    guarded = np.maximum(np.maximum(phi, together), compute_equivalent_phi(of_direction, n))
     return Directions(
         matrix=whitening @ turn,
         phi=phi,
@@ -103,7 +103,7 @@ def _autocorrelations(whitened: FloatArray, complete: np.ndarray, lags: int) -> 
     return np.stack(found)
 
 
-def phi_of_averages(autocorrelations: FloatArray, n: int, directions: int = 1) -> FloatArray:
+def compute_equivalent_phi(autocorrelations: FloatArray, n: int, directions: int = 1) -> FloatArray:
     """Return the phi of the AR(1) process whose exponential averages have the same variance, at most 0.95.
 
     Their variance is I = 1 + 2 sum of (1 - weight)^k r_k times that of independent sets, and

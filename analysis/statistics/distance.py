@@ -10,7 +10,7 @@ from analysis.statistics.baseline import Baseline
 from analysis.waves.record_reduction import FloatArray
 
 
-def _standardised(vectors: ArrayLike, baseline: Baseline) -> FloatArray:
+def _standardize_vectors(vectors: ArrayLike, baseline: Baseline) -> FloatArray:
     """Standardize vectors by the mean and SD of a baseline, shape (..., p).
 
     Raise InvalidInputError if the last axis is not the baseline's features.
@@ -59,7 +59,7 @@ def contributions(vectors: ArrayLike, baseline: Baseline) -> FloatArray:
     FloatArray
         Shape (..., p).
     """
-    whitened = _standardised(vectors, baseline) @ baseline.whitening
+    whitened = _standardize_vectors(vectors, baseline) @ baseline.whitening
     return np.asarray(whitened**2)
 
 

@@ -18,8 +18,8 @@ import scipy  # `scipy.signal` and `scipy.stats` come when asked for
 from numpy.typing import ArrayLike
 
 from analysis.errors import InvalidInputError, SingularCovarianceError
-from analysis.statistics.directions import directions_of
-from analysis.statistics.mewma import WEIGHT, averages, estimated_limit
+from analysis.statistics.directions import find_directions
+from analysis.statistics.mewma import WEIGHT, compute_averages, estimated_limit
 from analysis.statistics.rules import MINIMUM_SETS
 from analysis.statistics.sequence import SMALLEST_SD
 from analysis.waves.record_reduction import FloatArray
@@ -53,12 +53,12 @@ class SharedChange:
 
 
 @lru_cache(maxsize=64)
-def _limits(n: int, p: int) -> FloatArray:
+def _tabulate_limits(n: int, p: int) -> FloatArray:
     """Return the MEWMA limit at each of `RUN_LENGTHS`, shape (17,), for n baseline sets and p features."""
     return np.array([estimated_limit(n, p, length) for length in RUN_LENGTHS.tolist()])
 
 
-def running_chance(statistic: FloatArray, n: int, p: int, period: int) -> FloatArray:
+def compute_running_p_values(statistic: FloatArray, n: int, p: int, period: int) -> FloatArray:
     """Return, after each set, the chance that a healthy chart rises so high within a period; shape (sets,).
 
     It is 1 - exp(-period/ARL), ARL the run length whose limit is the highest value so far; 1 below all
@@ -74,11 +74,11 @@ def running_chance(statistic: FloatArray, n: int, p: int, period: int) -> FloatA
         Sets in the whole period: known at its beginning, so that an alarm that was raised stays raised.
     """
     highest = np.maximum.accumulate(np.where(np.isfinite(statistic), statistic, 0.0))
-    length = np.exp(np.interp(highest, _limits(n, p), np.log(RUN_LENGTHS)))
-    return np.asarray(np.where(highest < _limits(n, p)[0], 1.0, -np.expm1(-period / length)))
+    length = np.exp(np.interp(highest, _tabulate_limits(n, p), np.log(RUN_LENGTHS)))
+    return np.asarray(np.where(highest < _tabulate_limits(n, p)[0], 1.0, -np.expm1(-period / length)))
 
 
-def raised_at(chances: ArrayLike, rate: float = FALSE_DISCOVERY_RATE) -> list[int | None]:
+def find_alarm_rows(chances: ArrayLike, rate: float = FALSE_DISCOVERY_RATE) -> list[int | None]:
     """Return the row of the set at which each sensor's alarm is raised; None where it never is.
 
     At most ``rate`` of the raised alarms are false on average (Benjamini-Hochberg at each set).
@@ -87,7 +87,7 @@ def raised_at(chances: ArrayLike, rate: float = FALSE_DISCOVERY_RATE) -> list[in
     Parameters
     ----------
     chances
-        Of `running_chance`, shape (sensors, sets).
+        Of `compute_running_p_values`, shape (sensors, sets).
     """
     p = np.asarray(chances, dtype=np.float64)
     if not 0.0 < rate < 1.0:
@@ -101,7 +101,7 @@ def raised_at(chances: ArrayLike, rate: float = FALSE_DISCOVERY_RATE) -> list[in
     return [int(row.argmax()) if row.any() else None for row in found]
 
 
-def standardized(vectors: ArrayLike, in_baseline: ArrayLike) -> tuple[FloatArray, FloatArray]:
+def standardize_by_baseline(vectors: ArrayLike, in_baseline: ArrayLike) -> tuple[FloatArray, FloatArray]:
     """Return deviations from the baseline's mean in SD, shape (sets, p), and these SD, shape (p,).
 
     A feature that is constant, or never known, in the baseline has SD 1 and no deviation (NaN).
@@ -150,7 +150,7 @@ def typical_autocorrelation(baselines: Sequence[FloatArray]) -> FloatArray:
     for x in baselines:
         if np.isfinite(x).all(axis=1).sum() >= MINIMUM_SETS:
             with suppress(SingularCovarianceError):  # this sensor is refused
-                phi.append(directions_of(x).phi)
+                phi.append(find_directions(x).phi)
     return np.asarray(np.median(phi, axis=0)) if phi else np.zeros(baselines[0].shape[1])
 
 
@@ -202,11 +202,11 @@ def find_shared_changes(
     decay = (1.0 - WEIGHT) * phi
     variance = np.pi / 2.0 / n_sensors * WEIGHT / (2.0 - WEIGHT) * (1.0 + decay) / (1.0 - decay)
     limit = max(SHARED_SD, SHARED_SIGNIFICANCE * float(np.sqrt(variance)))
-    average = averages(shared, np.zeros(shared.shape[1]))
+    average = compute_averages(shared, np.zeros(shared.shape[1]))
     beyond = (np.abs(average) > limit).any(axis=1) & (np.arange(len(shared)) >= first_row)
     edges = np.flatnonzero(np.diff(np.concatenate([[False], beyond, [False]]).astype(int)))
     return tuple(
-        SharedChange(first_row=int(a), last_row=int(b) - 1, largest_sd=_largest(average[a:b]))
+        SharedChange(first_row=int(a), last_row=int(b) - 1, largest_sd=_find_largest_deviations(average[a:b]))
         for a, b in zip(edges[::2], edges[1::2], strict=True)
     )
 
@@ -286,7 +286,7 @@ def residual_shift(
     return float(3.0 * np.sqrt(max(0.0, scatter**2 - by_chance)) * largest)
 
 
-def _largest(average: FloatArray) -> tuple[float, ...]:
+def _find_largest_deviations(average: FloatArray) -> tuple[float, ...]:
     """Return each feature's deviation of largest magnitude over all rows, with its sign; length p."""
     rows: Sequence[int] = np.abs(average).argmax(axis=0).tolist()
     return tuple(float(average[row, feature]) for feature, row in enumerate(rows))

@@ -28,7 +28,7 @@ def finer_blocks(number: int) -> range:
     return range(number * FACTOR, (number + 1) * FACTOR)
 
 
-def sets_per_step(first: int, last: int, most: int, finest: int = 1) -> int:
+def choose_sets_per_step(first: int, last: int, most: int, finest: int = 1) -> int:
     """Return how many sets a step of a figure combines: ``finest`` times a power of two.
 
     Parameters
@@ -44,7 +44,7 @@ def sets_per_step(first: int, last: int, most: int, finest: int = 1) -> int:
     return width
 
 
-def parts_of_range(first: int, end: int, widths: Sequence[int]) -> Iterator[tuple[int, int, int]]:
+def split_range_into_blocks(first: int, end: int, widths: Sequence[int]) -> Iterator[tuple[int, int, int]]:
     """Yield width, first and end of blocks that cover a half-open range of sets exactly, in order.
 
     The widest blocks are in the middle, narrower ones at the ends; parts of width 1 are single sets.
@@ -58,8 +58,8 @@ def parts_of_range(first: int, end: int, widths: Sequence[int]) -> Iterator[tupl
     *finer, width = widths
     whole_first, whole_end = -(-first // width) * width, end // width * width
     if whole_first >= whole_end:
-        yield from parts_of_range(first, end, finer)
+        yield from split_range_into_blocks(first, end, finer)
         return
-    yield from parts_of_range(first, whole_first, finer)
+    yield from split_range_into_blocks(first, whole_first, finer)
     yield width, whole_first, whole_end
-    yield from parts_of_range(whole_end, end, finer)
+    yield from split_range_into_blocks(whole_end, end, finer)

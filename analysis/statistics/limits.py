@@ -37,7 +37,7 @@ class Limit:
     false_alarm_rate: float
 
 
-def _check(n: int, p: int) -> None:
+def _require_enough_sets(n: int, p: int) -> None:
     """Raise InvalidInputError for p below 1, NotEnoughSetsError for n sets of up to p features."""
     if p < 1:
         raise InvalidInputError(f"p is {p}; a distance needs at least one feature")
@@ -65,7 +65,7 @@ def f_predictive_limit(n: int, p: int, rate: float = NOMINAL_RATE) -> float:
     NotEnoughSetsError
         ``n`` not above ``p``.
     """
-    _check(n, p)
+    _require_enough_sets(n, p)
     if not 0.0 < rate < 1.0:
         raise InvalidInputError(f"rate is {rate}; it must lie between 0 and 1")
     return float(predictive_scale(n, p) * scipy.special.fdtri(p, n - p, 1.0 - rate))
@@ -76,7 +76,7 @@ def false_alarm_rate(limit: float, n: int, p: int) -> float:
 
     A negative limit counts as 0. Raise InvalidInputError for p below 1, NotEnoughSetsError for n up to p.
     """
-    _check(n, p)
+    _require_enough_sets(n, p)
     return float(scipy.special.fdtrc(p, n - p, max(limit, 0.0) / predictive_scale(n, p)))
 
 
@@ -109,7 +109,7 @@ def phase_one_limit(n: int, p: int, rate: float = 0.05) -> float:
     `f_predictive_limit`.
     Raise NotEnoughSetsError for n up to p + 1, InvalidInputError for p below 1 or a rate outside (0, 1).
     """
-    _check(n, p)
+    _require_enough_sets(n, p)
     if n <= p + 1:
         raise NotEnoughSetsError(
             f"{n} sets for {p} features; a screen of the baseline needs at least {p + 2}"
@@ -119,7 +119,9 @@ def phase_one_limit(n: int, p: int, rate: float = 0.05) -> float:
     return float((n - 1) ** 2 / n * scipy.special.betaincinv(p / 2, (n - p - 1) / 2, 1.0 - rate / n))
 
 
-def limits(baseline_distances_squared: ArrayLike, p: int, rate: float = NOMINAL_RATE) -> tuple[Limit, Limit]:
+def compute_limit_pair(
+    baseline_distances_squared: ArrayLike, p: int, rate: float = NOMINAL_RATE
+) -> tuple[Limit, Limit]:
     """Return the predictive F limit and the paper's, in this order, for a baseline of p features.
 
     The paper limit's rate treats its value as fixed before the baseline was taken: a good guide, not exact.

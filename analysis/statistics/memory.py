@@ -68,7 +68,7 @@ def effective_sets(n: int, phi: float) -> float:
     return n * (1.0 - phi) / (1.0 + phi)
 
 
-def prewhitened(vectors: ArrayLike, mean: ArrayLike, phi: ArrayLike) -> FloatArray:
+def prewhiten_sets(vectors: ArrayLike, mean: ArrayLike, phi: ArrayLike) -> FloatArray:
     """Remove the dependence on the previous set: e_t = (z_t - phi^k z_(t-k)), scaled alike, z = x - mean.
 
     k is the distance to the last complete set, infinite for the first: e has the same variance,

@@ -102,7 +102,7 @@ def estimated_limit(n: int, p: int, run_length: float, weight: float = WEIGHT) -
     return known_limit(p, run_length, weight) * widened * (1.0 + (2.0 - weight) / (weight * n))
 
 
-def averages(whitened: ArrayLike, start: ArrayLike, weight: float = WEIGHT) -> FloatArray:
+def compute_averages(whitened: ArrayLike, start: ArrayLike, weight: float = WEIGHT) -> FloatArray:
     """Return the exponential averages z_t = weight w_t + (1 - weight) z_(t-1), shape (n, p), from ``start``.
 
     No value may be missing.
@@ -121,7 +121,7 @@ def mewma(whitened: ArrayLike, weight: float = WEIGHT) -> FloatArray:
     w = np.asarray(whitened, dtype=np.float64)
     complete = np.isfinite(w).all(axis=1)
     result = np.full(w.shape[0], np.nan)
-    z = averages(w[complete], np.zeros(w.shape[1]), weight)
+    z = compute_averages(w[complete], np.zeros(w.shape[1]), weight)
     result[complete] = (2.0 - weight) / weight * (z**2).sum(axis=1)
     return result
 

@@ -58,7 +58,7 @@ class AlarmState:
     active: bool = False
 
 
-def next_alarm_state(
+def update_alarm_state(
     state: AlarmState,
     outlier: bool | None,
     rule: AlarmRule = AlarmRule(),
@@ -109,7 +109,7 @@ class HoleState:
     hole: bool = False
 
 
-def next_hole_state(
+def update_hole_state(
     state: HoleState,
     shot_flags: Sequence[Sequence[str]],
     rule: HoleRule = HoleRule(),
@@ -130,7 +130,7 @@ def next_hole_state(
     return HoleState(sets_running=running, hole=state.hole or running >= rule.consecutive_sets)
 
 
-def next_poor_sets(running: int, *, n_valid: int, n_tried: int, n_planned: int, minimum_valid: int) -> int:
+def count_poor_sets(running: int, *, n_valid: int, n_tried: int, n_planned: int, minimum_valid: int) -> int:
     """Return the count of consecutive sets with too few valid shots, after one more set.
 
     Parameters

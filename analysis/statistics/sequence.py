@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from analysis.errors import AnalysisError, NotEnoughSetsError, SingularCovarianceError
 from analysis.statistics.baseline import Baseline, fit_baseline
 from analysis.statistics.baseline_check import CORE, Anomaly, find_anomalies
-from analysis.statistics.design import ONE_IN_FIVE_YEARS, Budget, Design, design_of
+from analysis.statistics.design import ONE_IN_FIVE_YEARS, Budget, Design, build_design
 from analysis.statistics.distance import distance_squared
 from analysis.statistics.mewma import mcusum, mewma
 from analysis.statistics.named_limits import AVERAGE, DISTANCE, LIMITS, MEWMA, PREWHITENED
@@ -186,10 +186,10 @@ def _assess_complete_rows(
     begins, ends = np.flatnonzero(healthy)[[0, -1]]
     after: np.ndarray = np.arange(len(x)) > ends
     history = np.where(healthy[:, None], x, np.nan)[begins : ends + 1]  # gaps where other sets lie between
-    design = design_of(history, baseline, budget.run_length, least_phi=least_phi)
+    design = build_design(history, baseline, budget.run_length, least_phi=least_phi)
     followed = np.where((healthy | after)[:, None], x, np.nan)
     assessed = np.flatnonzero(after)
-    entering = design.chart.whitened(followed)[assessed]
+    entering = design.chart.whiten_sets(followed)[assessed]
     statistic, onsets = design.chart.run(entering)
     statistics = {
         **_compute_statistics(x, followed, complete, assessed, design),

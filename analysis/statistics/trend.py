@@ -114,8 +114,8 @@ PART = np.dtype(
 of ``[1, u, u^2, y - mean]``, u in hours since ``first_h``. Of no points the hours are infinite."""
 
 
-def make_parts(time_h: ArrayLike, values: ArrayLike) -> NDArray[np.void]:
-    """Convert each point to a part of a least-squares fit, which `join_parts` can join with others.
+def build_fit_parts(time_h: ArrayLike, values: ArrayLike) -> NDArray[np.void]:
+    """Convert each point to a part of a least-squares fit, which `join_fit_parts` can join with others.
 
     Parameters
     ----------
@@ -135,7 +135,7 @@ def make_parts(time_h: ArrayLike, values: ArrayLike) -> NDArray[np.void]:
     return parts
 
 
-def join_parts(parts: NDArray[np.void]) -> NDArray[np.void]:
+def join_fit_parts(parts: NDArray[np.void]) -> NDArray[np.void]:
     """Join parts of a fit along the first axis: equal to one part of all points up to rounding.
 
     Parameters

@@ -35,7 +35,7 @@ class EchoReading:
     roughness_rms_m: float | None = None
 
 
-def read_echo(
+def measure_wall_thickness(
     waveform: Waveform,
     reference: EchoReference,
     *,
@@ -60,16 +60,16 @@ def read_echo(
     return EchoReading(
         quality=travel.quality,
         reason=travel.reason,
-        travel_time_s=_finite_or_none(travel.travel_time_s),
-        thickness_m=_finite_or_none(wall.thickness_m),
-        thickness_loss_m=_finite_or_none(wall.thickness_loss_m),
-        correlation_coefficient=_finite_or_none(travel.correlation_coefficient),
-        interval_low_m=_finite_or_none(interval.low_m),
-        interval_high_m=_finite_or_none(interval.high_m),
-        roughness_rms_m=_finite_or_none(interval.roughness_rms_m),
+        travel_time_s=_to_finite_or_none(travel.travel_time_s),
+        thickness_m=_to_finite_or_none(wall.thickness_m),
+        thickness_loss_m=_to_finite_or_none(wall.thickness_loss_m),
+        correlation_coefficient=_to_finite_or_none(travel.correlation_coefficient),
+        interval_low_m=_to_finite_or_none(interval.low_m),
+        interval_high_m=_to_finite_or_none(interval.high_m),
+        roughness_rms_m=_to_finite_or_none(interval.roughness_rms_m),
     )
 
 
-def _finite_or_none(value: float) -> float | None:
+def _to_finite_or_none(value: float) -> float | None:
     """Return a value unchanged if it is finite, otherwise None."""
     return value if math.isfinite(value) else None

@@ -178,7 +178,7 @@ def find_reference_echo(
     EchoNotFoundError
         No peak at least six times the noise.
     """
-    _check_reference(
+    _check_reference_parameters(
         delay_s,
         initial_thickness_m,
         velocity_m_per_s,
@@ -395,7 +395,7 @@ def thickness_interval(
     )
 
 
-def _check_reference(
+def _check_reference_parameters(
     delay_s: float,
     initial_thickness_m: float,
     velocity_m_per_s: float,

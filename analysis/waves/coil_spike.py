@@ -104,7 +104,7 @@ class SpikeSurvey:
         return self.on.triggers or self.off.triggers
 
 
-def survey_spike(
+def measure_coil_spike(
     strike: Waveform,
     noise: Waveform,
     *,

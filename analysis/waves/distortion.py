@@ -37,7 +37,7 @@ ROWS_AT_ONCE = 64
 """So that a long file needs little memory."""
 
 
-def is_one_wall(tofs_s: FloatArray) -> bool:
+def is_same_wall(tofs_s: FloatArray) -> bool:
     """Check whether the middle eight of ten times of flight agree within 30 us, as for one wall."""
     ordered, tenth = np.sort(tofs_s), tofs_s.size // 10
     return bool(ordered[-1 - tenth] - ordered[tenth] <= ONE_WALL_S)
@@ -57,14 +57,12 @@ def find_flattened(outlines: Sequence[Outline], tofs_s: FloatArray) -> NDArray[n
     isw = table[:, :N_ISW]
     middle = _median_wave(isw)
     cap = np.clip(middle - CAP, 0.0, None)
-    found |= _find_lowered_points(
-        isw, middle, cap, _variation_columns([(0, FROM_ISW, middle)]), sd, LOWEST_CAP
-    )
-    if is_one_wall(tofs_s):
+    found |= _find_lowered_shots(isw, middle, cap, _build_variations([(0, FROM_ISW, middle)]), sd, LOWEST_CAP)
+    if is_same_wall(tofs_s):
         both = table[:, :N_PSW]
         middle = _median_wave(both)
-        variation = _variation_columns([(0, FROM_ISW, middle[:N_ISW]), (N_ISW, FROM_PSW, middle[N_ISW:])])
-        found |= _find_lowered_points(both, middle, middle**3, variation, sd, LOWEST_BEND)
+        variation = _build_variations([(0, FROM_ISW, middle[:N_ISW]), (N_ISW, FROM_PSW, middle[N_ISW:])])
+        found |= _find_lowered_shots(both, middle, middle**3, variation, sd, LOWEST_BEND)
     return found
 
 
@@ -90,7 +88,7 @@ def _compute_slope(wave: FloatArray) -> FloatArray:
     return slope
 
 
-def _variation_columns(waves: Sequence[tuple[int, int, FloatArray]]) -> FloatArray:
+def _build_variations(waves: Sequence[tuple[int, int, FloatArray]]) -> FloatArray:
     """Build columns, shape (n, n_waves + 1), of a sound shot's variation: arrival of each wave, width."""
     n = sum(wave.size for _, _, wave in waves)
     columns = np.zeros((n, len(waves) + 1))
@@ -108,7 +106,7 @@ def _fit_columns(columns: FloatArray, values: FloatArray) -> FloatArray:
     return np.asarray(np.linalg.solve(gram, columns.T @ values))
 
 
-def _find_lowered_points(
+def _find_lowered_shots(
     points: FloatArray,
     middle: FloatArray,
     pattern: FloatArray,
@@ -130,7 +128,7 @@ def _find_lowered_points(
     return np.asarray(known & (lowered - typical > np.maximum(limit, least)))
 
 
-def find_lost_samples(outlines: Sequence[Outline], tofs_s: FloatArray) -> NDArray[np.bool_]:
+def find_shots_with_lost_samples(outlines: Sequence[Outline], tofs_s: FloatArray) -> NDArray[np.bool_]:
     """Find shots that lost samples after the top of the reflected wave; Boolean, shape (n_shots,).
 
     What follows came earlier than in the middle of all shots by one length, at once: that must explain most
@@ -139,7 +137,7 @@ def find_lost_samples(outlines: Sequence[Outline], tofs_s: FloatArray) -> NDArra
     """
     n = len(outlines)
     found = np.zeros(n, dtype=bool)
-    if n < FEWEST or not is_one_wall(tofs_s):
+    if n < FEWEST or not is_same_wall(tofs_s):
         return found
     table, sd = _tabulate_outlines(outlines)
     points = table[:, N_ISW:]
@@ -153,11 +151,11 @@ def find_lost_samples(outlines: Sequence[Outline], tofs_s: FloatArray) -> NDArra
     scatter2 = max(0.0, median((left**2).sum(axis=1) / middle.size - sd**2))
     for first in range(0, n, ROWS_AT_ONCE):
         rows = slice(first, first + ROWS_AT_ONCE)
-        found[rows] = _search_cut(left[rows], middle, sd[rows] ** 2, scatter2)
+        found[rows] = _find_shots_with_cut(left[rows], middle, sd[rows] ** 2, scatter2)
     return found
 
 
-def _search_cut(
+def _find_shots_with_cut(
     left: FloatArray, middle: FloatArray, noise2: FloatArray, scatter2: float
 ) -> NDArray[np.bool_]:
     """Find shots that a cut of one length after one point explains; Boolean, shape (n_shots,).

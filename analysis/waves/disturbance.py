@@ -88,7 +88,7 @@ def is_flat_topped(record: ReducedRecord, time_s: float, fwhm_s: float, noise_v:
     return 1.0 - 0.5 * sides / middle < min(FLAT_TOP_FALL, LEAST_SOUND_FALL - TOP_NOISE * fall_sd)
 
 
-def is_cut(record: ReducedRecord, time_s: float, fwhm_s: float, rate_hz: float) -> bool:
+def is_clipped(record: ReducedRecord, time_s: float, fwhm_s: float, rate_hz: float) -> bool:
     """Check whether a pulse stays at one maximum value: the signal exceeded the converter's range.
 
     At least 16 samples must be at it, over more of the width than a wave's top explains.
@@ -109,7 +109,7 @@ def is_cut(record: ReducedRecord, time_s: float, fwhm_s: float, rate_hz: float) 
     return bool(highest[-1] - highest[0] > max(LONGEST_TOP, by_code) * fwhm_s * rate_hz)
 
 
-def deepest_pull(
+def measure_deepest_pull(
     record: ReducedRecord, isw_v: float, psw_time_s: float | None, noise_v: float
 ) -> tuple[float, bool]:
     """Measure how far the record falls below its quiet level, and whether more than a strike explains.
@@ -231,12 +231,12 @@ def find_noise_free_flags(records: Sequence[ReducedRecord], rate_hz: float) -> l
         is_near &= np.abs(departs, out=departs) <= STRAIGHT_CODES * code_v[:, None]
     suspect = np.asarray((is_near[:, 1:] & is_near[:, :-1]).any(axis=1))
     return [
-        _stretches_without_noise(record, rate_hz) if is_suspect else set()
+        _find_noise_free_stretches(record, rate_hz) if is_suspect else set()
         for record, is_suspect in zip(records, suspect.tolist(), strict=True)
     ]
 
 
-def _stretches_without_noise(record: ReducedRecord, rate_hz: float) -> set[str]:
+def _find_noise_free_stretches(record: ReducedRecord, rate_hz: float) -> set[str]:
     """Return the flags of stretches in one record whose samples are equal or on a line, without noise."""
     steps = np.diff(record.samples_v)
     shortest = max(FEWEST_ALIKE, SHORTEST_ALIKE_S * rate_hz)

@@ -31,12 +31,12 @@ import numpy as np
 
 from analysis.errors import InvalidInputError, RecordError
 from analysis.waves.disturbance import (
-    deepest_pull,
     find_noise_free_flags,
     has_drift,
     has_edge,
-    is_cut,
+    is_clipped,
     is_flat_topped,
+    measure_deepest_pull,
 )
 from analysis.waves.noise_colour import strongest_block_noise_v
 from analysis.waves.outline import Outline, sample_outline
@@ -52,7 +52,7 @@ from analysis.waves.record_reduction import (
     mean_weights,
     reduce_records,
 )
-from analysis.waves.uncertainty import standard_deviations
+from analysis.waves.uncertainty import propagate_noise_to_features
 from hardware_drivers.measurement import Waveform
 
 Quality = Literal["good", "suspect", "bad"]
@@ -312,11 +312,11 @@ def _extract_records(
         for k in range(0, len(numbers), RECORDS_AT_ONCE):
             together = numbers[k : k + RECORDS_AT_ONCE]
             alike = [given[number] for number in together]
-            found.update(zip(together, _extract_alike(alike, settings, with_sd=with_sd), strict=True))
+            found.update(zip(together, _extract_same_kind(alike, settings, with_sd=with_sd), strict=True))
     return [found[number] for number in range(len(given))]
 
 
-def _extract_alike(
+def _extract_same_kind(
     given: Sequence[VoltRecord], settings: ExtractionSettings, *, with_sd: bool
 ) -> list[ShotFeatures]:
     """Extract the features of records of one length, rate and pre-trigger (`VoltRecord.kind`).
@@ -350,7 +350,7 @@ def _extract_alike(
             noise_rms_v=record.noise_rms_v,
             pull_fraction=pull,
             outline=_sample_outline(record, found),
-            sd=standard_deviations(record, found, values, settings) if with_sd else {},
+            sd=propagate_noise_to_features(record, found, values, settings) if with_sd else {},
         )
         for one, record, found, (flags, pull), values in zip(
             given, records, pulses, flagged, measured, strict=True
@@ -386,15 +386,15 @@ def _find_flags(
     isw = pulses.isw
     if isw is None:
         return {"false_trigger" if stirred else "missed"}, math.nan
-    found, pull = _has_moved(record, pulses, isw, settings, record.block_noise_v)
+    found, pull = _find_disturbance_flags(record, pulses, isw, settings, record.block_noise_v)
     if found:
         # What this noise cannot do it may where it is stronger in the wave's own band.
         noise_v = strongest_block_noise_v(record, isw.time_s, isw.fwhm_s)
-        found, pull = _has_moved(record, pulses, isw, settings, noise_v)
+        found, pull = _find_disturbance_flags(record, pulses, isw, settings, noise_v)
     found |= still
     if pulses.stray:
         found.add(DISTURBED)
-    if is_cut(record, isw.matched_time_s, isw.fwhm_s, rate_hz):
+    if is_clipped(record, isw.matched_time_s, isw.fwhm_s, rate_hz):
         found.add("clipped")
     if pulses.psw is None:
         # What is no strike alone can be no sign of a hole.
@@ -408,7 +408,7 @@ def _find_flags(
     return found, pull
 
 
-def _has_moved(
+def _find_disturbance_flags(
     record: ReducedRecord, pulses: Pulses, isw: Pulse, settings: ExtractionSettings, noise_v: float
 ) -> tuple[set[str], float]:
     """Return the flags of disturbances that exceed the noise, and the deepest pull over the ISW's amplitude.
@@ -416,7 +416,7 @@ def _has_moved(
     ``noise_v`` is the standard deviation of a block mean in V.
     """
     psw_time_s = None if pulses.psw is None else pulses.psw.time_s
-    pull, pulled = deepest_pull(record, isw.amplitude_v, psw_time_s, noise_v)
+    pull, pulled = measure_deepest_pull(record, isw.amplitude_v, psw_time_s, noise_v)
     seen = {
         DISTURBED: pulled or has_edge(record, isw.amplitude_v, settings.isw_fwhm_s, noise_v),
         "clipped": is_flat_topped(record, isw.matched_time_s, isw.fwhm_s, noise_v),

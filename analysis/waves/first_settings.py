@@ -22,7 +22,7 @@ from analysis.waves.coil_spike import (
     SMALLEST_ROOM,
     WAVE_BLOCK_S,
     SpikeSurvey,
-    survey_spike,
+    measure_coil_spike,
 )
 from analysis.waves.record_reduction import FloatArray, median
 from hardware_drivers.measurement import Waveform
@@ -116,7 +116,7 @@ def propose_settings(struck: Mapping[str, StruckTransducer], *, pulse_s: float, 
     def surveys(pretrigger_s: float, above_v: Mapping[str, float]) -> dict[str, SpikeSurvey]:
         """Survey the coil spike of every transducer at a level ``above_v`` its quiet level, by name."""
         return {
-            name: survey_spike(
+            name: measure_coil_spike(
                 one.strike,
                 one.noise,
                 pulse_s=pulse_s,
@@ -200,7 +200,7 @@ def cut_triggered_record(
     )
 
 
-def _block_means(volts: FloatArray, rate_hz: float) -> tuple[FloatArray, int]:
+def _average_blocks(volts: FloatArray, rate_hz: float) -> tuple[FloatArray, int]:
     """Average volts in blocks of 10 us that hide electrical spikes; return means and samples per block."""
     block = max(1, round(WAVE_BLOCK_S * rate_hz))
     n_blocks = volts.size // block
@@ -210,7 +210,7 @@ def _block_means(volts: FloatArray, rate_hz: float) -> tuple[FloatArray, int]:
 def _find_crest(one: StruckTransducer, earliest_s: float) -> float:
     """Return the largest deviation from the quiet level in V, with its sign, from ``earliest_s`` on."""
     rate_hz = one.strike.sample_rate_hz
-    means, _ = _block_means(one.strike.volts()[round(earliest_s * rate_hz) :], rate_hz)
+    means, _ = _average_blocks(one.strike.volts()[round(earliest_s * rate_hz) :], rate_hz)
     departures = means - median(one.noise.volts())
     return float(departures[np.abs(departures).argmax()])
 
@@ -233,7 +233,7 @@ def _rise_s(one: StruckTransducer, earliest_s: float, above_v: float, noise_v: f
     """Return the time in s from the last quiet block before the wave until it reaches the level."""
     rate_hz = one.strike.sample_rate_hz
     volts = sign * (one.strike.volts()[round(earliest_s * rate_hz) :] - median(one.noise.volts()))
-    means, block = _block_means(volts, rate_hz)
+    means, block = _average_blocks(volts, rate_hz)
     passed = int((means >= above_v).argmax())
     quiet = np.flatnonzero(means[:passed] < noise_v)
     return (passed - int(quiet[-1]) if quiet.size else 0) * block / rate_hz

@@ -19,7 +19,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from analysis.waves.record_reduction import FloatArray, ReducedRecord, fine_noise, median
+from analysis.waves.record_reduction import FloatArray, ReducedRecord, estimate_fine_noise, median
 
 SLOW_HZ = (20e3, 100e3)
 """Band that means over some 10 us take in; a knock or hum, slower, is no noise."""
@@ -68,7 +68,7 @@ class NoiseColour:
     rms_sd: float
 
 
-def noise_colour(record: ReducedRecord, isw_time_s: float, isw_fwhm_s: float) -> NoiseColour:
+def find_noise_colour(record: ReducedRecord, isw_time_s: float, isw_fwhm_s: float) -> NoiseColour:
     """Estimate the noise variances of a record from the quiet part before the incident wave.
 
     With fewer than seven quiet blocks, white noise is assumed.
@@ -78,14 +78,12 @@ def noise_colour(record: ReducedRecord, isw_time_s: float, isw_fwhm_s: float) ->
     isw_time_s, isw_fwhm_s
         Of the incident wave, before which the record is quiet.
     """
-    fine2 = fine_noise(record.blocks_v) ** 2
+    fine2 = estimate_fine_noise(record.blocks_v) ** 2
     n = _count_quiet_blocks(record, isw_time_s, isw_fwhm_s)
     white2 = record.noise_rms_v**2
     if n < N_LEVEL + FEWEST_COEFFICIENTS:
-        return _noise_colour_of_variances(
-            record, white2, [fine2] * 4, np.zeros(record.quiet_blocks), 1.0, 0.5
-        )
-    basis = _quiet_basis(n, round(isw_fwhm_s / record.step_s))
+        return _build_noise_colour(record, white2, [fine2] * 4, np.zeros(record.quiet_blocks), 1.0, 0.5)
+    basis = _build_quiet_basis(n, round(isw_fwhm_s / record.step_s))
     found = basis.T @ record.blocks_v[:n]
     powers2, known2 = found[N_LEVEL:] ** 2, fine2
     bands = []
@@ -99,11 +97,11 @@ def noise_colour(record: ReducedRecord, isw_time_s: float, isw_fwhm_s: float) ->
     x = record.samples_v[: n * record.block_samples] - record.offset_v
     x -= np.repeat(level, record.block_samples)
     lags = max(1, min(round(LONGEST_MEMORY_S * record.block_samples / record.step_s), x.size // 4))
-    sample2, memory = float(x @ x) / (x.size - N_LEVEL), _summed_autocorrelation(x, lags)
+    sample2, memory = float(x @ x) / (x.size - N_LEVEL), _sum_squared_autocorrelation(x, lags)
     if sample2 < _chance_mean_square(x.size / memory) * white2:
         sample2 = white2
-    return _noise_colour_of_variances(
-        record, sample2, bands, level, memory, _summed_autocorrelation(np.diff(x), lags) - 1.0
+    return _build_noise_colour(
+        record, sample2, bands, level, memory, _sum_squared_autocorrelation(np.diff(x), lags) - 1.0
     )
 
 
@@ -119,7 +117,7 @@ def strongest_block_noise_v(record: ReducedRecord, isw_time_s: float, isw_fwhm_s
     first, last = (2.0 * n * record.step_s * hz for hz in SLOW_HZ)
     columns = slice(N_LEVEL + math.ceil(first) - 1, min(n, N_LEVEL + math.floor(last)))
     if columns.stop - columns.start >= FEWEST_COEFFICIENTS:
-        cosines = _quiet_basis(n, round(isw_fwhm_s / record.step_s))[:, columns]
+        cosines = _build_quiet_basis(n, round(isw_fwhm_s / record.step_s))[:, columns]
         slow2 = median((cosines.T @ record.blocks_v[:n]) ** 2) / MEDIAN_OF_SQUARES
         if slow2 > LEAST_EXCESS * power2:
             power2 = slow2
@@ -132,7 +130,7 @@ def _count_quiet_blocks(record: ReducedRecord, isw_time_s: float, isw_fwhm_s: fl
     return max(0, min(record.quiet_blocks, math.floor(before))) if math.isfinite(before) else 0
 
 
-def _noise_colour_of_variances(
+def _build_noise_colour(
     record: ReducedRecord,
     sample2: float,
     bands: list[float],
@@ -172,7 +170,7 @@ def _chance_mean_square(n: float) -> float:
 
 
 @lru_cache(maxsize=256)
-def _quiet_basis(n: int, fwhm_blocks: int) -> FloatArray:
+def _build_quiet_basis(n: int, fwhm_blocks: int) -> FloatArray:
     """Build orthonormal columns that model the quiet part of a record, shape (n, n).
 
     A constant, two of the wave's foot, cosines of rising frequency.
@@ -185,7 +183,7 @@ def _quiet_basis(n: int, fwhm_blocks: int) -> FloatArray:
     return np.asarray(basis)
 
 
-def _summed_autocorrelation(x: FloatArray, lags: int) -> float:
+def _sum_squared_autocorrelation(x: FloatArray, lags: int) -> float:
     """Return the sum of the squared autocorrelations over all lags, negative ones too; 1 for white noise."""
     begin = x[: x.size - lags]
     energy = float(begin @ begin)

@@ -89,7 +89,7 @@ def _fill_points(record: ReducedRecord, pulse: Pulse, first: int, stride: int, p
     points[: after.size] = before + (at % 1.0) * (after - before)
 
 
-def find_unlike_others(outlines: Sequence[Outline], tofs_s: FloatArray) -> NDArray[np.bool_]:
+def find_dissimilar_shots(outlines: Sequence[Outline], tofs_s: FloatArray) -> NDArray[np.bool_]:
     """Find shots that no others resemble, or that arrived earlier than all similar ones; mask, shape (n,).
 
     Parameters
@@ -106,21 +106,21 @@ def find_unlike_others(outlines: Sequence[Outline], tofs_s: FloatArray) -> NDArr
     if n > MOST_OTHERS:
         others = np.linspace(0, n - 1, MOST_OTHERS).round().astype(np.intp)
     distance = np.concatenate(
-        [_distances_between_rows(table, k, others) for k in range(0, n, ROWS_AT_ONCE)], axis=1
+        [_compute_row_distances(table, k, others) for k in range(0, n, ROWS_AT_ONCE)], axis=1
     )
     nearest = np.partition(distance, NEIGHBOURS - 1)[:, :, NEIGHBOURS - 1]
     typical = np.maximum(TIMES_USUAL * np.partition(nearest, n // 2)[:, n // 2], LEAST_APART)
     limit = np.maximum(typical[:, None], TIMES_NOISE * math.sqrt(2.0) * noise)
     is_apart = (nearest > limit) & (nearest < math.inf)
-    is_apart[PSW:] &= _is_confirmed_by_others(tofs_s, others)
+    is_apart[PSW:] &= _find_comparable_shots(tofs_s, others)
     unlike = np.asarray(is_apart.any(axis=0))
     early = np.flatnonzero(tofs_s < tofs_s.max() - LEAST_EARLY_S)
     if early.size:
-        unlike[_find_early(early, distance[PSW] <= limit[PSW][:, None], tofs_s, others)] = True
+        unlike[_find_early_shots(early, distance[PSW] <= limit[PSW][:, None], tofs_s, others)] = True
     return unlike
 
 
-def _distances_between_rows(table: FloatArray, start: int, others: NDArray[np.intp]) -> FloatArray:
+def _compute_row_distances(table: FloatArray, start: int, others: NDArray[np.intp]) -> FloatArray:
     """Compute RMS differences of 64 rows from each of the others, shape (n_parts, n_rows, n_others).
 
     The rows begin at ``start``. A distance is inf to the shot itself, and where one of both lacks the part.
@@ -134,7 +134,7 @@ def _distances_between_rows(table: FloatArray, start: int, others: NDArray[np.in
     return np.asarray(np.sqrt(squares), dtype=np.float64)
 
 
-def _is_confirmed_by_others(tofs_s: FloatArray, others: NDArray[np.intp]) -> NDArray[np.bool_]:
+def _find_comparable_shots(tofs_s: FloatArray, others: NDArray[np.intp]) -> NDArray[np.bool_]:
     """Return a mask, shape (n,), of the shots whose wall at least seven shots show, by time of flight.
 
     All are, if the middle eight of ten times of flight agree within 30 us. Corrosion changes the record after
@@ -148,7 +148,7 @@ def _is_confirmed_by_others(tofs_s: FloatArray, others: NDArray[np.intp]) -> NDA
     return np.asarray(np.searchsorted(ordered, upper) - np.searchsorted(ordered, lower) >= FEWEST)
 
 
-def _find_early(
+def _find_early_shots(
     candidates: NDArray[np.intp], similar: NDArray[np.bool_], tofs_s: FloatArray, others: NDArray[np.intp]
 ) -> list[int]:
     """Find the indices of shots whose reflected wave came earlier than those of similar shots.

@@ -17,7 +17,7 @@ from analysis.waves.record_reduction import (
     median,
     minimum_after_isw_s,
     moving_mean,
-    nearest_odd,
+    round_to_odd,
 )
 
 __all__ = ["ExtractionSettings", "Pulse", "Pulses", "find_pulses"]
@@ -151,16 +151,16 @@ def find_pulses(record: ReducedRecord, settings: ExtractionSettings) -> Pulses:
             1.0,
             max(floor, settings.ssw_below_fraction * isw.amplitude_v),
         )
-    double, merged, stray = _has_extra_pulses(record, isw, psw, settings, 0.0)
+    double, merged, stray = _check_extra_pulses(record, isw, psw, settings, 0.0)
     if double or merged or stray:
         noise_v = strongest_block_noise_v(record, isw.time_s, isw.fwhm_s)
-        double, merged, stray = _has_extra_pulses(record, isw, psw, settings, noise_v)
+        double, merged, stray = _check_extra_pulses(record, isw, psw, settings, noise_v)
     if psw is not None and not double:
         double = _has_second_reflection(record, maxima, isw, psw, settings)
     return Pulses(isw=isw, psw=psw, ssw=ssw, double=double, psw_merged=merged, stray=stray)
 
 
-def first_fwhm_s(samples_v: FloatArray, sample_rate_hz: float, pretrigger_samples: int) -> float:
+def measure_first_fwhm_s(samples_v: FloatArray, sample_rate_hz: float, pretrigger_samples: int) -> float:
     """Measure the full width at half maximum of a record's highest pulse in s, before its settings are known.
 
     Return NaN if the pulse has no flanks, is no higher than noise, or the record is shorter than a block of 1
@@ -173,7 +173,7 @@ def first_fwhm_s(samples_v: FloatArray, sample_rate_hz: float, pretrigger_sample
     blocks = samples_v[: n_blocks * block].reshape(n_blocks, block).mean(axis=1)
     flanks = moving_mean(
         blocks - median(blocks[: max(1, pretrigger_samples // block)]),
-        nearest_odd(FLANK_SMOOTHING_S * sample_rate_hz / block),
+        round_to_odd(FLANK_SMOOTHING_S * sample_rate_hz / block),
     )
     peak = int(flanks.argmax())
     if flanks[peak] < STANDS_OUT * MAD_TO_SD * median(np.abs(flanks - median(flanks))):
@@ -279,7 +279,7 @@ def _measure_pulse(record: ReducedRecord, matched_index: int) -> Pulse | None:
     n = last - first + 1
     place, height, curvature = fit if fit is not None else (math.nan, float(smooth[peak]), math.nan)
     position = 0.5 * (n - 1) * (1.0 + place) if regular else float(peak - first)
-    flanks = moving_mean(near_pulse, nearest_odd(FLANK_SMOOTHING_S / record.step_s))
+    flanks = moving_mean(near_pulse, round_to_odd(FLANK_SMOOTHING_S / record.step_s))
     return Pulse(
         time_s=record.time_s(start + first + position),
         amplitude_v=height,
@@ -358,7 +358,7 @@ def _find_quartic_maximum(values: FloatArray) -> tuple[float, float, float] | No
     return u, height, curvature
 
 
-def _has_extra_pulses(
+def _check_extra_pulses(
     record: ReducedRecord, isw: Pulse, psw: Pulse | None, settings: ExtractionSettings, noise_v: float
 ) -> tuple[bool, bool, bool]:
     """Return whether there is a second strike, a merged PSW, and a pulse that no strike causes.

@@ -178,7 +178,7 @@ class ReducedRecord:
         return (time_s - self.first_s) / self.step_s
 
 
-def nearest_odd(width: float) -> int:
+def round_to_odd(width: float) -> int:
     """Return the odd integer nearest to a width, at least 1."""
     return 2 * max(0, round(0.5 * (width - 1.0))) + 1
 
@@ -309,7 +309,7 @@ def noise_rms(samples_v: FloatArray) -> float:
     return MAD_TO_SD * (k + inside) * bin_v / math.sqrt(2.0)
 
 
-def fine_noise(blocks_v: FloatArray) -> float:
+def estimate_fine_noise(blocks_v: FloatArray) -> float:
     """Estimate the SD of a block mean's white noise in V: 1.4826 MAD(third differences) / sqrt(20).
 
     No wave is left in them: a cos^4 pulse of 65 us leaves 5e-5 of its height at blocks of 1 us.
@@ -317,10 +317,11 @@ def fine_noise(blocks_v: FloatArray) -> float:
     return MAD_TO_SD * median(_absolute_third_differences(blocks_v)) / THIRD_DIFFERENCE
 
 
-def block_noise(blocks_v: FloatArray, white_v: float) -> float:
+def estimate_block_noise(blocks_v: FloatArray, white_v: float) -> float:
     """Estimate the SD of a block mean's noise in V, at least ``white_v``.
 
-    It is ``white_v``, the SD expected from white samples, or `fine_noise` where that is significantly larger.
+    It is ``white_v``, the SD expected from white samples, or `estimate_fine_noise` where that is significantly
+    larger.
     """
     differences = _absolute_third_differences(blocks_v)
     limit_v = LEAST_EXCESS * white_v * THIRD_DIFFERENCE / MAD_TO_SD
@@ -390,12 +391,12 @@ def reduce_records(given: Sequence[VoltRecord], settings: ExtractionSettings) ->
     offset = [median(row[:n_quiet]) for row, n_quiet in zip(blocks, quiet.tolist(), strict=True)]
     blocks -= np.array(offset)[:, None]
 
-    smooth_blocks, width = nearest_odd(TOP_SMOOTHING_S / step_s), settings.kernel_width_s / step_s
+    smooth_blocks, width = round_to_odd(TOP_SMOOTHING_S / step_s), settings.kernel_width_s / step_s
     smooth, matched = moving_means(blocks, smooth_blocks), apply_matched_filter(blocks, width)
     records = []
     for k, one in enumerate(given):
         noise_v = noise_rms(one.samples_v)
-        block_noise_v = block_noise(blocks[k], noise_v / math.sqrt(block_samples))
+        block_noise_v = estimate_block_noise(blocks[k], noise_v / math.sqrt(block_samples))
         records.append(
             ReducedRecord(
                 blocks_v=blocks[k],

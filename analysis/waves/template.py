@@ -14,9 +14,9 @@ from typing import Any
 
 import numpy as np
 
-from analysis.waves.distortion import find_flattened, find_lost_samples
+from analysis.waves.distortion import find_flattened, find_shots_with_lost_samples
 from analysis.waves.features import ALL_FEATURE_NAMES, ShotFeatures, apply_flags
-from analysis.waves.outline import find_unlike_others
+from analysis.waves.outline import find_dissimilar_shots
 from analysis.waves.quality_gate import DISTURBED
 from analysis.waves.record_reduction import MAD_TO_SD, FloatArray, median
 
@@ -170,7 +170,7 @@ def compare_with_others(shots: Sequence[ShotFeatures], template: Template | None
         if shot.valid and not shot.compared and shot.outline is not None
     }
     outlines, tofs_s = [*seen.values()], np.array([found[index].tof_mf_s for index in seen])
-    foreign = find_unlike_others(outlines, tofs_s) | find_lost_samples(outlines, tofs_s)
+    foreign = find_dissimilar_shots(outlines, tofs_s) | find_shots_with_lost_samples(outlines, tofs_s)
     for flag, flagged in ((DISTURBED, foreign), ("clipped", find_flattened(outlines, tofs_s) & ~foreign)):
         for index in compress(seen, flagged):
             found[index] = apply_flags(found[index], {*found[index].flags, flag})
@@ -189,7 +189,7 @@ def compare_with_template(shot: ShotFeatures, template: Template | None) -> Shot
     # A plateau widens a wave, two strikes in one do too: those are reported already.
     other = not NARROWEST <= width <= WIDEST and {"clipped", "double"}.isdisjoint(shot.flags)
     if "no_psw" in shot.flags:
-        other = other or abs(width - 1.0) > LIKE_ITS_OWN or _has_other_arrival(shot, template)
+        other = other or abs(width - 1.0) > LIKE_ITS_OWN or _has_different_arrival(shot, template)
     if other or shot.isw_amplitude_v < WEAKEST * template.isw_amplitude_v:
         return apply_flags(_keep_incident_wave(shot), {*shot.flags, "missed"} - {"no_psw"})
     found = set(shot.flags)
@@ -214,7 +214,7 @@ def compare_with_template(shot: ShotFeatures, template: Template | None) -> Shot
     return shot if len(found) == len(shot.flags) else apply_flags(shot, found)
 
 
-def _has_other_arrival(shot: ShotFeatures, template: Template) -> bool:
+def _has_different_arrival(shot: ShotFeatures, template: Template) -> bool:
     """Check whether the incident wave's arrival after the trigger differs from the template's."""
     if template.isw_time_s is None:
         return False

@@ -1,6 +1,7 @@
 """Standard deviation of each feature from the record's own noise, propagated to first order.
 
-With s the noise of a block mean in the band that an estimate takes in (`noise_colour`), n blocks in a window:
+With s the noise of a block mean in the band that an estimate takes in (`find_noise_colour`), n blocks in a
+window:
 
 - height and time of a top: of the least-squares quartic p(u) on n points, s^2 f^T (X^T X)^-1 f with f the
   powers of u for p, their derivatives for p', and var(u) = var(p') / p''^2;
@@ -20,14 +21,14 @@ from functools import lru_cache
 
 import numpy as np
 
-from analysis.waves.noise_colour import NoiseColour, noise_colour
+from analysis.waves.noise_colour import NoiseColour, find_noise_colour
 from analysis.waves.pulses import FLANK_SMOOTHING_S, Pulse, Pulses, quartic_design_matrix
 from analysis.waves.record_reduction import (
     ExtractionSettings,
     FloatArray,
     ReducedRecord,
     filter_kernel,
-    nearest_odd,
+    round_to_odd,
 )
 
 STANDS_OUT = 20.0
@@ -41,7 +42,7 @@ ENERGY, SLOPE_ENERGY, AREA = 0.751, 2.06, 1.030
 sech^2 1.88), itself."""
 
 
-def standard_deviations(
+def propagate_noise_to_features(
     record: ReducedRecord, pulses: Pulses, values: dict[str, float], settings: ExtractionSettings
 ) -> dict[str, float]:
     """Propagate a record's noise to the standard deviation of each available feature, by name.
@@ -52,7 +53,7 @@ def standard_deviations(
         Features by name, without those that are not available.
     """
     isw, psw, ssw = pulses.isw, pulses.psw, pulses.ssw
-    noise = noise_colour(record, *((math.nan, math.nan) if isw is None else (isw.time_s, isw.fwhm_s)))
+    noise = find_noise_colour(record, *((math.nan, math.nan) if isw is None else (isw.time_s, isw.fwhm_s)))
     found = {"noise_rms_v": noise.rms_sd * record.noise_rms_v}
     if isw is None or "isw_time_s" not in values:
         return found
@@ -65,7 +66,7 @@ def standard_deviations(
                 found[f"{name}_time_s"] = math.sqrt(times[name])
             found[f"{name}_amplitude_v"] = math.sqrt(heights[name] + level2)
     if "isw" in heights and isw.fwhm_s > 0.0:
-        flanks = 2.0 * noise.flank2 / nearest_odd(FLANK_SMOOTHING_S / record.step_s)
+        flanks = 2.0 * noise.flank2 / round_to_odd(FLANK_SMOOTHING_S / record.step_s)
         flanks -= 2.0 * EDGE_OF_FIT * s2 / isw.top_points
         slope = FLANK_SLOPE * isw.amplitude_v / isw.fwhm_s
         found["isw_fwhm_s"] = math.sqrt(flanks + heights["isw"] + level2) / slope

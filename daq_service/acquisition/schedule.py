@@ -31,7 +31,7 @@ class PhaseLike(Protocol):
         ...
 
 
-def unscheduled_set(number: int, after: DueSet, utc_ns: int, position: str) -> DueSet:
+def build_unscheduled_set(number: int, after: DueSet, utc_ns: int, position: str) -> DueSet:
     """Build the ``number``-th unscheduled set after a scheduled one, due at ``utc_ns`` (UTC in ns).
 
     The hour is counted from the scheduled set, so both give the same hour 0.

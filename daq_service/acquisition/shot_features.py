@@ -38,12 +38,12 @@ def extract_record_features(acquired: Sequence[Acquired | None]) -> list[Acquire
     except Exception:  # noqa: BLE001 the recorder tries each alone, and logs the one that fails
         return list(acquired)
 
-    def with_features(waveform: Waveform) -> AnalysedWaveform:
+    def attach_features(waveform: Waveform) -> AnalysedWaveform:
         """Return a copy of a waveform with the next features; called in the order of the waveforms."""
         parts = {part.name: getattr(waveform, part.name) for part in fields(waveform)}
         return AnalysedWaveform(**parts, features=next(features))
 
-    return [one and replace(one, waveform=with_features(one.waveform)) for one in acquired]
+    return [one and replace(one, waveform=attach_features(one.waveform)) for one in acquired]
 
 
 def extract_shot_features(shot: Shot) -> ShotFeatures:

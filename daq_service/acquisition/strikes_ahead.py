@@ -30,7 +30,7 @@ def build_strike_predictor(
     order = list(itertools.product(positions, range(shots_per_set)))
     slots_ns = [round(slot * shot_interval_s * NS_PER_S) for slot in range(len(order))]
 
-    def following_strikes(key: ShotKey, utc_ns: int) -> Iterator[tuple[ShotKey, int]]:
+    def yield_following_strikes(key: ShotKey, utc_ns: int) -> Iterator[tuple[ShotKey, int]]:
         """Yield keys and times (UTC in ns) of the strikes after this one, to the end of the schedule.
 
         An unscheduled set ends with its position; after it come the scheduled sets.
@@ -47,7 +47,7 @@ def build_strike_predictor(
         first_slot = number + 1
         for set_key, start_ns in starts:
             for slot, (position, shot_index) in enumerate(order[first_slot:last], first_slot):
-                yield ShotKey.in_set(set_key, position, shot_index), start_ns + slots_ns[slot]
+                yield ShotKey.from_set(set_key, position, shot_index), start_ns + slots_ns[slot]
             first_slot, last = 0, len(order)
 
-    return following_strikes
+    return yield_following_strikes

@@ -28,7 +28,7 @@ INCIDENT: Mapping[str, str] = _TEXTS["incident"]
 MOST_FEATURES = 3
 
 
-def evidence_sentences(
+def build_evidence_sentences(
     row: AlarmRow, baselines: Mapping[int, BaselineRow] = MappingProxyType({})
 ) -> list[str]:
     """Return the evidence of an alarm as sentences: values, limits, largest contributions, and time.
@@ -130,7 +130,7 @@ def _describe_signal_change(evidence: Evidence) -> Iterator[str]:
         **evidence,
         "baseline": evidence.get("baseline") or "the baseline",
         "times_limit": None if statistic is None or limit is None else statistic / limit,
-        "shares": _list_contributions(evidence.get("contributions") or {}) or None,
+        "shares": _format_largest_contributions(evidence.get("contributions") or {}) or None,
         "limit_words": limit_words,
         "changes": ", ".join(changes) if "changes" in details else None,
     }
@@ -156,13 +156,13 @@ def describe_confirmation(confirmation: Evidence) -> str:
     if known := _collect_values(confirmation, "distance_squared", "limit"):
         distance, limit = known
         relation = "beyond" if distance > limit else "within"
-        at += f", squared distance {_format(distance)}, {relation} the limit of {_format(limit)},"
+        at += f", squared distance {_format_value(distance)}, {relation} the limit of {_format_value(limit)},"
     if confirmation["confirms"]:
         return f"Confirmed: the set at {at} lies where the planned sets before it do."
     return f"Not confirmed: the set at {at} lies nearer to the baseline than to the planned sets before it."
 
 
-def _list_contributions(contributions: Mapping[str, float | None]) -> str:
+def _format_largest_contributions(contributions: Mapping[str, float | None]) -> str:
     """Return the largest `MOST_FEATURES` contributions as text, in percent of the sum.
 
     Empty if none is positive.
@@ -231,13 +231,13 @@ def _collect_values(evidence: Evidence, *names: str) -> list[Any]:
     return [] if None in values else values
 
 
-def _format(value: float) -> str:
+def _format_value(value: float) -> str:
     """Format a number with three significant digits; from 1000 on as an integer."""
     return f"{value:.3g}" if abs(value) < 1000.0 else f"{value:.0f}"
 
 
 _UNITS: Mapping[str, Callable[[float], str]] = {
-    "number": _format,
+    "number": _format_value,
     "mm": lambda value_m: f"{1e3 * value_m:.3f} mm",
     "us": lambda value_s: f"{1e6 * value_s:.3f} µs",
     "milli": lambda value: f"{1e3 * value:.2f}",

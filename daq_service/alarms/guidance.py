@@ -1,6 +1,6 @@
 """Guidance for each kind of alarm: one table for the page, the API and the how-to.
 
-`docs/how-to/my-alarm-what-now.md` shows `format_markdown`; a test compares.
+`docs/how-to/my-alarm-what-now.md` shows `format_guidance_markdown`; a test compares.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ def join_numbered_steps(steps: Sequence[str]) -> str:
     return "".join(part + (" " if part.endswith("?") else "; ") for part in parts).rstrip("; ")
 
 
-def format_markdown() -> str:
+def format_guidance_markdown() -> str:
     """Return the guidance on all kinds of alarm as the Markdown table of the how-to, one row per kind."""
     lines = ["| Kind | It says | It does not say | Look first | Whom to call |", "|---|---|---|---|---|"]
     for kind, guidance in GUIDANCE.items():

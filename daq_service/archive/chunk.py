@@ -27,7 +27,7 @@ _ZLIB_HEADER = b"\x78\x01"
 """Deflate with a window of 32 KiB, fastest level (RFC 1950)."""
 
 
-def filter_chunk(values: NDArray[Any]) -> bytes:
+def encode_chunk(values: NDArray[Any]) -> bytes:
     """Shuffle and deflate a chunk; return the bytes with their checksum at the end.
 
     Parameters

@@ -90,7 +90,7 @@ class Facts:
     provenance: Mapping[str, Any]
 
 
-def list_blocks(folder: Path, file: SetReference) -> list[tuple[Sampling, Block]]:
+def list_record_blocks(folder: Path, file: SetReference) -> list[tuple[Sampling, Block]]:
     """List the record arrays of a set's file, each with its sampling, without reading the records.
 
     Raises
@@ -155,7 +155,7 @@ def build_consolidated_image(
         configuration = facts.configuration_hash
         add_field(entry, "program_name", "solimon", version=facts.version, configuration=configuration)
         for sampling, (blocks, columns) in shots.items():
-            _add_shots(entry, names[sampling], sampling, blocks, columns, _to_relative(target, folder))
+            _add_shots(entry, names[sampling], sampling, blocks, columns, _make_relative(target, folder))
         for position, columns in sets.items():
             _add_columns(
                 add_group(entry, f"{position}_sets", "NXcollection", {"position": position}), columns
@@ -166,7 +166,7 @@ def build_consolidated_image(
         return read_image(file)
 
 
-def _to_relative(target: Path, folder: Path) -> str:
+def _make_relative(target: Path, folder: Path) -> str:
     """Return the path from the file's folder to the data folder, with slashes.
 
     It is absolute if the two are on different Windows drives.
@@ -219,11 +219,11 @@ def _add_shots(
     set_attributes(records.id, {"units": "counts"})
     for dimension, axis in enumerate((shot, time)):
         h5py.h5ds.attach_scale(records.id, axis, dimension)
-    _add_scale(group, signal, blocks, shot)
+    _add_calibration(group, signal, blocks, shot)
     _add_columns(group, columns, axis=shot)
 
 
-def _add_scale(group: GroupID, signal: str, blocks: Sequence[Block], shot: h5py.h5d.DatasetID) -> None:
+def _add_calibration(group: GroupID, signal: str, blocks: Sequence[Block], shot: h5py.h5d.DatasetID) -> None:
     """Add each shot's calibration: boards recalibrate themselves during a test.
 
     Coefficients in V, shape (n_shots, n_coefficients), padded with zeros; scaling factor in V and offset in

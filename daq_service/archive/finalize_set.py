@@ -13,7 +13,7 @@ import numpy as np
 
 from daq_service.archive.errors import CorruptArchiveError, SetNotFoundError
 from daq_service.archive.journal.reader import read_journal
-from daq_service.archive.layout import Record, build_image
+from daq_service.archive.layout import Record, build_set_image
 from daq_service.archive.reader import read_records
 from daq_service.archive.records import TEMPORARY_SUFFIX, Places, SetReference
 from daq_service.shared_file import read_shared, write_durably
@@ -62,7 +62,7 @@ def finalize_set(
     if damages := journaled.damages():
         raise CorruptArchiveError(f"set {set_key} in the journal: {'; '.join(map(str, damages))}")
     record, path = replace(journaled.record(), results=results), folder / reference
-    image = build_image(record)
+    image = build_set_image(record)
     if is_new := not path.exists():
         # A worker of a killed recorder may still write the same set, so each uses its own temporary name.
         temporary = path.with_suffix(f".{os.getpid()}{TEMPORARY_SUFFIX}")

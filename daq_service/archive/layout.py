@@ -81,7 +81,7 @@ class _RecordGroup:
         return self.waveform.sample_rate_hz, self.waveform.counts.size, self.waveform.pretrigger_samples
 
 
-def build_image(record: SetRecord) -> bytes:
+def build_set_image(record: SetRecord) -> bytes:
     """Build the bytes of the HDF5 file of a set; equal sets give equal bytes.
 
     Raises ValueError if the provenance contains NaN or infinities, which JSON does not have.
@@ -98,11 +98,11 @@ def build_image(record: SetRecord) -> bytes:
         {"file_time": format_utc(record.ended_utc_ns)},
     )
     entry = add_group(root, "entry", "NXentry", {"default": "preview"})
-    _add_facts(entry, record)
+    _add_set_metadata(entry, record)
     _add_detectors(entry, record, groups)
     _add_records(entry, record, groups)
-    _add_facts_of_records(entry, record, "truth")
-    _add_facts_of_records(entry, record, "settings")
+    _add_record_facts(entry, record, "truth")
+    _add_record_facts(entry, record, "settings")
     _add_shots(entry, record)
     _add_missed(entry, record)
     _add_positions(entry, record)
@@ -148,7 +148,7 @@ def _group_records(records: Sequence[Record]) -> list[_RecordGroup]:
     return groups
 
 
-def _add_facts(entry: Node, record: SetRecord) -> None:
+def _add_set_metadata(entry: Node, record: SetRecord) -> None:
     """Add title, times, identifiers, program, purpose and instrument error of the set."""
     provenance = record.provenance
     configuration_hash = str(provenance.get("configuration_hash", ""))
@@ -282,7 +282,7 @@ def _add_time_axis(
     return axis
 
 
-def _add_facts_of_records(entry: Node, record: SetRecord, kind: Literal["truth", "settings"]) -> None:
+def _add_record_facts(entry: Node, record: SetRecord, kind: Literal["truth", "settings"]) -> None:
     """Add a table with a row per record and a column per fact, unless no record has facts.
 
     ``known`` marks the records that have a fact; the others have NaN or an empty text.
@@ -388,14 +388,14 @@ def _add_results(entry: Node, record: SetRecord) -> None:
             continue
         plot_attributes = {"signal": "tof_pp_s", "axes": [axis_name]} if table == "features" else {}
         group = add_group(entry, table, "NXdata" if plot_attributes else "NXcollection", plot_attributes)
-        axis = add_field(group, axis_name, _to_column(columns.pop(axis_name)), is_axis=True)
+        axis = add_field(group, axis_name, _to_column_values(columns.pop(axis_name)), is_axis=True)
         for name, values in sorted(columns.items()):
-            field = add_field(group, name, _to_column(values), axes=[axis])
+            field = add_field(group, name, _to_column_values(values), axes=[axis])
             if not isinstance(values[0], str):
                 field.attributes["units"] = find_unit(name)
 
 
-def _to_column(values: list[float | str]) -> Any:
+def _to_column_values(values: list[float | str]) -> Any:
     """Return a column of texts as it is, one of numbers as an array; the first value decides."""
     return values if isinstance(values[0], str) else np.array(values)
 

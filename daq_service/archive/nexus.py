@@ -26,7 +26,7 @@ import numpy as np
 from h5py import h5a, h5d, h5ds, h5f, h5g, h5p, h5s, h5t
 from numpy.typing import NDArray
 
-from daq_service.archive.chunk import GZIP_LEVEL, filter_chunk
+from daq_service.archive.chunk import GZIP_LEVEL, encode_chunk
 from daq_service.archive.plain import require_plain_file
 
 _LARGEST_COMPACT_BYTES = 8192
@@ -222,7 +222,7 @@ def write_chunks(dataset: h5d.DatasetID, array: NDArray[Any], chunk: tuple[int, 
     """Write an array of the stored type as filtered chunks along its first axis."""
     for first in range(0, array.shape[0], chunk[0]):
         offset = (first, *(0 for _ in chunk[1:]))
-        dataset.write_direct_chunk(offset, filter_chunk(array[first : first + chunk[0]]))
+        dataset.write_direct_chunk(offset, encode_chunk(array[first : first + chunk[0]]))
 
 
 def read_field(parent: h5g.GroupID, name: str) -> NDArray[Any]:

@@ -98,7 +98,7 @@ class FolderSetReader:
             raise _create_corruption_error(self.folder / reference, damages)
         return journaled.record()
 
-    def read_position(self, reference: SetReference, position: str) -> list[Shot | PulseEchoRecord]:
+    def read_position_records(self, reference: SetReference, position: str) -> list[Shot | PulseEchoRecord]:
         """Read the intact records of one position in order; from a file without truth and settings.
 
         Raises SetNotFoundError without such a set, CorruptArchiveError if its file is unreadable.
@@ -132,7 +132,7 @@ class FolderSetReader:
         Also None if it cannot be read; CorruptArchiveError if its tables are invalid.
         """
         try:
-            content = read_stored(self.folder / reference)
+            content = read_regular_file(self.folder / reference)
         except OSError:
             return None  # a reader of the complete set names the reason
         if hashlib.sha256(content).hexdigest() != sha256:
@@ -141,7 +141,7 @@ class FolderSetReader:
         with open_set_file(self.folder / reference, content, is_own=True) as entry:
             return SetTables(
                 set_key=read_set_key(entry),
-                shots=_to_rows(_read_table(entry)),
+                shots=_to_rows(_read_shot_table(entry)),
                 results={
                     name: _to_rows(_read_columns(entry[name], *entry[name]))
                     for name in RESULTS
@@ -152,7 +152,7 @@ class FolderSetReader:
     def digest(self, reference: SetReference) -> str | None:
         """Compute the SHA-256 of a set's file; None if it has no file yet, ArchiveError if unreadable."""
         try:
-            return hashlib.sha256(read_stored(self.folder / reference)).hexdigest()
+            return hashlib.sha256(read_regular_file(self.folder / reference)).hexdigest()
         except FileNotFoundError:
             return None
         except OSError as error:
@@ -272,7 +272,7 @@ def _build_record(entry: h5py.Group, records: Sequence[Shot | PulseEchoRecord]) 
         shots=[record for record in records if isinstance(record, Shot)],
         echoes=[record for record in records if isinstance(record, PulseEchoRecord)],
         missed=_read_missed(entry),
-        outcomes=_read_outcomes(_read_table(entry), records),
+        outcomes=_read_outcomes(_read_shot_table(entry), records),
         trouble=_decode_text(entry["trouble"][()]) if "trouble" in entry else "",
         environment=_read_environment(entry),
         provenance=json.loads(_decode_text(entry["provenance/data"][0])),
@@ -293,7 +293,7 @@ def _read_waveform(path: Path, position: str, shot_index: int) -> Waveform:
     Raises SetNotFoundError if it is missing, CorruptArchiveError if it is corrupt.
     """
     with open_set_file(path) as entry:
-        table = _read_table(entry)
+        table = _read_shot_table(entry)
         rows = [
             row
             for row, name in enumerate(table["position"])
@@ -318,7 +318,7 @@ def _list_unreadable(entry: h5py.Group) -> list[Damage]:
     """List the parts of a set's file that cannot be read, other than records; empty if there are none."""
     unreadable: list[Damage] = []
     arrays = {f"{name}/{signal}" for name in list_record_groups(entry) for signal in ("waveform", "record")}
-    _read_everything(entry, "", arrays, unreadable)
+    _collect_unreadable(entry, "", arrays, unreadable)
     try:
         # Visits the free-space lists of the groups' names, too, which no other access reads.
         entry.visititems(lambda _name, _item: None)
@@ -387,7 +387,7 @@ def _read_records(
 
     ``facts`` False leaves out truth and settings.
     """
-    table = _read_table(entry)
+    table = _read_shot_table(entry)
     set_key = read_set_key(entry)
     truths = _read_facts(entry, "truth") if facts else {}
     settings = _read_facts(entry, "settings") if facts else {}
@@ -445,7 +445,7 @@ def _to_rows(columns: _Columns) -> list[dict[str, Any]]:
     return [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
 
 
-def _read_table(entry: h5py.Group) -> _Columns:
+def _read_shot_table(entry: h5py.Group) -> _Columns:
     """Read the columns of the table of shots; in format 1.0 every outcome is "accepted"."""
     table = entry["shots"]
     names = ("shot_id", "position", "shot_index", "attempt", "utc_ns", "mono_ns", "boot_id", "crc32")
@@ -475,7 +475,7 @@ def read_set_key(entry: h5py.Group) -> SetKey:
 
 def _build_shot_key(table: _Columns, row: int, set_key: SetKey) -> ShotKey:
     """Build the shot key of a row."""
-    return ShotKey.in_set(set_key, table["position"][row], table["shot_index"][row], table["attempt"][row])
+    return ShotKey.from_set(set_key, table["position"][row], table["shot_index"][row], table["attempt"][row])
 
 
 def _build_stamp(table: _Columns, row: int) -> Stamp:
@@ -553,7 +553,7 @@ def list_record_groups(entry: h5py.Group) -> list[str]:
     return [name for name in entry["instrument"] if name != "name"]
 
 
-def _read_everything(group: h5py.Group, parent: str, left_out: set[str], unreadable: list[Damage]) -> None:
+def _collect_unreadable(group: h5py.Group, parent: str, left_out: set[str], unreadable: list[Damage]) -> None:
     """Read all values and attributes below a group; add what is unreadable to the list.
 
     The values of the paths in ``left_out`` are not read.
@@ -570,10 +570,10 @@ def _read_everything(group: h5py.Group, parent: str, left_out: set[str], unreada
         except HDF5_ERRORS as error:
             unreadable.append(Damage(reason=f"{path} is unreadable ({error})"))
             continue
-        _read_everything(item, f"{path}/", left_out, unreadable)
+        _collect_unreadable(item, f"{path}/", left_out, unreadable)
 
 
-def read_stored(path: Path) -> bytes:
+def read_regular_file(path: Path) -> bytes:
     """Read a file of a data folder, which may come from an unknown source.
 
     Raises
@@ -602,7 +602,7 @@ def open_set_file(path: Path, content: bytes | None = None, *, is_own: bool = Fa
         It is damaged, has another format, or contains what no set has; also for errors inside the block.
     """
     try:
-        image = read_stored(path) if content is None else content
+        image = read_regular_file(path) if content is None else content
         with h5py.File(open_image(image, is_own=is_own)) as file:
             version = _decode_text(file.attrs.get("solimon_format_version", ""))
             if not version.startswith(_READABLE_FORMAT):

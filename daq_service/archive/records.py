@@ -121,7 +121,7 @@ class Damage:
         return f"shot {self.shot_index} of {self.position} (sequence {self.sequence}): {self.reason}"
 
 
-def to_reference(set_key: SetKey, due_utc_ns: int) -> SetReference:
+def build_reference(set_key: SetKey, due_utc_ns: int) -> SetReference:
     """Build the reference (file name) of a set from its key and due time; references sort by time.
 
     That of an unscheduled set has the index of the scheduled one before it, and ends with its own number.
@@ -144,15 +144,15 @@ def parse_due_utc_ns(reference: SetReference) -> int:
 
 def parse_set_keys(names: Iterable[str]) -> set[SetKey]:
     """Parse the keys of sets from file names; ignore other names."""
-    return {*map(_to_key, _LINES.finditer("\n".join(names)))}
+    return {*map(_parse_key, _LINES.finditer("\n".join(names)))}
 
 
 def to_references(names: Iterable[str]) -> dict[SetKey, SetReference]:
     """Parse the names of set files to references by set key, in order; ignore other names."""
     matches = (match for match in map(_NAME.fullmatch, names) if match)
-    return dict(sorted((_to_key(match), SetReference(f"{SETS_FOLDER}/{match[0]}")) for match in matches))
+    return dict(sorted((_parse_key(match), SetReference(f"{SETS_FOLDER}/{match[0]}")) for match in matches))
 
 
-def _to_key(match: re.Match[str]) -> SetKey:
+def _parse_key(match: re.Match[str]) -> SetKey:
     """Parse the key of a set from a matched file name; one number in names of earlier versions."""
     return SetKey(int(match[1]), int(match[3])) if match[3] else SetKey.from_number(int(match[1]))

@@ -14,9 +14,9 @@ import h5py
 import numpy as np
 
 from daq_service.archive.errors import CorruptArchiveError, SetNotFoundError
-from daq_service.archive.layout import build_image
+from daq_service.archive.layout import build_set_image
 from daq_service.archive.nexus import open_image
-from daq_service.archive.reader import HDF5_ERRORS, examine_file, list_unreadable_parts, read_stored
+from daq_service.archive.reader import HDF5_ERRORS, examine_file, list_unreadable_parts, read_regular_file
 from daq_service.archive.records import Damage
 from hardware_drivers.measurement import SetRecord
 
@@ -50,7 +50,7 @@ class CheckedFile:
     sha256: str = ""
 
 
-def check_file(path: Path, *, sha256: str | None = None) -> CheckedFile:
+def check_set_file(path: Path, *, sha256: str | None = None) -> CheckedFile:
     """Check a set's file to the last byte; report what is corrupt or contradictory instead of raising.
 
     Parameters
@@ -65,7 +65,7 @@ def check_file(path: Path, *, sha256: str | None = None) -> CheckedFile:
         There is no such file.
     """
     try:
-        content = read_stored(path)
+        content = read_regular_file(path)
     except FileNotFoundError as error:
         raise SetNotFoundError(f"there is no file {path}") from error
     except OSError as error:
@@ -90,18 +90,18 @@ def check_file(path: Path, *, sha256: str | None = None) -> CheckedFile:
 def _rebuild_file(record: SetRecord) -> bytes | None:
     """Rebuild the bytes of a file from its record; None if any step of it fails."""
     try:
-        return build_image(record)
+        return build_set_image(record)
     except Exception as error:  # noqa: BLE001 - a corrupt name or length can break any step of it
         log.debug("no file can be made of what was read: %s", error)
         return None
 
 
-def find_damage(path: Path, sha256: str | None = None) -> tuple[str, str]:
-    """Describe the damage of a set file (empty: none) and compute its SHA-256; see `check_file`.
+def describe_damage(path: Path, sha256: str | None = None) -> tuple[str, str]:
+    """Describe the damage of a set file (empty: none) and compute its SHA-256; see `check_set_file`.
 
     Raises SetNotFoundError if there is no file; the SHA-256 is empty if it cannot be read.
     """
-    checked = check_file(path, sha256=sha256)
+    checked = check_set_file(path, sha256=sha256)
     damages = [str(damage) for damage in checked.damages]
     touched = ["its SHA-256 is not that of the file that was written"] if checked.touched else []
     return "; ".join([*touched, *damages]), checked.sha256
@@ -127,7 +127,7 @@ def _list_contradictions(content: bytes, rebuilt: bytes | None) -> list[str]:
     return [
         f"{name} is not what the rest of the file says"
         for name in sorted({*values, *expected_values} if same_format else values)
-        if not _agree(name, values, expected_values, same_format=same_format)
+        if not _equals(name, values, expected_values, same_format=same_format)
     ]
 
 
@@ -159,7 +159,7 @@ def _to_comparable(file: h5py.File, value: object) -> object:
     return value if isinstance(value, str) else np.asarray(value)
 
 
-def _agree(name: str, stored: Mapping[str, Any], expected: Mapping[str, Any], *, same_format: bool) -> bool:
+def _equals(name: str, stored: Mapping[str, Any], expected: Mapping[str, Any], *, same_format: bool) -> bool:
     """Return whether a stored value agrees with the expected one, as far as the format version allows.
 
     Previews may differ by 1e-6 of their largest value, all else not at all.

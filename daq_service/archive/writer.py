@@ -13,7 +13,7 @@ from pathlib import Path
 from daq_service.archive.errors import ArchiveWriteError, ConflictingSetError
 from daq_service.archive.journal.frames import Buffers, build_begin_frame, build_end_frame, build_missed_frame
 from daq_service.archive.journal.writer import Journal
-from daq_service.archive.layout import build_image
+from daq_service.archive.layout import build_set_image
 from daq_service.archive.reader import FolderSetReader
 from daq_service.archive.records import (
     JOURNAL_FOLDER,
@@ -25,7 +25,7 @@ from daq_service.archive.records import (
     SetReference,
     StoredSet,
     StoreTimings,
-    to_reference,
+    build_reference,
 )
 from daq_service.shared_file import remove_quietly, retry, sync_folder
 from hardware_drivers.measurement import MissedShot, PulseEchoRecord, SetKey, SetRecord, Shot, compute_crc32
@@ -109,7 +109,7 @@ class FolderArchive(FolderSetReader):
     def sync(self) -> list[int]:
         """Make all additions durable; return the acknowledged shot ids, or raise `ArchiveWriteError`."""
         try:
-            self._check_own_folder()
+            self._raise_if_folder_replaced()
             return self._journal_writer.sync()
         except OSError as error:
             raise _create_write_error(self.folder / JOURNAL_FOLDER, error) from error
@@ -147,12 +147,12 @@ class FolderArchive(FolderSetReader):
         ArchiveWriteError if nothing was stored.
         """
         start = time.perf_counter()
-        reference = to_reference(record.set_key, record.due_utc_ns)
+        reference = build_reference(record.set_key, record.due_utc_ns)
         stored = self._stored.get(record.set_key)
         if stored is not None:
             # The same set again, after an error that occurred when it was already stored.
             stored_record = replace(self.read_set(stored), results=record.results)
-            if stored != reference or build_image(stored_record) != build_image(record):
+            if stored != reference or build_set_image(stored_record) != build_set_image(record):
                 raise self._create_conflict_error(record.set_key, stored)
         else:
             self._append_end(record)
@@ -206,12 +206,12 @@ class FolderArchive(FolderSetReader):
             if source.exists():
                 move_to_quarantine(self.folder, reference)
             else:
-                self._journal_writer.set_aside(self._parse_key(reference), source.name)
+                self._journal_writer.set_aside(self._find_set_key(reference), source.name)
         except OSError as error:
             raise _create_write_error(source, error) from error
         self._stored = self.sets()
 
-    def _parse_key(self, reference: SetReference) -> SetKey:
+    def _find_set_key(self, reference: SetReference) -> SetKey:
         """Find the key of a stored set by its reference; StopIteration if there is none."""
         return next(key for key, file in self.sets().items() if file == reference)
 
@@ -220,7 +220,7 @@ class FolderArchive(FolderSetReader):
         names = sorted(path.name for path in (self.folder / QUARANTINE_FOLDER).glob("*"))
         return [f"{QUARANTINE_FOLDER}/{name}" for name in names]
 
-    def _check_own_folder(self) -> None:
+    def _raise_if_folder_replaced(self) -> None:
         """Raise `ArchiveWriteError` if the folder was replaced, as when a disk is unmounted."""
         if not os.path.samestat(self._folder_stat, self._sets_folder.stat()):
             raise ArchiveWriteError(

@@ -11,7 +11,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from daq_service.assessment.stored_limits import limits_by_name
+from daq_service.assessment.stored_limits import collect_limits_by_name
 from daq_service.catalogue import Catalogue
 from daq_service.catalogue.rows import AssessmentRow, EventRow, SetRow
 from daq_service.settings.tree import ScheduleSettings
@@ -93,7 +93,7 @@ def find_rejection_reason(
     available_ns, set_ns
         Time until the next scheduled set, and duration of the confirmation set, ns.
     """
-    n_recent = count_recent(position, requests, at_h)
+    n_recent = count_requests(position, requests, at_h)
     if n_recent >= maximum_per_day:
         return (
             f"{n_recent} of {maximum_per_day} confirmation sets a day are used "
@@ -102,7 +102,7 @@ def find_rejection_reason(
     return find_overlap(available_ns, set_ns)
 
 
-def count_recent(position: str, requests: Iterable[Confirmation], at_h: float) -> int:
+def count_requests(position: str, requests: Iterable[Confirmation], at_h: float) -> int:
     """Count the automatic requests (without an author) at a transducer in the last `BUDGET_H` hours."""
     recent = [request for request in requests if request.due.position == position and not request.author]
     return sum(request.due.due_h > at_h - BUDGET_H for request in recent)
@@ -122,7 +122,7 @@ def compute_longest_set_ns(schedule: ScheduleSettings, restrikes: int, read_time
     return round((strikes * schedule.shot_interval_s + read_timeout_s) * NS_PER_S)
 
 
-def find_next_unscheduled_number(requests: Iterable[Confirmation], planned_set: int) -> int | None:
+def find_next_unscheduled_index(requests: Iterable[Confirmation], planned_set: int) -> int | None:
     """Return the index, from 1, of the next unscheduled set after a scheduled one.
 
     None if there are `MOST_UNSCHEDULED` already.
@@ -169,7 +169,7 @@ def summarize_confirmation(its_set: SetRow, assessment: AssessmentRow | None) ->
     }
     if assessment is None:
         return ConfirmationResult(**facts, reason=its_set.reason)
-    limit = limits_by_name(assessment).get(assessment.limit_name)
+    limit = collect_limits_by_name(assessment).get(assessment.limit_name)
     return ConfirmationResult(
         **facts, distance_squared=assessment.distance_squared, limit=limit, reason=assessment.reason
     )

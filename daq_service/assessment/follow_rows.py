@@ -18,7 +18,7 @@ from daq_service.catalogue.rows import AssessmentRow, ThicknessRow
 log = logging.getLogger(__name__)
 
 
-def follow_rows(assessor: Assessor, stored: StoredResult) -> Sequence[AssessmentRow]:
+def replay_stored_set(assessor: Assessor, stored: StoredResult) -> Sequence[AssessmentRow]:
     """Update an assessor's state with a set by its stored rows.
 
     Return the assessments of a baseline that the set completes; empty otherwise, and for a probe.

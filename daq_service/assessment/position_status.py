@@ -7,7 +7,7 @@ from typing import Literal
 
 from daq_service.alarms.states import NOT_ASSESSED, find_disabled
 from daq_service.assessment.methods import METHODS
-from daq_service.assessment.stored_limits import limits_by_name
+from daq_service.assessment.stored_limits import collect_limits_by_name
 from daq_service.catalogue import Catalogue
 from daq_service.catalogue.reader import LatestRows
 from daq_service.processes.freshness import Freshness
@@ -36,7 +36,7 @@ def find_status(last: LatestRows) -> PositionStatus:
     Parameters
     ----------
     last
-        Its latest rows, with the current alarms (`Freshness.with_present_alarms`): an expired shelf hides
+        Its latest rows, with the current alarms (`Freshness.expire_shelves`): an expired shelf hides
         none.
     """
     assessment = last.last_assessment
@@ -61,7 +61,7 @@ def find_data_age_h(last: LatestRows, fresh: Freshness) -> float | None:
 
     None without one.
     """
-    data_h = find_data_hour(last)
+    data_h = find_newest_data_hour(last)
     return None if data_h is None else fresh.age_h(data_h)
 
 
@@ -74,7 +74,7 @@ def read_latest_rows(
     """
     stored = catalogue.read_latest_rows()
     return {
-        name: fresh.with_present_alarms(stored.get(name) or LatestRows(position=name, method=place.method))
+        name: fresh.expire_shelves(stored.get(name) or LatestRows(position=name, method=place.method))
         for name, place in positions.items()
     }
 
@@ -94,10 +94,10 @@ def find_limit(last: LatestRows, thinnest_m: float) -> float | None:
     assessment = last.last_assessment
     if assessment is None:
         return None
-    return limits_by_name(assessment).get(assessment.limit_name)
+    return collect_limits_by_name(assessment).get(assessment.limit_name)
 
 
-def find_data_hour(last: LatestRows) -> float | None:
+def find_newest_data_hour(last: LatestRows) -> float | None:
     """Return the hour of the newest set with data; None before the first one.
 
     A set that was missed, or scheduled for a disabled transducer, has no data.
@@ -107,7 +107,7 @@ def find_data_hour(last: LatestRows) -> float | None:
     )
 
 
-def is_stale(schedule: ScheduleSettings, fresh: Freshness, age_h: float | None) -> bool:
+def is_data_stale(schedule: ScheduleSettings, fresh: Freshness, age_h: float | None) -> bool:
     """Return whether the newest set is older than `STALE_INTERVALS` intervals, or no recorder runs.
 
     True also if there is no set (``age_h`` None).

@@ -7,8 +7,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
 from analysis.errors import AnalysisError
-from analysis.statistics.rules import AlarmRule, AlarmState, next_alarm_state
-from analysis.ultrasound.reading import EchoReading, read_echo
+from analysis.statistics.rules import AlarmRule, AlarmState, update_alarm_state
+from analysis.ultrasound.reading import EchoReading, measure_wall_thickness
 from analysis.ultrasound.thickness import EXTRACTOR_VERSION, EchoReference, find_reference_echo
 from analysis.waves.features import ShotFeatures
 from daq_service.alarms.states import Condition
@@ -54,7 +54,7 @@ class PulseEchoAssessor:
 
     def add(self, row: ThicknessRow) -> None:
         """Update the k-of-n state of the thickness alarm with one reading."""
-        alarm = next_alarm_state(self.state.alarm, self.is_thin(row), self._rule)
+        alarm = update_alarm_state(self.state.alarm, self.exceeds_limit(row), self._rule)
         self.state = replace(self.state, alarm=alarm)
 
     def enable(self) -> None:
@@ -96,7 +96,7 @@ class PulseEchoAssessor:
             if reference is None:
                 reference = self.build_reference_echo(echo.waveform, settings.initial_thickness_m)
                 self.set_reference(reference)
-            reading = read_echo(
+            reading = measure_wall_thickness(
                 echo.waveform,
                 reference,
                 delay_s=settings.delay_s,
@@ -147,7 +147,7 @@ class PulseEchoAssessor:
             velocity_m_per_s=settings.velocity_m_per_s,
         )
 
-    def is_thin(self, row: ThicknessRow) -> bool | None:
+    def exceeds_limit(self, row: ThicknessRow) -> bool | None:
         """Return whether the wall loss of a reading exceeds the limit; None for a bad or missing value."""
         loss_m = row.thickness_loss_m
         if row.quality == "bad" or loss_m is None or not math.isfinite(loss_m):
@@ -172,7 +172,9 @@ class PulseEchoAssessor:
             alarm_class="damage",
             priority="high",
             present=alarm.active,
-            times_limit=None if loss_m is None or self.is_thin(row) is None else loss_m / self._limit_loss_m,
+            times_limit=None
+            if loss_m is None or self.exceeds_limit(row) is None
+            else loss_m / self._limit_loss_m,
             message=(
                 f"{sum(alarm.recent)} of the last {len(alarm.recent)} readings at "
                 f"{self.position} show a loss beyond {fraction:.0%} of {initial_m * 1e3:.2f} mm"

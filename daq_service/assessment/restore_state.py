@@ -34,7 +34,7 @@ STATE_FORMAT = 1
 def restore_solitary_wave(
     position: str, settings: Settings, catalogue: Catalogue, archive: SetReader, rehearsal: bool
 ) -> SolitaryWaveAssessor:
-    """Restore the assessor of a transducer from the catalogue, or from all stored sets (`_restore_assessor`).
+    """Restore the assessor of a transducer from the catalogue, or from all stored sets (`_restore_state`).
 
     Parameters
     ----------
@@ -51,7 +51,7 @@ def restore_solitary_wave(
         rehearsal=rehearsal,
         has_chart=stored is None or stored.state == "collecting" or stored.limits is not None,
     )
-    return _restore_assessor(assessor, settings.configuration_hash(), catalogue, archive)
+    return _restore_state(assessor, settings.configuration_hash(), catalogue, archive)
 
 
 def restore_pulse_echo(
@@ -67,7 +67,7 @@ def restore_pulse_echo(
     from daq_service.assessment.pulse_echo import PulseEchoAssessor
 
     del rehearsal
-    assessor = _restore_assessor(
+    assessor = _restore_state(
         PulseEchoAssessor(position, settings), settings.configuration_hash(), catalogue, archive
     )
     if assessor.lost is not None and assessor.state.reference is None:
@@ -75,7 +75,7 @@ def restore_pulse_echo(
     return assessor
 
 
-def _restore_assessor(assessor: A, configuration_hash: str, catalogue: Catalogue, archive: SetReader) -> A:
+def _restore_state(assessor: A, configuration_hash: str, catalogue: Catalogue, archive: SetReader) -> A:
     """Restore the state of a new assessor and return the assessor.
 
     The stored state is used if this version and configuration wrote all of it; otherwise all stored sets are
@@ -86,18 +86,18 @@ def _restore_assessor(assessor: A, configuration_hash: str, catalogue: Catalogue
     rows = catalogue.rows(AssessorStateRow, position=assessor.position)
     made_by = (STATE_FORMAT, configuration_hash)
     if not rows or any((row.format, row.configuration_hash) != made_by for row in rows):
-        follow_stored_sets(assessor, catalogue, archive)
+        replay_stored_sets(assessor, catalogue, archive)
     elif {row.baseline_id for row in rows} == {assessor.baseline_id}:
         assessor.state = from_json(type(assessor.state), *(row.state for row in rows))
     return assessor
 
 
-def follow_stored_sets(assessor: Assessor, catalogue: Catalogue, archive: SetReader) -> None:
+def replay_stored_sets(assessor: Assessor, catalogue: Catalogue, archive: SetReader) -> None:
     """Update the state of a new assessor with all stored sets in the order of their commits.
 
     The faults of a transducer are cleared where a person enabled it.
     """
-    from daq_service.assessment.follow_rows import follow_rows
+    from daq_service.assessment.follow_rows import replay_stored_set
 
     position = assessor.position
     results: dict[SetKey, FeatureRow | ThicknessRow] = {
@@ -113,7 +113,7 @@ def follow_stored_sets(assessor: Assessor, catalogue: Catalogue, archive: SetRea
         if row.set_key in enabled_at:
             assessor.enable()
         if is_assessed(row):
-            follow_rows(
+            replay_stored_set(
                 assessor,
                 StoredResult(
                     its_set=row,

@@ -52,7 +52,7 @@ def build_result_tables(
         shot = shot_of.get(row.sequence)
         if shot is None and (isinstance(row, ThicknessRow) or row.sequence is not None):
             continue  # its record is lost
-        columns: dict[str, Any] = {name: _none_to_nan(getattr(row, name)) for name in MEASURED[type(row)]}
+        columns: dict[str, Any] = {name: _to_finite(getattr(row, name)) for name in MEASURED[type(row)]}
         columns |= {"position": row.position, "quality": row.quality, MADE_BY: row.extractor_version}
         if shot is not None:
             columns |= {
@@ -102,6 +102,6 @@ def _is_equal(left: Any, right: Any) -> bool:
     return bool(left == right or (left != left and right != right))
 
 
-def _none_to_nan(value: float | None) -> float:
+def _to_finite(value: float | None) -> float:
     """Return the value, or NaN if it is None or infinite."""
     return math.nan if value is None or math.isinf(value) else value

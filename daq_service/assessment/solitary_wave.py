@@ -16,7 +16,7 @@ import numpy as np
 
 from analysis.assessment.baseline_quality import assess_baseline
 from analysis.assessment.combined_shots import CombinedShots, combine_shots
-from analysis.assessment.confirmation import confirms_change, request_reason
+from analysis.assessment.confirmation import confirms_change, explain_confirmation_request
 from analysis.assessment.diagnosis import diagnose_confirmation
 from analysis.assessment.step import (
     Rules,
@@ -26,11 +26,11 @@ from analysis.assessment.step import (
     assess_next_set,
     assess_without_charts,
     clear_faults,
-    wall_alarm_active,
+    is_wall_alarm_active,
 )
 from analysis.diagnosis.diagnose import Diagnosis
 from analysis.diagnosis.hypotheses import WALL
-from analysis.statistics.design import Design, contributions_of
+from analysis.statistics.design import Design, compute_chart_contributions
 from analysis.statistics.limits import F_PREDICTIVE, PAPER_MEAN_3SD
 from analysis.statistics.named_limits import DISTANCE, LIMITS, MEWMA
 from analysis.statistics.rules import HoleRule
@@ -146,11 +146,11 @@ class SolitaryWaveAssessor:
         n_tried
             Shots that were struck, with or without a record; None: those that have one.
         """
-        combined, before = self._average_shots(shots, features, outcomes or {}), self.state
+        combined, before = self._average_valid(shots, features, outcomes or {}), self.state
         tried = len({shot.key.shot_index for shot in shots}) if n_tried is None else n_tried
-        set_of_shots = combined.as_set(due.set_index, due.due_h, tried)
+        set_of_shots = combined.to_set_of_shots(due.set_index, due.due_h, tried)
         self.state, assessment = assess_next_set(before, set_of_shots, self.rules)
-        devices = device_conditions(
+        devices = build_transducer_conditions(
             self.position, due, self.state, self.rules, self._quality, combined.mean.reason
         )
         if assessment is None:
@@ -166,15 +166,15 @@ class SolitaryWaveAssessor:
             conditions=[
                 # Shots without a reflected wave are a finding about the wall, not about the transducer.
                 *([] if self.state.hole.sets_running else devices),
-                *wall_conditions(self.position, self.state, self.rules, assessments[-1]),
+                *find_conditions(self.position, self.state, self.rules, assessments[-1]),
                 build_no_reflection_condition(
                     self.position, due, self.state, self.rules.hole, set_of_shots.flags
                 ),
-                not_assessed_condition(
+                build_not_assessed_condition(
                     self.position, due, self.state, self._baseline_id, self.not_assessed_reason
                 ),
             ],
-            suspicion=request_reason(before, self.state, assessment, self.rules),
+            suspicion=explain_confirmation_request(before, self.state, assessment, self.rules),
         )
 
     def assess_unscheduled(
@@ -185,11 +185,11 @@ class SolitaryWaveAssessor:
         Before the baseline is complete the result has features, but no assessment.
         """
         shots = [shot for shot in record.shots if shot.key.position == self.position]
-        combined = self._average_shots(shots, [features[shot.sequence] for shot in shots], record.outcomes)
+        combined = self._average_valid(shots, [features[shot.sequence] for shot in shots], record.outcomes)
         result = self._build_shot_results(due, combined)
         if self.state.baseline is None:
             return result
-        set_of_shots = combined.as_set(due.set_index, due.due_h, record.n_tried(self.position))
+        set_of_shots = combined.to_set_of_shots(due.set_index, due.due_h, record.n_tried(self.position))
         assessment = assess_without_charts(set_of_shots, self.state.baseline, self.rules)
         vector, fitted = set_of_shots.vector(), self.state.baseline.fitted
         assessment = replace(assessment, cause=self.diagnose_unscheduled(set_of_shots))
@@ -220,7 +220,7 @@ class SolitaryWaveAssessor:
             return "it has no baseline yet; wait until it is recorded"
         return self.state.baseline.reason or ""
 
-    def _average_shots(
+    def _average_valid(
         self, shots: Sequence[Shot], features: Sequence[ShotFeatures], outcomes: Mapping[int, str]
     ) -> CombinedShots:
         """Flag the shots of a set by comparison, and average each feature over its valid accepted shots.
@@ -328,7 +328,7 @@ class SolitaryWaveAssessor:
             baseline_id=None if baseline is None else self._baseline_id,
             in_baseline=assessment.in_baseline,
             distance_squared=assessment.distance_squared,
-            limit_name=self.rules.limit if baseline is None else baseline.effective_limit(self.rules.limit),
+            limit_name=self.rules.limit if baseline is None else baseline.choose_limit_name(self.rules.limit),
             limit_f_predictive=limits.get(F_PREDICTIVE),
             limit_mean_3sd=limits.get(PAPER_MEAN_3SD),
             outlier=assessment.outlier,
@@ -390,7 +390,7 @@ def _build_set_feature_row(position: str, due: DueSet, mean: SetFeatures) -> Fea
 # Conditions of alarms --------------------------------------------------------------------------------
 
 
-def wall_conditions(position: str, state: State, rules: Rules, assessment: AssessmentRow) -> list[Condition]:
+def find_conditions(position: str, state: State, rules: Rules, assessment: AssessmentRow) -> list[Condition]:
     """Return the conditions ``wall_change`` and ``transducer_change`` after a set; at most one is present.
 
     A change with a diagnosis other than the wall raises the transducer alarm; an undetermined one raises the
@@ -403,9 +403,9 @@ def wall_conditions(position: str, state: State, rules: Rules, assessment: Asses
     """
     design = None if state.baseline is None else state.baseline.design
     if rules.decides_by == "chart" and design is not None and state.memory is not None:
-        present, times_limit, message, evidence = _describe_chart(position, design, state, rules, assessment)
+        present, times_limit, message, evidence = _get_chart_basis(position, design, state, rules, assessment)
     else:
-        present, times_limit, message, evidence = _describe_k_of_n(position, state, rules, assessment)
+        present, times_limit, message, evidence = _build_k_of_n_basis(position, state, rules, assessment)
     if assessment.diagnosis is None:
         message += REMEDY
     else:
@@ -437,7 +437,7 @@ def wall_conditions(position: str, state: State, rules: Rules, assessment: Asses
     return [wall, transducer]
 
 
-def describe_rate(design: Design, budget: float) -> str:
+def describe_false_alarm_rate(design: Design, budget: float) -> str:
     """Describe the design false-alarm rate of the chart for a healthy transducer.
 
     If it is not verified, the text has the reason.
@@ -459,19 +459,19 @@ AlarmBasis = tuple[bool, float | None, str, dict[str, Any]]
 """Presence of the condition, multiple of the limit, first part of the message, and evidence."""
 
 
-def _describe_chart(
+def _get_chart_basis(
     position: str, design: Design, state: State, rules: Rules, assessment: AssessmentRow
 ) -> AlarmBasis:
     """Return the basis of the wall alarm if the control chart decides: statistic, limit and contributions."""
     memory = state.memory
     assert memory is not None, "checked by the caller"
     limit, average = design.limits[MEWMA], np.array(memory.averages[MEWMA])
-    parts = contributions_of(average)
+    parts = compute_chart_contributions(average)
     statistic = float(parts.sum())
     budget = rules.false_alarms_per_sensor_year
     message = (
         f"the chart of {position} stands at {statistic:.1f}, beyond its limit of {limit:.1f} "
-        f"({describe_rate(design, budget)}): "
+        f"({describe_false_alarm_rate(design, budget)}): "
         if memory.alarming
         else f"the cause of a change at {position} is named, while the chart stands at {statistic:.1f}, "
         f"below its limit of {limit:.1f}: "
@@ -487,10 +487,10 @@ def _describe_chart(
         "rate_verified": not design.rate_not_verified_reason,
         "rate_not_verified_reason": design.rate_not_verified_reason or None,
     }
-    return wall_alarm_active(state, rules), statistic / limit, message, evidence
+    return is_wall_alarm_active(state, rules), statistic / limit, message, evidence
 
 
-def _describe_k_of_n(position: str, state: State, rules: Rules, assessment: AssessmentRow) -> AlarmBasis:
+def _build_k_of_n_basis(position: str, state: State, rules: Rules, assessment: AssessmentRow) -> AlarmBasis:
     """Return the basis of the wall alarm if k outliers of n sets decide.
 
     The multiple of the limit is None if statistic or limit is missing.
@@ -552,7 +552,7 @@ def build_no_reflection_condition(
     )
 
 
-def device_conditions(
+def build_transducer_conditions(
     position: str, due: DueSet, state: State, rules: Rules, quality: QualitySettings, reason: str
 ) -> list[Condition]:
     """Return the conditions ``few_valid_shots`` and, latched after more sets, ``transducer_disabled``.
@@ -590,7 +590,7 @@ def device_conditions(
     return [few_valid_shots, disabled]
 
 
-def not_assessed_condition(
+def build_not_assessed_condition(
     position: str, due: DueSet, state: State, baseline_id: int, reason: str
 ) -> Condition:
     """Return the condition ``not_assessed``: present if the baseline is complete, but has no limits.

@@ -9,7 +9,7 @@ from daq_service.catalogue.rows import AssessmentRow, BaselineRow
 from daq_service.settings.tree import AlarmSettings
 
 
-def limits_by_name(row: BaselineRow | AssessmentRow) -> dict[str, float]:
+def collect_limits_by_name(row: BaselineRow | AssessmentRow) -> dict[str, float]:
     """Return the limits of a stored row by name; empty if it has none.
 
     Rows of earlier versions have two limits, in columns.
@@ -37,7 +37,7 @@ def find_limit_statistic(row: AssessmentRow, limit_name: str) -> float | None:
     return columns[name] if name in columns else (row.statistics or {}).get(name)
 
 
-def find_chart(row: AssessmentRow | None, alarms: AlarmSettings) -> tuple[float, float] | None:
+def find_chart_statistic(row: AssessmentRow | None, alarms: AlarmSettings) -> tuple[float, float] | None:
     """Return statistic and limit of the MEWMA control chart; None if it does not decide the wall alarm.
 
     None also without an assessment, a statistic or a limit.
@@ -46,5 +46,5 @@ def find_chart(row: AssessmentRow | None, alarms: AlarmSettings) -> tuple[float,
         return None
     from analysis.statistics.named_limits import MEWMA
 
-    limit = limits_by_name(row).get(MEWMA)
+    limit = collect_limits_by_name(row).get(MEWMA)
     return None if limit is None else (row.mewma_statistic, limit)

@@ -20,7 +20,7 @@ from typing import Any
 from analysis.waves.features import ShotFeatures
 from daq_service.background.task import BackgroundTask
 from daq_service.clock import MACHINE, MachineClock
-from daq_service.shared_file import write_hint
+from daq_service.shared_file import write_best_effort
 from hardware_drivers.measurement import PulseEchoRecord, Shot, Waveform
 from hardware_drivers.nanoseconds import NS_PER_S
 
@@ -105,7 +105,7 @@ class LiveFigure(BackgroundTask):
             "written_wall_utc_ns": time.time_ns(),
             "rig": self._rig_kind,
         }
-        error = write_hint(self._folder / f"{key.position}.bin", encode_live_figure(header, waveform))
+        error = write_best_effort(self._folder / f"{key.position}.bin", encode_live_figure(header, waveform))
         refused = None if error is None else error.errno
         if error is not None and refused != self._refused:
             # Once for a full disk, not ten times a second. Windows refuses while somebody reads the old one.

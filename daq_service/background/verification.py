@@ -10,7 +10,7 @@ from types import MappingProxyType
 
 from daq_service.archive import SetNotFoundError
 from daq_service.archive.records import SETS_FOLDER, parse_set_keys, to_references
-from daq_service.archive.verification import find_damage
+from daq_service.archive.verification import describe_damage
 from daq_service.background.finalize_sets import SetFinalizer
 from daq_service.background.task import BackgroundTask
 from daq_service.clock import MACHINE, MachineClock
@@ -106,11 +106,11 @@ class IdleVerification(BackgroundTask):
             if self._to_come:
                 file = self._to_come[0]
                 try:
-                    sha256 = self._sha256_of(_read_set_key(file))
+                    sha256 = self._sha256_of(_parse_set_key(file))
                 except _TROUBLE as error:
                     log.warning("%s is checked later: %s", file, error)
                     return
-                future_or_none = self._finalizer.submit(find_damage, self._folder / file, sha256)
+                future_or_none = self._finalizer.submit(describe_damage, self._folder / file, sha256)
                 if future_or_none is not None:
                     self._running = file, sha256 is not None, future_or_none
                     del self._to_come[0]
@@ -124,7 +124,7 @@ class IdleVerification(BackgroundTask):
         try:
             fault, sha256 = future.result()
             if not (fault or is_noted):
-                self._note(_read_set_key(file), file, sha256)
+                self._note(_parse_set_key(file), file, sha256)
         except SetNotFoundError:
             fault = "is missing"
         except _TROUBLE as error:
@@ -140,7 +140,7 @@ class IdleVerification(BackgroundTask):
             self.damaged.pop(file, None)
 
 
-def _read_set_key(file: str) -> SetKey:
+def _parse_set_key(file: str) -> SetKey:
     """Return the key of a set from the name of its file.
 
     Raises

@@ -12,7 +12,7 @@ from sqlalchemy import Engine, create_engine
 from sqlalchemy.pool import QueuePool
 
 from daq_service.catalogue import errors
-from daq_service.catalogue.stored_rows import begin_transactions, to_json_text
+from daq_service.catalogue.stored_rows import configure_transactions, to_json_text
 from daq_service.shared_file import retry
 
 FILE_NAME = "catalogue.sqlite"
@@ -20,7 +20,7 @@ CREATION_S = 0.25
 """A catalogue that is being created looks corrupt to a reader for some milliseconds."""
 
 
-def make_engine(path: Path, *, writable: bool, durable: bool = True) -> Engine:
+def create_sqlite_engine(path: Path, *, writable: bool, durable: bool = True) -> Engine:
     """Create an SQLAlchemy engine for the catalogue file; it connects on first use.
 
     ``writable`` True creates a missing file on the first connection, False opens it read-only. ``durable``
@@ -33,7 +33,7 @@ def make_engine(path: Path, *, writable: bool, durable: bool = True) -> Engine:
     def connect() -> sqlite3.Connection:
         """Open a SQLite connection, set its pragmas and probe the file; close it if any of this fails."""
         nonlocal mode
-        immutable = "&immutable=1" if not writable and _is_unchangeable(path) else ""
+        immutable = "&immutable=1" if not writable and _can_open_immutable(path) else ""
         uri = f"{path.absolute().as_uri()}?mode={mode}{immutable}"
         connection = sqlite3.connect(
             uri, uri=True, timeout=errors.BUSY_TIMEOUT_S, isolation_level=None, check_same_thread=False
@@ -58,19 +58,19 @@ def make_engine(path: Path, *, writable: bool, durable: bool = True) -> Engine:
         mode = "rw" if writable else "ro"
         return connection
 
-    def connect_patiently() -> sqlite3.Connection:
+    def connect_with_retry() -> sqlite3.Connection:
         """Open a connection; a reader retries for up to 0.25 s while the file is being created."""
         if writable:
             return connect()
-        return retry(connect, is_refusal=_is_being_created, patience_s=CREATION_S)
+        return retry(connect, is_refusal=_is_corruption_error, patience_s=CREATION_S)
 
     # The pool is given because a URL without a file means a database in memory, whose pool
     # closes the connections of other threads while they use them.
     engine = create_engine(
         "sqlite+pysqlite://",
         creator=lambda: retry(
-            connect_patiently,
-            is_refusal=lambda error: _is_locked(error) and path.parent.is_dir(),
+            connect_with_retry,
+            is_refusal=lambda error: _is_file_access_error(error) and path.parent.is_dir(),
             report_after_s=0.0,
         ),
         poolclass=QueuePool,
@@ -79,17 +79,17 @@ def make_engine(path: Path, *, writable: bool, durable: bool = True) -> Engine:
         json_deserializer=orjson.loads,
     )
 
-    begin_transactions(engine)
+    configure_transactions(engine)
     return engine
 
 
 @lru_cache(maxsize=8)
 def create_reading_engine(path: Path) -> Engine:
     """Return a read-only engine of a file; the 8 last used are cached with their compiled statements."""
-    return make_engine(path, writable=False)
+    return create_sqlite_engine(path, writable=False)
 
 
-def _is_unchangeable(path: Path) -> bool:
+def _can_open_immutable(path: Path) -> bool:
     """Return whether the file is on a read-only volume and has no write-ahead log; False on Windows.
 
     Readers of a write-ahead log create files next to it, which is impossible there.
@@ -99,12 +99,12 @@ def _is_unchangeable(path: Path) -> bool:
     return path.is_file() and bool(os.statvfs(path).f_flag & os.ST_RDONLY)
 
 
-def _is_being_created(error: Exception) -> bool:
+def _is_corruption_error(error: Exception) -> bool:
     """Return whether an error is SQLITE_CORRUPT, which also occurs while a file is being created."""
     return getattr(error, "sqlite_errorcode", 0) & 0xFF == sqlite3.SQLITE_CORRUPT
 
 
-def _is_locked(error: Exception) -> bool:
+def _is_file_access_error(error: Exception) -> bool:
     """Return whether an error means that SQLite cannot open, write or remove one of its files at present."""
     code = getattr(error, "sqlite_errorcode", 0)
     codes = (sqlite3.SQLITE_CANTOPEN, sqlite3.SQLITE_READONLY, sqlite3.SQLITE_PERM)

@@ -9,9 +9,9 @@ from pathlib import Path
 from sqlalchemy import Connection, Table, select, text
 from sqlalchemy.exc import SQLAlchemyError
 
-from daq_service.catalogue.connection import FILE_NAME, make_engine
+from daq_service.catalogue.connection import FILE_NAME, create_sqlite_engine
 from daq_service.catalogue.errors import REMEDY, CatalogueDamagedError
-from daq_service.catalogue.reported_rows import find_lost_rows
+from daq_service.catalogue.reported_rows import find_events_without_row
 from daq_service.catalogue.rows import Row
 from daq_service.catalogue.stored_rows import DamagedRow, to_checked_row
 from daq_service.catalogue.tables import KINDS, TABLES, events
@@ -40,7 +40,7 @@ def find_catalogue_corruption(folder: Path) -> Iterator[CatalogueCorruption]:
     Works while a recorder writes. A file that cannot be read at all yields one entry instead of an error.
     """
     path = folder / FILE_NAME
-    engine = make_engine(path, writable=False)
+    engine = create_sqlite_engine(path, writable=False)
     try:
         with engine.begin() as connection:
             yield from find_corruption(connection)
@@ -50,7 +50,7 @@ def find_catalogue_corruption(folder: Path) -> Iterator[CatalogueCorruption]:
         engine.dispose()
 
 
-def refuse_corruption(folder: Path) -> None:
+def raise_if_corrupt(folder: Path) -> None:
     """Read the complete catalogue and raise an error if it is corrupt.
 
     Raises
@@ -88,7 +88,7 @@ def find_corruption(connection: Connection, *, rows: bool = True) -> Iterator[Ca
     for kind in KINDS:
         yield from _check_rows(connection, kind, TABLES[kind])
     try:
-        for event_id, description in find_lost_rows(connection):
+        for event_id, description in find_events_without_row(connection):
             yield CatalogueCorruption(table=events.name, row_id=event_id, description=description)
     except UNREADABLE as error:
         yield CatalogueCorruption(table=events.name, description=_shorten(error))

@@ -26,7 +26,7 @@ HISTORY_FILE = "history.jsonl"
 """History of the test, see `history`."""
 
 
-def write_experiment(folder: Path, row: ExperimentRow) -> None:
+def write_experiment_file(folder: Path, row: ExperimentRow) -> None:
     """Write ``experiment.json`` durably, with the CRC-32 of its columns; replace an existing file.
 
     Raises
@@ -47,7 +47,7 @@ def write_experiment(folder: Path, row: ExperimentRow) -> None:
         ) from error
 
 
-def read_experiment(folder: Path) -> ExperimentRow | None:
+def read_experiment_file(folder: Path) -> ExperimentRow | None:
     """Read the experiment's row from ``experiment.json``; None if there is no file.
 
     Raises
@@ -86,17 +86,17 @@ def ensure_experiment_file(folder: Path, row: ExperimentRow) -> None:
          The file belongs to another experiment.
     """
     try:
-        stored = read_experiment(folder)
+        stored = read_experiment_file(folder)
     except CatalogueDamagedError as error:
         log.warning("written again from the catalogue: %s", error)
         stored = None
     if stored is None:
-        write_experiment(folder, row)
+        write_experiment_file(folder, row)
     else:
-        refuse_other_record(row, stored, "its catalogue", EXPERIMENT_FILE, folder)
+        raise_if_other_record(row, stored, "its catalogue", EXPERIMENT_FILE, folder)
 
 
-def refuse_other_record(
+def raise_if_other_record(
     row: ExperimentRow, other_row: ExperimentRow, name: str, other_name: str, folder: Path
 ) -> None:
     """Raise an error if two records of a folder describe different experiments.

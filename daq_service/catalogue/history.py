@@ -23,7 +23,7 @@ import orjson
 from daq_service.catalogue.connection import FILE_NAME
 from daq_service.catalogue.earlier_names import to_current_row
 from daq_service.catalogue.errors import CatalogueDamagedError
-from daq_service.catalogue.experiment_file import HISTORY_FILE, refuse_other_record
+from daq_service.catalogue.experiment_file import HISTORY_FILE, raise_if_other_record
 from daq_service.catalogue.reader import Catalogue
 from daq_service.catalogue.rows import CommandRow, EventRow, ExperimentRow, SetRow, as_dict
 from daq_service.catalogue.writer import ANSWERS
@@ -86,7 +86,7 @@ class History:
                 self.digests[row["file"]] = row["file_sha256"]
 
 
-def encode_line(number: int, table: str, row: Mapping[str, object]) -> bytes:
+def encode_history_line(number: int, table: str, row: Mapping[str, object]) -> bytes:
     """Encode a row as one line of the history: JSON with index, table, CRC-32 and a final newline."""
     body = orjson.dumps({"n": number, "table": table, "row": row})[1:]
     return b'%s%08x",%s\n' % (_HEAD, zlib.crc32(body), body)
@@ -115,10 +115,10 @@ def read_history(folder: Path, *, tail_bytes: int | None = None) -> History:
             content = file.read()
     except FileNotFoundError:
         return History()
-    return parse_lines(content if start == 0 else content.partition(b"\n")[2], whole=start == 0)
+    return parse_history_lines(content if start == 0 else content.partition(b"\n")[2], whole=start == 0)
 
 
-def parse_lines(content: bytes, *, whole: bool = True, name: str = HISTORY_FILE) -> History:
+def parse_history_lines(content: bytes, *, whole: bool = True, name: str = HISTORY_FILE) -> History:
     """Parse the lines of a history; list corrupt and missing lines in `History.damage` and go on.
 
     ``whole`` False: the first lines are absent, which is no damage. ``name`` is the file's name in messages.
@@ -128,7 +128,7 @@ def parse_lines(content: bytes, *, whole: bool = True, name: str = HISTORY_FILE)
     lines = content.split(b"\n")
     unreadable: list[int] = []
     for line_number, line in enumerate(lines, start=1):
-        parsed = parse_line(line)
+        parsed = parse_history_line(line)
         if parsed is None:
             # An empty line marks the start of a new line after a truncated one.
             unreadable += [line_number] if line else []
@@ -151,7 +151,7 @@ def parse_lines(content: bytes, *, whole: bool = True, name: str = HISTORY_FILE)
     return history
 
 
-def parse_line(line: bytes) -> tuple[int, str, Mapping[str, object]] | None:
+def parse_history_line(line: bytes) -> tuple[int, str, Mapping[str, object]] | None:
     """Parse index, table and row of a line; None if it is empty, corrupt or does not match its CRC-32."""
     try:
         if line.startswith(_HEAD) and int(line[len(_HEAD) : _BODY - 2], 16) == zlib.crc32(line[_BODY:]):
@@ -174,7 +174,7 @@ class HistoryFollower:
         self._new_digests: dict[str, str] = {}
         self._refusal = ""
 
-    def note_digest(self, file: str, sha256: str) -> None:
+    def add_digest(self, file: str, sha256: str) -> None:
         """Keep the SHA-256 of a set's file, which the catalogue now has, for the next lines."""
         self._new_digests[file] = sha256
 
@@ -205,14 +205,14 @@ class HistoryFollower:
             log.warning("the history cannot be read: %s", error)
             return
         if history.experiment is not None:
-            refuse_other_record(
+            raise_if_other_record(
                 self._catalogue.read_experiment(),
                 history.experiment,
                 "its catalogue",
                 HISTORY_FILE,
                 self._folder,
             )
-        if missing := describe_missing_event(history, self._catalogue):
+        if missing := describe_lost_newest_event(history, self._catalogue):
             raise CatalogueDamagedError(f"{self._folder / FILE_NAME} {missing}")
         self.follow(now=True)
 
@@ -241,7 +241,7 @@ class HistoryFollower:
             self._known = read_history(self._folder, tail_bytes=TAIL_BYTES)
             self._last_answered = 0
             # A crash may have occurred between a digest and its line, for one of the sets at its end.
-            set_indices = _list_stored_sets(self._known.events.values())
+            set_indices = _list_set_indices(self._known.events.values())
             self._new_digests |= self._read_digests(min(set_indices), None) if set_indices else {}
         while lines := self._collect_missing_lines(self._known):
             append_durably(self._folder / HISTORY_FILE, lines)
@@ -254,9 +254,9 @@ class HistoryFollower:
         """
         last_id = max(known.events, default=0)
         events = self._catalogue.rows(EventRow, after_id=last_id, limit=EVENTS_AT_ONCE)
-        commands = self._list_open_commands()
+        commands = self._list_changed_commands()
         # Where sets have no journal, their rows come with the digest.
-        set_indices = _list_stored_sets(events)
+        set_indices = _list_set_indices(events)
         files = self._new_digests | (
             self._read_digests(min(set_indices), max(set_indices)) if set_indices else {}
         )
@@ -270,7 +270,7 @@ class HistoryFollower:
             for file, sha256 in files.items()
             if known.digests.get(file) != sha256
         ]
-        lines = [encode_line(known.last_number + n, *row) for n, row in enumerate(new_rows, start=1)]
+        lines = [encode_history_line(known.last_number + n, *row) for n, row in enumerate(new_rows, start=1)]
         # Keep only what is needed again, so that memory does not grow with the test.
         known.last_number += len(lines)
         known.events = {row.id: row for row in [*known.events.values(), *events][-1:] if row.id}
@@ -283,7 +283,7 @@ class HistoryFollower:
         rows = self._catalogue.rows(SetRow, first_set=first, last_set=last, purpose="any")
         return {row.file: row.file_sha256 for row in rows if row.file and row.file_sha256}
 
-    def _list_open_commands(self) -> list[CommandRow]:
+    def _list_changed_commands(self) -> list[CommandRow]:
         """List the commands that may have changed since the last call, oldest first.
 
         Commands before the first unanswered one are skipped from the next call on.
@@ -296,7 +296,7 @@ class HistoryFollower:
         return commands
 
 
-def describe_missing_event(history: History, catalogue: Catalogue) -> str:
+def describe_lost_newest_event(history: History, catalogue: Catalogue) -> str:
     """Return a text about the loss if the catalogue lacks the newest event of the history, else ""."""
     last_id = max(history.events, default=0)
     if not last_id:
@@ -316,7 +316,7 @@ def describe_lost_event(last_id: int) -> str:
     )
 
 
-def _list_stored_sets(events: Iterable[EventRow]) -> list[int]:
+def _list_set_indices(events: Iterable[EventRow]) -> list[int]:
     """List the set indices of the events of topic ``sets``, in order and with repetitions."""
     return [row.set_index for row in events if row.topic == "sets" and row.set_index is not None]
 

@@ -12,12 +12,12 @@ from daq_service.catalogue.earlier_names import to_current_row
 from daq_service.catalogue.errors import OtherExperimentError
 from daq_service.catalogue.rows import ExperimentRow
 from daq_service.catalogue.tables import events, experiment, features, thickness
-from daq_service.settings.stored import settings_differences
+from daq_service.settings.stored import list_settings_differences
 from daq_service.settings.tree import Settings
 from simulator.parameters.experiment import TWIN_VERSION
 
 
-def refuse_other_test(engine: Engine, path: Path, settings: Settings) -> None:
+def raise_if_other_test(engine: Engine, path: Path, settings: Settings) -> None:
     """Raise an error if a catalogue's test differs from the settings, an extractor or the twin.
 
     Returns silently if the catalogue has no test yet.
@@ -34,8 +34,8 @@ def refuse_other_test(engine: Engine, path: Path, settings: Settings) -> None:
         found = connection.execute(select(*columns)).one_or_none()
         if found is None:
             return  # no test yet
-        lines = _list_other_versions(connection, on_twin=settings.rig.on_twin)
-    refuse_other_experiment(
+        lines = _describe_version_changes(connection, on_twin=settings.rig.on_twin)
+    raise_if_other_configuration(
         ExperimentRow(**to_current_row("experiment", found._asdict())), path.parent, settings, lines
     )
 
@@ -45,7 +45,7 @@ def build_experiment_identity(row: ExperimentRow) -> str:
     return f"{row.configuration_hash}/{row.epoch_utc_ns}"
 
 
-def refuse_other_experiment(
+def raise_if_other_configuration(
     row: ExperimentRow, folder: Path, settings: Settings, lines: Sequence[str] = ()
 ) -> None:
     """Raise an error if an experiment has another configuration, or ``lines`` lists other differences.
@@ -57,7 +57,7 @@ def refuse_other_experiment(
     """
     own_hash = settings.configuration_hash()
     if row.configuration_hash != own_hash:
-        lines = [*settings_differences(row.configuration, settings), *lines]
+        lines = [*list_settings_differences(row.configuration, settings), *lines]
     if lines:
         raise OtherExperimentError(
             f"{folder} belongs to the experiment {row.name!r} with configuration "
@@ -68,7 +68,7 @@ def refuse_other_experiment(
         )
 
 
-def _list_other_versions(connection: Connection, *, on_twin: bool) -> list[str]:
+def _describe_version_changes(connection: Connection, *, on_twin: bool) -> list[str]:
     """Describe each extractor, and the twin, whose version differs from the last stored one."""
     # Loading the extractors takes a while, and only a folder that has a test needs it.
     from analysis.ultrasound import thickness as pulse_echo

@@ -44,24 +44,24 @@ ADDED_COLUMNS: Mapping[type[Row], tuple[PublishedColumn, ...]] = {
 """Columns that the service adds: hours and temperatures of a baseline, assessed quality, evidence."""
 
 
-def _to_column(name: str, form: Form = "number") -> PublishedColumn:
+def _build_column(name: str, form: Form = "number") -> PublishedColumn:
     """Create the published column of a nested value: nullable and without unit."""
     return PublishedColumn(name=name, form=form, unit="", nullable=True)
 
 
 PARTS: Mapping[type[Row], Mapping[tuple[str, ...], PublishedColumn]] = {
     BaselineRow: {
-        **{("baseline_quality", name): _to_column(name) for name in ("n_eff", "phi_pooled", "tail")},
-        ("baseline_quality", "false_alarms_per_sensor_year"): _to_column("false_alarms_per_sensor_year"),
-        ("baseline_quality", "rate_verified"): _to_column("rate_verified", "truth"),
-        ("baseline_quality", "rate_not_verified_reason"): _to_column("rate_not_verified_reason", "text"),
-        ("limits", "mewma"): _to_column("mewma_limit"),
-        ("limits", "default"): _to_column("limit_default"),
+        **{("baseline_quality", name): _build_column(name) for name in ("n_eff", "phi_pooled", "tail")},
+        ("baseline_quality", "false_alarms_per_sensor_year"): _build_column("false_alarms_per_sensor_year"),
+        ("baseline_quality", "rate_verified"): _build_column("rate_verified", "truth"),
+        ("baseline_quality", "rate_not_verified_reason"): _build_column("rate_not_verified_reason", "text"),
+        ("limits", "mewma"): _build_column("mewma_limit"),
+        ("limits", "default"): _build_column("limit_default"),
     },
     AssessmentRow: {
-        ("limits", "mewma"): _to_column("mewma_limit"),
+        ("limits", "mewma"): _build_column("mewma_limit"),
         **{
-            ("diagnosis_details", "probabilities", name): _to_column(f"probability_{name}")
+            ("diagnosis_details", "probabilities", name): _build_column(f"probability_{name}")
             for name in (OK, *CAUSES)
         },
     },
@@ -69,7 +69,7 @@ PARTS: Mapping[type[Row], Mapping[tuple[str, ...], PublishedColumn]] = {
 """Values of nested columns as columns of tables, where the nested ones are JSON text."""
 
 
-def add_parts(kind: type[Row], row: Mapping[str, object]) -> dict[str, object]:
+def add_nested(kind: type[Row], row: Mapping[str, object]) -> dict[str, object]:
     """Return a copy of a row with the columns of `PARTS`; None for missing values."""
     extended = dict(row)
     for path, column in PARTS.get(kind, {}).items():
@@ -80,12 +80,12 @@ def add_parts(kind: type[Row], row: Mapping[str, object]) -> dict[str, object]:
     return extended
 
 
-def describe_columns(kind: type[Row]) -> tuple[PublishedColumn, ...]:
+def list_shown_columns(kind: type[Row]) -> tuple[PublishedColumn, ...]:
     """List the published columns of a kind of row: stored, UTC of hours, added, parts of nested ones."""
     columns: dict[str, PublishedColumn] = {}
     for column in list_columns(kind):
         name = column.published_name
-        form = choose_form(column.type) if name == column.name else "time"
+        form = choose_published_form(column.type) if name == column.name else "time"
         unit = find_unit(name) if form in ("number", "integer") else ""
         columns[name] = PublishedColumn(name=name, form=form, unit=unit, nullable=column.nullable)
     for hours in [column for column in columns.values() if column.unit == "h"]:
@@ -95,7 +95,7 @@ def describe_columns(kind: type[Row]) -> tuple[PublishedColumn, ...]:
     return (*columns.values(), *ADDED_COLUMNS.get(kind, ()), *PARTS.get(kind, {}).values())
 
 
-def choose_form(of_type: Any) -> Form:
+def choose_published_form(of_type: Any) -> Form:
     """Return the published form of a column's type; "nested" for lists, tables and unknown types."""
     plain = next((kind for kind in get_args(of_type) if kind is not NoneType), of_type)
     if get_origin(of_type) is Literal or get_origin(plain) is Literal:

@@ -13,7 +13,7 @@ from typing import Any, Literal, Self, TypedDict, TypeVar, Unpack
 
 import sqlalchemy as sa
 
-from daq_service.catalogue.connection import make_engine
+from daq_service.catalogue.connection import create_sqlite_engine
 from daq_service.catalogue.errors import CatalogueError, NoDataYetError
 from daq_service.catalogue.published_columns import Purposes
 from daq_service.catalogue.reported_rows import join_reported_rows
@@ -112,12 +112,12 @@ _CONDITIONS: Mapping[str, Callable[[sa.Table, Any], sa.ColumnElement[bool]]] = {
     "first_h": lambda table, hour: (
         table.c[_HOURS[table][1]] >= hour
         if table in _HOURS
-        else (table.c.due_h >= hour) & (table.c.set_index >= query_set_at(table, hour, "first"))
+        else (table.c.due_h >= hour) & (table.c.set_index >= build_set_at_query(table, hour, "first"))
     ),
     "last_h": lambda table, hour: (
         table.c[_HOURS[table][0]] <= hour
         if table in _HOURS
-        else (table.c.due_h <= hour) & (table.c.set_index <= query_set_at(table, hour, "last"))
+        else (table.c.due_h <= hour) & (table.c.set_index <= build_set_at_query(table, hour, "last"))
     ),
     "withdrawn": lambda table, withdrawn: (
         table.c.withdrawn_utc_ns.is_not(None) if withdrawn else table.c.withdrawn_utc_ns.is_(None)
@@ -135,7 +135,7 @@ _CONDITIONS: Mapping[str, Callable[[sa.Table, Any], sa.ColumnElement[bool]]] = {
         else table.c.unscheduled_index > sa.literal_column("0")  # literal, as in the index
     ),
 }
-"""A filter that is not listed compares a column; ``after_id`` uses `_select_after`."""
+"""A filter that is not listed compares a column; ``after_id`` uses `_build_after_condition`."""
 _HOURS_OF_UNSCHEDULED: Mapping[str, Callable[[sa.Table, Any], sa.ColumnElement[bool]]] = {
     "first_h": lambda table, hour: table.c.due_h >= hour,
     "last_h": lambda table, hour: table.c.due_h <= hour,
@@ -148,7 +148,7 @@ def is_scheduled(table: sa.FromClause) -> sa.ColumnElement[bool]:
     return table.c.unscheduled_index == 0 if "unscheduled_index" in table.c else sa.true()
 
 
-def query_set_at(table: sa.Table, hour: float, which: Literal["first", "last"]) -> sa.ScalarSelect[int]:
+def build_set_at_query(table: sa.Table, hour: float, which: Literal["first", "last"]) -> sa.ScalarSelect[int]:
     """Build the subquery for the first set due at an hour or later, or the last one until then.
 
     The result is a set index, NULL if there is no such set. Hours increase with the set index, so a range of
@@ -210,7 +210,7 @@ class Catalogue:
 
     def rows(self, kind: type[R], /, *, limit: int | None = None, **filters: Unpack[Filters]) -> list[R]:
         """Read at most ``limit`` rows by id, or with filters on sets in the order of the sets (`Filters`)."""
-        return self._read_rows(kind, _select_kind(kind, limit, filters), _find_required(kind, filters))
+        return self._read_rows(kind, _build_query(kind, limit, filters), _find_required(kind, filters))
 
     def read_last_rows(
         self, kind: type[R], position: str, count: int | None, /, **filters: Unpack[Filters]
@@ -233,7 +233,7 @@ class Catalogue:
     def list_newest_files(self, n_rows: int) -> dict[SetKey, str]:
         """List the files that the newest ``n_rows`` rows of sets name, by set key in order."""
         with self.open_snapshot() as connection:
-            return _read_files(connection, _build_newest_files_query(n_rows))
+            return _read_files_by_key(connection, _build_newest_files_query(n_rows))
 
     def count_stored_sets(self, position: str, first_set: int, last_set: int) -> int:
         """Count the scheduled sets of a position that have records, between two indices (inclusive)."""
@@ -280,9 +280,9 @@ class Catalogue:
             return {}
         # Complete rows: only these can be compared with their checksums.
         with self.open_snapshot() as connection:
-            rows = list(read_values(connection, kind, _select_kind(kind, limit, filters)))
+            rows = list(read_values(connection, kind, _build_query(kind, limit, filters)))
             columns = dict(zip(kind.__slots__, zip(*rows, strict=True), strict=False))
-            _refuse_other_values(kind, _find_required(kind, filters), lambda name: columns.get(name, ()))
+            _raise_if_values_differ(kind, _find_required(kind, filters), lambda name: columns.get(name, ()))
         return {name: list(columns.get(name, ())) for name in names}
 
     def _read_rows(
@@ -291,7 +291,7 @@ class Catalogue:
         """Read the rows of a query, events with the rows that they report; DamagedRow at a corrupt one."""
         with self.open_snapshot() as connection:
             return join_reported_rows(
-                connection, _collect_rows(kind, required, read_rows(connection, kind, statement))
+                connection, _collect_checked_rows(kind, required, read_rows(connection, kind, statement))
             )
 
     def _read_newest_row(self, kind: type[R], condition: sa.ColumnElement[bool] | None = None) -> R | None:
@@ -347,7 +347,7 @@ class Catalogue:
         positions = self.list_position_names()
         scheduled = {set_index for set_index, unscheduled_index in known if not unscheduled_index}
         with self.open_snapshot() as connection:
-            unscheduled = _read_files(connection, _build_unscheduled_query())
+            unscheduled = _read_files_by_key(connection, _build_unscheduled_query())
             files = {key: file for key, file in unscheduled.items() if key not in known}
             last = connection.execute(_build_last_index_query()).scalar()
             remaining = sorted(set(range(0 if last is None else last + 1)) - scheduled)
@@ -359,7 +359,7 @@ class Catalogue:
                     is_scheduled(sets),
                     sets.c.file.is_not(None),
                 ).distinct()  # a row a position
-                files |= _read_files(connection, statement)
+                files |= _read_files_by_key(connection, statement)
         return files
 
     def read_latest_rows(self) -> dict[str, LatestRows]:
@@ -474,7 +474,7 @@ class Catalogue:
     def _open_writer(self) -> sa.Engine:
         """Return the engine that writes commands; create it on the first call."""
         if self._command_engine is None:
-            self._command_engine = make_engine(self._path, writable=True)
+            self._command_engine = create_sqlite_engine(self._path, writable=True)
         return self._command_engine
 
 
@@ -497,7 +497,7 @@ def filter_by(statement: sa.Select[Any], table: sa.Table, filters: Filters) -> s
     by_set = "set_index" in table.c and table is not events and not is_complete_test
     order = (*(_list_key(table) if by_set else []), *table.primary_key.columns)
     if after_id is not None:
-        statement = statement.where(_select_after(table, order, after_id))
+        statement = statement.where(_build_after_condition(table, order, after_id))
     elif values.get("topic") in RARE_TOPICS:
         # In the order of ids SQLite would read all events; sorting the few events of a topic is fast.
         return statement.order_by(sa.text("+events.id"))
@@ -513,7 +513,7 @@ def _find_required(kind: type[Row], filters: Filters) -> dict[str, object]:
     return {**required, "shot_index": None} if of_sets else required
 
 
-def _refuse_other_values(
+def _raise_if_values_differ(
     kind: type[Row], required: Mapping[str, object], values_of: Callable[[str], Iterable[object]]
 ) -> None:
     """Raise DamagedRow at a row without a required value of a column.
@@ -529,10 +529,10 @@ def _refuse_other_values(
                 )
 
 
-def _collect_rows(kind: type[R], required: Mapping[str, object], found: Iterable[R]) -> list[R]:
+def _collect_checked_rows(kind: type[R], required: Mapping[str, object], found: Iterable[R]) -> list[R]:
     """Collect rows in a list; raise DamagedRow at one without the required values."""
     rows = list(found)
-    _refuse_other_values(kind, required, lambda name: (getattr(row, name) for row in rows))
+    _raise_if_values_differ(kind, required, lambda name: (getattr(row, name) for row in rows))
     return rows
 
 
@@ -546,12 +546,12 @@ def _list_key(table: sa.Table) -> list[sa.Column[int]]:
     return [table.c[name] for name in SetKey._fields if name in table.c]
 
 
-def _read_files(connection: sa.Connection, statement: sa.Select[int, int, str]) -> dict[SetKey, str]:
+def _read_files_by_key(connection: sa.Connection, statement: sa.Select[int, int, str]) -> dict[SetKey, str]:
     """Read the files of a query with the columns of `_FILES`, by set key in its order."""
     return {SetKey(*key): file for *key, file in connection.execute(statement)}
 
 
-def _select_after(
+def _build_after_condition(
     table: sa.Table, order: Sequence[sa.ColumnElement[Any]], row_id: int
 ) -> sa.ColumnElement[bool]:
     """Build the condition for the rows that follow row ``row_id`` in an order that ends with the id.
@@ -572,7 +572,7 @@ def store_command(connection: sa.Connection, row: CommandRow) -> int:
     return insert_rows(connection, [row])[0]
 
 
-def _select_kind(kind: type[Row], limit: int | None, filters: Filters) -> sa.Select[Any]:
+def _build_query(kind: type[Row], limit: int | None, filters: Filters) -> sa.Select[Any]:
     """Build the query for at most ``limit`` filtered rows of a kind (None: all), ordered by `filter_by`."""
     return filter_by(sa.select(TABLES[kind]), TABLES[kind], filters).limit(limit)
 
@@ -581,7 +581,7 @@ def _read_newest_rows(connection: sa.Connection, kind: type[OfSet]) -> dict[str,
     """Read the scheduled row of the highest set index of each position in ``sets``, by position."""
     required = _find_required(kind, {"scope": "set"})
     newest = read_rows(connection, kind, _build_newest_query(TABLES[kind]))
-    return {row.position: row for row in _collect_rows(kind, required, newest)}
+    return {row.position: row for row in _collect_checked_rows(kind, required, newest)}
 
 
 # Statements of several steps: building one takes longer than executing it ------------------------------

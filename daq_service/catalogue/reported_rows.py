@@ -50,10 +50,10 @@ _SETS_AT_ONCE = 500
 
 def to_payload(row: Row) -> Payload:
     """Convert a row of a set to the payload of its event: its columns without id and digest of the file."""
-    return _to_json_values(as_dict(row))
+    return _to_payload_columns(as_dict(row))
 
 
-def _to_json_values(columns: Payload) -> Payload:
+def _to_payload_columns(columns: Payload) -> Payload:
     """Remove the id and clear the digest of the file in a row's columns, in place; return them."""
     columns.pop("id")
     if "file_sha256" in columns:  # it comes when the file is made, which differs between two runs of one test
@@ -61,12 +61,12 @@ def _to_json_values(columns: Payload) -> Payload:
     return columns
 
 
-def is_joined(event: EventRow) -> bool:
+def lacks_row(event: EventRow) -> bool:
     """Return whether an event is stored without payload because it reports a stored row."""
     return not event.payload and event.kind in ROW_OF_EVENT
 
 
-def strip_rows(reports: Iterable[EventRow], rows: Iterable[Row]) -> list[EventRow]:
+def strip_payloads(reports: Iterable[EventRow], rows: Iterable[Row]) -> list[EventRow]:
     """Return the events as they are stored: without payloads that repeat one of the rows.
 
     A row of a collecting baseline may change, so its event keeps the payload.
@@ -74,7 +74,7 @@ def strip_rows(reports: Iterable[EventRow], rows: Iterable[Row]) -> list[EventRo
     payloads = to_payloads(row for row in rows if not (isinstance(row, AssessmentRow) and row.in_baseline))
     return [
         replace(event, payload={})
-        if event.payload and _is_subset(event.payload, payloads.get(_build_event_key(event), {}))
+        if event.payload and _is_payload_of_row(event.payload, payloads.get(_build_event_key(event), {}))
         else event
         for event in reports
     ]
@@ -84,7 +84,7 @@ def join_rows(reports: Iterable[R], payloads: Mapping[Key, Payload]) -> list[R]:
     """Return the events with the payloads of the rows that they report, by key; other rows are unchanged."""
     return [
         replace(event, payload=payloads[_build_event_key(event)])
-        if isinstance(event, EventRow) and is_joined(event) and _build_event_key(event) in payloads
+        if isinstance(event, EventRow) and lacks_row(event) and _build_event_key(event) in payloads
         else event
         for event in reports
     ]
@@ -92,7 +92,7 @@ def join_rows(reports: Iterable[R], payloads: Mapping[Key, Payload]) -> list[R]:
 
 def to_payloads(rows: Iterable[Row]) -> dict[Key, Payload]:
     """Build the payloads of events from rows, by the keys of the rows; rows of single shots are omitted."""
-    return {_row_to_key(row): to_payload(row) for row in rows if getattr(row, "shot_index", None) is None}
+    return {_build_row_key(row): to_payload(row) for row in rows if getattr(row, "shot_index", None) is None}
 
 
 def join_reported_rows(connection: sa.Connection, reports: list[R]) -> list[R]:
@@ -103,7 +103,7 @@ def join_reported_rows(connection: sa.Connection, reports: list[R]) -> list[R]:
     DamagedRow
         The row of an event is lost, or one does not match its checksum.
     """
-    reporting = [event for event in reports if isinstance(event, EventRow) and is_joined(event)]
+    reporting = [event for event in reports if isinstance(event, EventRow) and lacks_row(event)]
     payloads: dict[Key, Payload] = {}
     for kind in dict.fromkeys(ROW_OF_EVENT[event.kind] for event in reporting):
         of_kind = [event for event in reporting if ROW_OF_EVENT[event.kind] is kind]
@@ -113,14 +113,14 @@ def join_reported_rows(connection: sa.Connection, reports: list[R]) -> list[R]:
             some = indices[start : start + _SETS_AT_ONCE]
             statement = _OF_SOME_SETS[kind].params(positions=positions, indices=some)
             for stored in read_values(connection, kind, statement):
-                payload = _to_json_values(dict(zip(kind.__slots__, stored, strict=False)))
+                payload = _to_payload_columns(dict(zip(kind.__slots__, stored, strict=False)))
                 set_key = SetKey(payload["set_index"], payload.get("unscheduled_index", 0))
                 # A corrupt entry of the partial index of sets can lead to the row of a single shot.
                 if payload.get("shot_index") is None:
                     payloads[kind, payload.get("position"), set_key] = payload
     reports = join_rows(reports, payloads) if reporting else reports
     for event in reports:
-        if isinstance(event, EventRow) and is_joined(event):
+        if isinstance(event, EventRow) and lacks_row(event):
             raise DamagedRow(_describe_lost_row(event.id, ROW_OF_EVENT[event.kind]))
     return reports
 
@@ -144,7 +144,7 @@ def _build_some_rows_query(kind: type[Row]) -> sa.Select[Any]:
 _OF_SOME_SETS = {kind: _build_some_rows_query(kind) for kind in ROW_OF_EVENT.values()}
 
 
-def find_lost_rows(connection: sa.Connection) -> Iterator[tuple[int, str]]:
+def find_events_without_row(connection: sa.Connection) -> Iterator[tuple[int, str]]:
     """Yield id and description of each event without payload whose row is missing."""
     for event_kind, kind in ROW_OF_EVENT.items():
         table = TABLES[kind]
@@ -163,7 +163,7 @@ def _describe_lost_row(event_id: int | None, kind: type[Row]) -> str:
     return f"row {event_id} of table {events.name} lacks its row of table {TABLES[kind].name}"
 
 
-def _is_subset(payload: Payload, columns: Payload) -> bool:
+def _is_payload_of_row(payload: Payload, columns: Payload) -> bool:
     """Return whether a row has all values of a payload; an earlier version had fewer columns."""
     part = {name: columns[name] for name in payload if name in columns}
     return part == payload or _to_stored_form(part) == _to_stored_form(payload)
@@ -182,6 +182,6 @@ def _build_event_key(event: EventRow) -> Key:
     return ROW_OF_EVENT.get(event.kind, EventRow), event.position, event.set_key
 
 
-def _row_to_key(row: Any) -> Key:
+def _build_row_key(row: Any) -> Key:
     """Build the key of a row, as `_build_event_key` does for its event."""
     return type(row), getattr(row, "position", None), getattr(row, "set_key", SetKey(row.set_index))

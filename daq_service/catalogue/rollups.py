@@ -18,9 +18,9 @@ import numpy as np
 from numpy.typing import NDArray
 from sqlalchemy import BindParameter, ColumnElement, Connection, bindparam, delete, select
 
-from analysis.statistics.bins import choose_bin_type, join_bins, make_bins
+from analysis.statistics.bins import build_bin_dtype, join_bins, make_bins
 from analysis.statistics.levels import FACTOR, level_widths
-from analysis.statistics.trend import PART, join_parts, make_parts
+from analysis.statistics.trend import PART, build_fit_parts, join_fit_parts
 from daq_service.catalogue.reader import is_scheduled
 from daq_service.catalogue.rows import (
     MEASURED,
@@ -38,8 +38,8 @@ from daq_service.catalogue.rows import (
 from daq_service.catalogue.stored_rows import (
     DamagedRow,
     Prepared,
+    compile_sql,
     insert_rows,
-    prepare,
     read_rows,
     read_values,
 )
@@ -103,12 +103,12 @@ class Blocks:
         return f"{self.place.position}/{self.rollup.name}/{self.width:010d}/{first:010d}"
 
 
-def list_bin_values(kind: Kind) -> tuple[str, ...]:
+def list_bin_value_names(kind: Kind) -> tuple[str, ...]:
     """List the names of the values of a bin, in order: the measured ones, then the assessed ones."""
     return (*MEASURED[kind], *ASSESSED_VALUES)
 
 
-def select_sets(kind: type[Row], position: object, first: object, last: object) -> ColumnElement[bool]:
+def build_set_filter(kind: type[Row], position: object, first: object, last: object) -> ColumnElement[bool]:
     """Build the condition for rows of a range of set indices, ends included; of features, rows of sets."""
     table = TABLES[kind]
     of_sets = (table.c.position == position) & table.c.set_index.between(first, last)
@@ -117,10 +117,12 @@ def select_sets(kind: type[Row], position: object, first: object, last: object) 
 
 _RANGE: tuple[BindParameter[object], ...] = bindparam("of_position"), bindparam("first"), bindparam("last")
 _OF_RANGE: dict[type[Row], Prepared] = {
-    kind: prepare(select(TABLES[kind]).where(select_sets(kind, *_RANGE)).order_by(TABLES[kind].c.set_index))
+    kind: compile_sql(
+        select(TABLES[kind]).where(build_set_filter(kind, *_RANGE)).order_by(TABLES[kind].c.set_index)
+    )
     for kind in (SetRow, AssessmentRow, *MEASURED_BY.values())
 }
-_RAISED = prepare(
+_RAISED = compile_sql(
     select(alarms).where(
         alarms.c.position == _RANGE[0],
         alarms.c.raised_set_index.between(_RANGE[1], _RANGE[2]),
@@ -128,8 +130,8 @@ _RAISED = prepare(
     )
 )
 _BLOCKS = (trend_blocks.c.place >= bindparam("first")) & (trend_blocks.c.place < bindparam("end"))
-_STORED = prepare(select(trend_blocks).where(_BLOCKS).order_by(trend_blocks.c.place))
-_DELETE = prepare(delete(trend_blocks).where(_BLOCKS))
+_STORED = compile_sql(select(trend_blocks).where(_BLOCKS).order_by(trend_blocks.c.place))
+_DELETE = compile_sql(delete(trend_blocks).where(_BLOCKS))
 
 
 def _read_rows(connection: Connection, kind: type[R], **of_range: object) -> Iterator[R]:
@@ -160,7 +162,7 @@ def _compute_bins(connection: Connection, place: PositionRange, first: int, end:
     return index, make_bins(
         set_index=index,
         due_h=[row.due_h for row in set_rows],
-        values=np.array(values, dtype=np.float64).reshape(index.size, len(list_bin_values(place.kind))),
+        values=np.array(values, dtype=np.float64).reshape(index.size, len(list_bin_value_names(place.kind))),
         quality=[
             QUALITIES.index(results[row.set_index].quality) if row.set_index in results else None
             for row in set_rows
@@ -178,19 +180,19 @@ def _compute_fit_sums(connection: Connection, place: PositionRange, first: int, 
     results = list(_read_rows(connection, place.kind, of_position=place.position, first=first, last=end - 1))
     names = MEASURED[place.kind]
     values = np.array([[getattr(row, name) for name in names] for row in results], dtype=np.float64)
-    parts = make_parts([row.due_h for row in results], values.reshape(len(results), len(names)))
+    parts = build_fit_parts([row.due_h for row in results], values.reshape(len(results), len(names)))
     return np.array([row.set_index for row in results], dtype=np.int64), parts
 
 
 def _join_fit_sums(parts: NDArray[np.void], starts: NDArray[np.intp]) -> NDArray[np.void]:
     """Combine the sums from each start to the next one, shape (len(starts), n_values)."""
-    return np.stack([join_parts(block_parts) for block_parts in np.split(parts, starts[1:])])
+    return np.stack([join_fit_parts(block_parts) for block_parts in np.split(parts, starts[1:])])
 
 
 CHARTS = Rollup(
     name="bins",
     finest=4,
-    type_of=lambda kind: choose_bin_type(len(list_bin_values(kind))),
+    type_of=lambda kind: build_bin_dtype(len(list_bin_value_names(kind))),
     of_sets=_compute_bins,
     joined=join_bins,
 )
@@ -253,7 +255,7 @@ def store_blocks(connection: Connection, blocks: Blocks) -> None:
     insert_rows(connection, rows)
 
 
-_NEWEST = prepare(
+_NEWEST = compile_sql(
     select(sets.c.set_index, sets.c.method)
     .where(sets.c.position == bindparam("of_position"), is_scheduled(sets))
     .order_by(sets.c.set_index.desc())
@@ -279,7 +281,7 @@ def find_last_sets(connection: Connection, positions: Iterable[str]) -> dict[str
     return {place.position: place.end - 1 for place in places if place is not None}
 
 
-def collect_touched_sets(rows: Iterable[Row]) -> dict[str, set[int]]:
+def collect_changed_sets(rows: Iterable[Row]) -> dict[str, set[int]]:
     """Collect the indices of the scheduled sets to which rows belong, by position; ignore other rows."""
     touched: dict[str, set[int]] = {}
     for row in rows:

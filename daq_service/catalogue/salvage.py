@@ -9,11 +9,11 @@ from typing import TypeVar
 
 from sqlalchemy import Connection
 
-from daq_service.catalogue.connection import FILE_NAME, make_engine
+from daq_service.catalogue.connection import FILE_NAME, create_sqlite_engine
 from daq_service.catalogue.corruption import UNREADABLE
 from daq_service.catalogue.errors import SchemaVersionError
 from daq_service.catalogue.migrations import SCHEMA_REVISION, list_known_revisions
-from daq_service.catalogue.reported_rows import ROW_OF_EVENT, is_joined, join_rows, select_rows, to_payloads
+from daq_service.catalogue.reported_rows import ROW_OF_EVENT, join_rows, lacks_row, select_rows, to_payloads
 from daq_service.catalogue.rows import CommandRow, EventRow, ExperimentRow, Row, SetRow
 from daq_service.catalogue.store import read_revision
 from daq_service.catalogue.stored_rows import DamagedRow, to_checked_row, translate_errors
@@ -46,7 +46,7 @@ def read_sound_rows(folder: Path) -> Salvaged:
     path, salvaged_rows = folder / FILE_NAME, Salvaged()
     if not path.is_file():
         return salvaged_rows
-    engine = make_engine(path, writable=False)
+    engine = create_sqlite_engine(path, writable=False)
     try:
         with translate_errors(path, "reading"):
             revision = read_revision(engine)
@@ -67,7 +67,7 @@ def read_sound_rows(folder: Path) -> Salvaged:
                 ]
                 events = join_rows(_yield_rows(connection, EventRow, report), to_payloads(rows))
                 # Without its row an event is lost, unless the history has it.
-                salvaged_rows.events = {row.id or 0: row for row in events if not is_joined(row)}
+                salvaged_rows.events = {row.id or 0: row for row in events if not lacks_row(row)}
                 for row in rows:
                     if isinstance(row, SetRow) and row.file and row.file_sha256:
                         salvaged_rows.digests[row.file] = row.file_sha256

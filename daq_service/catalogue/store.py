@@ -7,18 +7,18 @@ from typing import Literal, overload
 
 from sqlalchemy import Engine, inspect, text
 
-from daq_service.catalogue.connection import FILE_NAME, create_reading_engine, make_engine
-from daq_service.catalogue.corruption import refuse_corruption
+from daq_service.catalogue.connection import FILE_NAME, create_reading_engine, create_sqlite_engine
+from daq_service.catalogue.corruption import raise_if_corrupt
 from daq_service.catalogue.errors import (
     CatalogueError,
     NetworkFolderError,
     NoDataYetError,
     SchemaVersionError,
 )
-from daq_service.catalogue.experiment_file import read_experiment
+from daq_service.catalogue.experiment_file import read_experiment_file
 from daq_service.catalogue.migrations import SCHEMA_REVISION, migrate_schema
 from daq_service.catalogue.network_folder import find_network_type
-from daq_service.catalogue.owner import refuse_other_experiment, refuse_other_test
+from daq_service.catalogue.owner import raise_if_other_configuration, raise_if_other_test
 from daq_service.catalogue.reader import Catalogue
 from daq_service.catalogue.stored_rows import translate_errors
 from daq_service.catalogue.writer import RecorderCatalogue
@@ -71,12 +71,12 @@ def open_catalogue(folder: Path, *, writer: bool = False, settings: Settings | N
     CatalogueError
         The file is damaged, or cannot be read or written.
     """
-    _refuse_network_folder(folder)
+    _raise_if_network_folder(folder)
     path = folder / FILE_NAME
     return _open_writer(path, settings) if writer else _open_reader(path)
 
 
-def open_for_one_command(folder: Path) -> RecorderCatalogue:
+def open_for_command(folder: Path) -> RecorderCatalogue:
     """Open the catalogue of a test for writing one command; it is neither created nor migrated.
 
     Raises
@@ -86,19 +86,19 @@ def open_for_one_command(folder: Path) -> RecorderCatalogue:
     """
     path = folder / FILE_NAME
     _open_reader(path).close()  # raises the error of an invalid one
-    return RecorderCatalogue(path, make_engine(path, writable=True))
+    return RecorderCatalogue(path, create_sqlite_engine(path, writable=True))
 
 
 def open_temporary(folder: Path) -> RecorderCatalogue:
     """Create a catalogue with the current schema in a temporary folder; nothing is synced to disk."""
     path = folder / FILE_NAME
-    engine = make_engine(path, writable=True, durable=False)
+    engine = create_sqlite_engine(path, writable=True, durable=False)
     with translate_errors(path, "making"):
         migrate_schema(engine, path, None)
     return RecorderCatalogue(path, engine)
 
 
-def _refuse_network_folder(folder: Path) -> None:
+def _raise_if_network_folder(folder: Path) -> None:
     """Raise NetworkFolderError if a folder is on a network file system."""
     kind = find_network_type(folder)
     if kind is not None:
@@ -120,12 +120,12 @@ def check_owner(settings: Settings, folder: Path) -> None:
     SchemaVersionError
         A newer version of solimon made the catalogue.
     """
-    _refuse_network_folder(folder)
+    _raise_if_network_folder(folder)
     path = folder / FILE_NAME
     if not path.is_file():
-        experiment = read_experiment(folder)
+        experiment = read_experiment_file(folder)
         if experiment is not None:
-            refuse_other_experiment(experiment, folder, settings)
+            raise_if_other_configuration(experiment, folder, settings)
         return  # no test yet, or its catalogue is lost
     engine = create_reading_engine(path)
     try:
@@ -134,7 +134,7 @@ def check_owner(settings: Settings, folder: Path) -> None:
             if revision is not None and revision > SCHEMA_REVISION:
                 raise _create_schema_error(path, revision)
             if revision is not None:
-                refuse_other_test(engine, path, settings)
+                raise_if_other_test(engine, path, settings)
     finally:
         engine.dispose()
 
@@ -144,14 +144,14 @@ def _open_writer(path: Path, settings: Settings | None) -> RecorderCatalogue:
 
     A file of the current revision up to 64 MB is checked completely.
     """
-    engine = make_engine(path, writable=True)
+    engine = create_sqlite_engine(path, writable=True)
     try:
         with translate_errors(path, "opening"):
             revision = read_revision(engine)
             if revision == SCHEMA_REVISION and path.stat().st_size <= CHECKED_WHOLE_BYTES:
-                refuse_corruption(path.parent)
+                raise_if_corrupt(path.parent)
             if settings is not None and revision is not None and revision <= SCHEMA_REVISION:
-                refuse_other_test(engine, path, settings)
+                raise_if_other_test(engine, path, settings)
             if revision != SCHEMA_REVISION:
                 migrate_schema(engine, path, revision)
         catalogue = RecorderCatalogue(path, engine)

@@ -97,7 +97,7 @@ class Prepared:
         )
 
 
-def prepare(statement: CompilerElement, column_keys: Sequence[str] | None = None) -> Prepared:
+def compile_sql(statement: CompilerElement, column_keys: Sequence[str] | None = None) -> Prepared:
     """Compile a statement that is executed often to the SQL text and parameter order of the SQLite driver."""
     compiled = statement.compile(dialect=_DIALECT, column_keys=column_keys)
     names = compiled.positiontup or []  # type: ignore[attr-defined] # of the compiler of SQL
@@ -111,15 +111,15 @@ def find_driver(connection: Connection) -> sqlite3.Connection:
 
 _DIALECT = sqlite.dialect()
 _KEY = "key_of_the_row"
-_INSERT = {kind: prepare(insert(table), list(table.columns.keys())) for kind, table in TABLES.items()}
+_INSERT = {kind: compile_sql(insert(table), list(table.columns.keys())) for kind, table in TABLES.items()}
 _UPDATE = {
-    kind: prepare(
+    kind: compile_sql(
         update(table).where(table.primary_key.columns[0] == bindparam(_KEY)), list(table.columns.keys())[1:]
     )
     for kind, table in TABLES.items()
 }
 _NEWEST_ID = {
-    kind: prepare(select(func.max(table.c.id))) for kind, table in TABLES.items() if "id" in table.c
+    kind: compile_sql(select(func.max(table.c.id))) for kind, table in TABLES.items() if "id" in table.c
 }
 
 
@@ -155,11 +155,11 @@ def _to_driver_values(row: Row, new_id: int | None = None) -> list[Any]:
         else:
             value = columns[name] = of_type(value)
         stored.append(value)
-    stored.append(_to_crc32(columns))
+    stored.append(_compute_columns_crc32(columns))
     return stored
 
 
-def _to_crc32(columns: dict[str, object]) -> int:
+def _compute_columns_crc32(columns: dict[str, object]) -> int:
     """Compute the CRC-32 of columns that are not None, as JSON; remove unscheduled indices of 0 from them."""
     for name in _SCHEDULED:
         if columns.get(name) == 0:
@@ -187,7 +187,7 @@ def insert_rows(connection: Connection, rows: Sequence[Row]) -> list[int]:
     return [row[0] for row in stored]
 
 
-def change_row(connection: Connection, row: Row) -> bool:
+def replace_row(connection: Connection, row: Row) -> bool:
     """Replace the stored row with the same primary key; return False if there is none."""
     row_id, *stored = _to_driver_values(row)
     return find_driver(connection).execute(_UPDATE[type(row)].text, [*stored, row_id]).rowcount == 1
@@ -205,7 +205,7 @@ def _check_checksum(kind: type[Row], stored: Sequence[Any]) -> None:
         for name in _BYTES[kind]:
             if name in columns:
                 columns[name] = zlib.crc32(columns[name])
-        crc32: int | None = _to_crc32(columns)
+        crc32: int | None = _compute_columns_crc32(columns)
     except (TypeError, ValueError, OverflowError):  # text where bytes were, or no UTF-8
         crc32 = None
     if crc32 is None or crc32 != stored[-1]:
@@ -284,7 +284,7 @@ def to_json_text(value: object) -> str:
     return orjson.dumps(value, option=orjson.OPT_SERIALIZE_NUMPY).decode()
 
 
-def begin_transactions(engine: Engine) -> None:
+def configure_transactions(engine: Engine) -> None:
     """Make an engine start its transactions with BEGIN, those of `begin_write` with BEGIN IMMEDIATE.
 
     A writer waits up to 5 s for the lock; for 60 s after a timeout it does not wait at all.

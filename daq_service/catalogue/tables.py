@@ -102,7 +102,7 @@ sets = _create_table(
     n_restrikes=sa.DefaultClause("0"),
 )
 # What the routes, `solimon status` and a start ask for is found in an index, never by reading every row:
-# hours by the set that is due then (`reader.query_set_at`), states, the latest end.
+# hours by the set that is due then (`reader.build_set_at_query`), states, the latest end.
 _add_index(sets, "set_index")
 _add_index(sets, "due_h")
 _add_index(sets, "ended_utc_ns")

@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 from sqlalchemy import Connection, delete, func, select
 
-from analysis.statistics.levels import level_widths, parts_of_range, sets_per_step
-from analysis.statistics.trend import PART, join_parts
-from daq_service.catalogue.reader import Catalogue, query_set_at
+from analysis.statistics.levels import choose_sets_per_step, level_widths, split_range_into_blocks
+from analysis.statistics.trend import PART, join_fit_parts
+from daq_service.catalogue.reader import Catalogue, build_set_at_query
 from daq_service.catalogue.rollups import (
     CHARTS,
     FITS,
@@ -20,12 +20,12 @@ from daq_service.catalogue.rollups import (
     Pieces,
     PositionRange,
     Rollup,
+    build_set_filter,
     compute_blocks,
     find_position_range,
     join_pieces,
     read_stored_blocks,
     read_stored_pieces,
-    select_sets,
     store_blocks,
 )
 from daq_service.catalogue.rows import MEASURED
@@ -73,19 +73,19 @@ def find_trend_differences(connection: Connection) -> Iterator[str]:
 # Asked -----------------------------------------------------------------------------------------------
 
 
-def _cover_range(
+def _read_covering_pieces(
     connection: Connection, rollup: Rollup, place: PositionRange, first: int, end: int, widest: int
 ) -> Pieces:
     """Read pieces that cover a range exactly: stored blocks, smaller ones and single sets at the ends."""
     parts = [
         read_stored_pieces(connection, Blocks(rollup=rollup, place=place, width=width, first=start, end=stop))
-        for width, start, stop in parts_of_range(first, end, level_widths(rollup.finest, widest))
+        for width, start, stop in split_range_into_blocks(first, end, level_widths(rollup.finest, widest))
     ]
     index, content = zip(*parts, strict=True)
     return np.concatenate(index), np.concatenate(content)
 
 
-def _find_range(connection: Connection, position: str, hours: tuple[float | None, float | None]) -> Any:
+def _find_set_range(connection: Connection, position: str, hours: tuple[float | None, float | None]) -> Any:
     """Find position and range (``end`` excluded) of the sets due from hour to hour, both included.
 
     A None as hour is no limit; the result is None if there are no such sets.
@@ -96,9 +96,9 @@ def _find_range(connection: Connection, position: str, hours: tuple[float | None
     first: int | None = 0
     last: int | None = place.end - 1
     if hours[0] is not None:
-        first = connection.execute(select(query_set_at(sets, hours[0], "first"))).scalar()
+        first = connection.execute(select(build_set_at_query(sets, hours[0], "first"))).scalar()
     if hours[1] is not None:
-        last = connection.execute(select(query_set_at(sets, hours[1], "last"))).scalar()
+        last = connection.execute(select(build_set_at_query(sets, hours[1], "last"))).scalar()
     if first is None or last is None or first > last:
         return None
     return place, first, min(last + 1, place.end)
@@ -125,16 +125,16 @@ def read_trend_bins(
     Returns
     -------
     tuple or None
-        Sets of a bin, and the bins (`choose_bin_type` of `list_bin_values`); None: at most ``points``
+        Sets of a bin, and the bins (`build_bin_dtype` of `list_bin_value_names`); None: at most ``points``
         sets were measured.
     """
     with catalogue.open_snapshot() as connection:
-        position_range = _find_range(connection, position, (first_h, last_h))
+        position_range = _find_set_range(connection, position, (first_h, last_h))
         if position_range is None or _count_sets(connection, *position_range, limit=points + 1) <= points:
             return None
         place, first, end = position_range
-        width = sets_per_step(first, end - 1, most_bins, CHARTS.finest)
-        pieces = _cover_range(connection, CHARTS, place, first, end, width)
+        width = choose_sets_per_step(first, end - 1, most_bins, CHARTS.finest)
+        pieces = _read_covering_pieces(connection, CHARTS, place, first, end, width)
     _, bins = join_pieces(CHARTS, pieces, width)
     return width, bins[bins["n_sets"] + bins["n_missed"] + bins["n_alarms"] > 0.0]
 
@@ -148,20 +148,20 @@ def compute_trend_part(
     if the position's method does not measure ``value``.
     """
     with catalogue.open_snapshot() as connection:
-        position_range = _find_range(connection, position, (first_h, last_h))
+        position_range = _find_set_range(connection, position, (first_h, last_h))
         if position_range is None:
             return _NO_POINTS
         place, first, end = position_range
-        _, parts = _cover_range(connection, FITS, place, first, end, end)
+        _, parts = _read_covering_pieces(connection, FITS, place, first, end, end)
     column = MEASURED[place.kind].index(value)
-    part: np.void = join_parts(parts[:, [column]])[0] if parts.size else _NO_POINTS
+    part: np.void = join_fit_parts(parts[:, [column]])[0] if parts.size else _NO_POINTS
     return part
 
 
 def _count_sets(connection: Connection, place: PositionRange, first: int, end: int, *, limit: int) -> int:
     """Count the measured sets of a range (``end`` excluded), but at most ``limit``."""
     table = TABLES[place.kind]
-    in_range = select_sets(place.kind, place.position, first, end - 1)
+    in_range = build_set_filter(place.kind, place.position, first, end - 1)
     statement = select(table.c.set_index).where(in_range)
     return connection.execute(
         select(func.count()).select_from(statement.limit(limit).subquery())

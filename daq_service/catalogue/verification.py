@@ -142,12 +142,12 @@ class UnchangedCatalogue:
              The disk refuses.
         """
         try:
-            self._copy_to(target)
+            self._copy_and_check(target)
         except CatalogueError:
             remove_quietly(target)
             raise
 
-    def _copy_to(self, target: Path) -> None:
+    def _copy_and_check(self, target: Path) -> None:
         """Replace a file by a copy of the catalogue and check the copy's pages.
 
         Raises CatalogueWriteError or CatalogueDamagedError; the incomplete copy stays.

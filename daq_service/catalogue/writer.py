@@ -13,7 +13,7 @@ from sqlalchemy import ColumnElement, Connection, Select, bindparam, case, func,
 
 from daq_service.catalogue.errors import CatalogueConflictError, OtherExperimentError
 from daq_service.catalogue.reader import Catalogue, is_scheduled, store_command
-from daq_service.catalogue.rollups import collect_touched_sets, find_last_sets, update_trends
+from daq_service.catalogue.rollups import collect_changed_sets, find_last_sets, update_trends
 from daq_service.catalogue.rows import (
     AlarmRow,
     AnnotationRow,
@@ -34,10 +34,10 @@ from daq_service.catalogue.rows import (
 )
 from daq_service.catalogue.stored_rows import (
     begin_write,
-    change_row,
+    compile_sql,
     insert_rows,
-    prepare,
     read_rows,
+    replace_row,
     translate_errors,
 )
 from daq_service.catalogue.tables import (
@@ -215,7 +215,7 @@ class RecorderCatalogue(Catalogue):
         """
         indices = {row.set_index for row in commit.sets}
         rows = [*commit.sets, *commit.features, *commit.thickness, *commit.assessments, *commit.alarms]
-        touched = collect_touched_sets(rows)
+        touched = collect_changed_sets(rows)
         with self._open_transaction("storing a set") as connection:
             last_before = find_last_sets(connection, touched)
             before = count_due_times(connection, indices) if indices else {}
@@ -223,13 +223,13 @@ class RecorderCatalogue(Catalogue):
             insert_rows(connection, commit.shots)
             insert_rows(connection, commit.features)
             insert_rows(connection, commit.thickness)
-            baseline_ids = [_change_or_insert(connection, row) for row in commit.baselines]
+            baseline_ids = [_replace_or_insert_row(connection, row) for row in commit.baselines]
             _insert_assessments(connection, commit.assessments)
             insert_rows(connection, commit.environment)
             for state in commit.states.values():
-                _change_or_insert(connection, state)
-            alarm_ids = [_store_row(connection, row) for row in commit.alarms]
-            annotation_ids = [_store_row(connection, row) for row in commit.annotations]
+                _replace_or_insert_row(connection, state)
+            alarm_ids = [_store_new_or_changed(connection, row) for row in commit.alarms]
+            annotation_ids = [_store_new_or_changed(connection, row) for row in commit.annotations]
             event_ids = insert_rows(connection, _build_dated_events(commit, alarm_ids, annotation_ids))
             after = count_due_times(connection, indices) if indices else {}
             _update_counts(connection, commit, before, after)
@@ -263,7 +263,7 @@ class RecorderCatalogue(Catalogue):
             of_file = (*_build_set_condition(set_key), sets.c.file == file)
             its_sets = select(sets).where(*of_file, sets.c.file_sha256.is_(None))
             for row in list(read_rows(connection, SetRow, its_sets)):
-                change_row(connection, replace(row, file_sha256=sha256))
+                replace_row(connection, replace(row, file_sha256=sha256))
 
     def read_digest(self, set_key: SetKey) -> str | None:
         """Read the stored SHA-256 of a set's file in hexadecimal; None if there is none."""
@@ -286,7 +286,7 @@ class RecorderCatalogue(Catalogue):
                 "events": select(func.count()).select_from(events),
             }
             counted = {name: connection.execute(number).scalar_one() for name, number in numbers.items()}
-            change_row(connection, CountsRow(**count_due_times(connection), **counted))
+            replace_row(connection, CountsRow(**count_due_times(connection), **counted))
 
     def restore_rows(self, rows: Iterable[Row]) -> None:
         """Store rows with their ids in one transaction, replacing existing ones; update the trends.
@@ -294,11 +294,11 @@ class RecorderCatalogue(Catalogue):
         The counts stay as they are: call `recompute_counts` afterwards.
         """
         restored = list(rows)
-        touched = collect_touched_sets(row for row in restored if not isinstance(row, EventRow))
+        touched = collect_changed_sets(row for row in restored if not isinstance(row, EventRow))
         with self._open_transaction("restoring rows") as connection:
             last_before = find_last_sets(connection, touched)
             for row in restored:
-                _change_or_insert(connection, row)
+                _replace_or_insert_row(connection, row)
             update_trends(connection, touched, last_before)
 
     # Commands
@@ -340,7 +340,7 @@ class RecorderCatalogue(Catalogue):
                 raise CatalogueConflictError(
                     f"{self._path}: there is no command {command_id} that is {' or '.join(before)}"
                 )
-            change_row(connection, replace(rows[0], **values))  # type: ignore[arg-type] # names of its columns
+            replace_row(connection, replace(rows[0], **values))  # type: ignore[arg-type] # names of its columns
 
 
 def _build_set_condition(key: SetKey) -> tuple[ColumnElement[bool], ...]:
@@ -372,10 +372,10 @@ def _build_due_time_query(*of: ColumnElement[bool]) -> Select[int, int, int]:
     ).select_from(found)
 
 
-_OF_ALL_SETS = prepare(_build_due_time_query())
-_OF_ONE_SET = prepare(_build_due_time_query(sets.c.set_index == bindparam("of_set")))
-_COUNTS = prepare(select(counts))
-_OF_BASELINE = prepare(
+_OF_ALL_SETS = compile_sql(_build_due_time_query())
+_OF_ONE_SET = compile_sql(_build_due_time_query(sets.c.set_index == bindparam("of_set")))
+_COUNTS = compile_sql(select(counts))
+_OF_BASELINE = compile_sql(
     select(assessments.c.id).where(
         assessments.c.position == bindparam("of_position"),
         assessments.c.set_index == bindparam("of_set"),
@@ -409,7 +409,7 @@ def _update_counts(
     }
     (row,) = read_rows(connection, CountsRow, _COUNTS)
     changed = replace(row, **{name: getattr(row, name) + number for name, number in added.items()})
-    change_row(connection, changed)
+    replace_row(connection, changed)
 
 
 def _insert_assessments(connection: Connection, rows: Sequence[AssessmentRow]) -> None:
@@ -429,37 +429,37 @@ def _insert_assessments(connection: Connection, rows: Sequence[AssessmentRow]) -
         if found is None:
             new.append(row)
         else:
-            change_row(connection, replace(row, id=found[0]))
+            replace_row(connection, replace(row, id=found[0]))
     insert_rows(connection, new)
 
 
-def _store_row(connection: Connection, row: AlarmRow | AnnotationRow) -> int:
+def _store_new_or_changed(connection: Connection, row: AlarmRow | AnnotationRow) -> int:
     """Insert a row without id, or replace the stored one, and return its id.
 
     Raises CatalogueConflictError if there is no row of the given id.
     """
-    return _change_existing(connection, row, row.id) if row.id else insert_rows(connection, [row])[0]
+    return _replace_existing_row(connection, row, row.id) if row.id else insert_rows(connection, [row])[0]
 
 
-def _change_or_insert(connection: Connection, row: Row) -> int:
+def _replace_or_insert_row(connection: Connection, row: Row) -> int:
     """Replace the stored row of the same primary key, or insert a new row; return its id.
 
     Returns 0 for a replaced row of a kind without id.
     """
     row_id: int | None = getattr(row, "id", 0)
-    if row_id is not None and change_row(connection, row):
+    if row_id is not None and replace_row(connection, row):
         return row_id
     return insert_rows(connection, [row])[0]
 
 
 def _store_answer(connection: Connection, row: CommandRow) -> int:
     """Store a command with its answer, a new one under the next id; return its id."""
-    return _change_existing(connection, row, row.id) if row.id else store_command(connection, row)
+    return _replace_existing_row(connection, row, row.id) if row.id else store_command(connection, row)
 
 
-def _change_existing(connection: Connection, row: Row, row_id: int) -> int:
+def _replace_existing_row(connection: Connection, row: Row, row_id: int) -> int:
     """Replace the row of an id and return the id; CatalogueConflictError if there is none."""
-    if not change_row(connection, row):
+    if not replace_row(connection, row):
         row_text = f"row {row_id} of table {TABLES[type(row)].name}"
         raise CatalogueConflictError(f"there is no {row_text} to change; nothing was stored")
     return row_id

@@ -7,14 +7,14 @@ def main() -> None:
     Resets inherited streams, signals and limits first. The commands are imported only here, so that this
     package is imported fast.
     """
-    from daq_service.processes.inherited import reset_inherited
+    from daq_service.processes.inherited import reset_inherited_settings
 
-    reset_inherited()
+    reset_inherited_settings()
     from daq_service.cli.main import main as run_command_line
-    from daq_service.processes.printing import end_process
+    from daq_service.processes.printing import force_exit_if_needed
 
     try:
         run_command_line()
     except SystemExit as ending:
-        end_process(ending.code if isinstance(ending.code, int) else int(ending.code is not None))
+        force_exit_if_needed(ending.code if isinstance(ending.code, int) else int(ending.code is not None))
         raise

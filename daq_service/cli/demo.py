@@ -13,8 +13,8 @@ from daq_service.cli.run import STOPPED, plan_children, report_full_disk
 from daq_service.cli.summary import format_summary_lines, sum_stage_seconds, summarise_run
 from daq_service.cli.terminal import ProgressReport, open_page
 from daq_service.errors import EXIT_INTERRUPTED, EXIT_OK
-from daq_service.processes.child import log_to, stop_on_signals
-from daq_service.processes.data_folder import new_folder_path, prepare_data_folder, write_configuration
+from daq_service.processes.child import log_to_file, stop_on_signals
+from daq_service.processes.data_folder import build_new_folder_path, prepare_data_folder, write_configuration
 from daq_service.processes.printing import print_line, print_result
 from daq_service.processes.supervisor import Message, Supervisor
 from daq_service.rig.doubles import run_rig_doubles
@@ -50,13 +50,13 @@ def run_demo(
     web, stay = not no_web, not exit_when_done and not no_web
     browser = not (no_browser or exit_when_done)
     pace = pace if pace is not None or not stay else WATCHABLE_PACE_H_PER_S
-    with run_rig_doubles(rig, _overridden_values(hours, seed, pace)) as running:
-        folder = (data_dir or new_folder_path("demo")).absolute()
+    with run_rig_doubles(rig, _build_overrides(hours, seed, pace)) as running:
+        folder = (data_dir or build_new_folder_path("demo")).absolute()
         settings = running.settings
         prepare_data_folder(folder)
         check_owner(settings, folder)
         config = write_configuration(settings, folder)
-        log_to(folder / "logs" / "supervisor.log")
+        log_to_file(folder / "logs" / "supervisor.log")
         with stop_on_signals() as stop:
             with ProgressReport(news_to_stderr=as_json) as progress:
                 progress.line(f"data: {folder}")
@@ -105,7 +105,7 @@ def run_demo(
         return EXIT_OK
 
 
-def _overridden_values(
+def _build_overrides(
     hours: float | None, seed: int | None, pace: float | None
 ) -> dict[str, dict[str, object]]:
     """Build the configuration overrides, by table and key, of the options that are not None."""

@@ -89,7 +89,7 @@ def predict_stored_bytes(settings: Settings, n_sets: int) -> int:
     return round(n_sets * set_bytes) + predict_tile_bytes(settings, n_sets) + fixed_bytes
 
 
-def maximum_confirmation_bytes(settings: Settings, last_h: float) -> int:
+def predict_confirmation_bytes(settings: Settings, last_h: float) -> int:
     """Estimate the maximum size in bytes of the confirmation sets from the baseline's end to hour ``last_h``.
 
     0 without transducers or if none are allowed.
@@ -119,12 +119,12 @@ def predict_set_file_bytes(settings: Settings) -> float:
 
     A set with more than `BUILT_BYTES` of raw data is built with fewer shots and its size scaled.
     """
-    from daq_service.archive.layout import build_image
+    from daq_service.archive.layout import build_set_image
 
     strike, echo = predict_record_sizes(settings)
     transducers, shots = len(settings.list_positions(SOLITARY_WAVE)), settings.schedule.shots_per_set
     n_built = max(1, min(shots, BUILT_BYTES // max(1, strike.n_bytes * transducers)))
-    return len(build_image(_build_noisy_set(settings, strike, echo, n_built))) * shots / n_built
+    return len(build_set_image(_build_noisy_set(settings, strike, echo, n_built))) * shots / n_built
 
 
 def _build_noisy_set(settings: Settings, strike: RecordSize, echo: RecordSize, shots: int) -> Any:

@@ -12,10 +12,10 @@ import click
 from analysis.assessment.baseline_quality import GOOD_SETS
 from analysis.statistics.rules import MINIMUM_SETS
 from daq_service.acquisition.schedule import list_due_hours, plan_sets
-from daq_service.cli.forecast import maximum_confirmation_bytes, predict_record_sizes, predict_stored_bytes
+from daq_service.cli.forecast import predict_confirmation_bytes, predict_record_sizes, predict_stored_bytes
 from daq_service.clock import format_utc, parse_utc
 from daq_service.errors import UsageError
-from daq_service.processes.data_folder import data_folder
+from daq_service.processes.data_folder import choose_folder
 from daq_service.processes.disk_policy import disk_usage
 from daq_service.settings.file import load_settings
 from daq_service.settings.notifications import NotificationSettings
@@ -34,7 +34,7 @@ def print_configuration(*, config: Path | None, data_dir: Path | None, schema: b
         click.echo(json.dumps(build_schema_with_kinds(), indent=1))
         return
     settings = load_settings(config)
-    facts = describe_plan(settings, data_folder(settings.storage, config, data_dir))
+    facts = describe_plan(settings, choose_folder(settings.storage, config, data_dir))
     if as_json:
         click.echo(json.dumps(facts))
         return
@@ -118,7 +118,7 @@ def describe_plan(settings: Settings, folder: Path) -> dict[str, Any]:
         "record_s": strike.samples / strike.sample_rate_hz if strike.known else None,
         "raw_bytes": raw_bytes,
         "stored_bytes": predict_stored_bytes(settings, len(planned)),
-        "most_confirmation_bytes": maximum_confirmation_bytes(
+        "most_confirmation_bytes": predict_confirmation_bytes(
             settings, planned[-1].due_h if planned else 0.0
         ),
         "free_bytes": disk_usage(folder)[0],

@@ -102,11 +102,11 @@ def _format_error(error: SolimonError) -> str:
     """Return the message of an error; if its cause is a lost catalogue, the description of the loss."""
     if isinstance(error, StorageError):
         from daq_service.catalogue.errors import NoDataYetError
-        from daq_service.processes.lost_catalogue import loss_reason
+        from daq_service.processes.lost_catalogue import describe_loss
 
         if isinstance(error, NoDataYetError) and error.folder is not None:
             with suppress(StorageError):  # the other files are unreadable, too
-                return loss_reason(error.folder) or str(error)
+                return describe_loss(error.folder) or str(error)
     return str(error)
 
 

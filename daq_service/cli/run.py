@@ -28,27 +28,27 @@ from daq_service.errors import (
 )
 from daq_service.processes.child import (
     PROGRAM,
-    leave_when_pipe_closes,
     log_in_thread,
-    log_to,
+    log_to_file,
     notify_supervisor,
-    run_and_announce,
-    start_detached,
+    run_and_announce_exit,
+    start_detached_process,
     stop_on_signals,
+    stop_when_pipe_closes,
 )
 from daq_service.processes.data_folder import (
-    own_data_folder,
+    hold_recorder_lock,
+    load_settings_and_folder,
+    load_settings_for_reading,
     prepare_data_folder,
-    refuse_other_folders,
     remove_temporary_files,
-    settings_and_folder,
-    settings_of_folder,
+    require_data_folder,
 )
 from daq_service.processes.disk_policy import disk_space, refusal
 from daq_service.processes.heartbeat import create_web_beat
 from daq_service.processes.notifications.service import notify_while_web_is_silent
 from daq_service.processes.printing import print_line
-from daq_service.processes.service_manager import notify_manager, service_manager_notifications
+from daq_service.processes.service_manager import forward_to_service_manager, notify_manager
 from daq_service.processes.supervisor import ChildPlan, Message, Supervisor
 from daq_service.settings.tree import Settings, StorageSettings
 from daq_service.settings.web import WebSettings
@@ -90,7 +90,7 @@ def run_as_child(carry_out: Callable[..., int]) -> Callable[..., int]:
                     raise
                 raise TriedAgainError(str(error)) from error
 
-        return run_and_announce(run, supervised=supervised)
+        return run_and_announce_exit(run, supervised=supervised)
 
     return run_child
 
@@ -107,7 +107,7 @@ def run_supervised(*, config: Path | None, data_dir: Path | None, port: int | No
     StorageError
         The folder cannot be used, or belongs to another test.
     """
-    settings, folder = settings_and_folder(config, data_dir)
+    settings, folder = load_settings_and_folder(config, data_dir)
     prepare_data_folder(folder)
     check_owner(settings, folder)
     if not no_web and settings.web.is_reachable:
@@ -115,11 +115,11 @@ def run_supervised(*, config: Path | None, data_dir: Path | None, port: int | No
 
         refuse_unprotected_service(settings.web, folder)
     if not no_web and settings.notifications.receivers:
-        from daq_service.processes.notifications.addresses import check_receivers
+        from daq_service.processes.notifications.addresses import validate_receivers
 
-        check_receivers(settings.notifications)
+        validate_receivers(settings.notifications)
 
-    log_to(folder / "logs" / "supervisor.log")
+    log_to_file(folder / "logs" / "supervisor.log")
     with stop_on_signals() as stop, ProgressReport() as progress, ExitStack() as stack:
 
         def on_message(child: str, message: Message) -> None:
@@ -143,7 +143,7 @@ def run_supervised(*, config: Path | None, data_dir: Path | None, port: int | No
             plan_children(config, folder, port=port, web=not no_web, linger=not no_web),
             folder,
             on_message=on_message,
-            guard=stack.enter_context(provide_drive_guard(settings, folder)),
+            guard=stack.enter_context(provide_supply_guard(settings, folder)),
         )
         with notify_while_web_is_silent(settings, folder, monitors_recorder=True):
             code = supervisor.run(stop, stay=not no_web)
@@ -211,31 +211,31 @@ def record_alone(
     from daq_service.recording.resources import SessionOptions
     from daq_service.recording.session import record_test
 
-    settings, folder = settings_and_folder(config, data_dir)
+    settings, folder = load_settings_and_folder(config, data_dir)
     prepare_data_folder(folder, may_create=not restart_reason)
-    with stop_on_signals() as stop, own_data_folder(folder), ExitStack() as stack:
-        log_to(folder / "logs" / "recorder.log")
+    with stop_on_signals() as stop, hold_recorder_lock(folder), ExitStack() as stack:
+        log_to_file(folder / "logs" / "recorder.log")
         remove_temporary_files(folder)
         report = notify_supervisor
         if not supervised:
-            report = stack.enter_context(service_manager_notifications(stack.enter_context(ProgressReport())))
+            report = stack.enter_context(forward_to_service_manager(stack.enter_context(ProgressReport())))
             stack.enter_context(notify_while_web_is_silent(settings, folder, monitors_recorder=False))
-        abandoned = leave_when_pipe_closes(stop) if supervised else threading.Event()
+        abandoned = stop_when_pipe_closes(stop) if supervised else threading.Event()
         try:
             drive = None
             if settings.rig.driven is not None:
-                drive = stack.enter_context(create_remote_drive(settings, settings.rig.driven, folder))
+                drive = stack.enter_context(create_supply_client(settings, settings.rig.driven, folder))
             finished = record_test(
                 settings,
                 folder,
-                partial(_open_rig_to_stay, report),
+                partial(_open_rig_without_supply, report),
                 stop=stop,
                 report=report,
                 options=SessionOptions(
                     restart_reason=restart_reason,
                     linger=linger,
                     unsupervised=abandoned,
-                    acknowledged=_print_acknowledgement if log_json else lambda shot_id: None,
+                    acknowledged=_notify_shot_stored if log_json else lambda shot_id: None,
                     remote_drive=drive,
                 ),
             )
@@ -249,7 +249,7 @@ def record_alone(
 
 
 @contextmanager
-def _open_rig_to_stay(
+def _open_rig_without_supply(
     report: Callable[..., None], settings: Settings, clock: Clock, epoch_utc_ns: int
 ) -> Iterator[Rig]:
     """Open the rig without the supply, whose port belongs to the supply process; close it at the end.
@@ -259,17 +259,17 @@ def _open_rig_to_stay(
     """
     from daq_service.rig.open_rig import open_rig
 
-    def preparing(what: str, begins: bool) -> None:
+    def report_preparation(what: str, begins: bool) -> None:
         """Report the start or the end of a preparation, such as compiling, to the recorder's reporter."""
         report("preparing" if begins else "prepared", what=what)
 
     without_supply = settings.model_copy(update={"rig": settings.rig.copy_without_supply()})
-    with open_rig(without_supply, clock, epoch_utc_ns, preparing=preparing) as rig:
+    with open_rig(without_supply, clock, epoch_utc_ns, preparing=report_preparation) as rig:
         gc.freeze()
         yield rig
 
 
-def _print_acknowledgement(shot_id: int) -> None:
+def _notify_shot_stored(shot_id: int) -> None:
     """Notify the supervisor that the shot with this id is stored."""
     notify_supervisor("shot_acknowledged", shot_id=shot_id)
 
@@ -280,7 +280,7 @@ def start_supply_process(settings: Settings, folder: Path) -> subprocess.Popen[b
     The present settings are passed on its standard input.
     """
     command = [*PROGRAM, "supply-process", "--data-dir", str(folder), "--for-recorder"]
-    return start_detached(command, settings.model_dump_json().encode())
+    return start_detached_process(command, settings.model_dump_json().encode())
 
 
 def read_supply_port(settings: Settings) -> str:
@@ -294,7 +294,7 @@ def read_supply_port(settings: Settings) -> str:
     return str(getattr(getattr(supply, "line", supply), "port", supply))
 
 
-def create_remote_drive(
+def create_supply_client(
     settings: Settings, parameters: DriveParameters, folder: Path, *, watches: bool = True
 ) -> RemoteDrive:
     """Create the client of the supply process of this configuration, which it can start.
@@ -309,7 +309,7 @@ def create_remote_drive(
 
 
 @contextmanager
-def provide_drive_guard(settings: Settings, folder: Path) -> Iterator[Callable[[], None]]:
+def provide_supply_guard(settings: Settings, folder: Path) -> Iterator[Callable[[], None]]:
     """Provide a function that restarts the supply process while no recorder runs; call it repeatedly.
 
     It does nothing without a driven supply.
@@ -319,7 +319,7 @@ def provide_drive_guard(settings: Settings, folder: Path) -> Iterator[Callable[[
     if settings.rig.driven is None:
         yield lambda: None
         return
-    with create_remote_drive(settings, settings.rig.driven, folder, watches=False) as remote:
+    with create_supply_client(settings, settings.rig.driven, folder, watches=False) as remote:
         yield DriveGuard(folder, remote, check_every_s=settings.rig.driven.watchdog_timeout_s).check
 
 
@@ -342,13 +342,13 @@ def run_supply_process_alone(*, config: Path | None, data_dir: Path | None, for_
     from daq_service.corrosion_drive.own_process import run_supply_process
     from daq_service.rig.open_rig import open_supply
 
-    def open_owned() -> AbstractContextManager[PowerSupply]:
+    def announce_and_open_supply() -> AbstractContextManager[PowerSupply]:
         """Report that the process is ready and open the supply; the caller holds its lock."""
         if not for_recorder:
             notify_manager("READY=1")  # the lock is held: no recorder starts another process
         return open_supply(settings, clock=WallClock())
 
-    def beat() -> None:
+    def notify_watchdog() -> None:
         """Notify the watchdog of the service manager, unless a recorder started this process."""
         if not for_recorder:
             notify_manager("WATCHDOG=1")
@@ -357,7 +357,7 @@ def run_supply_process_alone(*, config: Path | None, data_dir: Path | None, for_
         assert data_dir is not None, "a recorder says which folder"
         settings, folder = Settings.model_validate_json(sys.stdin.buffer.read()), data_dir
     else:
-        settings, folder = settings_and_folder(config, data_dir)
+        settings, folder = load_settings_and_folder(config, data_dir)
         prepare_data_folder(folder)
     parameters = settings.rig.driven
     if parameters is None:
@@ -367,11 +367,11 @@ def run_supply_process_alone(*, config: Path | None, data_dir: Path | None, for_
             was_left = run_supply_process(
                 parameters,
                 folder,
-                open_owned,
+                announce_and_open_supply,
                 stop,
                 supply_port=read_supply_port(settings),
                 stays=not for_recorder,
-                beat=beat,
+                beat=notify_watchdog,
             )
         except SolimonError as error:
             log.error("%s", error)
@@ -394,18 +394,18 @@ def serve_alone(
     StorageError
         The folder is missing after a restart, or cannot be written.
     """
-    from daq_service.processes.notifications.addresses import check_receivers
+    from daq_service.processes.notifications.addresses import validate_receivers
     from daq_service.web.app import create_app
     from daq_service.web.auth.middleware import refuse_unprotected_service
 
-    settings, folder = settings_of_folder(config, data_dir)
+    settings, folder = load_settings_for_reading(config, data_dir)
     if not restart_reason:
-        refuse_other_folders(folder)
+        require_data_folder(folder)
         if config is not None:  # who opens a folder only to look needs no secrets
-            check_receivers(settings.notifications)
+            validate_receivers(settings.notifications)
     refuse_unprotected_service(settings.web, folder)
     prepare_data_folder(folder, may_create=not restart_reason)
-    log_to(folder / "logs" / "web.log")
+    log_to_file(folder / "logs" / "web.log")
     if restart_reason:
         log.warning("started again: the web service %s", restart_reason)
 
@@ -439,6 +439,6 @@ def serve_app(app: FastAPI, web: WebSettings, port: int | None, *, supervised: b
     at = web.port if port is None else port
     with stop_on_signals() as stop:
         if supervised:
-            leave_when_pipe_closes(stop)
+            stop_when_pipe_closes(stop)
         serve(app, web.host, at, on_bound=on_bound, stop=stop, locks=web, on_beat=on_beat)
         return EXIT_OK if supervised else EXIT_INTERRUPTED

@@ -7,8 +7,8 @@ from pathlib import Path
 
 from daq_service.cli.run import run_as_child, serve_alone, serve_app
 from daq_service.errors import UsageError
-from daq_service.processes.child import log_to
-from daq_service.processes.data_folder import data_folder, prepare_data_folder
+from daq_service.processes.child import log_to_file
+from daq_service.processes.data_folder import choose_folder, prepare_data_folder
 from daq_service.processes.printing import print_line
 from daq_service.settings.file import load_settings
 
@@ -62,14 +62,14 @@ def _serve_many(paths: Sequence[Path], data_dir: Path | None, port: int | None, 
     Raises UsageError if the address needs protection that is missing, BusyError if the port is in use.
     """
     from daq_service.web.auth.middleware import refuse_unprotected_service
-    from daq_service.web.multi_test.app import create_app_of_many
+    from daq_service.web.multi_test.app import create_multi_test_app
 
     settings = load_settings(web)
-    service_folder = Path.cwd() / OWN_FOLDER if web is None else data_folder(settings.storage, web, None)
+    service_folder = Path.cwd() / OWN_FOLDER if web is None else choose_folder(settings.storage, web, None)
     folder = service_folder if data_dir is None else data_dir.absolute()
     refuse_unprotected_service(settings.web, folder)
-    app = create_app_of_many(paths, settings, folder)
+    app = create_multi_test_app(paths, settings, folder)
     prepare_data_folder(folder)
-    log_to(folder / "logs" / "web.log")
+    log_to_file(folder / "logs" / "web.log")
     print_line(f"the service's own folder (tokens, logins, log): {folder}")
     return serve_app(app, settings.web, port)

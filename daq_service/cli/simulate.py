@@ -11,12 +11,12 @@ from typing import Any, Literal
 import click
 from pydantic import TypeAdapter
 
-from daq_service.cli.sweep.shot import Specimen, compute_zener_impact, coupled_shot, summarise_coupled_shot
+from daq_service.cli.sweep.shot import Specimen, compute_shot, compute_zener_impact, summarise_coupled_shot
 from daq_service.cli.sweep.specification import space_evenly
 from daq_service.errors import UsageError
 from daq_service.settings.file import load_settings
 from daq_service.settings.tree import PositionSettings, Settings
-from daq_service.shared_file import load_table
+from daq_service.shared_file import load_module_toml
 from simulator.errors import SimulatorError
 from simulator.parameters.chain import ChainParameters
 from simulator.parameters.plate import CorrosionParameters, PlateParameters
@@ -30,7 +30,7 @@ class _Table:
     note: str
 
 
-TABLES = TypeAdapter(dict[str, _Table]).validate_python(load_table(__file__))
+TABLES = TypeAdapter(dict[str, _Table]).validate_python(load_module_toml(__file__))
 
 
 def print_simulation(
@@ -58,14 +58,14 @@ def print_simulation(
     if model == "zener" and tilt_rad is not None:
         raise UsageError("--tilt-rad tilts the sensor disk, which --model zener does not have: leave it out")
     try:
-        specimen = _apply_options(settings, position, depth_fraction, drop_height_m, tilt_rad)
+        specimen = _build_specimen(settings, position, depth_fraction, drop_height_m, tilt_rad)
         grid = [specimen[2].depth_fraction] if depths is None else _parse_grid(depths)
         for depth in grid:
             replace(specimen[2], depth_fraction=depth)
     except ValueError as error:
         raise UsageError(str(error)) from error
     if sweeps or sweep_file is not None or (depths is not None and options["outputs"]):
-        from daq_service.cli.sweep.command import SweepRequest, sweep  # a single shot needs no tables
+        from daq_service.cli.sweep.command import SweepRequest, print_sweep  # a single shot needs no tables
 
         fixed = {
             "corrosion.depth_fraction": depth_fraction,
@@ -83,14 +83,14 @@ def print_simulation(
             position=position,
             **options,
         )
-        sweep(request, TABLES[model].columns, as_json=as_json)
+        print_sweep(request, TABLES[model].columns, as_json=as_json)
         return
     if named := [name for name, value in options.items() if value]:
-        raise UsageError(f"{_option_name(named[0])} belongs to a sweep: give --sweep KEY=VALUES, too")
+        raise UsageError(f"{_format_option_name(named[0])} belongs to a sweep: give --sweep KEY=VALUES, too")
     _print_shots(model, specimen, grid, is_table=depths is not None, as_json=as_json)
 
 
-def _option_name(name: str) -> str:
+def _format_option_name(name: str) -> str:
     """Return the option of a sweep on the command line for its parameter name."""
     return {"outputs": "--out", "element_wise": "--zip"}.get(name, f"--{name.replace('_', '-')}")
 
@@ -115,7 +115,7 @@ def _print_shots(model: str, specimen: Specimen, grid: list[float], *, is_table:
         _print_table(rows, TABLES[model])
 
 
-def _apply_options(
+def _build_specimen(
     settings: Settings,
     position: str | None,
     depth_fraction: float | None,
@@ -170,7 +170,7 @@ def _compute_shot(
     if model == "zener":
         return {**compute_zener_impact(chain, plate, patch), **given}
     return {
-        **summarise_coupled_shot(coupled_shot(chain, plate, patch)),
+        **summarise_coupled_shot(compute_shot(chain, plate, patch)),
         **given,
         "tilt_rad": chain.tilt_rad,
     }

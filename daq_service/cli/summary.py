@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
-from daq_service.assessment.stored_limits import limits_by_name
+from daq_service.assessment.stored_limits import collect_limits_by_name
 from daq_service.catalogue import open_catalogue
 from daq_service.catalogue.rows import (
     AlarmRow,
@@ -73,10 +73,10 @@ def _summarise_solitary_wave(
     assessed = [row for row in assessments if not row.in_baseline and row.outlier is not None]
     after = [row for row in assessed if row.due_h > SPLIT_H]
     baseline = catalogue.baseline(position)
-    last = _last_good_feature(catalogue, rules.minimum_valid_shots, position)
-    limit = None if baseline is None else limits_by_name(baseline).get(limit_name)
+    last = _find_last_good_feature(catalogue, rules.minimum_valid_shots, position)
+    limit = None if baseline is None else collect_limits_by_name(baseline).get(limit_name)
     return {
-        "first_alarm_h": _first_alarm_h(catalogue, position),
+        "first_alarm_h": _find_first_alarm_h(catalogue, position),
         "outlier_fraction_before_100_h": _outlier_fraction(
             row.outlier for row in assessed if row.due_h <= SPLIT_H
         ),
@@ -100,7 +100,7 @@ def _summarise_pulse_echo(catalogue: Catalogue, position: str) -> dict[str, obje
     last = rows[-1] if rows else None
     return {
         **dict.fromkeys(OF_SOLITARY_WAVES),
-        "first_alarm_h": _first_alarm_h(catalogue, position),
+        "first_alarm_h": _find_first_alarm_h(catalogue, position),
         "travel_time_us": None if last is None else _scale_value(last.travel_time_s, 1e6),
         "thickness_mm": None if last is None else _scale_value(last.thickness_m, 1e3),
     }
@@ -111,7 +111,7 @@ def _scale_value(value: float | None, factor: float) -> float | None:
     return None if value is None else value * factor
 
 
-def _last_good_feature(catalogue: Catalogue, minimum_valid: int, position: str) -> FeatureRow | None:
+def _find_last_good_feature(catalogue: Catalogue, minimum_valid: int, position: str) -> FeatureRow | None:
     """Return the newest set features with enough valid shots and a ToF; None if there are none."""
     rows = catalogue.rows(FeatureRow, position=position, scope="set")
     good = [row for row in rows if row.n_valid >= minimum_valid and row.tof_pp_s is not None]
@@ -125,7 +125,7 @@ def _count_baseline_sets(catalogue: Catalogue, baseline: BaselineRow | None, pos
     return sum(1 for row in catalogue.rows(AssessmentRow, position=position) if row.in_baseline)
 
 
-def _first_alarm_h(catalogue: Catalogue, position: str) -> float | None:
+def _find_first_alarm_h(catalogue: Catalogue, position: str) -> float | None:
     """Return the hour of the first damage alarm at a position; None without one."""
     hours = [
         row.raised_h for row in catalogue.rows(AlarmRow, position=position) if row.alarm_class == "damage"

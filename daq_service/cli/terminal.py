@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING, Any, Literal, Self
 import click
 
 from daq_service.clock import MACHINE, MachineClock
-from daq_service.processes.printing import HELD_AFTER_S, PRINTING, discard_unwritten
-from daq_service.settings.foreign_text import PlainStream, to_one_line
+from daq_service.processes.printing import HELD_AFTER_S, PRINTING, discard_unwritten_output
+from daq_service.settings.foreign_text import PlainStream, escape_to_one_line
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -34,7 +34,7 @@ MOST_HELD_LINES = 10_000
 """Maximum number of waiting lines; later ones are dropped while a terminal is blocked."""
 
 
-def print_progress_of_sets(done: int, total: int) -> None:
+def print_set_progress(done: int, total: int) -> None:
     """Rewrite one line of standard error with the progress of a reassessment; end it at the last set."""
     click.echo(f"\rset {done} of {total} ", nl=done == total, err=True)
 
@@ -118,7 +118,7 @@ class ProgressReport:
         Never blocks. Control characters are escaped.
         """
         if self._lines.qsize() < MOST_HELD_LINES:
-            self._lines.put((to_one_line(text), err, style))
+            self._lines.put((escape_to_one_line(text), err, style))
 
     def _write_queued_lines(self) -> None:
         """Print the queued lines until None is queued (body of the writing thread).
@@ -139,7 +139,7 @@ class ProgressReport:
             self._live = None
             if self._progress:
                 self._print(self._progress, err=True, style="")
-        discard_unwritten()
+        discard_unwritten_output()
 
     def _print(self, text: str, *, err: bool, style: str) -> None:
         """Print a line, above the live display if there is one; ignore a closed terminal."""
@@ -160,7 +160,7 @@ class ProgressReport:
         took_s = self._machine.mono_s() - since_s
         long = f"{doing}; {format_duration(took_s)} so far" if took_s >= SHOWN_AFTER_S else ""
         text = "; ".join(filter(None, (self._progress, long))) or doing
-        return Text(to_one_line(text), no_wrap=True, overflow="ellipsis")
+        return Text(escape_to_one_line(text), no_wrap=True, overflow="ellipsis")
 
     # Events of a recorder, direct or through its supervisor -----------------------------------------------
 
@@ -256,7 +256,7 @@ class ProgressReport:
 # A page on a screen ---------------------------------------------------------------------------------------
 
 
-def no_screen_reason(environment: Mapping[str, str], platform: str = sys.platform) -> str:
+def describe_missing_screen(environment: Mapping[str, str], platform: str = sys.platform) -> str:
     """Return why a page opened by this process would not be visible; empty if there is a screen.
 
     Reasons: standard error is no terminal, CI, SSH, or no display on a system that needs one.
@@ -277,7 +277,7 @@ def open_page(url: str) -> bool:
     The browser starts in a daemon thread, since that may take seconds: True does not mean that it succeeded.
     A browser that would occupy the terminal is not used unless the variable ``BROWSER`` is set.
     """
-    if no_screen_reason(os.environ):
+    if describe_missing_screen(os.environ):
         return False
     try:
         browser = webbrowser.get()

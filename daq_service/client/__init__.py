@@ -42,12 +42,12 @@ def open(where: str | Path, *, token: str | None = None, timeout_s: float = TIME
         computer are requested without a proxy.
     """
     if not str(where).startswith(("http://", "https://")):
-        from daq_service.client.in_process import folder_connection
+        from daq_service.client.in_process import open_folder_connection
 
-        return Experiment(folder_connection(Path(where)))
+        return Experiment(open_folder_connection(Path(where)))
     from daq_service.client.connection import Connection
-    from daq_service.client.transport import http_client
+    from daq_service.client.transport import create_http_client
 
     access_token = token or os.environ.get(TOKEN_VARIABLE)
     headers = {"Authorization": f"Bearer {access_token}"} if access_token else {}
-    return Experiment(Connection(http_client(str(where), headers=headers, timeout_s=timeout_s)))
+    return Experiment(Connection(create_http_client(str(where), headers=headers, timeout_s=timeout_s)))

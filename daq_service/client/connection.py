@@ -75,7 +75,7 @@ class Connection:
         try:
             answer: Json = response.json()
         except ValueError:
-            raise _foreign_service_error(response) from None
+            raise _build_foreign_service_error(response) from None
         return answer
 
     def response(self, path: str, **parameters: Parameter) -> httpx.Response:
@@ -93,7 +93,7 @@ class Connection:
             url = self.http.base_url
             remedy = "start `solimon run` or `solimon serve`; SSL_CERT_FILE names certificates of your own"
             raise UnreachableError(f"{url} does not answer{proxy_note(url)} ({error}); {remedy}") from error
-        raise_refusal(response)
+        raise_for_error_response(response)
         return response
 
     def pages(self, resource: str, **parameters: Parameter) -> tuple[list[Json], Json]:
@@ -147,10 +147,10 @@ class Connection:
                 with self.http.stream("GET", API + "stream", params=parameters, headers=headers) as response:
                     if response.is_client_error and response.status_code not in PASSING:
                         response.read()
-                        raise_refusal(response)
+                        raise_for_error_response(response)
                     kind = response.headers.get("content-type", "")
                     reason = "" if "event-stream" in kind else f"it answers {response.status_code} {kind}"
-                    for event in parse_events(lines_of(response.iter_bytes())):
+                    for event in parse_events(split_lines(response.iter_bytes())):
                         after = event["id"]
                         yield event
             except httpx.RequestError as error:
@@ -161,7 +161,7 @@ class Connection:
             self._closed.wait(RETRY_S)
 
 
-def raise_refusal(response: httpx.Response) -> None:
+def raise_for_error_response(response: httpx.Response) -> None:
     """Raise RefusedError with status, type and reason if a response is no success; else return None.
 
     A response without a problem of RFC 9457 names a service that is not solimon.
@@ -172,18 +172,18 @@ def raise_refusal(response: httpx.Response) -> None:
         problem = response.json()
         reason, kind = f"{problem['detail']} {problem['hint']}", problem["type"]
     except (ValueError, KeyError, TypeError):
-        raise _foreign_service_error(response) from None
+        raise _build_foreign_service_error(response) from None
     raise RefusedError(response.status_code, kind, reason)
 
 
-def _foreign_service_error(response: httpx.Response) -> RefusedError:
+def _build_foreign_service_error(response: httpx.Response) -> RefusedError:
     """Return the error for an answer that no service of solimon gives, with the address and its proxy."""
     status = f"{response.url} answers {response.status_code}{proxy_note(response.url)}"
     reason = f"{status}; give the address of a service of solimon"
     return RefusedError(response.status_code, "about:blank", reason)
 
 
-def lines_of(chunks: Iterable[bytes]) -> Iterator[str]:
+def split_lines(chunks: Iterable[bytes]) -> Iterator[str]:
     """Yield the complete lines of a stream of events, without their ends (CR, LF or both).
 
     Invalid UTF-8 is replaced. Of a line without an end at most `LONGEST_LINE_BYTES` are kept; at the end of

@@ -14,7 +14,7 @@ from daq_service.catalogue.published_columns import Purposes
 from daq_service.catalogue.rows import Row
 from daq_service.client.connection import Connection, Json, Parameter
 from daq_service.client.errors import ClientError, RefusedError
-from daq_service.client.frames import frame
+from daq_service.client.frames import build_data_frame
 from daq_service.client.waves import read_waveforms
 
 
@@ -76,7 +76,7 @@ class Experiment:
     ) -> pd.DataFrame:
         """Read one row per set and position: due time, state, numbers of shots, reason, and file."""
         filters = {"position": position, "from_h": from_h, "to_h": to_h, "state": state, "purpose": purpose}
-        return self._table(rows.SetRow, "sets", **filters)
+        return self._read_table(rows.SetRow, "sets", **filters)
 
     def features(
         self,
@@ -89,7 +89,7 @@ class Experiment:
     ) -> pd.DataFrame:
         """Read features of the solitary waves, one row per set (mean of its valid shots) or per shot."""
         filters = {"position": position, "from_h": from_h, "to_h": to_h, "scope": scope, "purpose": purpose}
-        return self._table(rows.FeatureRow, "features", **filters)
+        return self._read_table(rows.FeatureRow, "features", **filters)
 
     def assessments(
         self,
@@ -101,22 +101,22 @@ class Experiment:
     ) -> pd.DataFrame:
         """Read squared distances, limits, outliers and diagnoses, one row per set and transducer."""
         filters = {"position": position, "from_h": from_h, "to_h": to_h, "purpose": purpose}
-        return self._table(rows.AssessmentRow, "assessments", **filters)
+        return self._read_table(rows.AssessmentRow, "assessments", **filters)
 
     def baselines(self, position: str | None = None) -> pd.DataFrame:
         """Read the baselines of each position, the newest last: lifecycle, mean, covariance and limits."""
         answer = self._connection.get("baselines", position=position)
-        return frame(rows.BaselineRow, answer["items"], answer["as_of"])
+        return build_data_frame(rows.BaselineRow, answer["items"], answer["as_of"])
 
     def thickness(
         self, position: str | None = None, *, from_h: float | None = None, to_h: float | None = None
     ) -> pd.DataFrame:
         """Read wall thickness from pulse echo, m, with its 95 % interval, one row per set and probe."""
-        return self._table(rows.ThicknessRow, "thickness", position=position, from_h=from_h, to_h=to_h)
+        return self._read_table(rows.ThicknessRow, "thickness", position=position, from_h=from_h, to_h=to_h)
 
     def environment(self, *, from_h: float | None = None, to_h: float | None = None) -> pd.DataFrame:
         """Read supply and climate around each set, one row per set; empty where neither is configured."""
-        return self._table(rows.EnvironmentRow, "environment", from_h=from_h, to_h=to_h)
+        return self._read_table(rows.EnvironmentRow, "environment", from_h=from_h, to_h=to_h)
 
     def alarms(self, position: str | None = None, *, active: bool | None = None) -> pd.DataFrame:
         """Read alarms with their evidence, one row per alarm.
@@ -126,13 +126,15 @@ class Experiment:
         active
             True: only active ones; False: only those that have returned to normal; None: all.
         """
-        return self._table(rows.AlarmRow, "alarms", position=position, active=active)
+        return self._read_table(rows.AlarmRow, "alarms", position=position, active=active)
 
     def annotations(
         self, position: str | None = None, *, from_h: float | None = None, to_h: float | None = None
     ) -> pd.DataFrame:
         """Read annotations of hours of the test, one row each, including withdrawn ones."""
-        return self._table(rows.AnnotationRow, "annotations", position=position, from_h=from_h, to_h=to_h)
+        return self._read_table(
+            rows.AnnotationRow, "annotations", position=position, from_h=from_h, to_h=to_h
+        )
 
     def waveforms(
         self,
@@ -206,7 +208,7 @@ class Experiment:
                 data=event,
             )
 
-    def _table(self, kind: type[Row], resource: str, **filters: Parameter) -> pd.DataFrame:
+    def _read_table(self, kind: type[Row], resource: str, **filters: Parameter) -> pd.DataFrame:
         """Read all pages of a listing as a data frame with the columns of a kind of row."""
         items, as_of = self._connection.pages(resource, **filters)
-        return frame(kind, items, as_of)
+        return build_data_frame(kind, items, as_of)

@@ -6,14 +6,14 @@ from collections.abc import Sequence
 
 import pandas as pd
 
-from daq_service.catalogue.published_columns import Form, PublishedColumn, add_parts, describe_columns
+from daq_service.catalogue.published_columns import Form, PublishedColumn, add_nested, list_shown_columns
 from daq_service.catalogue.rows import Row
 from daq_service.client.connection import Json
 
 DTYPES: dict[Form, str] = {"number": "float64", "integer": "Int64", "truth": "boolean", "text": "object"}
 
 
-def frame(kind: type[Row], items: Sequence[Json], as_of: Json) -> pd.DataFrame:
+def build_data_frame(kind: type[Row], items: Sequence[Json], as_of: Json) -> pd.DataFrame:
     """Build a data frame of the rows of a listing; a missing value is NaN, NaT or NA.
 
     Without rows it has all columns, too, with their types. Rows with an hour have a column ``age_h``.
@@ -24,17 +24,17 @@ def frame(kind: type[Row], items: Sequence[Json], as_of: Json) -> pd.DataFrame:
         ``attrs["units"]`` has the unit of each number, ``attrs["as_of"]`` the time of reading and the status
         of the recorder.
     """
-    columns = list(describe_columns(kind))
+    columns = list(list_shown_columns(kind))
     if any(column.name in ("due_h", "raised_h") for column in columns):
         columns.append(PublishedColumn(name="age_h", form="number", unit="h", nullable=False))
-    items = [add_parts(kind, item) for item in items]
-    table = pd.DataFrame({column.name: _series(column, items) for column in columns})
+    items = [add_nested(kind, item) for item in items]
+    table = pd.DataFrame({column.name: _build_series(column, items) for column in columns})
     table.attrs["units"] = {column.name: column.unit for column in columns if column.unit}
     table.attrs["as_of"] = as_of
     return table
 
 
-def _series(column: PublishedColumn, items: Sequence[dict[str, object]]) -> pd.Series[object]:
+def _build_series(column: PublishedColumn, items: Sequence[dict[str, object]]) -> pd.Series[object]:
     """Build the pandas series of a column, with the type of its form; times are UTC with ns resolution.
 
     Raises

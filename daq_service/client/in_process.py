@@ -21,7 +21,7 @@ PAGE_EVENTS = 500
 UNCOMPRESSED = {"Accept-Encoding": "identity"}
 
 
-def folder_connection(folder: Path) -> Connection:
+def open_folder_connection(folder: Path) -> Connection:
     """Return a connection to a data folder, read by the service's own code; the test may run or have ended.
 
     Raises

@@ -21,7 +21,7 @@ LOOPBACK = ("localhost", "*.localhost", "127.0.0.0/8", "::1", "::ffff:127.0.0.0/
 """Addresses of this computer, as entries of NO_PROXY."""
 
 
-def http_client(address: str, *, headers: dict[str, str], timeout_s: float) -> httpx.Client:
+def create_http_client(address: str, *, headers: dict[str, str], timeout_s: float) -> httpx.Client:
     """Create an HTTP client of an address, without opening a connection.
 
     The environment sets only proxies and certificates: passwords of a ``.netrc`` are not used.
@@ -33,12 +33,12 @@ def http_client(address: str, *, headers: dict[str, str], timeout_s: float) -> h
     """
     variable = ""
     try:
-        variable, proxy = proxy_of(url := httpx.URL(address))
+        variable, proxy = find_proxy(url := httpx.URL(address))
         return httpx.Client(
             base_url=address,
             headers=headers,
             timeout=timeout_s,
-            verify=_certificates(url.scheme),
+            verify=_create_tls_context(url.scheme),
             proxy=proxy,
             trust_env=False,
         )
@@ -52,7 +52,7 @@ def http_client(address: str, *, headers: dict[str, str], timeout_s: float) -> h
         raise ClientError(f"{variable} names a proxy that cannot be used ({error}); {remedy}") from error
 
 
-def proxy_of(url: httpx.URL) -> tuple[str, str | None]:
+def find_proxy(url: httpx.URL) -> tuple[str, str | None]:
     """Return the environment variable that names the proxy of an address, and the proxy's URL.
 
     Empty and None: no proxy, as for loopback addresses and those in ``NO_PROXY``. A proxy that no variable
@@ -71,7 +71,7 @@ def proxy_of(url: httpx.URL) -> tuple[str, str | None]:
 
 def proxy_note(url: httpx.URL) -> str:
     """Return " through the proxy of <variable>" for an error message; empty without a proxy."""
-    variable, _ = proxy_of(url)
+    variable, _ = find_proxy(url)
     return variable and f" through the proxy of {variable}"
 
 
@@ -86,7 +86,7 @@ def _matches_host(entry: str, host: str) -> bool:
 CERTIFICATES = ("SSL_CERT_FILE", "SSL_CERT_DIR")
 
 
-def _certificates(scheme: str) -> ssl.SSLContext:
+def _create_tls_context(scheme: str) -> ssl.SSLContext:
     """Create the TLS context with the certificates of the environment or of certifi.
 
     For plain HTTP an empty one.

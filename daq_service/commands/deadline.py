@@ -33,7 +33,7 @@ def remaining_now_s(row: CommandRow) -> float:
     return compute_remaining_s(row, boot=boot_name(), boot_ns=elapsed_ns(), wall_utc_ns=time.time_ns())
 
 
-def apply_expiry(row: CommandRow, seconds_left: float) -> CommandRow:
+def mark_if_expired(row: CommandRow, seconds_left: float) -> CommandRow:
     """Return the row with state ``expired`` and a result if it is pending without time left.
 
     Any other row is returned as it is; nothing is stored.
@@ -51,7 +51,7 @@ def read_command_state(catalogue: Catalogue, order_id: int) -> tuple[CommandRow,
     seconds_left = remaining_now_s(row)
     # Read again: it may have been started between the first query and its deadline.
     row = catalogue.command(order_id) or row
-    return apply_expiry(row, seconds_left), seconds_left
+    return mark_if_expired(row, seconds_left), seconds_left
 
 
 def describe_expiry(reason: str) -> str:

@@ -16,7 +16,7 @@ from dataclasses import replace
 
 from daq_service.catalogue import RecorderCatalogue, SetCommit
 from daq_service.catalogue.rows import CommandRow, CommandState
-from daq_service.commands.deadline import apply_expiry, describe_expiry, remaining_now_s
+from daq_service.commands.deadline import describe_expiry, mark_if_expired, remaining_now_s
 from daq_service.commands.kinds import Command, Facts
 from daq_service.commands.registry import KINDS, parse_command
 from daq_service.commands.running_test import PendingAnswer, RunningTest
@@ -106,7 +106,7 @@ class CommandExecutor:
         self.close_earlier_commands()
         for row in self._catalogue.list_open_commands():
             # Once: if the disk cannot store an answer, the supply must not be switched on a second time.
-            answer = self._answers.get(row.id) or self._execute(row)
+            answer = self._answers.get(row.id) or self._execute_command(row)
             # Read from the catalogue, as after a restart.
             self.paused = self._catalogue.paused() or ""
             if answer is not None:
@@ -120,7 +120,7 @@ class CommandExecutor:
         if answer[0] in ("expired", "failed"):
             log.warning("command %d (%s) of %s: %s: %s", row.id, row.kind, row.author, *answer)
 
-    def _execute(self, row: CommandRow) -> Answer | None:
+    def _execute_command(self, row: CommandRow) -> Answer | None:
         """Mark a command as started, execute it, and return its state and result.
 
         Return None if they are stored with its changes, and while an instrument has not responded. An
@@ -136,7 +136,7 @@ class CommandExecutor:
                 if row.kind not in HARMLESS_TWICE:
                     raise
         # Checked again: a reader that found it pending at its deadline has reported it as expired.
-        current_row = apply_expiry(replace(row, state="pending"), self._left_s(row))
+        current_row = mark_if_expired(replace(row, state="pending"), self._left_s(row))
         if current_row.state == "expired":
             return "expired", current_row.result or ""
         transactions: list[SetCommit] = []

@@ -218,10 +218,10 @@ class Command(Strict):
         ValueError
             The command was not executed, with the reason.
         """
-        self.refuse_forbidden(facts)
+        self.require_allowed(facts)
         return self._carry_out(test, order_id)
 
-    def refuse_forbidden(self, facts: Facts) -> None:
+    def require_allowed(self, facts: Facts) -> None:
         """Raise an error if these facts do not allow the command; else do nothing.
 
         Raises
@@ -316,7 +316,7 @@ class AcknowledgeAlarm(StoredCommand):
         """Store the alarm as acknowledged, with its event; return the result as text."""
         (row,) = (row for row in test.alarms.values() if row.id == self.arguments.alarm_id)
         moment = test.moment()
-        test.change_alarms(moment, acknowledge_alarm(row, self.author, self.arguments.note, moment))
+        test.store_alarm_changes(moment, acknowledge_alarm(row, self.author, self.arguments.note, moment))
         return "acknowledged"
 
 
@@ -424,7 +424,7 @@ class Disable(TransducerCommand):
         )
         change = states.update_alarm(test.alarms.get((position, "transducer_disabled")), condition, moment)
         assert change is not None, "a position that is not disabled has no such active alarm"
-        test.change_alarms(moment, change)
+        test.store_alarm_changes(moment, change)
         return f"{position} is disabled"
 
 
@@ -447,7 +447,7 @@ class Enable(TransducerCommand):
             if place == position and kind in states.RETIRING and row.state != "normal"
         ]
         changes = [reset_alarm(row, self.author, self.arguments.note, moment) for row in standing]
-        test.change_alarms(moment, *changes)
+        test.store_alarm_changes(moment, *changes)
         test.enabled(position)
         return f"{position} strikes again from the next set"
 

@@ -79,7 +79,7 @@ class StoredTest:
         (row,) = (row for row in self.alarms.values() if row.id == alarm_id)
         return remove_expired_shelf(row, utc_ns=self.moment().utc_ns, wall_utc_ns=time.time_ns())
 
-    def change_alarms(self, moment: Moment, *changes: Change) -> None:
+    def store_alarm_changes(self, moment: Moment, *changes: Change) -> None:
         """Store changed alarms with their events in one transaction; no change makes an empty one."""
         transaction = SetCommit()
         for change in changes:

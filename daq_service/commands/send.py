@@ -20,7 +20,7 @@ from daq_service.commands.audit import TERMINAL, Audit
 from daq_service.commands.deadline import read_command_state
 from daq_service.commands.registry import parse_command
 from daq_service.errors import EXIT_OK, BusyError, UsageError
-from daq_service.processes.data_folder import refuse_other_folders, settings_and_folder
+from daq_service.processes.data_folder import load_settings_and_folder, require_data_folder
 from daq_service.processes.recorder_state import PROCESS_EVENTS, read_recorder_state
 
 START_WITHIN_S = 30.0
@@ -70,14 +70,14 @@ def send_command(
     author = (author or user_name())[:LONGEST_AUTHOR]
     all_arguments = {"note": note} | {name: value for name, value in arguments.items() if value is not None}
     parse_command(kind, author, all_arguments)  # refused here, no recorder need look at it
-    _, folder = settings_and_folder(config, data_dir)
-    refuse_other_folders(folder)
+    _, folder = load_settings_and_folder(config, data_dir)
+    require_data_folder(folder)
     audit = partial(
         Audit(folder).add, author=author, role="claimed", source=TERMINAL, what=kind, arguments=all_arguments
     )
     try:
         with open_catalogue(folder) as catalogue:
-            _require_recorder(folder, catalogue)
+            _require_listening_recorder(folder, catalogue)
             order_id = catalogue.add_command(author, kind, all_arguments, within_s=within_s)
             audit(result="accepted", command_id=order_id)
             row = _wait_for_answer(catalogue, order_id, carried_out_within_s, machine)
@@ -101,7 +101,7 @@ def send_command(
     return EXIT_OK
 
 
-def _require_recorder(folder: Path, catalogue: Catalogue) -> None:
+def _require_listening_recorder(folder: Path, catalogue: Catalogue) -> None:
     """Raise BusyError unless a recorder of the folder runs and executes commands.
 
     The message states whether none runs, or its rig is not open yet.

@@ -61,7 +61,7 @@ class _AlarmOrder(StoredCommand):
     def carry_out_stored(self, test: StoredTest) -> str:
         """Store the changed suppression of the alarm; return the command's kind in words."""
         moment = test.moment()
-        test.change_alarms(moment, self._apply_change(test.find_alarm(self.arguments.alarm_id), moment))
+        test.store_alarm_changes(moment, self._apply_change(test.find_alarm(self.arguments.alarm_id), moment))
         return self.kind.replace("_", " ")
 
 

@@ -14,13 +14,13 @@ from daq_service.alarms.states import Moment
 from daq_service.catalogue import Catalogue, SetCommit
 from daq_service.catalogue.history import HistoryFollower
 from daq_service.catalogue.rows import AlarmRow, AnnotationRow, CommandRow
-from daq_service.catalogue.store import open_for_one_command
+from daq_service.catalogue.store import open_for_command
 from daq_service.commands.kinds import Facts, StoredCommand
 from daq_service.commands.running_test import StoredTest
-from daq_service.processes.data_folder import own_data_folder
+from daq_service.processes.data_folder import hold_recorder_lock
 
 
-def carry_out_unattended(
+def execute_without_recorder(
     folder: Path,
     order: StoredCommand,
     *,
@@ -43,10 +43,10 @@ def carry_out_unattended(
     StorageError
         The folder cannot be written, or its catalogue is corrupt. Nothing was changed.
     """
-    with own_data_folder(folder), open_for_one_command(folder) as catalogue:
+    with hold_recorder_lock(folder), open_for_command(folder) as catalogue:
         history = HistoryFollower(folder, catalogue)
         history.begin()
-        order.refuse_forbidden(facts(catalogue))
+        order.require_allowed(facts(catalogue))
         transactions: list[SetCommit] = []
         test = StoredTest(
             moment=moment,

@@ -23,7 +23,7 @@ class Charge:
     unknown_s: float = 0.0
 
 
-def add_interval(
+def integrate_charge(
     charge: Charge, *, elapsed_s: float, first_a: float, last_a: float, longest_s: float
 ) -> Charge:
     """Integrate the current between two readings by the trapezoid rule, Q += (I_1 + I_2) t / 2.
@@ -89,7 +89,7 @@ class DriveState:
     booked_utc_ns: int | None = None
 
 
-def restore_charge_state(
+def restore_drive_state(
     row: EnvironmentRow | None, *, written_utc_ns: int, parameters: DriveParameters
 ) -> DriveState:
     """Restore the state from the newest row of ``environment``, written at ``written_utc_ns``.

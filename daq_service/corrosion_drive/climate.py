@@ -55,7 +55,7 @@ class ClimateLog:
         unchanged_s = (now_ns - self._changed_ns) / NS_PER_S
         return "suspect" if quality == "good" and unchanged_s >= self._parameters.suspect_after_s else quality
 
-    def not_responding(self) -> str:
+    def build_silence_message(self) -> str:
         """Return the alarm's message with the time without reading; empty while the probe responds."""
         if self.quality() != "no_communication":
             return ""
@@ -63,7 +63,7 @@ class ClimateLog:
         message = CONDITIONS["climate_not_responding"]["message"]
         return str(message.format(silent_s=silent_s, read_error=self._log.error))
 
-    def add_to_row(self, row: EnvironmentRow) -> EnvironmentRow:
+    def add_climate_to_row(self, row: EnvironmentRow) -> EnvironmentRow:
         """Return a copy of a row with the newest reading (None without one), its quality and its age in s."""
         now_ns, reading = self._clock.mono_ns(), self._reading
         return replace(

@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Protocol, runtime_checkable
 
 from daq_service.catalogue.rows import EnvironmentRow, SupplyState, as_dict
-from daq_service.corrosion_drive.charge import Command, DriveState, add_interval, compute_elapsed_s
+from daq_service.corrosion_drive.charge import Command, DriveState, compute_elapsed_s, integrate_charge
 from daq_service.corrosion_drive.reading_log import LONGEST_GAP_INTERVALS, ReadingLog
 from hardware_drivers.drive_parameters import DriveParameters
 from hardware_drivers.errors import InstrumentError
@@ -75,7 +75,7 @@ class SupplyLogger:
     clock
         Its monotonic time schedules the readings.
     state
-        State at the end of the last run; see `charge.restore_charge_state`.
+        State at the end of the last run; see `charge.restore_drive_state`.
 
     Attributes
     ----------
@@ -116,7 +116,7 @@ class SupplyLogger:
 
     @property
     def window_length(self) -> int:
-        """Return the number of readings since `start_window`, over which the row's means are taken."""
+        """Return the number of readings since `restart_means`, over which the row's means are taken."""
         return len(self._window)
 
     # Called by its owner continuously ------------------------------------------------------------
@@ -135,14 +135,14 @@ class SupplyLogger:
             except InstrumentError as error:
                 self._handle_failure(error, now_ns)
             if self.must_switch_off:
-                self._supply_log.read_within(now_ns, SWITCH_OFF_EVERY_S)
+                self._supply_log.schedule_within(now_ns, SWITCH_OFF_EVERY_S)
 
     def _switch_off_or_read(self, supply: PowerSupply, now_ns: int) -> None:
         """Switch off if that is pending, else read and process the reading; InstrumentError if that fails."""
         if self.must_switch_off:
             supply.make_safe()
             self.must_switch_off = False
-            self._supply_log.read_at_once(now_ns)
+            self._supply_log.schedule_now(now_ns)
         else:
             reading = supply.read(self._parameters.read_timeout_s)
             self._supply_log.record_success(self._clock.mono_ns())
@@ -163,7 +163,7 @@ class SupplyLogger:
             self._latched |= {"supply_on_unexpectedly"}
             self._switch_off_now()
             return
-        if self._command is not None and not reading.output_on and self._follows_command(reading):
+        if self._command is not None and not reading.output_on and self._is_after_command(reading):
             # If the output comes on again by itself later, that is not the command.
             self._command = None
             self._latched |= {"supply_off_unexpectedly"}
@@ -183,10 +183,10 @@ class SupplyLogger:
                 f"interlock_current_a = {parameters.interlock_current_a:g} A"
             )
             return
-        deviates = self._follows_command(reading) and self._deviates(reading)
+        deviates = self._is_after_command(reading) and self._is_deviating(reading)
         self._deviates_since_ns = (self._deviates_since_ns or reading.stamp.mono_ns) if deviates else None
 
-    def _follows_command(self, reading: SupplyReading) -> bool:
+    def _is_after_command(self, reading: SupplyReading) -> bool:
         """Return whether a reading is not older than the last command.
 
         An older one does not show its result.
@@ -206,7 +206,7 @@ class SupplyLogger:
         limit_a = self._commanded_values()[1]
         return reading.output_on and reading.current_a >= limit_a - self._parameters.readback_tolerance_a
 
-    def _deviates(self, reading: SupplyReading) -> bool:
+    def _is_deviating(self, reading: SupplyReading) -> bool:
         """Return whether voltage or current of an output commanded on deviates beyond its tolerance.
 
         In current limit a low voltage is normal. A current below ``minimum_current_a`` deviates.
@@ -232,7 +232,7 @@ class SupplyLogger:
         At the first reading the time since the last run's booking is unknown.
         """
         if self._newest is not None:
-            self._charge = add_interval(
+            self._charge = integrate_charge(
                 self._charge,
                 elapsed_s=compute_elapsed_s(self._newest.stamp, reading.stamp),
                 first_a=self._newest.current_a,
@@ -287,7 +287,7 @@ class SupplyLogger:
         limit_a = parameters.current_limit_a if current_limit_a is None else current_limit_a
         parameters.require_within_caps(voltage_v, limit_a)
         now_ns = self._clock.mono_ns()
-        self._supply_log.read_at_once(now_ns)
+        self._supply_log.schedule_now(now_ns)
         try:
             self._supply.energise(voltage_v, limit_a)
         except InstrumentError as error:
@@ -313,7 +313,7 @@ class SupplyLogger:
         """
         if not author.strip():
             raise ValueError("a command to switch off needs its author")
-        self._supply_log.read_at_once(self._clock.mono_ns())
+        self._supply_log.schedule_now(self._clock.mono_ns())
         self.end_command()
         self._latched -= {"supply_on_unexpectedly", "supply_off_unexpectedly"}
         self.must_switch_off = True
@@ -332,7 +332,7 @@ class SupplyLogger:
         Nothing is sent here.
         """
         if self._command is not None:
-            self._supply_log.read_at_once(self._clock.mono_ns())
+            self._supply_log.schedule_now(self._clock.mono_ns())
         self._command, self._high_readings = None, 0
 
     def trip(self, reason: str, *, kind: str | None = None) -> bool:
@@ -376,7 +376,7 @@ class SupplyLogger:
             self._handle_failure(error, now_ns)
             return False
         self.must_switch_off = False
-        self._supply_log.read_at_once(now_ns)
+        self._supply_log.schedule_now(now_ns)
         return True
 
     # Readings and conditions ----------------------------------------------------------------------
@@ -426,7 +426,7 @@ class SupplyLogger:
             if name.startswith(("supply", "interlock"))
         )
 
-    def start_window(self, n_stored: int | None = None) -> None:
+    def restart_means(self, n_stored: int | None = None) -> None:
         """Restart the means after a row is stored: delete its first ``n_stored`` readings (None: all).
 
         Readings after them stay for the next row.
@@ -434,7 +434,7 @@ class SupplyLogger:
         del self._window[:n_stored]
 
     def build_row(self, set_index: int, due_h: float) -> EnvironmentRow:
-        """Build the row of a set in ``environment``: means since `start_window`, totals since hour 0.
+        """Build the row of a set in ``environment``: means since `restart_means`, totals since hour 0.
 
         Voltages and currents are None without a reading since then.
         """
@@ -450,7 +450,7 @@ class SupplyLogger:
         return EnvironmentRow(
             set_index=set_index,
             due_h=due_h,
-            supply_state=self.output(),
+            supply_state=self.find_output_state(),
             supply_quality=reading_log.quality(now_ns),
             supply_age_s=reading_log.age_s(now_ns),
             supply_tripped=self.tripped,

@@ -12,7 +12,7 @@ from pathlib import Path
 from daq_service.clock import MACHINE, MachineClock
 from daq_service.corrosion_drive.remote import RemoteDrive
 from daq_service.corrosion_drive.supply_state import read_stored_state
-from daq_service.processes.data_folder import DRIVE_LOCK, is_owned
+from daq_service.processes.data_folder import DRIVE_LOCK, is_held
 
 log = logging.getLogger(__name__)
 
@@ -50,7 +50,7 @@ class DriveGuard:
         longest interval without a check.
         """
         now_s = self._machine.mono_s()
-        if is_owned(self._folder, DRIVE_LOCK) is not False:
+        if is_held(self._folder, DRIVE_LOCK) is not False:
             self._checked_s = now_s
             self._remote.tick()
             return

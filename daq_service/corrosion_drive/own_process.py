@@ -133,7 +133,7 @@ class DriveProcess:
         stored = read_stored_state(folder)
         now_ns = self._clock.mono_ns()
         self._drive = SupplyLogger(
-            supply, self._clock, parameters, _state_to_restore(stored, parameters.watchdog_timeout_s, now_ns)
+            supply, self._clock, parameters, _restore_state(stored, parameters.watchdog_timeout_s, now_ns)
         )
         self._heard_ns = self._met_ns = now_ns
         if stored is not None and stored.boot_id == boot_name() is not None:
@@ -194,7 +194,7 @@ class DriveProcess:
             self._last_read_port = self._supply_port
         changed = (
             stored is None
-            or _parts_to_sync(state) != _parts_to_sync(stored.state)
+            or _list_parts_to_sync(state) != _list_parts_to_sync(stored.state)
             or row.supply_state != stored.output
         )
         every_s = KEEP_AGAIN_S if self._disk_error else KEEP_EVERY_S
@@ -333,7 +333,7 @@ class DriveProcess:
         self._heard_ns = self._met_ns = self._clock.mono_ns()
         error_entry: dict[str, object] = {}
         try:
-            self._execute(request)
+            self._execute_request(request)
         except (InstrumentError, ValueError, LookupError, TypeError) as error:
             error_entry = {"error": str(error)}
         if request["do"] != "look":
@@ -351,7 +351,7 @@ class DriveProcess:
             **error_entry,
         }
 
-    def _execute(self, request: Message) -> None:
+    def _execute_request(self, request: Message) -> None:
         """Execute a request of a recorder or of another supply process; unknown ones are ignored.
 
         Raise ValueError for `energise` while leaving or too late, InstrumentError if the supply fails,
@@ -375,25 +375,25 @@ class DriveProcess:
             case "trip" if self._drive.tripped is None:
                 self._drive.trip(request["reason"])
             case "begin window":
-                self._drive.start_window(request["window_length"])
+                self._drive.restart_means(request["window_length"])
             case "hand over":
                 log.warning("another process takes over: %s", request["why"])
                 self._successor_port = request["supply_port"]
 
 
-def _state_to_restore(before: StoredState | None, watchdog_timeout_s: float, now_ns: int) -> DriveState:
+def _restore_state(before: StoredState | None, watchdog_timeout_s: float, now_ns: int) -> DriveState:
     """Return the stored state to go on with, the default state without one.
 
     Its command is dropped after another boot, or ``watchdog_timeout_s`` without a process.
     """
     if before is None:
         return DriveState()
-    if before.boot_id == boot_name() and before.written_before_s(now_ns) <= watchdog_timeout_s:
+    if before.boot_id == boot_name() and before.compute_file_age_s(now_ns) <= watchdog_timeout_s:
         return before.state
     return replace(before.state, command=None)
 
 
-def _parts_to_sync(state: DriveState) -> tuple[object, ...]:
+def _list_parts_to_sync(state: DriveState) -> tuple[object, ...]:
     """Return trip, latched alarms, command and pending switch-off: a change is written at once."""
     return state.tripped, state.latched, state.command, state.must_switch_off
 

@@ -28,11 +28,11 @@ class ReadingLog:
         missed = (now_ns - self._due_ns) // self._interval_ns
         self._due_ns += (missed + 1) * self._interval_ns
 
-    def read_at_once(self, now_ns: int) -> None:
+    def schedule_now(self, now_ns: int) -> None:
         """Schedule the next attempt for now; `is_due` is True until it is recorded."""
         self._due_ns = now_ns
 
-    def read_within(self, now_ns: int, seconds: float) -> None:
+    def schedule_within(self, now_ns: int, seconds: float) -> None:
         """Schedule the next attempt at most ``seconds`` from now; an earlier one stays."""
         self._due_ns = min(self._due_ns, now_ns + round(seconds * NS_PER_S))
 

@@ -30,7 +30,7 @@ from daq_service.corrosion_drive.supply_state import (
     stamp_state,
     write_stored_state,
 )
-from daq_service.processes.data_folder import DRIVE_LOCK, is_owned
+from daq_service.processes.data_folder import DRIVE_LOCK, is_held
 from hardware_drivers.drive_parameters import DriveParameters
 from hardware_drivers.errors import ConnectionLostError
 from hardware_drivers.nanoseconds import NS_PER_S
@@ -123,7 +123,7 @@ class RemoteDrive:
         if self._process is not None and self._process.poll() is None:
             self._process.returncode = 0  # it outlives this process, or was killed: nothing waits for it
 
-    def take_over(self, state: DriveState) -> None:
+    def store_catalogue_state(self, state: DriveState) -> None:
         """Store the catalogue's state, without its command, for the first supply process of the folder.
 
         A state that a supply process has stored already is kept. An OSError is logged.
@@ -181,7 +181,7 @@ class RemoteDrive:
         Further starts are delayed by `STARTS_AFTER_S`. A process of another configuration is asked to hand
         over; a failed connection is tried again later.
         """
-        owned = is_owned(self._folder, DRIVE_LOCK)
+        owned = is_held(self._folder, DRIVE_LOCK)
         if owned is False:
             is_starting = self._process is not None and self._process.poll() is None
             if not is_starting and now_s >= self._start_s:
@@ -337,7 +337,7 @@ class RemoteDrive:
             return
         if reply.error and self._connection is not None:
             raise ConnectionLostError(reply.error)  # it answers, and retries itself
-        if is_owned(self._folder, DRIVE_LOCK):
+        if is_held(self._folder, DRIVE_LOCK):
             self._kill_process("it does not answer at the end of the test")
         stored = read_stored_state(self._folder)
         state = DriveState() if stored is None else stored.state
@@ -407,7 +407,7 @@ class RemoteDrive:
             unknown_s=None if row.unknown_s is None else row.unknown_s + since_s,
         )
 
-    def start_window(self) -> None:
+    def restart_means(self) -> None:
         """Restart the means with the readings that are not in the last row.
 
         Nothing happens without a connection; one that is lost is logged.

@@ -18,7 +18,7 @@ from typing import Any
 from daq_service.catalogue.rows import ReadingQuality, SupplyState
 from daq_service.clock import boot_name, elapsed_ns
 from daq_service.corrosion_drive.charge import Charge, Command, DriveState
-from daq_service.processes.data_folder import DRIVE_FILE, DRIVE_LOCK, hold_lock, is_owned, lock_text
+from daq_service.processes.data_folder import DRIVE_FILE, DRIVE_LOCK, hold_lock, is_held, read_lock_owner
 from daq_service.settings.alarm_delays import EARLIER_ALARM_KINDS
 from daq_service.shared_file import write_durably
 from hardware_drivers.nanoseconds import NS_PER_S
@@ -57,7 +57,7 @@ class StoredState:
     writer: str = ""
     supply_port: str = ""
 
-    def written_before_s(self, now_ns: int | None = None) -> float:
+    def compute_file_age_s(self, now_ns: int | None = None) -> float:
         """Return the time in s since the file was written, at least 0.
 
         By the clock of this boot (``now_ns``, None: now); by UTC if it was written in another boot.
@@ -100,12 +100,12 @@ def read_address(folder: Path) -> Address:
     ValueError, TypeError
         The address is not written yet, or belongs to another user.
     """
-    return Address(**json.loads(lock_text(folder, DRIVE_LOCK).partition("\n")[2]))
+    return Address(**json.loads(read_lock_owner(folder, DRIVE_LOCK).partition("\n")[2]))
 
 
 def read_process_number(folder: Path) -> int:
     """Return the process number of the lock's holder; ValueError if it is not written yet."""
-    return int(lock_text(folder, DRIVE_LOCK).partition("\n")[0].removeprefix("process "))
+    return int(read_lock_owner(folder, DRIVE_LOCK).partition("\n")[0].removeprefix("process "))
 
 
 def stamp_state(state: DriveState, **values: Any) -> StoredState:
@@ -186,10 +186,10 @@ def read_supply_status(folder: Path) -> SupplyStatus | None:
 
     An unreadable file counts as an output that must be switched off.
     """
-    stored, process = read_stored_state(folder), is_owned(folder, DRIVE_LOCK)
+    stored, process = read_stored_state(folder), is_held(folder, DRIVE_LOCK)
     if stored is None:
         return None
-    written_age_s = stored.written_before_s()
+    written_age_s = stored.compute_file_age_s()
     age_s = None if stored.age_s is None else stored.age_s + written_age_s
     good = process is not False and age_s is not None and age_s <= stored.good_for_s
     return SupplyStatus(

@@ -14,7 +14,7 @@ from dataclasses import replace
 from daq_service.alarms.states import Condition, Moment
 from daq_service.catalogue import Catalogue, SetCommit
 from daq_service.catalogue.rows import AlarmRow, EnvironmentRow
-from daq_service.corrosion_drive.charge import DriveState, restore_charge_state
+from daq_service.corrosion_drive.charge import DriveState, restore_drive_state
 from daq_service.corrosion_drive.climate import ClimateLog
 from daq_service.corrosion_drive.drive import (
     CONDITIONS,
@@ -73,7 +73,7 @@ class DriveWatch:
         if settings.driven is not None:
             state = _restore_last_state(settings.driven, catalogue, alarms)
             if remote is not None:
-                remote.take_over(state)
+                remote.store_catalogue_state(state)
             elif rig.supply is not None:
                 self._drive = SupplyLogger(rig.supply, rig.clock, settings.driven, state)
         self._climate = None
@@ -96,10 +96,10 @@ class DriveWatch:
             self._drive.tick()
         self._update_alarms(hour)
 
-    def _conditions(self) -> Iterator[DriveCondition]:
+    def _yield_conditions(self) -> Iterator[DriveCondition]:
         """Yield the condition of each possible alarm of climate probe and supply, active or not."""
         if self._climate is not None:
-            message = self._climate.not_responding()
+            message = self._climate.build_silence_message()
             active = bool(message)
             yield DriveCondition(name="climate_not_responding", active=active, message=message or NORMAL)
         yield from () if self._drive is None else self._drive.list_conditions()
@@ -111,7 +111,7 @@ class DriveWatch:
         """
         moment = Moment(utc_ns=self._clock.utc_ns(), due_h=hour, set_index=None)
         transaction = SetCommit()
-        for drive_condition in self._conditions():
+        for drive_condition in self._yield_conditions():
             condition = Condition(
                 position=None,
                 kind=drive_condition.name,
@@ -119,7 +119,7 @@ class DriveWatch:
                 priority=CONDITIONS[drive_condition.name]["priority"],
                 present=drive_condition.active,
                 message=drive_condition.message,
-                evidence=self.summary() if drive_condition.active else {},
+                evidence=self.summarise_readings() if drive_condition.active else {},
             )
             self._update_alarm(condition, moment, transaction)
         if transaction.events:
@@ -130,26 +130,28 @@ class DriveWatch:
 
     # For the rows of a set -----------------------------------------------------------------------
 
-    def summary(self) -> Mapping[str, float | str | None]:
+    def summarise_readings(self) -> Mapping[str, float | str | None]:
         """Return means, extremes and states of supply and probe since the last stored set, by column name."""
-        return summarise_row(self._make_row(0, 0.0))
+        return summarise_row(self._build_environment_row(0, 0.0))
 
     def add_environment_row(self, transaction: SetCommit, due: DueSet, moment: Moment) -> None:
         """Add the environment row of a set and its event to the transaction, and restart the means.
 
         The transaction is not stored here.
         """
-        transaction.environment.append(self._make_row(due.set_index, due.due_h))
+        transaction.environment.append(self._build_environment_row(due.set_index, due.due_h))
         transaction.events.append(moment.event("environment", "environment_read", {}))
         if self._drive is not None:
-            self._drive.start_window()
+            self._drive.restart_means()
 
-    def _make_row(self, set_index: int, due_h: float) -> EnvironmentRow:
+    def _build_environment_row(self, set_index: int, due_h: float) -> EnvironmentRow:
         """Build the environment row of a set; columns of a missing supply or probe are absent."""
         row = (
-            row_without_supply(set_index, due_h) if self._drive is None else self._drive.build_row(set_index, due_h)
+            row_without_supply(set_index, due_h)
+            if self._drive is None
+            else self._drive.build_row(set_index, due_h)
         )
-        return row if self._climate is None else self._climate.add_to_row(row)
+        return row if self._climate is None else self._climate.add_climate_to_row(row)
 
     # Commands ------------------------------------------------------------------------------------
 
@@ -237,7 +239,7 @@ def _restore_last_state(supply: DriveParameters | None, catalogue: Catalogue, al
     row = None if supply is None else catalogue.read_last_environment()
     last_event = None if row is None else catalogue.read_last_event("environment")
     if supply is not None and last_event is not None:
-        state = restore_charge_state(row, written_utc_ns=last_event.utc_ns, parameters=supply)
+        state = restore_drive_state(row, written_utc_ns=last_event.utc_ns, parameters=supply)
     tripped = alarms.get((None, "interlock_tripped"))
     is_active = tripped is not None and tripped.state in ("unacknowledged", "acknowledged")
     return replace(state, tripped=tripped.message if tripped is not None and is_active else None)

@@ -82,7 +82,7 @@ def stop_on_signals() -> Iterator[threading.Event]:
         setter.join()
 
 
-def run_and_announce(run: Callable[[], int], *, supervised: bool) -> int:
+def run_and_announce_exit(run: Callable[[], int], *, supervised: bool) -> int:
     """Run a child, announce its exit code (also after a SolimonError) to the supervisor, and return the code.
 
     Other exceptions announce nothing. A code without announcement counts as a crash in the supervisor: a
@@ -142,7 +142,7 @@ class LogFile(logging.handlers.RotatingFileHandler):
             super().emit(record)
 
 
-def log_to(path: Path) -> None:
+def log_to_file(path: Path) -> None:
     """Log to a rotated file, and crashes below Python to a file with the suffix ``.crash``.
 
     Sets the root logger to INFO and captures Python warnings. If the folder or a file cannot be created, a
@@ -169,11 +169,11 @@ def log_to(path: Path) -> None:
 
 @contextmanager
 def log_in_thread(path: Path) -> Iterator[None]:
-    """Write the log as `log_to` does, but from a thread, so that a disk that hangs does not delay the caller.
+    """Write the log as `log_to_file` does, but from a thread, so that a slow disk does not delay the caller.
 
     On exit waits at most `FLUSHED_WITHIN_S` for queued lines; later ones are lost.
     """
-    log_to(path)
+    log_to_file(path)
     root = logging.getLogger()
     handler, lines = root.handlers[-1], SimpleQueue[logging.LogRecord]()
     root.handlers[-1] = logging.handlers.QueueHandler(lines)
@@ -192,7 +192,7 @@ FAREWELL = b"."
 """Sent by a supervisor before it closes a child's pipe; without it the supervisor was killed."""
 
 
-def leave_when_pipe_closes(stop: threading.Event) -> threading.Event:
+def stop_when_pipe_closes(stop: threading.Event) -> threading.Event:
     """Start a thread that sets ``stop`` in a child once the supervisor's pipe (standard input) closes.
 
     Returns at once.
@@ -216,7 +216,7 @@ def leave_when_pipe_closes(stop: threading.Event) -> threading.Event:
     return supervisor_killed
 
 
-def start_detached(command: Sequence[str], standard_input: bytes) -> subprocess.Popen[bytes]:
+def start_detached_process(command: Sequence[str], standard_input: bytes) -> subprocess.Popen[bytes]:
     """Start a program that outlives this one and gets no signals from this one's terminal.
 
     Its standard output and error are discarded. A program that ends before it reads its input is no error.

@@ -23,7 +23,7 @@ from pydantic import ValidationError
 from daq_service.catalogue import open_catalogue
 from daq_service.catalogue.earlier_names import to_current_row
 from daq_service.catalogue.errors import CatalogueError
-from daq_service.catalogue.experiment_file import EXPERIMENT_FILE, HISTORY_FILE, read_experiment
+from daq_service.catalogue.experiment_file import EXPERIMENT_FILE, HISTORY_FILE, read_experiment_file
 from daq_service.catalogue.network_folder import find_network_type
 from daq_service.errors import BusyError, StorageError, StorageUnavailableError, UsageError
 from daq_service.settings.file import load_settings
@@ -114,7 +114,7 @@ DRIVE_LOCK, DRIVE_FILE = "drive.lock", "drive.json"
 WRITE_TEST = ".write-test-"
 
 
-def backup_identity(folder: Path) -> Mapping[str, object] | None:
+def read_identity(folder: Path) -> Mapping[str, object] | None:
     """Read the identity of the test that a folder is a backup of.
 
     Returns None if it is no backup, and an empty mapping if the file is invalid. Raises OSError if the file
@@ -129,7 +129,7 @@ def backup_identity(folder: Path) -> Mapping[str, object] | None:
         return {}
 
 
-def new_folder_path(purpose: str) -> Path:
+def build_new_folder_path(purpose: str) -> Path:
     """Return an unused path in the working directory, ``solimon-PURPOSE-DATE-TIME``, with a number if needed.
 
     The folder is not created.
@@ -187,7 +187,7 @@ def prepare_data_folder(folder: Path, *, may_create: bool = True) -> None:
         remove_quietly(probe)
         (folder / "sets").mkdir(exist_ok=True)
         for name in ("live", "logs"):
-            _create_hint_folder(folder / name)
+            _create_optional_folder(folder / name)
     except OSError as error:
         raise StorageUnavailableError(
             f"the data folder {folder} cannot be written: {error.strerror}; correct its permissions or "
@@ -195,7 +195,7 @@ def prepare_data_folder(folder: Path, *, may_create: bool = True) -> None:
         ) from error
 
 
-def _create_hint_folder(folder: Path) -> None:
+def _create_optional_folder(folder: Path) -> None:
     """Create a folder that the test can do without; an error of the disk is logged only."""
     try:
         folder.mkdir(exist_ok=True)
@@ -223,7 +223,7 @@ def _find_foreign_file(folder: Path) -> str:
     return min(names) if names and not names & OWN_NAMES else ""
 
 
-def refuse_other_folders(folder: Path) -> None:
+def require_data_folder(folder: Path) -> None:
     """Raise UsageError unless a folder is a data folder or empty; nothing is created or changed.
 
     Raises
@@ -245,7 +245,7 @@ def refuse_other_folders(folder: Path) -> None:
         raise UsageError(f"{folder} is no data folder of solimon (it holds {foreign!r}); {remedy}")
 
 
-def own_data_folder(folder: Path, *, patience_s: float = PATIENCE_S) -> AbstractContextManager[object]:
+def hold_recorder_lock(folder: Path, *, patience_s: float = PATIENCE_S) -> AbstractContextManager[object]:
     """Hold the recorder's lock of a folder within a context, as `hold_lock`.
 
     Raises `BusyError` on entry if another recorder holds it for ``patience_s`` seconds, and
@@ -276,7 +276,7 @@ def hold_lock(
     mode
         Rights of the file; None: those of the user's other files.
     patience_s
-        How long a held lock is retried: a check for a running recorder (`is_owned`) holds it for an instant.
+        How long a held lock is retried: a check for a running recorder (`is_held`) holds it for an instant.
 
     Raises
     ------
@@ -305,7 +305,7 @@ def hold_lock(
                 patience_s=patience_s,
             )
         except OSError as error:
-            owner, _, _ = lock_text(folder, name).partition("\n")
+            owner, _, _ = read_lock_owner(folder, name).partition("\n")
             raise BusyError(
                 f"another {holder} owns {folder} ({owner}); stop it first, or choose another "
                 "folder with --data-dir"
@@ -318,7 +318,7 @@ def hold_lock(
 
 
 @contextmanager
-def one_at_a_time(path: Path) -> Iterator[None]:
+def lock_for_change(path: Path) -> Iterator[None]:
     """Hold ``NAME.lock`` next to a file within a context, so that processes change the file in turn.
 
     Waits up to `PATIENCE_S` (5 s) for another holder.
@@ -335,7 +335,7 @@ def one_at_a_time(path: Path) -> Iterator[None]:
         yield
 
 
-def is_owned(folder: Path, name: str = LOCK_FILE) -> bool | None:
+def is_held(folder: Path, name: str = LOCK_FILE) -> bool | None:
     """Return whether a process, such as the recorder, holds a lock of the folder; None if it cannot be read.
 
     A missing lock file counts as not held.
@@ -355,7 +355,7 @@ def is_owned(folder: Path, name: str = LOCK_FILE) -> bool | None:
         return None
 
 
-def lock_text(folder: Path, name: str) -> str:
+def read_lock_owner(folder: Path, name: str) -> str:
     """Return the owner's text in a lock file, at most 1000 bytes.
 
     If it is unreadable or empty, a phrase about that is returned.
@@ -369,7 +369,7 @@ def lock_text(folder: Path, name: str) -> str:
         return f"owner unreadable: {error.strerror}"
 
 
-def data_folder(storage: StorageSettings, config: Path | None, data_dir: Path | None) -> Path:
+def choose_folder(storage: StorageSettings, config: Path | None, data_dir: Path | None) -> Path:
     """Return the absolute path ``--data-dir``, or else the configured folder.
 
     A relative configured folder counts from the configuration file, or from the working directory without
@@ -381,7 +381,7 @@ def data_folder(storage: StorageSettings, config: Path | None, data_dir: Path | 
     return base / storage.folder
 
 
-def settings_and_folder(config: Path | None, data_dir: Path | None) -> tuple[Settings, Path]:
+def load_settings_and_folder(config: Path | None, data_dir: Path | None) -> tuple[Settings, Path]:
     """Read the configuration and return it with the absolute path of its data folder.
 
     The configuration file in a data folder is a hint: if it is torn, foreign or missing, the configuration
@@ -402,10 +402,10 @@ def settings_and_folder(config: Path | None, data_dir: Path | None) -> tuple[Set
             raise
         log.warning("going on with the configuration that the catalogue keeps: %s", error)
         settings = stored
-    return settings, data_folder(settings.storage, config, data_dir)
+    return settings, choose_folder(settings.storage, config, data_dir)
 
 
-def settings_of_folder(config: Path | None, data_dir: Path | None) -> tuple[Settings, Path]:
+def load_settings_for_reading(config: Path | None, data_dir: Path | None) -> tuple[Settings, Path]:
     """Read the configuration for commands that only read, and return it with the absolute data folder.
 
     If only ``data_dir`` is given, the configuration stored in that folder is read.
@@ -417,7 +417,7 @@ def settings_of_folder(config: Path | None, data_dir: Path | None) -> tuple[Sett
     """
     stored = None if config is not None or data_dir is None else _stored_settings(data_dir)
     return (
-        settings_and_folder(config, data_dir)
+        load_settings_and_folder(config, data_dir)
         if stored is None or data_dir is None
         else (stored, data_dir.absolute())
     )
@@ -426,7 +426,7 @@ def settings_of_folder(config: Path | None, data_dir: Path | None) -> tuple[Sett
 def _stored_settings(folder: Path) -> Settings | None:
     """Read the settings from experiment.json, or else from the catalogue; None if neither has valid ones."""
     try:
-        stored = read_experiment(folder)
+        stored = read_experiment_file(folder)
         if stored is None:
             with open_catalogue(folder) as catalogue:
                 stored = catalogue.read_experiment()

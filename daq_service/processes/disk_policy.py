@@ -98,7 +98,7 @@ class Outlook(DiskSpace):
     full_at_h: float | None = None
 
 
-def outlook(
+def forecast_disk(
     folder: Path,
     storage: StorageSettings,
     schedule: ScheduleSettings,

@@ -43,7 +43,7 @@ def count_usable_cores() -> int:
     return os.cpu_count() or 1
 
 
-def check_executor_name(name: str, workers: int | None) -> str:
+def validate_executor_name(name: str, workers: int | None) -> str:
     """Return the name of an executor unchanged if it is valid; nothing is connected.
 
     Raises
@@ -71,7 +71,7 @@ def open_executor(name: str, workers: int) -> Iterator[Executor]:
     Parameters
     ----------
     name
-        ``processes``, ``threads`` or ``dask://HOST`` (`check_executor_name`).
+        ``processes``, ``threads`` or ``dask://HOST`` (`validate_executor_name`).
     workers
         Processes (at most 61) or threads; a cluster has its own (`count_workers`).
 
@@ -100,7 +100,7 @@ def count_workers(executor: Executor, workers: int) -> int:
     return executor.n_workers if isinstance(executor, _ClusterExecutor) else workers
 
 
-def worker_lost_errors() -> tuple[type[Exception], ...]:
+def list_worker_lost_errors() -> tuple[type[Exception], ...]:
     """Return the exception classes of a task whose worker processes died repeatedly, for ``except``.
 
     The one of Dask is included only if the package ``distributed`` is loaded.
@@ -197,7 +197,7 @@ class _ClusterExecutor(Executor):
 
     def submit(self, work: Callable[..., T], /, *args: object, **named: object) -> Future[T]:
         """Submit work to the cluster, where it runs with one BLAS thread; return its future."""
-        future: Future[T] = self._executor.submit(_run_in_one_thread, work, *args, **named)
+        future: Future[T] = self._executor.submit(_run_with_one_blas_thread, work, *args, **named)
         return future
 
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
@@ -205,7 +205,7 @@ class _ClusterExecutor(Executor):
         self._executor.shutdown(wait=wait and not cancel_futures)
 
 
-def _run_in_one_thread(work: Callable[..., T], *args: object, **named: object) -> T:
+def _run_with_one_blas_thread(work: Callable[..., T], *args: object, **named: object) -> T:
     """Call work with its arguments while BLAS uses one thread, and return its result."""
     with use_one_blas_thread():
         return work(*args, **named)

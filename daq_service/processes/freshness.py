@@ -66,13 +66,13 @@ class Freshness:
                 ages_ns.append(test_time_ns - utc_ns[-1])
             self.wall_age_s = min((age_ns for age_ns in ages_ns if age_ns >= 0), default=0) / NS_PER_S
 
-    def with_present_state(self, row: AlarmRow) -> AlarmRow:
+    def expire_shelf(self, row: AlarmRow) -> AlarmRow:
         """Return an alarm without its shelf if that has expired, also while no recorder runs."""
         return remove_expired_shelf(row, utc_ns=self.now_utc_ns, wall_utc_ns=time.time_ns())
 
-    def with_present_alarms(self, last: LatestRows) -> LatestRows:
+    def expire_shelves(self, last: LatestRows) -> LatestRows:
         """Return the newest rows of a position with expired shelves removed from its active alarms."""
-        return replace(last, active_alarms=[self.with_present_state(row) for row in last.active_alarms])
+        return replace(last, active_alarms=[self.expire_shelf(row) for row in last.active_alarms])
 
     def age_h(self, due_h: float) -> float:
         """Return the age in h of an hour of the test, on the test's clock; 0 for future hours."""

@@ -23,7 +23,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from daq_service.clock import MACHINE, MachineClock, TimeLine, boot_name
-from daq_service.shared_file import O_BINARY, read_hint
+from daq_service.shared_file import O_BINARY, read_best_effort
 from hardware_drivers.nanoseconds import NS_PER_S
 
 log = logging.getLogger(__name__)
@@ -178,7 +178,7 @@ def read_heartbeat(folder: Path, file: str = FILE_NAME) -> Beat | None:
     path = folder / file
     reason = ""
     for _ in range(LOOKS):
-        content = read_hint(path)
+        content = read_best_effort(path)
         if content is None:
             return None
         try:
@@ -193,16 +193,16 @@ def read_heartbeat(folder: Path, file: str = FILE_NAME) -> Beat | None:
 def _decode_heartbeat(content: bytes) -> Beat:
     """Decode the content of a heartbeat file.
 
-    Raises ValueError if the checksum is wrong, or as `check_beat`; older files have no checksum.
+    Raises ValueError if the checksum is wrong, or as `parse_beat`; older files have no checksum.
     """
     values = json.loads(content)
     crc32 = values.pop("crc32", None)  # an older version wrote none
     if crc32 is not None and crc32 != _compute_crc32(values):
         raise ValueError("its checksum is wrong")
-    return check_beat(values)
+    return parse_beat(values)
 
 
-def check_beat(values: Mapping[str, Any]) -> Beat:
+def parse_beat(values: Mapping[str, Any]) -> Beat:
     """Convert the values of a heartbeat message to a `Beat`.
 
     Raises
@@ -216,13 +216,13 @@ def check_beat(values: Mapping[str, Any]) -> Beat:
         deadline_s=float(values["deadline_s"]),
         doing=str(values["doing"]),
         boot=values.get("boot"),
-        utc_ns=_int_or_none(values.get("utc_ns")),
-        elapsed_ns=_int_or_none(values.get("elapsed_ns")),
+        utc_ns=_parse_optional_int(values.get("utc_ns")),
+        elapsed_ns=_parse_optional_int(values.get("elapsed_ns")),
         stage=values.get("stage", ""),
     )
 
 
-def _int_or_none(value: Any) -> int | None:
+def _parse_optional_int(value: Any) -> int | None:
     """Convert a value to an integer; None stays None."""
     return None if value is None else int(value)
 
@@ -286,7 +286,7 @@ class WebWatch:
         return True if now_ns >= self._until_ns else None
 
 
-def read_time_line(beat: Beat | None, *, boot: str | None, elapsed_ns: int) -> TimeLine | None:
+def extract_time_line(beat: Beat | None, *, boot: str | None, elapsed_ns: int) -> TimeLine | None:
     """Return the pair of test time and elapsed boot time in a beat.
 
     None without a beat, without these times, or if the beat is of another boot.
@@ -304,5 +304,5 @@ def compute_test_time_ns(beat: Beat | None, *, machine: MachineClock = MACHINE) 
     It may differ from the system time, which may have been set since.
     """
     now_ns = machine.elapsed_ns()
-    time_line = read_time_line(beat, boot=machine.boot_name(), elapsed_ns=now_ns)
+    time_line = extract_time_line(beat, boot=machine.boot_name(), elapsed_ns=now_ns)
     return None if time_line is None else time_line.utc_ns + now_ns - time_line.elapsed_ns

@@ -13,7 +13,7 @@ import sys
 from pathlib import Path
 
 
-def reset_inherited() -> None:
+def reset_inherited_settings() -> None:
     """Reset streams, encodings, file mask, signals, timers and limits that this process inherited.
 
     Signals that are ignored stay ignored (`child.stop_on_signals`), but for SIGCHLD, without which the exit

@@ -10,8 +10,8 @@ from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, BinaryIO
 
-from daq_service.catalogue.history import append_durably, encode_line, parse_line
-from daq_service.processes.data_folder import one_at_a_time
+from daq_service.catalogue.history import append_durably, encode_history_line, parse_history_line
+from daq_service.processes.data_folder import lock_for_change
 from daq_service.shared_file import retry
 
 BLOCK_BYTES = 64 * 1024
@@ -33,9 +33,9 @@ def append_line(path: Path, table: str, row: Mapping[str, Any]) -> None:
     OSError
         The line may not be durable, or another process held the lock all the time.
     """
-    with one_at_a_time(path):
+    with lock_for_change(path):
         lines, _ = read_newest_lines(path, limit=1, most_lines=LOOK_BACK_LINES)
-        append_durably(path, [encode_line(lines[0][0] + 1 if lines else 1, table, row)])
+        append_durably(path, [encode_history_line(lines[0][0] + 1 if lines else 1, table, row)])
 
 
 def read_newest_lines(
@@ -75,7 +75,7 @@ def read_newest_lines(
     try:
         with retry(lambda: path.open("rb")) as file:
             for n_lines, (offset, line) in enumerate(_yield_lines_reversed(file, end), start=1):
-                record = parse_line(line)
+                record = parse_history_line(line)
                 if record is not None and wanted(record[2]):
                     selected.append((record[0], record[2]))
                 if len(selected) == limit or n_lines == most_lines:

@@ -9,9 +9,9 @@ from daq_service.archive import FolderSetReader
 from daq_service.catalogue import open_catalogue
 from daq_service.catalogue.connection import FILE_NAME
 from daq_service.catalogue.errors import CatalogueDamagedError, CatalogueError, NoDataYetError
-from daq_service.catalogue.experiment_file import HISTORY_FILE, read_experiment
+from daq_service.catalogue.experiment_file import HISTORY_FILE, read_experiment_file
 from daq_service.catalogue.history import History, read_history
-from daq_service.processes.data_folder import is_owned
+from daq_service.processes.data_folder import is_held
 
 log = logging.getLogger(__name__)
 
@@ -37,7 +37,7 @@ def is_catalogue_lost(folder: Path) -> bool:
         except CatalogueError:
             return False  # opening it for writing reports what is wrong with it
     try:
-        experiment = read_experiment(folder)
+        experiment = read_experiment_file(folder)
     except CatalogueDamagedError as error:
         log.warning("%s", error)
         experiment = None
@@ -45,7 +45,7 @@ def is_catalogue_lost(folder: Path) -> bool:
     return is_started or bool(FolderSetReader(folder).sets())
 
 
-def loss_reason(folder: Path) -> str:
+def describe_loss(folder: Path) -> str:
     """Return a description of the loss of the catalogue and its remedy; empty if it is not lost.
 
     Raises
@@ -56,7 +56,7 @@ def loss_reason(folder: Path) -> str:
     if not is_catalogue_lost(folder):
         return ""
     problem = f"the catalogue of {folder} is lost, though its test was begun"
-    if is_owned(folder):
+    if is_held(folder):
         return (
             f"{problem}; the recorder that runs there makes it again at its start: if this stays, "
             "start it anew"

@@ -33,20 +33,18 @@ def find_lost_sets(folder: Path, catalogue: Catalogue, *, newest_rows: int | Non
     sets = folder / SETS_FOLDER
     if newest_rows is None:
         missing_files = catalogue.list_files_except(
-            parse_set_keys([name for name in _list_file_names(sets) if _file_size_or_none(f"{sets}/{name}")])
+            parse_set_keys([name for name in _list_file_names(sets) if _get_file_size(f"{sets}/{name}")])
         )
     else:
         recent = catalogue.list_newest_files(newest_rows)
-        missing_files = {
-            key: file for key, file in recent.items() if not _file_size_or_none(f"{folder}/{file}")
-        }
+        missing_files = {key: file for key, file in recent.items() if not _get_file_size(f"{folder}/{file}")}
         if _has_changed_since(sets, [file for key, file in recent.items() if key not in missing_files]):
             missing_files |= catalogue.list_files_except(parse_set_keys(_list_file_names(sets)))
     if not missing_files:
         return {}
     journal = read_journal(folder)
     sizes = {
-        file: _file_size_or_none(f"{folder}/{file}")
+        file: _get_file_size(f"{folder}/{file}")
         for key, file in missing_files.items()
         # The set may have come out of the journal between the two reads.
         if not (key in journal and journal[key].reference == file)
@@ -71,7 +69,7 @@ def _has_changed_since(sets: Path, files: Sequence[str]) -> bool:
         return True
 
 
-def _file_size_or_none(path: str) -> int | None:  # thousands of them: a `Path` takes longer than the call
+def _get_file_size(path: str) -> int | None:  # thousands of them: a `Path` takes longer than the call
     """Return the size of a file in bytes; None if it is missing."""
     try:
         return os.stat(path).st_size  # noqa: PTH116

@@ -23,7 +23,7 @@ HELD_AFTER_S = 2.0
 def print_line(text: str, *, err: bool = True) -> None:
     """Print a line on standard error, or on standard output, from a thread; wait for it at most 2 s.
 
-    A closed stream is no error. On a held stream the thread keeps waiting (`end_process`).
+    A closed stream is no error. On a held stream the thread keeps waiting (`force_exit_if_needed`).
     """
 
     def write() -> None:
@@ -32,7 +32,7 @@ def print_line(text: str, *, err: bool = True) -> None:
             print(text, file=sys.stderr if err else sys.stdout, flush=True)
         except (OSError, ValueError) as error:
             log.debug("nobody reads %r: %s", text, error)
-            discard_unwritten()
+            discard_unwritten_output()
 
     thread = threading.Thread(target=write, name=PRINTING, daemon=True)
     thread.start()
@@ -45,7 +45,7 @@ def print_result(result: object, lines: Iterable[str], *, as_json: bool) -> None
         click.echo(line)
 
 
-def discard_unwritten() -> None:
+def discard_unwritten_output() -> None:
     """Flush the standard streams and redirect one that fails to the null device.
 
     Otherwise Python's last flush of it would change the exit code to 120.
@@ -58,7 +58,7 @@ def discard_unwritten() -> None:
                 os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
 
 
-def end_process(code: int) -> None:
+def force_exit_if_needed(code: int) -> None:
     """End the process at once, without cleanup, if Python would not end with this exit code; else return.
 
     A thread that prints on a held stream holds its lock, without which Python aborts the process; with
@@ -67,5 +67,5 @@ def end_process(code: int) -> None:
     if any(thread.name == PRINTING for thread in threading.enumerate()):
         os._exit(code)
     if "PYTHONINSPECT" in os.environ:
-        discard_unwritten()
+        discard_unwritten_output()
         os._exit(code)

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Literal
 
 from daq_service.clock import boot_name
-from daq_service.processes.data_folder import LOCK_FILE, is_owned, lock_text
+from daq_service.processes.data_folder import LOCK_FILE, is_held, read_lock_owner
 from daq_service.processes.heartbeat import Beat, compute_beat_age_s, read_heartbeat
 
 RecorderStatus = Literal["running", "finished", "stopped", "not_responding", "not_started"]
@@ -124,9 +124,9 @@ def read_recorder_state(folder: Path, kinds: Sequence[str]) -> RecorderState:
         return RecorderState(
             status="not_responding", description=description, listens=False, beat=None, beat_age_s=None
         )
-    beat, owned = read_heartbeat(folder), is_owned(folder)
+    beat, owned = read_heartbeat(folder), is_held(folder)
     if owned and beat is not None:
-        owner = lock_text(folder, LOCK_FILE).removeprefix("process ")
+        owner = read_lock_owner(folder, LOCK_FILE).removeprefix("process ")
         if owner.isdigit() and int(owner) != beat.process:
             beat = None  # of an earlier recorder: the running one has just started
     return determine_recorder_state(

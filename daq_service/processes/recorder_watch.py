@@ -17,7 +17,7 @@ from daq_service.alarms.process_trouble import RECORDER_NOT_RUNNING, build_recor
 from daq_service.alarms.states import Moment, update_alarm
 from daq_service.catalogue import Catalogue, SetCommit
 from daq_service.catalogue.rows import AlarmRow
-from daq_service.catalogue.store import NoDataYetError, open_for_one_command
+from daq_service.catalogue.store import NoDataYetError, open_for_command
 from daq_service.clock import MACHINE, MachineClock
 from daq_service.processes.freshness import Freshness
 from daq_service.settings.tree import ScheduleSettings
@@ -75,7 +75,7 @@ class RecorderWatch:
         stored_ns = (recorded and recorded.ended_utc_ns) or 0
         self._count_restarts(fresh)
         stored_h = (stored_ns - fresh.epoch_utc_ns) / NS_PER_H
-        finding = self._missing_reason(fresh, stored_h, is_paused=catalogue.paused() is not None)
+        finding = self._find_missing_reason(fresh, stored_h, is_paused=catalogue.paused() is not None)
         is_active = bool(rows) and rows[-1].state in ("unacknowledged", "acknowledged")
         is_over = is_active and (fresh.recorder.status == "finished" or stored_ns > rows[-1].changed_utc_ns)
         if is_over or (finding and not is_active):
@@ -97,7 +97,7 @@ class RecorderWatch:
             self._process, self._process_since_s = beat.process, self._machine.mono_s()
         self._ended = beat.stage == "ended" or fresh.recorder.beat_age_s is None
 
-    def _missing_reason(self, fresh: Freshness, stored_h: float, *, is_paused: bool) -> str:
+    def _find_missing_reason(self, fresh: Freshness, stored_h: float, *, is_paused: bool) -> str:
         """Return the evidence that the recorder is missing; empty without evidence.
 
         Evidence is 3 restarts within 600 s, or on a wall clock no stored set for 2 scheduled intervals.
@@ -129,7 +129,7 @@ class RecorderWatch:
         Writes nothing if the alarm does not change.
         """
         moment = Moment(utc_ns=fresh.now_utc_ns, due_h=fresh.now_h, set_index=None)
-        with open_for_one_command(self._folder) as catalogue:
+        with open_for_command(self._folder) as catalogue:
             rows = catalogue.rows(AlarmRow, kind=RECORDER_NOT_RUNNING)
             change = update_alarm(
                 rows[-1] if rows else None, build_recorder_condition(finding, fresh.now_h), moment

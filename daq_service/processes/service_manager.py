@@ -38,7 +38,7 @@ def notify_manager(*assignments: str) -> None:
 
 
 @contextmanager
-def service_manager_notifications(
+def forward_to_service_manager(
     on_event: Notifier, send: Callable[..., None] = notify_manager
 ) -> Iterator[Notifier]:
     """Yield a callback that passes recorder events to ``on_event`` and the service manager.
@@ -48,7 +48,7 @@ def service_manager_notifications(
     """
     is_ready = False
 
-    def pass_on(event: str, **values: object) -> None:
+    def forward_event(event: str, **values: object) -> None:
         """Pass an event on, and report start and heartbeats to the service manager."""
         nonlocal is_ready
         on_event(event, **values)
@@ -62,6 +62,6 @@ def service_manager_notifications(
             send(*ready, "WATCHDOG=1", f"EXTEND_TIMEOUT_USEC={extend_us}", f"STATUS={doing}")
 
     try:
-        yield pass_on
+        yield forward_event
     finally:
         send("STOPPING=1", "STATUS=stopping")

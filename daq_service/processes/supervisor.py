@@ -4,7 +4,7 @@ The children share only the data folder. Each holds the reading end of a pipe (i
 end the supervisor keeps open: when the supervisor ends, however it ends, the pipe closes and the children end
 safely. A recorder whose heartbeat is overdue is killed and started again; so is a child that crashed. A
 driver or a vendor's library may end the process with any exit code, so a code counts only if the child
-announced it on its pipe before it ended (`child.run_and_announce`). A child that announces a code of the
+announced it on its pipe before it ended (`child.run_and_announce_exit`). A child that announces a code of the
 table (2 usage, 3 rig, 4 storage, 5 busy) names its problem: everything stops and the supervisor returns the
 code. Where other children stay, a recorder whose test has started ends alone, and its code is returned when
 they are stopped. A web service that has listened once is always restarted: it ends no test. A recorder that
@@ -28,7 +28,7 @@ from typing import Any
 from daq_service.clock import MACHINE, MachineClock
 from daq_service.errors import EXIT_INTERRUPTED, EXIT_OK
 from daq_service.processes.child import ANNOUNCEMENT, FAREWELL, PROGRAM
-from daq_service.processes.heartbeat import WEB_FILE, Beat, check_beat, compute_beat_age_s, read_heartbeat
+from daq_service.processes.heartbeat import WEB_FILE, Beat, compute_beat_age_s, parse_beat, read_heartbeat
 from hardware_drivers.nanoseconds import NS_PER_S
 
 log = logging.getLogger(__name__)
@@ -198,7 +198,7 @@ class Supervisor:
             return None
         code = child.process.poll()
         if code is None:
-            if (child.plan.watched or child.reported_beat) and (cause := self._overdue_reason(child)):
+            if (child.plan.watched or child.reported_beat) and (cause := self._find_overdue_reason(child)):
                 child.cause = cause
                 child.process.kill()
             return None
@@ -207,7 +207,7 @@ class Supervisor:
         self._close_pipe(child)
         child.process = None
         if child.announced is None:
-            return self._plan_restart(child, code)
+            return self._schedule_restart(child, code)
         code = child.announced
         if code in (EXIT_OK, EXIT_INTERRUPTED) and child.plan.watched:
             # Done, or stopped by its operator: a restart would strike on against the command.
@@ -224,9 +224,9 @@ class Supervisor:
             return None
         if code in FINAL_CODES and (child.plan.watched or not child.has_started):
             return code
-        return self._plan_restart(child, code)
+        return self._schedule_restart(child, code)
 
-    def _plan_restart(self, child: _Child, code: int) -> int | None:
+    def _schedule_restart(self, child: _Child, code: int) -> int | None:
         """Schedule the restart of a child after the next delay and announce it; return None.
 
         Returns exit code 1 instead if the supervisor may give up and all delays are used up.
@@ -240,7 +240,7 @@ class Supervisor:
         delay_s = self._restart_delays_s[min(child.quick_failures, len(self._restart_delays_s) - 1)]
         child.quick_failures += 1
         child.start_at_ns = now_ns + round(delay_s * NS_PER_S)
-        child.cause = child.cause or _describe_end(code)
+        child.cause = child.cause or _describe_exit_code(code)
         if child.announced is None and code in (EXIT_OK, EXIT_INTERRUPTED, *FINAL_CODES):
             child.cause += ", which it had not announced"
         log.warning("%s %s; started again in %g s", child.plan.name, child.cause, delay_s)
@@ -283,7 +283,7 @@ class Supervisor:
                     message = json.loads(line)
                     event = message["event"]
                     if event == "beat":
-                        before, child.reported_beat = child.reported_beat, check_beat(message)
+                        before, child.reported_beat = child.reported_beat, parse_beat(message)
                         if before is not None and before.doing == child.reported_beat.doing:
                             continue
                     if event == ANNOUNCEMENT:
@@ -299,12 +299,12 @@ class Supervisor:
                 child.has_started = child.has_started or event in ("progress", "listening")
                 self._messages.put((child.plan.name, message))
 
-    def _overdue_reason(self, child: _Child) -> str:
+    def _find_overdue_reason(self, child: _Child) -> str:
         """Return the reason why a running child must be killed; empty while its heartbeat is in time.
 
         Overdue is a beat past its deadline, or no beat within 60 s of the start.
         """
-        beats = (child.reported_beat, self._read_beat_of(child))
+        beats = (child.reported_beat, self._read_child_beat(child))
         now_ns = self._machine.mono_ns()
         # A folder has one recorder: a beat since the start is this child's. Process numbers are reused, and
         # a launcher (Windows, virtual environments) has another one than its Python. A file that cannot be
@@ -327,7 +327,7 @@ class Supervisor:
             f"{child.beat.deadline_s:g} s"
         )
 
-    def _read_beat_of(self, child: _Child) -> Beat | None:
+    def _read_child_beat(self, child: _Child) -> Beat | None:
         """Return the heartbeat in the file of a child; None without one.
 
         None, too, if the file is of another process than this web service.
@@ -370,6 +370,6 @@ class Supervisor:
             reader.join(remaining_s(0.1))
 
 
-def _describe_end(code: int) -> str:
+def _describe_exit_code(code: int) -> str:
     """Describe how a process ended from its exit code: negative is the signal that killed it."""
     return f"was killed by signal {-code}" if code < 0 else f"ended with exit code {code}"

@@ -375,10 +375,12 @@ class SetAcquisition:
             missed=taken.missed,
             outcomes=taken.find_superseded_shots(),
             trouble=taken.format_error(),
-            environment={} if self._set_assessor.drive is None else self._set_assessor.drive.summary(),
+            environment={}
+            if self._set_assessor.drive is None
+            else self._set_assessor.drive.summarise_readings(),
             provenance=self.provenance,
         )
 
-    def set_next_shot_number(self, record: SetRecord) -> None:
+    def advance_next_shot_number(self, record: SetRecord) -> None:
         """Raise the next shot number above those of a record; it never decreases."""
         self.next_sequence = max([self.next_sequence, *(item.sequence + 1 for item in record.records)])

@@ -55,7 +55,7 @@ class CarriedOver:
         reason = f"its part of the journal was damaged: {', '.join(corrupt.files)}"
         self.corruption_of = dict.fromkeys(corrupt.sets, reason)
         self.open_sets = {
-            index: opened if opened.is_dated else self._complete_open_set(opened)
+            index: opened if opened.is_dated else self._restore_set_start(opened)
             for index, opened in self.open_sets.items()
         }
         for index in done & self.open_sets.keys():
@@ -82,7 +82,7 @@ class CarriedOver:
         for set_key, opened in self.open_sets.items():
             if set_key.unscheduled_index:
                 (position,) = (name for name in self._positions if name not in opened.disabled)
-                found.append(replace(self._find_due_set(opened), position=position))
+                found.append(replace(self._build_due_set(opened), position=position))
         return found
 
     def resume(self, opened: OpenSet) -> TakenSet:
@@ -98,12 +98,12 @@ class CarriedOver:
         log.warning("set %s goes on: %d records of it are there", opened.set_key, len(opened.records))
         return taken
 
-    def _find_due_set(self, opened: OpenSet) -> DueSet:
+    def _build_due_set(self, opened: OpenSet) -> DueSet:
         """Build the due set from key and due time of an open set."""
         due_h = (opened.due_utc_ns - self._epoch_ns) / NS_PER_H
         return DueSet(**opened.set_key._asdict(), due_h=due_h, due_utc_ns=opened.due_utc_ns)
 
-    def _complete_open_set(self, opened: OpenSet) -> OpenSet:
+    def _restore_set_start(self, opened: OpenSet) -> OpenSet:
         """Return an open set whose start frame is corrupt, with due time and disabled positions.
 
         They come from its rows, else from the schedule and the state of the positions; without these the due
@@ -132,7 +132,7 @@ class CarriedOver:
             record = self._archive.read_set(file, skip_damaged=True)
         else:
             taken, reason = self._restore_with_features(opened), self.corruption_of[opened.set_key]
-            record = self._acquisition.record_of(self._find_due_set(opened), taken, reason)
+            record = self._acquisition.record_of(self._build_due_set(opened), taken, reason)
         self._archive.resume_set(opened)
         self._archive.store_set(record)
         self._persistence.after_set(opened.set_key)
@@ -170,7 +170,7 @@ class CarriedOver:
         self._persistence.post(assess, self._set_assessor.commit)
         if sha256 is None:  # it is still in the journal
             self._persistence.do(partial(self._persistence.after_set, due.set_key))
-        self._acquisition.set_next_shot_number(record)
+        self._acquisition.advance_next_shot_number(record)
         log.warning("set %s: rows made again from %s/%s", due.set_key, self._archive.name, file)
         return record.ended_utc_ns
 

@@ -9,14 +9,14 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, replace
 
-from daq_service.acquisition.schedule import list_due_hours, unscheduled_set
+from daq_service.acquisition.schedule import build_unscheduled_set, list_due_hours
 from daq_service.alarms.states import ALARMS_OF_CHANGE, Condition, Moment, add_evidence, find_disabled
 from daq_service.assessment.confirmation import (
     CONFIRMATION_ASKED,
     Confirmation,
     ConfirmationResult,
     compute_longest_set_ns,
-    find_next_unscheduled_number,
+    find_next_unscheduled_index,
     find_overlap,
     find_rejection_reason,
     parse_confirmation_payload,
@@ -80,7 +80,7 @@ class Confirmations:
                 assessment = next((one for one in stored.assessments if one.set_key == row.set_key), None)
                 self.last_results[row.position] = summarize_confirmation(row, assessment)
 
-    def find_room_ns(self, planned: DueSet, utc_ns: int) -> float:
+    def compute_time_to_next_set_ns(self, planned: DueSet, utc_ns: int) -> float:
         """Return the time in ns from now to the scheduled set after a planned one; inf after the last."""
         following = self._hours[planned.set_index + 1 : planned.set_index + 2]
         left_h = following[0] - planned.due_h if following else float("inf")
@@ -109,7 +109,7 @@ class Confirmations:
             self.asked.values(),
             at_h=at_h,
             maximum_per_day=self._rules.confirmation_sets_a_day,
-            available_ns=self.find_room_ns(planned, moment.utc_ns),
+            available_ns=self.compute_time_to_next_set_ns(planned, moment.utc_ns),
             set_ns=self.set_ns,
         ):
             self.add(reason, planned, position, moment, transaction)
@@ -120,7 +120,7 @@ class Confirmations:
         Raises ValueError with the reason: the next scheduled set is too near, or there are too many since the
         last.
         """
-        if too_late := find_overlap(self.find_room_ns(planned, moment.utc_ns), self.set_ns):
+        if too_late := find_overlap(self.compute_time_to_next_set_ns(planned, moment.utc_ns), self.set_ns):
             raise ValueError(f"{too_late}: that one says the same")
         transaction = SetCommit()
         if self.add(note, planned, position, moment, transaction, author) is None:
@@ -147,10 +147,10 @@ class Confirmations:
             for event in transaction.events
             if event.kind == CONFIRMATION_ASKED
         ]
-        number = find_next_unscheduled_number([*self.asked.values(), *requested], planned.set_index)
+        number = find_next_unscheduled_index([*self.asked.values(), *requested], planned.set_index)
         if number is None:
             return None
-        due = unscheduled_set(number, planned, moment.utc_ns, position)
+        due = build_unscheduled_set(number, planned, moment.utc_ns, position)
         one = Confirmation(due=due, reason=reason, author=author)
         transaction.events.append(
             moment.event("service", CONFIRMATION_ASKED, one.payload(), position=position)
@@ -175,7 +175,7 @@ class Confirmations:
         ]
 
 
-def add_confirmation(alarms: Alarms, position: str, transaction: SetCommit, moment: Moment) -> None:
+def add_confirmation_evidence(alarms: Alarms, position: str, transaction: SetCommit, moment: Moment) -> None:
     """Add the result of a confirmation set to the evidence of the active alarms of change at its position."""
     assessment = transaction.assessments[0] if transaction.assessments else None
     payload = asdict(summarize_confirmation(transaction.sets[0], assessment))

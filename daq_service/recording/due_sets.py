@@ -72,7 +72,7 @@ class DueSets:
                 continue
             yield from self._yield_unscheduled_sets(due)
             self._waiting.next_set = due.set_index + self._carried_over.has_strikes_of(due.set_key)
-            if not (self._store_adopted_rows(due) or self._close_overdue_set(due, absences)):
+            if not (self._store_rows_of_file(due) or self._close_if_overdue(due, absences)):
                 yield from self._wait_for_scheduled_set(due)
             self._waiting.newest = due
             if not self._stop.is_set() and not self._resources.in_real_time:
@@ -89,7 +89,7 @@ class DueSets:
 
         Yields nothing if the recorder stops, or if the set's time is over after these.
         """
-        self._start_self_calibration(due)
+        self._self_calibrate_if_due(due)
         # Simulated time has no idle hours: there files are checked after the last set.
         self._waiting.free_until_ns = due.due_utc_ns if self._resources.in_real_time else -math.inf
         self._waiting.activity.doing = f"waiting for set {due.set_index}"
@@ -98,11 +98,11 @@ class DueSets:
                 return
             yield from self._yield_unscheduled_sets(due)
             self._waiting.activity.doing = f"waiting for set {due.set_index}"
-        if not self._close_overdue_set(due):
+        if not self._close_if_overdue(due):
             self._waiting.newest = due
             yield due
 
-    def _store_adopted_rows(self, due: DueSet) -> bool:
+    def _store_rows_of_file(self, due: DueSet) -> bool:
         """Store the rows of a set that the last recorder left as a file; return False if there is none.
 
         Simulated time continues where that set ended.
@@ -112,7 +112,7 @@ class DueSets:
             self._clock.wait_until(ended_ns, self._waiting.run_between_sets)
         return ended_ns is not None
 
-    def _close_overdue_set(self, due: DueSet, absences: Sequence[tuple[int, str]] = ()) -> bool:
+    def _close_if_overdue(self, due: DueSet, absences: Sequence[tuple[int, str]] = ()) -> bool:
         """Record a set as missed if its time is over, since the next one is due; return whether it was.
 
         The last set has one hour. The reason is that of the absence, or the state of the disk.
@@ -125,7 +125,7 @@ class DueSets:
         self._record_gap(due, reason or self._waiting.storage.find_overdue_reason(due.due_utc_ns))
         return True
 
-    def _start_self_calibration(self, due: DueSet) -> None:
+    def _self_calibrate_if_due(self, due: DueSet) -> None:
         """Run the self-calibration of the boards between sets, if its interval is over and time suffices.
 
         Raises RigError if it fails for good; a transient failure is logged and stored as an event.
@@ -169,18 +169,18 @@ class DueSets:
         for due in self._list_requested_sets():
             if not self._stop.is_set() and (scheduled is None or due.set_index < scheduled.set_index):
                 self._started_unscheduled.add(due.set_key)
-                if not self._store_adopted_rows(due):
+                if not self._store_rows_of_file(due):
                     yield due
 
-    def find_hindrance(self, due: DueSet) -> str:
+    def find_skip_reason(self, due: DueSet) -> str:
         """Return why a due set is not acquired (paused, full memory, too late); empty if it is acquired."""
-        if due.position is not None and (reason := self._find_unscheduled_hindrance(due, due.position)):
+        if due.position is not None and (reason := self._find_unscheduled_skip_reason(due, due.position)):
             return reason
         if self._commands.paused or self._persistence.trouble is None or self._persistence.has_room:
             return self._commands.paused
         return f"the memory for what waits is full: {self._persistence.trouble.message}"
 
-    def _find_unscheduled_hindrance(self, due: DueSet, position: str) -> str:
+    def _find_unscheduled_skip_reason(self, due: DueSet, position: str) -> str:
         """Return why an unscheduled set is rejected (late, or transducer disabled); empty if it is not."""
         if reason := self._set_assessor.disabled().get(position):
             return reason
@@ -189,5 +189,5 @@ class DueSets:
             return self._waiting.storage.find_overdue_reason(due.due_utc_ns)
         confirmations = self._set_assessor.confirmations
         return find_overlap(
-            confirmations.find_room_ns(self._plan[due.set_index], now_ns), confirmations.set_ns
+            confirmations.compute_time_to_next_set_ns(self._plan[due.set_index], now_ns), confirmations.set_ns
         )

@@ -12,7 +12,7 @@ from daq_service.alarms.states import Moment
 from daq_service.assessment.assessor import PositionResult
 from daq_service.catalogue import SetCommit
 from daq_service.recording.acquire_set import TakenSet
-from daq_service.recording.confirmations import add_confirmation
+from daq_service.recording.confirmations import add_confirmation_evidence
 from daq_service.recording.persistence import Persistence
 from daq_service.recording.set_assessor import SetAssessor, add_position_rows
 from hardware_drivers.measurement import DueSet
@@ -84,6 +84,6 @@ def build_empty_set_rows(
         assessor.apply_alarm(payload, moment, transaction)
     log.warning("set %s missed: %s", due.set_key, next(iter(reasons.values())))
     if due.position is not None:
-        add_confirmation(assessor.alarms, due.position, transaction, moment)
+        add_confirmation_evidence(assessor.alarms, due.position, transaction, moment)
         return transaction
     return assessor.add_environment(due, moment, transaction)

@@ -12,8 +12,8 @@ from daq_service.catalogue.errors import CatalogueDamagedError, OtherExperimentE
 from daq_service.catalogue.experiment_file import (
     EXPERIMENT_FILE,
     HISTORY_FILE,
-    read_experiment,
-    refuse_other_record,
+    raise_if_other_record,
+    read_experiment_file,
 )
 from daq_service.catalogue.history import History
 from daq_service.catalogue.rows import ExperimentRow
@@ -35,13 +35,13 @@ def find_stored_experiment(folder: Path, history: History, archive: SetReader) -
         experiment.json and history name two experiments.
     """
     try:
-        kept = read_experiment(folder)
+        kept = read_experiment_file(folder)
     except CatalogueDamagedError as error:
         log.warning("%s", error)
         kept = None
     stored = history.experiment
     if kept is not None and stored is not None:
-        refuse_other_record(kept, stored, EXPERIMENT_FILE, HISTORY_FILE, folder)
+        raise_if_other_record(kept, stored, EXPERIMENT_FILE, HISTORY_FILE, folder)
     return kept or stored or _read_experiment_from_files(archive)
 
 

@@ -36,7 +36,7 @@ def build_command_executor(resources: Resources, assessor: SetAssessor, waiting:
         settings=settings,
         next_set=lambda: waiting.next_set,
         baseline=catalogue.baseline,
-        renewed=assessor.assessors.renew,
+        renewed=assessor.assessors.discard_state,
         positions=settings.list_positions(SOLITARY_WAVE),
         supply=drive if drive is not None and drive.has_supply else None,
     )

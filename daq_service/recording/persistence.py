@@ -64,7 +64,7 @@ class Persistence:
 
     def acknowledge(self) -> bool:
         """Make shots durable and report their ids; return False if the disk refuses: it is retried later."""
-        if self._refusal():
+        if self._find_refusal_reason():
             return False
         try:
             self._sync()
@@ -167,7 +167,7 @@ class Persistence:
     def run_queued_jobs(self) -> None:
         """Run the queued jobs in order until one is refused; report when all are stored."""
         while self._jobs:
-            if refusal := self._refusal():
+            if refusal := self._find_refusal_reason():
                 self._schedule_retry(refusal)
                 return
             job, n_bytes = self._jobs[0]
@@ -183,7 +183,7 @@ class Persistence:
             self.trouble, self._tries = None, 0
             self.on_change(None)
 
-    def _refusal(self) -> str:
+    def _find_refusal_reason(self) -> str:
         """Return why nothing may be stored, "" if it may; when stopping, the remaining space may be used."""
         return "" if self._disk is None or self._stop.is_set() else self._disk.refusal
 

@@ -88,7 +88,7 @@ class Recorder:
         storage = StorageAlarms(resources, assessor, persistence)
         self.waiting = waiting = Waiting(resources, assessor, persistence, storage, activity)
         self.commands = commands = build_command_executor(resources, assessor, waiting)
-        activity.looks = (storage.watch_web, partial(persistence.attempt, commands.execute_open_commands))
+        activity.looks = (storage.check_web, partial(persistence.attempt, commands.execute_open_commands))
         self._acquisition = SetAcquisition(resources, assessor, persistence, features_of, commands, activity)
         self._carried_over = CarriedOver(resources, assessor, persistence, self._acquisition)
         self._due_sets = DueSets(
@@ -117,11 +117,11 @@ class Recorder:
             self._process_set(due)
         waiting.wait_until_stored()
         waiting.wait_for_files()
-        return self._end()
+        return self._finish_run()
 
     def _process_set(self, due: DueSet) -> None:
         """Acquire a set and pass it through all stages, or record a gap; RigError after a lasting error."""
-        if hindrance := self._due_sets.find_hindrance(due):
+        if hindrance := self._due_sets.find_skip_reason(due):
             self._record_gap(due, hindrance)
             return
         self._persistence.attempt(self._set_assessor.adopt)
@@ -152,7 +152,7 @@ class Recorder:
         self._activity.announce(f"storing {due}")
         reason = self._carried_over.corruption_of.get(due.set_key, cut_short_reason)
         record = self._acquisition.record_of(due, taken, reason)
-        self._acquisition.set_next_shot_number(record)
+        self._acquisition.advance_next_shot_number(record)
         # Now, and not when the disk takes the set.
         watch = self._resources.computer_load
         load = None if watch is None else watch.read(self._cost.seconds)
@@ -233,7 +233,7 @@ class Recorder:
         cut = self._stop.is_set() and not self.commands.paused and taken.trouble is None
         return cut and not taken.is_complete(self._set_assessor.n_planned) and self._persistence.acknowledge()
 
-    def _end(self) -> bool:
+    def _finish_run(self) -> bool:
         """Store the end of the run with its cost and that of the drive; return whether it is complete."""
         finished, is_unsupervised = not self._stop.is_set(), self._resources.options.unsupervised.is_set()
         # A supervisor that was killed is no end of the test: the drive's process watches the supply.

@@ -8,7 +8,7 @@ from dataclasses import replace
 from daq_service.catalogue import RecorderCatalogue
 from daq_service.clock import Before, format_utc, parse_utc
 from daq_service.errors import UsageError
-from daq_service.processes.heartbeat import Beat, read_time_line
+from daq_service.processes.heartbeat import Beat, extract_time_line
 from hardware_drivers.nanoseconds import NS_PER_S
 
 CLOCK_STEP, CLOCK_BELIEVED = "clock_step", "clock_believed"
@@ -41,7 +41,7 @@ def read_previous_time(
     boot, elapsed_ns
         This boot, and what has elapsed of it.
     """
-    line = read_time_line(beat, boot=boot, elapsed_ns=elapsed_ns)
+    line = extract_time_line(beat, boot=boot, elapsed_ns=elapsed_ns)
     last_event = catalogue.read_last_service_event(CLOCK_STEP, CLOCK_BELIEVED)
     if line is not None and last_event is not None and last_event.payload["boot"] == boot:
         line = replace(line, ahead_ns=round(last_event.payload["ahead_s"] * NS_PER_S))

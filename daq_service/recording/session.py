@@ -25,13 +25,13 @@ from daq_service.background.tiles import TileMaker, add_record_to_tiles
 from daq_service.background.verification import IdleVerification
 from daq_service.catalogue import RecorderCatalogue, open_catalogue
 from daq_service.catalogue.errors import NoDataYetError
-from daq_service.catalogue.experiment_file import ensure_experiment_file, write_experiment
+from daq_service.catalogue.experiment_file import ensure_experiment_file, write_experiment_file
 from daq_service.catalogue.history import HistoryFollower
 from daq_service.catalogue.owner import build_experiment_identity
 from daq_service.catalogue.rows import SetRow
 from daq_service.clock import WallClock, boot_name, elapsed_ns, parse_utc
 from daq_service.errors import PASSING
-from daq_service.processes.data_folder import backup_identity
+from daq_service.processes.data_folder import read_identity
 from daq_service.processes.heartbeat import Beat, Heartbeat, WebWatch, read_heartbeat
 from daq_service.processes.lost_catalogue import is_catalogue_lost
 from daq_service.processes.lost_sets import find_lost_sets
@@ -181,7 +181,7 @@ def _add_background_tasks(
         """Return whether the volume has space for tiles."""
         return disk.space.level in ("ample", "warn")
 
-    def tiles(set_key: SetKey, results: Results) -> Callable[[SetRecord], str] | None:
+    def build_tile_job(set_key: SetKey, results: Results) -> Callable[[SetRecord], str] | None:
         """Return the function that adds a set to the tiles; None if space is short."""
         if not has_room():
             return None
@@ -189,7 +189,7 @@ def _add_background_tasks(
 
     results, files = partial(read_newest_results, catalogue), partial(catalogue.list_files_except, ())
     finalizer = SetFinalizer(
-        folder, archive, start=bare.host.worker, results=results, filed=note_file, also=tiles
+        folder, archive, start=bare.host.worker, results=results, filed=note_file, also=build_tile_job
     )
     # One that has no rows yet gets them first: its file holds a copy of them.
     for set_key in sorted(catalogue.list_committed_sets(archive.list_sets_to_finalize())):
@@ -226,7 +226,7 @@ def _store_file_digest(
 ) -> None:
     """Store the SHA-256 of the file of a set in the catalogue and, with the next lines, the history."""
     catalogue.store_digest(set_key, file, sha256)
-    history.note_digest(file, sha256)
+    history.add_digest(file, sha256)
 
 
 def _rebuild_if_lost(settings: Settings, folder: Path, heartbeat: Heartbeat) -> dict[str, Any]:
@@ -294,12 +294,12 @@ def _assign_copy_uuid(folder: Path, catalogue: RecorderCatalogue, epoch_ns: int)
 
     The original keeps its UUID; another folder is left as it is.
     """
-    row, original = catalogue.read_experiment(), backup_identity(folder)
+    row, original = catalogue.read_experiment(), read_identity(folder)
     if original is None or original.get("uuid") != row.uuid:
         return
     separated = replace(row, uuid=str(uuid.uuid4()))
     catalogue.restore_rows([separated])
-    write_experiment(folder, separated)
+    write_experiment_file(folder, separated)
     payload = {"uuid": separated.uuid, "original_uuid": row.uuid}
     utc_ns = catalogue.find_last_end_utc_ns() or epoch_ns
     catalogue.add_service_event(utc_ns=utc_ns, kind="copy_continued", payload=payload)

@@ -27,7 +27,7 @@ from daq_service.catalogue.rows import AlarmRow, AssessorStateRow, EventRow, Out
 from daq_service.catalogue.writer import build_event_payload
 from daq_service.corrosion_drive.remote import RemoteDrive
 from daq_service.corrosion_drive.watch import DriveWatch
-from daq_service.recording.confirmations import Confirmations, add_confirmation
+from daq_service.recording.confirmations import Confirmations, add_confirmation_evidence
 from daq_service.recording.report_changes import report_changes
 from daq_service.settings.tree import Settings
 from hardware_drivers.instruments import Rig
@@ -171,16 +171,16 @@ class SetAssessor:
             for condition in conditions:
                 self.apply_alarm(condition, moment, transaction)
         if due.position is not None:
-            add_confirmation(self.alarms, due.position, transaction, moment)
+            add_confirmation_evidence(self.alarms, due.position, transaction, moment)
         trouble, unanswered = record.trouble, self._find_unanswered_reason(record)
         has_trouble = bool(trouble or unanswered)
         # One position that works proves nothing of the other instruments.
-        if has_trouble or (due.position is None and self._has_alarm_to_end(None, RIG_UNAVAILABLE)):
+        if has_trouble or (due.position is None and self._has_alarm_or_delay(None, RIG_UNAVAILABLE)):
             rig_now = build_rig_condition(due, trouble, unanswered, proven=self.proven)
             self.apply_alarm(rig_now, moment, transaction)
         if due.position is not None:
             return transaction
-        if self._has_alarm_to_end(None, RECORDER_NOT_RUNNING):
+        if self._has_alarm_or_delay(None, RECORDER_NOT_RUNNING):
             self.apply_alarm(build_recorder_condition("", due.due_h), moment, transaction)
         self.proven = self.proven or not (record.trouble or any(reasons.values()))
         standing = {**self.alarms, **{(row.position, row.kind): row for row in transaction.alarms}}
@@ -234,7 +234,7 @@ class SetAssessor:
                     return cause
         return ""
 
-    def _has_alarm_to_end(self, position: str | None, kind: str) -> bool:
+    def _has_alarm_or_delay(self, position: str | None, kind: str) -> bool:
         """Return whether there is an alarm, or the delay before one, that an absent condition ends."""
         return (position, kind) in self.alarms or (position, kind) in self._delayed_since_ns
 
@@ -402,7 +402,7 @@ class PositionAssessors:
         self[position].enable()
         self.enabled = True
 
-    def renew(self, position: str) -> None:
+    def discard_state(self, position: str) -> None:
         """Discard the state of a position in memory, because a person has renewed the baseline.
 
         The following sets are assessed by the stored state.

@@ -43,7 +43,7 @@ class StorageAlarms:
         is_over = self._persistence.trouble is None and self._trouble_until_ns < due_utc_ns
         return OVERSLEPT if is_over else f"the recorder waited for the disk: {self._reported_trouble}"
 
-    def watch_web(self) -> None:
+    def check_web(self) -> None:
         """Raise or clear the alarm of a missing web service when that changes; a disk error delays it."""
         is_missing = None if self._web is None else self._web.is_missing()
         if is_missing in (None, self._web_is_missing):

@@ -25,7 +25,7 @@ class Strikers:
         Raises ConfigurationError if no striker serves the position.
         """
         striker = _find_instrument(self._strikers, key, "striker")
-        self._asking.about(key)
+        self._asking.set_next_shot(key)
         striker.strike(key)
 
     def make_safe(self) -> None:
@@ -35,7 +35,7 @@ class Strikers:
         """
         with ExitStack() as every:
             every.callback(self._asking.ask, "")
-            for striker in _list_distinct(self._strikers):
+            for striker in _list_distinct_instruments(self._strikers):
                 every.callback(striker.make_safe)
 
 
@@ -77,7 +77,7 @@ class Digitizers:
         """
         self._armed = None
         with ExitStack() as every:
-            for digitizer in _list_distinct(self._digitizers):
+            for digitizer in _list_distinct_instruments(self._digitizers):
                 every.callback(digitizer.disarm)
 
 
@@ -105,6 +105,6 @@ def _find_instrument(instruments: Mapping[str, T], key: ShotKey, what: str) -> T
     return instruments[key.position]
 
 
-def _list_distinct(instruments: Mapping[str, T]) -> list[T]:
+def _list_distinct_instruments(instruments: Mapping[str, T]) -> list[T]:
     """Return each instrument object once, in order of its first position."""
     return list({id(instrument): instrument for instrument in instruments.values()}.values())

@@ -76,7 +76,7 @@ def run_rig_doubles(rig: str, overrides: Mapping[str, object]) -> Iterator[DemoR
     transport = rig.removeprefix("daqmx-")
     with ExitStack() as stack:
         try:
-            folders = _build_libraries() if transport == "library" else []
+            folders = _compile_ni_doubles() if transport == "library" else []
             has_probe = len(folders) > 1
             doubles = stack.enter_context(running_doubles(_describe_boards(settings)))
         except DoublesError as error:
@@ -87,7 +87,7 @@ def run_rig_doubles(rig: str, overrides: Mapping[str, object]) -> Iterator[DemoR
         dropped = [] if has_probe else settings.list_positions(PULSE_ECHO)
         environment = client_environment(doubles.wire, *folders, environment=_build_library_path(folders))
         yield DemoRig(
-            settings=_set_rig(settings, tables, dropped),
+            settings=_replace_rig(settings, tables, dropped),
             environment={**environment, CONTROL_VARIABLE: doubles.control.address},
             notes=tuple(f"position {name} is left out: {NO_PROBE[transport]}" for name in dropped),
         )
@@ -195,7 +195,7 @@ def _build_rig_table(
     return tables
 
 
-def _set_rig(settings: Settings, tables: Mapping[str, object], dropped: Sequence[str]) -> Settings:
+def _replace_rig(settings: Settings, tables: Mapping[str, object], dropped: Sequence[str]) -> Settings:
     """Return a validated copy of the settings with these keys of ``[rig]`` replaced and positions removed."""
     values = settings.model_dump(mode="json")
     values["rig"] |= tables
@@ -204,14 +204,14 @@ def _set_rig(settings: Settings, tables: Mapping[str, object], dropped: Sequence
     return Settings(**values)
 
 
-def _build_libraries() -> list[Path]:
+def _compile_ni_doubles() -> list[Path]:
     """Compile the NI-DAQmx double, and the NI-SCOPE double if niscope is installed; return their folders.
 
     Raises UsageError if this machine cannot build them.
     """
-    from simulator.doubles.transports.library import build_library, why_unavailable
+    from simulator.doubles.transports.library import build_library, find_unavailability_reason
 
-    if reason := why_unavailable():
+    if reason := find_unavailability_reason():
         raise UsageError(f"--rig daqmx-library cannot run here: {reason}; or take --rig daqmx-grpc")
     folders = [build_library("nidaqmx")]
     if find_spec("niscope") is not None:

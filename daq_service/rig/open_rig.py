@@ -210,7 +210,7 @@ def _announce_shots(rig: Rig, twin: TwinParameters, epoch_utc_ns: int) -> Iterat
     Raises UsageError if the environment variable `CONTROL_VARIABLE` does not give the doubles' address.
     """
     from simulator.doubles.transports.control import DoublesControl
-    from simulator.experiment.corrosion import held_hour_h
+    from simulator.experiment.corrosion import round_down_hour_h
 
     address = os.environ.get(CONTROL_VARIABLE)
     if not address:
@@ -223,7 +223,7 @@ def _announce_shots(rig: Rig, twin: TwinParameters, epoch_utc_ns: int) -> Iterat
         def announce(key: ShotKey) -> None:
             """Send the key and the test hour (held over the twin's update interval) to the doubles."""
             elapsed_ns = rig.clock.utc_ns() - epoch_utc_ns
-            control.announce(key, held_hour_h(elapsed_ns, twin.update_interval_s))
+            control.announce(key, round_down_hour_h(elapsed_ns, twin.update_interval_s))
 
         yield replace(
             rig,

@@ -39,7 +39,7 @@ from hardware_drivers.playback.source import Record, ShotsBySet, ShotSource
 class Recorded(ShotSource, Protocol):
     """A source that knows when its shots were recorded."""
 
-    def next_moment(self, after_utc_ns: int) -> int | None:
+    def find_next_moment(self, after_utc_ns: int) -> int | None:
         """Return the first recorded time after a time, ns since 1970 (UTC); None after the last one."""
         ...
 
@@ -108,7 +108,7 @@ class ArchivedShots:
         recorded = self._shots.has_attempt(key)
         return recorded or (key in self._missed and key.set_key not in self._damaged)
 
-    def next_moment(self, after_utc_ns: int) -> int | None:
+    def find_next_moment(self, after_utc_ns: int) -> int | None:
         """Return the first recorded time after a time, ns since 1970 (UTC); None after the last one.
 
         A recorded time is the start of a set or the time stamp of a record; sets are read as needed.
@@ -221,7 +221,7 @@ def open_recording(
         yield shots
 
 
-def playback_instruments(
+def build_playback_instruments(
     source: Recorded,
     clock: Clock,
     *,
@@ -255,7 +255,7 @@ def playback_instruments(
         instruments = build_instruments(source, wanted=wanted)
     except ConfigurationError as error:
         raise UsageError(f"the recording does not fit the configuration: {error}") from error
-    recorded = RecordedClock(clock, source.next_moment, tolerance_s=shot_interval_s / 2.0)
+    recorded = RecordedClock(clock, source.find_next_moment, tolerance_s=shot_interval_s / 2.0)
     return Opened(
         clock=recorded if recorded_times else None,
         striker=instruments.striker,
@@ -276,7 +276,7 @@ def _open_playback(parameters: PlaybackParameters, opening: Opening) -> Iterator
         **dict.fromkeys(opening.serves.get("pulse_echo", ()), PULSE_ECHO),
     }
     with open_recording(parameters, Path.cwd(), wanted) as source:
-        yield playback_instruments(
+        yield build_playback_instruments(
             source,
             opening.clock,
             wanted=wanted,
@@ -286,7 +286,7 @@ def _open_playback(parameters: PlaybackParameters, opening: Opening) -> Iterator
         )
 
 
-def _check(parameters: PlaybackParameters, opening: Opening) -> Iterator[Finding]:
+def _check_boards(parameters: PlaybackParameters, opening: Opening) -> Iterator[Finding]:
     """Yield the only finding of a playback: state ``ok``, because there are no boards to check."""
     yield Finding(subject="rig", check="", state="ok", detail="playback: no boards to look at")
 
@@ -296,4 +296,4 @@ def _list_packages(parameters: PlaybackParameters) -> tuple[str, ...]:
     return ("npTDMS",) if parameters.format == "tdms" else ()
 
 
-KIND = Kind(parameters=PlaybackParameters, open=_open_playback, check=_check, packages=_list_packages)
+KIND = Kind(parameters=PlaybackParameters, open=_open_playback, check=_check_boards, packages=_list_packages)

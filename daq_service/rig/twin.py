@@ -126,7 +126,7 @@ def compute_records(settings_json: str, strikes: Sequence[tuple[ShotKey, float]]
     """
     from daq_service.acquisition.shot_features import extract_record_features
 
-    return extract_record_features(_build_specimen(settings_json).solitary_waves(strikes))
+    return extract_record_features(_build_specimen(settings_json).simulate_waves(strikes))
 
 
 @cache
@@ -238,7 +238,7 @@ def _needs_own_process(settings: Settings, n_sets: int) -> bool:
     return unpaced and strikes >= STRIKES_WORTH_A_PROCESS
 
 
-def _check(parameters: TwinOfTheExperiment, opening: Opening) -> Iterator[Finding]:
+def _check_boards(parameters: TwinOfTheExperiment, opening: Opening) -> Iterator[Finding]:
     """Yield the only finding of the twin: state ``ok``, because there are no boards to check."""
     yield Finding(subject="rig", check="", state="ok", detail="simulated: no boards to look at")
 
@@ -253,4 +253,4 @@ def _require_both_roles(parameters: TwinOfTheExperiment, serves: Mapping[Role, t
         )
 
 
-KIND = Kind(parameters=TwinOfTheExperiment, open=_open_twin, check=_check, require=_require_both_roles)
+KIND = Kind(parameters=TwinOfTheExperiment, open=_open_twin, check=_check_boards, require=_require_both_roles)

@@ -38,7 +38,7 @@ class AlarmKindSettings(BaseModel):
     """Part of the limit by which the measured quantity must be back before the alarm returns to normal; of a
     thickness the limit is the loss that raises the alarm."""
 
-    def require_fits(self, kind: str) -> None:
+    def require_valid_delays(self, kind: str) -> None:
         """Require that alarms of this kind may have these delays and this deadband.
 
         Raises

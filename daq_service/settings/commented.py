@@ -67,7 +67,7 @@ def _add_key_descriptions(values: Mapping[str, object], path: KeyPath, described
     Texts in ``described`` are not repeated; new ones are added to it.
     """
 
-    def description(*name: str) -> str:
+    def describe_new_key(*name: str) -> str:
         """Return the description of a key below this table; empty if the same text was used before."""
         text = describe_key((*path, *name))
         new = text not in described
@@ -77,11 +77,11 @@ def _add_key_descriptions(values: Mapping[str, object], path: KeyPath, described
     tables = {name: value for name, value in values.items() if isinstance(value, Mapping) and value}
     keys = {name: value for name, value in values.items() if name not in tables}
     table = tomlkit.table(is_super_table=not keys)
-    above = _wrap_comment(description()) if path and keys else []
+    above = _wrap_comment(describe_new_key()) if path and keys else []
     for name, value in keys.items():
         item = _to_toml_item(value)
         table.append(name, item)
-        _add_comment(item, f"{tomlkit.key(name).as_string()} = {item.as_string()}", description(name))
+        _add_comment(item, f"{tomlkit.key(name).as_string()} = {item.as_string()}", describe_new_key(name))
     for name, value in tables.items():
         table.append(name, _add_key_descriptions(value, (*path, name), described))
     # Last: tomlkit indents what is appended like the header.

@@ -88,9 +88,9 @@ def validate_settings(
 
     Relative file names count from the folder of ``path``. Placeholders are rejected except in JSON.
     """
-    _refuse_unknown_variables()
+    _reject_unknown_variables()
     if path.suffix != ".json":
-        _refuse_placeholders(values, path)
+        _reject_placeholders(values, path)
     values = _make_paths_absolute(values, path)
     try:
         return fill_instrument_defaults(Settings(**_merge_tables(values, overrides or {})))
@@ -99,7 +99,7 @@ def validate_settings(
     except ParametersError as error:
         raise UsageError(_explain_rejections(error.problems, error.keys, path)) from error
     except ConfigurationError as error:
-        raise UsageError(_build_rejection(path, [str(error)])) from error
+        raise UsageError(_format_rejection(path, [str(error)])) from error
 
 
 def find_placeholders(values: Mapping[str, object]) -> list[KeyPath]:
@@ -111,7 +111,7 @@ def find_placeholders(values: Mapping[str, object]) -> list[KeyPath]:
     ]
 
 
-def _refuse_placeholders(values: Mapping[str, object], path: Path) -> None:
+def _reject_placeholders(values: Mapping[str, object], path: Path) -> None:
     """Raise UsageError that lists every key whose value is still a placeholder, with its description."""
     if missing := find_placeholders(values):
         lines = "\n".join(f"  {'.'.join(key)}: {describe_key(key)}" for key in missing)
@@ -131,7 +131,7 @@ def _make_paths_absolute(values: Tables, path: Path) -> Tables:
     return nest_tables(flat)
 
 
-def _refuse_unknown_variables() -> None:
+def _reject_unknown_variables() -> None:
     """Raise UsageError for the first SOLIMON_ variable that names no table; its keys are validated later."""
     tables = {f"SOLIMON_{name.upper()}" for name in Settings.model_fields}
     for name in sorted(os.environ):
@@ -179,10 +179,10 @@ def _explain_rejections(problems: Sequence[Mapping[str, Any]], keys: Sequence[st
             may_show = problem["loc"][:2] != ("notifications", "receivers")
             shown = f" (value: {value!r})" if may_show and isinstance(value, (str, int, float, bool)) else ""
             lines.append(f"{key}: {problem['msg'].removeprefix('Value error, ')}{shown}")
-    return _build_rejection(path, lines)
+    return _format_rejection(path, lines)
 
 
-def _build_rejection(path: Path, lines: Sequence[str]) -> str:
+def _format_rejection(path: Path, lines: Sequence[str]) -> str:
     """Format the error message of an invalid configuration: file, distinct problem lines, next command."""
     shown_lines = "\n".join(f"  {line}" for line in dict.fromkeys(lines))
     return (

@@ -48,13 +48,13 @@ def escape_controls(text: str) -> str:
     return _CONTROL.sub(_escape_character, text)
 
 
-def to_one_line(text: str) -> str:
+def escape_to_one_line(text: str) -> str:
     """Replace control characters and line breaks by escape sequences; tabs stay."""
     return _CONTROL_OR_BREAK.sub(_escape_character, text)
 
 
 def escape_all_to_one_line(values: Any) -> Any:
-    """Copy a JSON-ready value with `to_one_line` applied to every text in it.
+    """Copy a JSON-ready value with `escape_to_one_line` applied to every text in it.
 
     Keys are not changed; tuples become lists.
     """
@@ -62,7 +62,7 @@ def escape_all_to_one_line(values: Any) -> Any:
         return {name: escape_all_to_one_line(value) for name, value in values.items()}
     if isinstance(values, (list, tuple)):
         return [escape_all_to_one_line(value) for value in values]
-    return to_one_line(values) if isinstance(values, str) else values
+    return escape_to_one_line(values) if isinstance(values, str) else values
 
 
 def escape_spreadsheet_cell(text: str) -> str:
@@ -108,7 +108,7 @@ class OneLineFormatter(logging.Formatter):
 
     def formatMessage(self, record: logging.LogRecord) -> str:  # noqa: N802 - logging's name
         """Format a log message as one line; control characters and line breaks become escape sequences."""
-        return to_one_line(super().formatMessage(record))
+        return escape_to_one_line(super().formatMessage(record))
 
     def format(self, record: logging.LogRecord) -> str:
         """Format a log record; traceback lines are indented by two spaces and control characters escaped."""

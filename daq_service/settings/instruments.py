@@ -17,7 +17,7 @@ from daq_service.settings.tree import Settings
 from hardware_drivers.errors import ConfigurationError
 from hardware_drivers.kinds import Kind, Role
 from hardware_drivers.methods import PULSE_ECHO, SOLITARY_WAVE
-from hardware_drivers.plug_ins import Offer, find_kind, offers
+from hardware_drivers.plug_ins import Offer, find_kind, find_offers
 
 TEXT: Mapping[Role, str] = {"supply": "text-supply", "climate": "text-climate"}
 """Kinds of `[rig.supply]` and `[rig.climate]`."""
@@ -78,7 +78,7 @@ def validate_instruments(settings: Settings) -> list[Instrument]:
     rig = settings.rig
     instruments = []
     if rig.kind == "mixed":
-        _require_roles(rig)
+        _require_offered_roles(rig)
         for name, item in rig.instruments.items():
             table = f"rig.instruments.{name}"
             instruments.append(
@@ -130,14 +130,14 @@ def fill_instrument_defaults(settings: Settings) -> Settings:
     if settings.rig.kind != "mixed":
         return settings
     filled = {
-        item.name: InstrumentSettings(kind=item.offer.name, **to_plain_parameters(item))
+        item.name: InstrumentSettings(kind=item.offer.name, **dump_parameters(item))
         for item in validate_instruments(settings)
         if item.name in settings.rig.instruments
     }
     return settings.model_copy(update={"rig": settings.rig.model_copy(update={"instruments": filled})})
 
 
-def to_plain_parameters(instrument: Instrument) -> dict[str, object]:
+def dump_parameters(instrument: Instrument) -> dict[str, object]:
     """Convert all parameters of an instrument, defaults included, to values ready for JSON."""
     adapter: TypeAdapter[object] = TypeAdapter(instrument.kind.parameters)
     values: dict[str, object] = adapter.dump_python(instrument.parameters, mode="json")
@@ -169,12 +169,12 @@ def _validate(
     return Instrument(name=name, table=table, kind=kind, offer=offer, parameters=parameters, serves=serves)
 
 
-def _require_roles(rig: MixedRig) -> None:
+def _require_offered_roles(rig: MixedRig) -> None:
     """Raise ConfigurationError if an instrument's kind lacks a role, or the supply also has another role.
 
     Kinds that no installed package offers are skipped here.
     """
-    known = offers()
+    known = find_offers()
     for name, item in rig.instruments.items():
         offer = known.get(item.kind)  # one that is unknown is told with its parameters
         serves = rig.find_served_positions(name)

@@ -139,7 +139,7 @@ class MixedRig(BaseModel):
         position = next(at for at, place in self.positions.items() if getattr(place, role) == name)
         return f"rig.positions.{position}.{role}"
 
-    def check_positions(self, methods: Mapping[str, str]) -> None:
+    def require_role_instruments(self, methods: Mapping[str, str]) -> None:
         """Require that each position names exactly the instruments that its method needs, and is configured.
 
         Parameters

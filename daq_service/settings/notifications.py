@@ -24,7 +24,7 @@ MOST_RECEIVERS = 16
 _VARIABLE = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
 
 
-def find_address_refusal(url: str, *, plain_http: bool) -> str:
+def find_webhook_url_error(url: str, *, plain_http: bool) -> str:
     """Return the reason why a webhook's URL is rejected, without quoting the URL; empty if it is valid.
 
     ``http`` is valid only for the loopback or with ``plain_http``.
@@ -94,7 +94,7 @@ class ReceiverSettings(_Table):
                 f"heartbeat_s = {self.heartbeat_s:g} is below {SHORTEST_FOR_PEOPLE_S:g}, the minimum for "
                 f"e-mail and chat. Give {SHORTEST_FOR_PEOPLE_S:g} or more."
             )
-        if self.url and (refusal := find_address_refusal(self.url, plain_http=self.plain_http)):
+        if self.url and (refusal := find_webhook_url_error(self.url, plain_http=self.plain_http)):
             raise ValueError(f"url: {refusal}")
         return self
 
@@ -163,7 +163,7 @@ class NotificationSettings(_Table):
     """What could not be delivered for so long is given up, which the log of deliveries tells."""
 
     @model_validator(mode="after")
-    def _check_rule_receivers(self) -> Self:
+    def _require_known_receivers(self) -> Self:
         """Raise ValueError for the first rule that names a receiver that is not configured."""
         for number, rule in enumerate(self.rules, start=1):
             if unknown := sorted(set(rule.receivers) - set(self.receivers)):
@@ -174,7 +174,7 @@ class NotificationSettings(_Table):
                 )
         return self
 
-    def require_positions(self, positions: list[str]) -> None:
+    def require_known_positions(self, positions: list[str]) -> None:
         """Require that the rules name only positions of this list.
 
         Raises

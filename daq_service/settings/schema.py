@@ -16,13 +16,13 @@ from pydantic_core.core_schema import DataclassSchema, ModelSchema
 
 from daq_service.settings.tree import Settings
 from hardware_drivers.errors import ConfigurationError
-from hardware_drivers.plug_ins import offers
+from hardware_drivers.plug_ins import find_offers
 
 log = logging.getLogger(__name__)
 
 
 @cache
-def _find_classes(module: ModuleType | None) -> dict[str, ast.ClassDef]:
+def _parse_classes(module: ModuleType | None) -> dict[str, ast.ClassDef]:
     """Parse a module's source and return its top-level class definitions by name; empty for None. Cached."""
     tree = ast.parse(inspect.getsource(module)) if module else ast.Module([], [])
     return {node.name: node for node in tree.body if isinstance(node, ast.ClassDef)}
@@ -35,7 +35,7 @@ def _read_attribute_docstrings(kind: type) -> dict[str, str]:
     module.
     """
     texts = {}
-    for attribute, text in pairwise(_find_classes(inspect.getmodule(kind))[kind.__name__].body):
+    for attribute, text in pairwise(_parse_classes(inspect.getmodule(kind))[kind.__name__].body):
         match attribute, text:
             case ast.AnnAssign(target=ast.Name(id=name)), ast.Expr(value=ast.Constant(value=str(words))):
                 texts[name] = inspect.cleandoc(words)
@@ -55,7 +55,7 @@ class _Described(GenerateJsonSchema):
         """
         keys = table["properties"]
         for base in kind.__mro__[:-1]:
-            if base.__name__ not in _find_classes(inspect.getmodule(base)):
+            if base.__name__ not in _parse_classes(inspect.getmodule(base)):
                 continue  # pydantic's own, or made by a function
             for name, words in _read_attribute_docstrings(base).items():
                 keys.get(name, {}).setdefault("description", words)
@@ -83,7 +83,7 @@ def build_schema_with_kinds() -> JsonSchemaValue:
     """
     schema = build_settings_schema()
     choices = []
-    for name, offer in offers().items():
+    for name, offer in find_offers().items():
         try:
             kind = offer.load()
         except ConfigurationError as error:
@@ -104,7 +104,7 @@ def describe_key(path: Sequence[str]) -> str:
 
     The text below the attribute is used, else the first paragraph of its class.
     """
-    schema = _build_schema()
+    schema = _get_cached_schema()
     node = schema
     for name in path:
         node = _resolve_reference(schema, node)
@@ -115,7 +115,7 @@ def describe_key(path: Sequence[str]) -> str:
 
 
 @cache
-def _build_schema() -> JsonSchemaValue:
+def _get_cached_schema() -> JsonSchemaValue:
     """Build the JSON Schema of the settings on the first call and return the same object later."""
     return build_settings_schema()
 
@@ -129,5 +129,5 @@ def _resolve_reference(schema: JsonSchemaValue, node: JsonSchemaValue) -> JsonSc
 
 def list_known_keys() -> list[str]:
     """Return the distinct names of all keys and tables at any level, sorted."""
-    tables = (_build_schema(), *_build_schema()["$defs"].values())
+    tables = (_get_cached_schema(), *_get_cached_schema()["$defs"].values())
     return sorted({name for table in tables for name in table.get("properties", {})})

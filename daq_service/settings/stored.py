@@ -32,7 +32,7 @@ SHOWN = 12
 
 
 @cache
-def _build_stored_tree() -> type[Settings]:
+def _get_stored_settings_class() -> type[Settings]:
     """Return the settings class that ignores the environment; created on the first call, then cached."""
 
     class Stored(Settings):
@@ -51,7 +51,7 @@ def restore_settings(values: Mapping[str, object]) -> Settings:
     ValidationError
         This version does not accept the stored configuration.
     """
-    return _build_stored_tree()(**rename_old_keys(values))
+    return _get_stored_settings_class()(**rename_old_keys(values))
 
 
 def rename_old_keys(values: Mapping[str, object]) -> Tables:
@@ -65,7 +65,7 @@ def rename_old_keys(values: Mapping[str, object]) -> Tables:
     return nest_tables(before | {path: value for path, value in moved if path})
 
 
-def settings_differences(stored: Mapping[str, object], given: Settings) -> list[str]:
+def list_settings_differences(stored: Mapping[str, object], given: Settings) -> list[str]:
     """List the keys that affect the data and differ between a stored and the given configuration.
 
     Parameters
@@ -93,7 +93,7 @@ def settings_differences(stored: Mapping[str, object], given: Settings) -> list[
         if not _is_hashed_out(path)
     }
     try:
-        known: Settings = _build_stored_tree()(
+        known: Settings = _get_stored_settings_class()(
             **nest_tables({p: v for p, v in flat.items() if p not in unknown})
         )
         known = _fill_current_defaults(known)
@@ -108,9 +108,10 @@ def settings_differences(stored: Mapping[str, object], given: Settings) -> list[
         # A key that is not hashed where it says what was done before it came has a value all the same.
         then_flat = flatten(known.model_dump(mode="json"))
         messages |= {
-            path: f"began with {_as_json(then_flat | then, path)}, is {_as_json(given_flat | now, path)} now"
+            path: f"began with {_format_json_value(then_flat | then, path)}, "
+            f"is {_format_json_value(given_flat | now, path)} now"
             for path in {**then, **now}
-            if _as_json(then, path) != _as_json(now, path)
+            if _format_json_value(then, path) != _format_json_value(now, path)
         }
     # A position repeats what it takes from the tables above it.
     lines = [
@@ -135,7 +136,7 @@ def _fill_current_defaults(settings: Settings) -> Settings:
 def _find_unknown_keys(values: Tables) -> set[KeyPath]:
     """Return the paths of keys or tables that this version does not define; other errors are ignored."""
     try:
-        _build_stored_tree()(**values)
+        _get_stored_settings_class()(**values)
     except ValidationError as error:
         kinds = {"extra_forbidden", "unexpected_keyword_argument"}
         return {_format_error_path(problem["loc"]) for problem in error.errors() if problem["type"] in kinds}
@@ -172,6 +173,6 @@ def _format_error_path(location: tuple[int | str, ...]) -> KeyPath:
     return tuple(str(part) for part in location)
 
 
-def _as_json(flat: Mapping[KeyPath, object], path: KeyPath) -> str:
+def _format_json_value(flat: Mapping[KeyPath, object], path: KeyPath) -> str:
     """Return the value at a path as JSON text, or ``no value`` if the path is absent."""
     return json.dumps(flat[path]) if path in flat else "no value"

@@ -87,7 +87,7 @@ class ClockSettings(Section):
 
     @field_validator("epoch")
     @classmethod
-    def _check_time(cls, text: str) -> str:
+    def _validate_epoch(cls, text: str) -> str:
         """Return the epoch unchanged if it is a UTC time; raise ValueError otherwise."""
         parse_utc(text)
         return text
@@ -147,7 +147,7 @@ class PositionSettings(Section):
     """Footprint assumed here; keys not given are those of `[corrosion]`."""
 
 
-def _list_positions() -> dict[str, PositionSettings]:
+def _default_positions() -> dict[str, PositionSettings]:
     """Build the default positions A to D of Table 1 of the paper."""
     small, large = CorrosionParameters(size_m=25.4e-3), CorrosionParameters(size_m=50.8e-3)
     return {
@@ -267,7 +267,7 @@ class AlarmSettings(Section):
     def _check_kind_delays(cls, kinds: dict[str, AlarmKindSettings]) -> dict[str, AlarmKindSettings]:
         """Return the table; raise ValueError for a kind that may not have these delays or this deadband."""
         for kind, rule in kinds.items():
-            rule.require_fits(kind)
+            rule.require_valid_delays(kind)
         return kinds
 
     @model_validator(mode="after")
@@ -341,7 +341,7 @@ class Settings(BaseSettings):
     chain: ChainParameters = ChainParameters()
     plate: PlateParameters = PlateParameters()
     corrosion: CorrosionParameters = CorrosionParameters()
-    positions: dict[str, PositionSettings] = Field(default_factory=_list_positions, min_length=1)
+    positions: dict[str, PositionSettings] = Field(default_factory=_default_positions, min_length=1)
     """Monitored places by their short name (letters and digits)."""
     ultrasound: UltrasoundSettings = UltrasoundSettings()
     features: FeatureSettings = FeatureSettings()
@@ -380,7 +380,7 @@ class Settings(BaseSettings):
             return values
         positions = values.get("positions")
         if positions is None:
-            positions = {name: _strip_defaults(place) for name, place in _list_positions().items()}
+            positions = {name: _dump_default_position(place) for name, place in _default_positions().items()}
         if not isinstance(positions, dict):
             return values
         filled = {
@@ -415,11 +415,11 @@ class Settings(BaseSettings):
                 f"twin.faults.{unknown[0]}: there is no solitary_wave position {unknown[0]!r}; take it out, "
                 "or correct the name"
             )
-        self.notifications.require_positions(list(self.positions))
+        self.notifications.require_known_positions(list(self.positions))
         if self.rig.kind == "daqmx":
             self._check_wiring()
         if self.rig.kind == "mixed":
-            self.rig.check_positions({name: place.method for name, place in self.positions.items()})
+            self.rig.require_role_instruments({name: place.method for name, place in self.positions.items()})
         self._check_set_overlap()
         return self
 
@@ -527,6 +527,6 @@ def _inherit_tables(place: Mapping[str, object], common: Mapping[str, object]) -
     return filled
 
 
-def _strip_defaults(place: PositionSettings) -> dict[str, object]:
+def _dump_default_position(place: PositionSettings) -> dict[str, object]:
     """Return method, label and corrosion size of a default position as a file would give them."""
     return {"method": place.method, "label": place.label, "corrosion": {"size_m": place.corrosion.size_m}}

@@ -13,7 +13,7 @@ LOOPBACK = {"127.0.0.1": "127.0.0.1", "localhost": "127.0.0.1", "::1": "::1"}
 HostName = Annotated[str, Field(pattern=r"^[a-z0-9]([a-z0-9.-]{0,251}[a-z0-9])?$")]
 
 
-def is_address(text: str) -> bool:
+def is_ip_address(text: str) -> bool:
     """Return whether a text is an IPv4 or IPv6 address; host names are not."""
     try:
         ipaddress.ip_address(text)
@@ -46,15 +46,15 @@ class WebSettings(BaseModel):
 
     @field_validator("host", "proxy")
     @classmethod
-    def _check_address(cls, text: str) -> str:
+    def _validate_ip_address(cls, text: str) -> str:
         """Return the text if it is empty, an IP address or a loopback name; raise ValueError otherwise."""
-        if text and text not in LOOPBACK and not is_address(text):
+        if text and text not in LOOPBACK and not is_ip_address(text):
             raise ValueError("give an IP address of a computer; names belong into web.host_names")
         return text
 
     @field_validator("host")
     @classmethod
-    def _require_address(cls, text: str) -> str:
+    def _require_host(cls, text: str) -> str:
         """Return the text; raise ValueError if it is empty."""
         if not text:
             raise ValueError("give an IP address of this computer, for example 127.0.0.1")

@@ -17,14 +17,14 @@ from daq_service.settings.tree import Settings
 from daq_service.web import assets, routes
 from daq_service.web.answers import problem
 from daq_service.web.answers.json_answer import JsonAnswer
-from daq_service.web.answers.models import build_problem_schemas, list_errors
+from daq_service.web.answers.models import build_problem_schemas, describe_errors
 from daq_service.web.answers.version import API_VERSION
 from daq_service.web.auth.middleware import AuthenticationMiddleware
 from daq_service.web.context import Context, find_app_context
 from daq_service.web.guards import RequestGuard
 from daq_service.web.request_times import AnswerTimes, RequestTimes
 from daq_service.web.routes import health, metrics, page
-from daq_service.web.routes.admission import check_role
+from daq_service.web.routes.admission import require_role
 from daq_service.web.routes.description import OpenApi, describe_names, describe_roles
 from daq_service.web.routes.parameters import refuse_unknown_parameters
 
@@ -118,8 +118,8 @@ def build_versioned_router(resources: Iterable[ModuleType]) -> APIRouter:
     """
     api = APIRouter(
         prefix="/api/v1",
-        dependencies=[Depends(check_role), Depends(refuse_unknown_parameters)],
-        responses=list_errors(422),
+        dependencies=[Depends(require_role), Depends(refuse_unknown_parameters)],
+        responses=describe_errors(422),
     )
     for resource in resources:
         api.include_router(resource.router)

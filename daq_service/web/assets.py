@@ -96,10 +96,10 @@ def find_imported_modules(files: Mapping[str, bytes], script: str) -> list[str]:
 @router.get("/static/{name:path}")
 async def get_asset(name: str, request: Request) -> Response:
     """Serve a file of the dashboard, or 304 if the browser has it (ETag); 404 if there is no such file."""
-    return answer_asset(name, request)
+    return build_asset_response(name, request)
 
 
-def answer_asset(name: str, request: Request) -> Response:
+def build_asset_response(name: str, request: Request) -> Response:
     """Build the response for a file, compressed if accepted, or 304 if the browser has it.
 
     Raises a Problem (404) if there is no such file.
@@ -130,5 +130,5 @@ class AssetsFirst:
         answer: ASGIApp = self._app
         if scope["type"] == "http" and scope["method"] == "GET" and scope["path"].startswith(PLACE):
             name = scope["path"].removeprefix(PLACE)
-            answer = answer_asset(name, Request(scope)) if name in load_assets() else answer
+            answer = build_asset_response(name, Request(scope)) if name in load_assets() else answer
         await answer(scope, receive, send)

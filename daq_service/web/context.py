@@ -13,7 +13,7 @@ from typing import Annotated, Any
 from fastapi import Depends, FastAPI
 from starlette.requests import HTTPConnection
 
-from daq_service.alarms.evidence import evidence_sentences
+from daq_service.alarms.evidence import build_evidence_sentences
 from daq_service.archive import FolderSetReader
 from daq_service.archive.waterfall.image import WaterfallReader
 from daq_service.catalogue.access import CatalogueAccess
@@ -24,11 +24,11 @@ from daq_service.errors import StorageError
 from daq_service.processes import freshness
 from daq_service.processes.data_folder import BACKUP_FILE
 from daq_service.processes.heartbeat import WEB_BEATS_EVERY_S, WEB_DEADLINE_S, WEB_FILE, Heartbeat
-from daq_service.processes.lost_catalogue import loss_reason
+from daq_service.processes.lost_catalogue import describe_loss
 from daq_service.processes.notifications.service import Notifications
 from daq_service.settings.tree import Settings
 from daq_service.web.answers.json_answer import add_utc, format_hour_as_rfc3339, format_rfc3339
-from daq_service.web.answers.problem import Problem, create_lost, create_no_data, not_found
+from daq_service.web.answers.problem import Problem, create_catalogue_lost, create_no_data, not_found
 from daq_service.web.auth.middleware import AccessPolicy
 from daq_service.web.streams.hub import EventHub
 from daq_service.web.streams.live_figures import LiveFigures
@@ -151,8 +151,8 @@ class Context:
         try:
             catalogue = self.catalogue_access.get()
         except NoDataYetError:
-            if reason := loss_reason(self.data_folder):
-                raise create_lost(reason) from None
+            if reason := describe_loss(self.data_folder):
+                raise create_catalogue_lost(reason) from None
             raise create_no_data() from None
         if not self._has_data:
             if not catalogue.rows(SetRow, limit=1):
@@ -231,8 +231,8 @@ class Freshness(freshness.Freshness):
         An alarm also gets its evidence as sentences; its expired shelf is removed.
         """
         if isinstance(row, AlarmRow):
-            row = self.with_present_state(row)
-            extra_columns |= {"evidence_sentences": evidence_sentences(row, self._baselines)}
+            row = self.expire_shelf(row)
+            extra_columns |= {"evidence_sentences": build_evidence_sentences(row, self._baselines)}
         answer = add_utc({**as_dict(row), **extra_columns}, self.epoch_utc_ns)
         dated_h = answer.get("raised_h", answer.get("due_h"))
         return answer | {"age_h": self.age_h(dated_h)} if isinstance(dated_h, int | float) else answer

@@ -92,10 +92,10 @@ class RequestGuard:
                 async with asyncio.timeout(BODY_WITHIN_S):
                     body = await _read_body(receive)
             except TimeoutError:
-                problem = _create_too_slow()
+                problem = _create_body_too_slow()
             else:
                 if body is None:
-                    problem = _create_too_large(f"more than {LARGEST_BODY_BYTES}")
+                    problem = _create_body_too_large(f"more than {LARGEST_BODY_BYTES}")
                 else:
                     receive = _replay_body(body, receive)
         if problem is not None and problem.name in FOREIGN and self._audit_rejection is not None:
@@ -133,12 +133,12 @@ def _replay_body(body: bytes, receive: Receive) -> Receive:
     return receive_replayed
 
 
-def _create_too_large(size: str) -> Problem:
+def _create_body_too_large(size: str) -> Problem:
     """Create, without raising it, the error of a request body that exceeds the limit (413)."""
     return Problem("body-too-large", f"The body has {size} bytes; the limit is {LARGEST_BODY_BYTES}.")
 
 
-def _create_too_slow() -> Problem:
+def _create_body_too_slow() -> Problem:
     """Create, without raising it, the error of a request body that arrives too slowly (408)."""
     return Problem("body-too-slow", f"The body was not whole within {BODY_WITHIN_S:g} s.")
 
@@ -165,7 +165,7 @@ def _find_request_problem(scope: Scope, headers: Headers, names: frozenset[str])
         return Problem("foreign-origin", f"Origin is {origin!r}, but the request went to {host!r}.")
     size = headers.get("content-length", "0")
     if scope["type"] == "http" and (not size.isdecimal() or int(size[:9]) > LARGEST_BODY_BYTES):
-        return _create_too_large(size)
+        return _create_body_too_large(size)
     return None
 
 

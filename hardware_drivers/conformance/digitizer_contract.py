@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from hardware_drivers.conformance.bench import Keys, Strike
-from hardware_drivers.conformance.records import require_record
+from hardware_drivers.conformance.records import require_storable_record
 from hardware_drivers.errors import AcquisitionTimeoutError, ConfigurationError
 from hardware_drivers.instruments import Acquired, Digitizer
 from hardware_drivers.measurement import ShotKey
@@ -78,7 +78,7 @@ class DigitizerContract:
     ) -> None:
         """Check that counts are read-only and within the codes of the resolution."""
         acquired = _acquire_record(digitizer, strike, keys[0], timeout_s)
-        require_record(acquired)
+        require_storable_record(acquired)
         lowest, highest = acquired.waveform.calibration.full_scale_counts
         counts = acquired.waveform.counts
         assert lowest <= counts.min() <= counts.max() <= highest, "codes fit the resolution"

@@ -7,7 +7,7 @@ import math
 import pytest
 
 from hardware_drivers.conformance.bench import Keys
-from hardware_drivers.conformance.records import require_record
+from hardware_drivers.conformance.records import require_storable_record
 from hardware_drivers.errors import ConfigurationError
 from hardware_drivers.instruments import Echo, PulseEchoUnit
 from hardware_drivers.measurement import ShotKey
@@ -44,7 +44,7 @@ class PulseEchoUnitContract:
         echo = pulse_echo.acquire(keys[0], timeout_s)
         assert isinstance(echo, Echo)
         assert echo.waveform.pretrigger_samples == 0
-        require_record(echo)
+        require_storable_record(echo)
         assert echo.waveform.counts.min() < echo.waveform.counts.max()
         assert echo.averages >= 1
         assert math.isfinite(echo.gain_db)

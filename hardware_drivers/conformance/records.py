@@ -11,7 +11,7 @@ RANGE_FRACTION = 0.25
 little less; a wrong unit or resolution is off by a factor of two at least."""
 
 
-def require_record(acquired: Acquired) -> None:
+def require_storable_record(acquired: Acquired) -> None:
     """Raise AssertionError unless counts, calibration and metadata make a record that can be stored.
 
     Counts are int16 or int32 and read-only, the highest code is near the range, settings are float or str.

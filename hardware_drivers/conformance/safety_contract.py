@@ -69,7 +69,7 @@ class SafetyContract:
     ) -> None:
         """Check that calls of a faulty instrument raise `InstrumentError` only, and at least one does."""
         errors = {}
-        with _open_failing(open_kind) as opened, _inject_fault(bench, fault):
+        with _open_faulty_instrument(open_kind) as opened, _inject_fault(bench, fault):
             for name, call in _list_calls(opened, opening):
                 errors[name] = _capture_error(name, call)
         assert any(errors.values()), (
@@ -83,7 +83,7 @@ class SafetyContract:
 
         Skipped for an instrument that is no digitizer.
         """
-        with _open_failing(open_kind) as opened:
+        with _open_faulty_instrument(open_kind) as opened:
             if opened.digitizer is None or "digitizer" not in opening.serves:
                 pytest.skip("it is no digitizer")
             opened.digitizer.arm(_make_key("digitizer", opening))
@@ -104,7 +104,7 @@ class SafetyContract:
         """
         if bench.coil_levels is None:
             pytest.skip("it has no coil, or nobody knows what its coils did")
-        with _open_failing(open_kind) as opened, _inject_fault(bench, fault):
+        with _open_faulty_instrument(open_kind) as opened, _inject_fault(bench, fault):
             for name, call in _list_calls(opened, opening, ("strike", "make_safe")):
                 _capture_error(name, call)
                 assert _find_energised_coils(bench) == [], f"after {name}"
@@ -114,7 +114,7 @@ class SafetyContract:
         self, bench: Bench, open_kind: Open, opening: Opening, fault: str
     ) -> None:
         """Check that an instrument left while it fails can be opened and called again after the fault."""
-        with ExitStack() as still, _open_failing(open_kind) as opened:
+        with ExitStack() as still, _open_faulty_instrument(open_kind) as opened:
             # Ended last: the instrument is left while it fails.
             still.enter_context(_inject_fault(bench, fault))
             for name, call in _list_calls(opened, opening):
@@ -125,7 +125,7 @@ class SafetyContract:
 
 
 @contextmanager
-def _open_failing(open_kind: Open) -> Iterator[Opened]:
+def _open_faulty_instrument(open_kind: Open) -> Iterator[Opened]:
     """Open an instrument that will fail; an `InstrumentError` at its closing is suppressed."""
     with ExitStack() as stack:
         yield stack.enter_context(open_kind())

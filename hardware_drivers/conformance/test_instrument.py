@@ -232,15 +232,15 @@ class TestSupply(OnTheBench, PowerSupplyContract):
     @pytest.fixture
     def caps(self, bench: Bench) -> Order:
         """Return the double's caps (V, A); skip the rule without a double."""
-        return _require_double(bench.caps)
+        return _require_double_value(bench.caps)
 
     @pytest.fixture
     def order(self, bench: Bench) -> Order:
         """Return a command (V, A) that the double accepts; skip the rule without a double."""
-        return _require_double(bench.order)
+        return _require_double_value(bench.order)
 
 
-def _require_double(order: Order | None) -> Order:
+def _require_double_value(order: Order | None) -> Order:
     """Return a value of the double (V, A); skip the rule if it is None: there is no double."""
     if order is None:
         pytest.skip("no rule switches a supply that is no double's: Bench.caps and Bench.order")

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from hardware_drivers.daqmx.boards import Board, is_accepted
+from hardware_drivers.daqmx.boards import Board, is_requested_value
 from hardware_drivers.daqmx.connection import Connection, clear_task
 from hardware_drivers.daqmx.parameters import DaqmxParameters, TransducerWiring
 from hardware_drivers.daqmx.translation import translate_errors
@@ -102,7 +102,7 @@ class Acquisition:
             calibration=self.calibration,
         )
         if self.triggered:
-            self._require_edge(waveform)
+            self._require_trigger_edge(waveform)
         return waveform
 
     def stop(self) -> None:
@@ -114,7 +114,7 @@ class Acquisition:
         """Abort and clear the task; True if the driver confirmed it, else the error is logged."""
         return clear_task(self.task, f"closing the acquisition of {self.position!r}")
 
-    def _require_edge(self, waveform: Waveform) -> None:
+    def _require_trigger_edge(self, waveform: Waveform) -> None:
         """Raise ConnectionLostError if a record does not cross its trigger level at the trigger sample.
 
         Within `EDGE_S` of it, and `EDGE_FRACTION` of the range.
@@ -164,7 +164,7 @@ def commit_acquisition(
             from nidaqmx.constants import TaskMode
 
             task.control(TaskMode.TASK_COMMIT)
-            return _verify_committed(task, channel, parameters, position, board, record)
+            return _verify_committed_task(task, channel, parameters, position, board, record)
     except BaseException:
         clear_task(task, f"setting up the acquisition of {position!r}")
         raise
@@ -188,7 +188,7 @@ def _configure_task(
     task.timing.cfg_samp_clk_timing(
         parameters.sample_rate_hz,
         sample_mode=AcquisitionType.FINITE,
-        samps_per_chan=_count_samples(parameters, record),
+        samps_per_chan=_count_record_samples(parameters, record),
     )
     if parameters.reference_clock != "onboard":
         task.timing.ref_clk_src = parameters.reference_clock
@@ -203,7 +203,7 @@ def _configure_task(
     return channel
 
 
-def _count_samples(parameters: DaqmxParameters, record: Record) -> int:
+def _count_record_samples(parameters: DaqmxParameters, record: Record) -> int:
     """Return the number of samples of a record: a complete strike for ``pulse``, else the configured one."""
     return parameters.whole_strike_samples if record == "pulse" else parameters.record_samples
 
@@ -236,10 +236,10 @@ def _configure_coil_start(
                 f"{board.label} would be started by {given or 'nothing'} instead of {source} for {position!r}"
             )
         if record == "shot":
-            _check_delay(parameters, board, float(trigger.delay))
+            _check_start_delay(parameters, board, float(trigger.delay))
 
 
-def _check_delay(parameters: DaqmxParameters, board: Board, delay_s: float) -> None:
+def _check_start_delay(parameters: DaqmxParameters, board: Board, delay_s: float) -> None:
     """Raise ConfigurationError if the board's start delay cannot work or is not the requested holdoff.
 
     A difference up to `DELAY_AGREEMENT_S` is accepted.
@@ -268,7 +268,7 @@ _TERMINALS = {
 _CLOCK_HZ = {"PXI_Clk10": 10e6, "PXIe_Clk100": 100e6}
 
 
-def _verify_committed(
+def _verify_committed_task(
     task: Task, channel: AIChannel, parameters: DaqmxParameters, position: str, board: Board, record: Record
 ) -> Acquisition:
     """Read back the essential settings and return the acquisition.
@@ -279,13 +279,13 @@ def _verify_committed(
 
     wiring, triggered = parameters.transducers[position], record == "shot"
     rate_hz = float(task.timing.samp_clk_rate)
-    if not is_accepted(rate_hz, parameters.sample_rate_hz):
+    if not is_requested_value(rate_hz, parameters.sample_rate_hz):
         raise ConfigurationError(
             f"sample_rate_hz is {parameters.sample_rate_hz:.10g} Hz; {board.label} would use {rate_hz:.10g} "
             "Hz; ask for a rate that divides its time base, such as that one"
         )
     low_v, high_v = float(channel.ai_rng_low), float(channel.ai_rng_high)
-    if not (is_accepted(high_v, wiring.range_v) and is_accepted(-low_v, wiring.range_v)):
+    if not (is_requested_value(high_v, wiring.range_v) and is_requested_value(-low_v, wiring.range_v)):
         raise ConfigurationError(
             f"range_v is {wiring.range_v} V; {board.label} would use {low_v:g}..{high_v:g} V; choose a "
             "range it has"
@@ -312,7 +312,7 @@ def _verify_committed(
         board=board,
         task=task,
         reader=reader,
-        buffer=np.zeros((1, _count_samples(parameters, record)), dtype=_DTYPES[size]),
+        buffer=np.zeros((1, _count_record_samples(parameters, record)), dtype=_DTYPES[size]),
         part_samples=parameters.record_samples,
         sample_rate_hz=rate_hz,
         pretrigger_samples=parameters.pretrigger_samples,

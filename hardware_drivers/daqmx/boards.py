@@ -168,7 +168,8 @@ def check_board(board: Board, wiring: TransducerWiring, parameters: DaqmxParamet
         )
     ranges = list(zip(ends_v[::2], ends_v[1::2], strict=False))
     if not any(
-        is_accepted(high, wiring.range_v) and is_accepted(-low, wiring.range_v) for low, high in ranges
+        is_requested_value(high, wiring.range_v) and is_requested_value(-low, wiring.range_v)
+        for low, high in ranges
     ):
         have = ", ".join(f"{low:g}..{high:g}" for low, high in ranges)
         raise ConfigurationError(
@@ -180,6 +181,6 @@ def check_board(board: Board, wiring: TransducerWiring, parameters: DaqmxParamet
         )
 
 
-def is_accepted(given: float, requested: float) -> bool:
+def is_requested_value(given: float, requested: float) -> bool:
     """Return whether the value that the driver reports equals the requested one within 1e-6 of it."""
     return math.isclose(given, requested, rel_tol=RELATIVE_AGREEMENT)

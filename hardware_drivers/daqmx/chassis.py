@@ -27,7 +27,7 @@ from hardware_drivers.daqmx.client_lock import ClientLock
 from hardware_drivers.daqmx.coil import Coil, commit_coil
 from hardware_drivers.daqmx.connection import Connection, build_client_name, read_package_versions
 from hardware_drivers.daqmx.parameters import DaqmxParameters
-from hardware_drivers.daqmx.translation import find_owner, translate_errors
+from hardware_drivers.daqmx.translation import find_resource_owner, translate_errors
 from hardware_drivers.errors import BusyError, ConfigurationError, ConnectionLostError, InstrumentError
 
 log = logging.getLogger(__name__)
@@ -60,7 +60,7 @@ class Chassis:
     Raises
     ------
     ConfigurationError, BusyError, ConnectionLostError
-        As `commit_all_once`; nothing is left behind.
+        As `commit_all_transducers`; nothing is left behind.
     """
 
     def __init__(self, parameters: DaqmxParameters) -> None:
@@ -80,14 +80,14 @@ class Chassis:
             if parameters.transport == "grpc":
                 self._lock = ClientLock(parameters.grpc_address, build_client_name(parameters))
             self._connect()
-            self.commit_all_once()
+            self.commit_all_transducers()
         except BaseException:
             self.close()
             raise
 
     # One thread ----------------------------------------------------------------------------------
 
-    def check_thread(self) -> None:
+    def require_own_thread(self) -> None:
         """Raise ConfigurationError for a call from another thread: NI's tasks are not thread-safe."""
         if threading.get_ident() != self._thread:
             raise ConfigurationError(
@@ -97,7 +97,7 @@ class Chassis:
 
     # Turns ---------------------------------------------------------------------------------------
 
-    def start_turn(self, position: str, record: Record = "shot") -> Turn:
+    def commit_tasks(self, position: str, record: Record = "shot") -> Turn:
         """Commit a transducer's tasks and return them; first take the next recovery step after a loss.
 
         Parameters
@@ -105,28 +105,28 @@ class Chassis:
         record
             What is recorded; in a dry run of a shot only noise.
         """
-        self._recover()
+        self._take_recovery_step()
         if record == "shot" and self.parameters.dry_run:
             record = "noise"
         if self._turn is not None and (self._turn.position, self._turn.record) == (position, record):
             return self._turn
-        self.end_turn()
-        self._turn = self._commit(position, record)
+        self.clear_tasks()
+        self._turn = self._commit_new_tasks(position, record)
         return self._turn
 
     def acquisition(self, position: str, record: Record = "shot") -> Acquisition:
         """Commit a transducer's tasks if necessary, and return its acquisition; it must be wired here."""
-        acquisition = self.start_turn(position, record).acquisition
+        acquisition = self.commit_tasks(position, record).acquisition
         assert acquisition is not None, "asked for with its input only"
         return acquisition
 
     def coil(self, position: str, record: Record = "shot") -> Coil:
         """Commit a transducer's tasks if necessary, and return its coil; its counter must be wired here."""
-        coil = self.start_turn(position, record).coil
+        coil = self.commit_tasks(position, record).coil
         assert coil is not None, "asked for with its counter only"
         return coil
 
-    def end_turn(self) -> None:
+    def clear_tasks(self) -> None:
         """Clear the committed tasks, the coil's first; remember a coil that may still be on."""
         turn, self._turn = self._turn, None
         if turn is None:
@@ -139,9 +139,9 @@ class Chassis:
         if turn.coil is not None and turn.coil.on_until > time.monotonic():
             self._maybe_on = (turn.position, turn.coil.on_until)
         if not well:
-            self._clear_by_name(ROLES)
+            self._clear_tasks_by_name(ROLES)
 
-    def _commit(self, position: str, record: Record) -> Turn:
+    def _commit_new_tasks(self, position: str, record: Record) -> Turn:
         """Commit the tasks of a transducer, the coil first; after an error none of them is left."""
         wiring = self.parameters.transducers[position]
         connection = self.connection
@@ -159,13 +159,13 @@ class Chassis:
             undo.pop_all()
         return Turn(position=position, record=record, acquisition=acquisition, coil=coil)
 
-    def commit_all_once(self) -> None:
+    def commit_all_transducers(self) -> None:
         """Commit and clear every transducer once, so that hardware rejects settings before a test starts."""
         for position, wiring in self.parameters.transducers.items():
             if wiring.digitizes:
                 check_board(self._boards[normalize_serial(wiring.board_serial)], wiring, self.parameters)
-            self.start_turn(position)
-        self.end_turn()
+            self.commit_tasks(position)
+        self.clear_tasks()
 
     def require_real_boards(self) -> None:
         """Raise ConfigurationError for a board that NI's driver simulates, except in a dry run."""
@@ -186,20 +186,20 @@ class Chassis:
         ConnectionLostError
             Its state is unknown; the board's counter ends the pulse in any case.
         """
-        self.end_turn()
+        self.clear_tasks()
         position, until = self._maybe_on
         left_s = until - time.monotonic()
-        if left_s <= 0.0 or self._clear_by_name(ROLES):
+        if left_s <= 0.0 or self._clear_tasks_by_name(ROLES):
             return
         raise ConnectionLostError(
             f"the coil of {position!r} may be on for another {left_s:.2g} s: its board does not answer; the "
             f"board's counter ends the pulse after pulse_s = {self.parameters.pulse_s} s whatever happens"
         )
 
-    def _clear_by_name(self, roles: Sequence[str]) -> bool:
+    def _clear_tasks_by_name(self, roles: Sequence[str]) -> bool:
         """Clear a lost object's tasks on a server; True if none is left, False without server or on error."""
         try:
-            cleared = self._connection is not None and self._connection.clear_leftovers(roles)
+            cleared = self._connection is not None and self._connection.clear_leftover_tasks(roles)
         except InstrumentError as error:
             log.warning("tasks on the server could not be cleared by name: %s", str(error))
             return False
@@ -215,14 +215,14 @@ class Chassis:
         try:
             yield
         except BaseException as error:
-            self.end_turn()
+            self.clear_tasks()
             if isinstance(error, ConnectionLostError):
-                self._count_loss(error)
+                self._record_connection_loss(error)
             elif isinstance(error, BusyError):
                 self._handle_busy_board(error)
             raise
 
-    def _count_loss(self, error: ConnectionLostError) -> None:
+    def _record_connection_loss(self, error: ConnectionLostError) -> None:
         """Count a loss and select the next recovery step; ConnectionLostError if the last one failed."""
         self._lost += 1
         tried = self._rung
@@ -240,28 +240,28 @@ class Chassis:
     def _handle_busy_board(self, error: BusyError) -> None:
         """Leave another owner's board alone from now on; raise ConnectionLostError for our own old task."""
         # The driver's text names the task that was refused too, and that one is always ours.
-        owner = find_owner(str(error.__cause__))
+        owner = find_resource_owner(str(error.__cause__))
         if self._connection is None or not self._connection.is_own_task(owner):
             self._shared = True
             return
         lost = ConnectionLostError(f"{error}; that is a task of our own, which the driver did not clear")
-        self._count_loss(lost)
+        self._record_connection_loss(lost)
         raise lost from error
 
     def reset_recovery(self) -> None:
         """Reset recovery to its first step, because an intact record was read."""
         self._rung = self._lost = 0
 
-    def _recover(self) -> None:
+    def _take_recovery_step(self) -> None:
         """Take the selected recovery step (`LADDER`) if the connection was lost; else do nothing."""
         if not self._broken:
             return
         log.info("recovering: %s", LADDER[self._rung - 1])
-        self.end_turn()
+        self.clear_tasks()
         if self._rung == 1:
-            self.connection.clear_leftovers(ROLES)
+            self.connection.clear_leftover_tasks(ROLES)
         elif self._rung == 2:
-            self._boards = find_boards(self.connection, list_serials(self.parameters))
+            self._boards = find_boards(self.connection, list_board_serials(self.parameters))
             self._reset_boards()
         else:
             self._connect()
@@ -287,8 +287,8 @@ class Chassis:
         if self._connection is not None:
             self._connection.close()
         self._connection = Connection(self.parameters)
-        self._connection.clear_leftovers(ROLES)
-        self._boards = find_boards(self._connection, list_serials(self.parameters))
+        self._connection.clear_leftover_tasks(ROLES)
+        self._boards = find_boards(self._connection, list_board_serials(self.parameters))
         self.driver_version = self._connection.driver_version()
 
     @property
@@ -302,8 +302,8 @@ class Chassis:
 
     def self_calibrate(self) -> dict[str, str]:
         """Calibrate the digitizer boards, commit all again; return date and temperature by serial number."""
-        self.end_turn()
-        self._recover()
+        self.clear_tasks()
+        self._take_recovery_step()
         done = {}
         wirings = self.parameters.transducers.values()
         for serial in {normalize_serial(wiring.board_serial) for wiring in wirings if wiring.digitizes}:
@@ -313,8 +313,8 @@ class Chassis:
                 continue
             with translate_errors(f"self-calibrating {board.label}"):
                 board.device.self_cal()
-        self._boards = find_boards(self.connection, list_serials(self.parameters))
-        self.commit_all_once()
+        self._boards = find_boards(self.connection, list_board_serials(self.parameters))
+        self.commit_all_transducers()
         for serial, board in self._boards.items():
             if serial not in done and board.calibrates_itself:
                 date = board.calibration_date or "date unknown"
@@ -333,7 +333,7 @@ class Chassis:
     def close(self) -> None:
         """Switch the coil off, clear the tasks, end the connection; harmless when done before."""
         try:
-            self.end_turn()
+            self.clear_tasks()
         finally:
             connection, self._connection = self._connection, None
             try:
@@ -344,7 +344,7 @@ class Chassis:
                     self._lock.release()
 
 
-def list_serials(parameters: DaqmxParameters) -> list[str]:
+def list_board_serials(parameters: DaqmxParameters) -> list[str]:
     """Return the serial numbers of all transducers' digitizer boards, then coil boards; with repetitions."""
     wirings = parameters.transducers.values()
     return [wiring.board_serial for wiring in wirings] + [wiring.coil_serial for wiring in wirings]

@@ -65,7 +65,7 @@ class Connection:
         self._client = build_client_name(parameters) if remote else f"process-{os.getpid()}"
         self._created: Counter[str] = Counter()
         if remote:
-            self._channel = _open_channel(parameters)
+            self._channel = _open_grpc_channel(parameters)
 
     def close(self) -> None:
         """End the connection; tasks must be cleared before. Harmless when closed."""
@@ -80,7 +80,7 @@ class Connection:
         with translate_errors("reaching NI-DAQmx"):
             if self._channel is None:
                 return System()
-            return System.remote(_make_options(self._channel, "", attach=False))
+            return System.remote(_build_options(self._channel, "", attach=False))
 
     def driver_version(self) -> str:
         """Return the version of NI-DAQmx, as in ``24.8.0``; "unknown" where the driver reports none."""
@@ -96,7 +96,9 @@ class Connection:
         """
         from nidaqmx import Task
 
-        return self._create_named(role, lambda name: self._create(Task, f"creating the task {name}", name))
+        return self._create_named(
+            role, lambda name: self._create_task(Task, f"creating the task {name}", name)
+        )
 
     def create_watchdog(self, device: str, role: str, timeout_s: float) -> WatchdogTask:
         """Create a board's watchdog task (`nidaqmx.system.watchdog.WatchdogTask`).
@@ -107,7 +109,7 @@ class Connection:
 
         doing = f"creating the watchdog of {device}"
         return self._create_named(
-            role, lambda name: self._create(WatchdogTask, doing, device, name, timeout_s, session=name)
+            role, lambda name: self._create_task(WatchdogTask, doing, device, name, timeout_s, session=name)
         )
 
     def _create_named(self, role: str, create: Callable[[str], T]) -> T:
@@ -133,7 +135,7 @@ class Connection:
         """Return the name of a task of this client: ``solimon-CLIENT-ROLE-MARK``."""
         return f"solimon-{self._client}-{role}-{mark}"
 
-    def clear_leftovers(self, roles: Sequence[str]) -> bool:
+    def clear_leftover_tasks(self, roles: Sequence[str]) -> bool:
         """Clear tasks that an earlier, killed process of this client left on a gRPC server.
 
         Each name is asked for in the server's own words "the one there is, or a new one", and what comes
@@ -153,7 +155,7 @@ class Connection:
         for name in (self._build_task_name(role, number) for role in roles for number in range(NAMES)):
             doing = f"clearing what an earlier run may have left as {name}"
             try:
-                task = self._create(Task, doing, name, attach=True)
+                task = self._create_task(Task, doing, name, attach=True)
                 with translate_errors(doing):
                     task.close()
             except ConnectionLostError as error:
@@ -164,7 +166,7 @@ class Connection:
                 reached = False
         return reached
 
-    def _create(
+    def _create_task(
         self, kind: type[T], doing: str, *arguments: object, session: str = "", attach: bool = False
     ) -> T:
         """Create one of NI's task objects, and return it; an error half-way clears what was created.
@@ -180,7 +182,7 @@ class Connection:
         # lost and its task stays. So the object is kept apart from its construction.
         task = kind.__new__(kind)
         name = session or str(arguments[0])
-        options = None if self._channel is None else _make_options(self._channel, name, attach=attach)
+        options = None if self._channel is None else _build_options(self._channel, name, attach=attach)
         with translate_errors(doing):
             try:
                 kind.__init__(task, *arguments, grpc_options=options)  # type: ignore[call-arg]
@@ -190,7 +192,7 @@ class Connection:
         return task
 
 
-def _make_options(channel: Channel, name: str, *, attach: bool) -> GrpcSessionOptions:
+def _build_options(channel: Channel, name: str, *, attach: bool) -> GrpcSessionOptions:
     """Build the options for a new session on a server, or (`attach`) for the existing one of this name."""
     from nidaqmx.grpc_session_options import GrpcSessionOptions, SessionInitializationBehavior
 
@@ -246,7 +248,7 @@ def read_package_versions() -> dict[str, str]:
     return {"nidaqmx_version": version("nidaqmx")}
 
 
-def _open_channel(parameters: DaqmxParameters) -> Channel:
+def _open_grpc_channel(parameters: DaqmxParameters) -> Channel:
     """Open the channel to the gRPC server; ConfigurationError if the extra `grpc` is not installed."""
     try:
         import nidaqmx._grpc_interpreter  # noqa: F401 # the parts of the extra that NI's client needs

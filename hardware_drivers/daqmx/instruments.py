@@ -39,9 +39,9 @@ class DaqmxBoards:
             Another program holds the board, or it does not answer.
         """
         chassis = self._chassis
-        chassis.check_thread()
+        chassis.require_own_thread()
         wirings = chassis.parameters.transducers.items()
-        _require_wired(
+        _require_wired_position(
             key, "solitary-wave transducer", [name for name, wiring in wirings if wiring.digitizes]
         )
         if self._armed is not None:
@@ -68,7 +68,7 @@ class DaqmxBoards:
             The board does not answer; the next call takes a recovery step.
         """
         chassis = self._chassis
-        chassis.check_thread()
+        chassis.require_own_thread()
         require_timeout(timeout_s)
         key, self._armed = self._armed, None
         if key is None:
@@ -95,10 +95,10 @@ class DaqmxBoards:
 
         Raise ConfigurationError in another thread than the one that opened the boards.
         """
-        self._chassis.check_thread()
+        self._chassis.require_own_thread()
         if self._armed is not None:
             self._armed = None
-            self._chassis.end_turn()
+            self._chassis.clear_tasks()
 
     def strike(self, key: ShotKey) -> None:
         """Pulse the coil once; on return it is off. In a dry run nothing moves.
@@ -111,8 +111,8 @@ class DaqmxBoards:
             The pulse failed: nothing is armed any more.
         """
         chassis, parameters = self._chassis, self._chassis.parameters
-        chassis.check_thread()
-        _require_wired(
+        chassis.require_own_thread()
+        _require_wired_position(
             key, "striker", [name for name, wiring in parameters.transducers.items() if wiring.strikes]
         )
         armed = self._armed
@@ -136,7 +136,7 @@ class DaqmxBoards:
 
         Raise ConnectionLostError if a coil's state is unknown; its counter ends the pulse in any case.
         """
-        self._chassis.check_thread()
+        self._chassis.require_own_thread()
         self._armed = None
         self._chassis.make_safe()
 
@@ -146,14 +146,14 @@ class DaqmxBoards:
         Raise ConfigurationError while armed; other errors are those of a record.
         """
         chassis = self._chassis
-        chassis.check_thread()
+        chassis.require_own_thread()
         if self._armed is not None:
             raise ConfigurationError(f"armed for {self._armed}; calibrate between sets")
         with chassis.guard_operation():
             return chassis.self_calibrate()
 
 
-def _require_wired(key: ShotKey, role: str, positions: Collection[str]) -> None:
+def _require_wired_position(key: ShotKey, role: str, positions: Collection[str]) -> None:
     """Raise ConfigurationError unless a key's position is among those that are wired for a role."""
     if key.position not in positions:
         raise ConfigurationError(

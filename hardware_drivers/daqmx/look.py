@@ -31,7 +31,7 @@ def yield_board_findings(parameters: DaqmxParameters, *, shot_interval_s: float)
     if any(wiring.strikes for wiring in parameters.transducers.values()):
         yield _check_duty_cycle(parameters.pulse_s, shot_interval_s)
     if parameters.transport == "grpc":
-        server = _check_server(parameters.grpc_address)
+        server = _check_grpc_server(parameters.grpc_address)
         yield server
         if server.state == "fail":
             return
@@ -57,7 +57,7 @@ def _check_duty_cycle(pulse_s: float, shot_interval_s: float) -> Finding:
     )
 
 
-def _check_server(address: str) -> Finding:
+def _check_grpc_server(address: str) -> Finding:
     """Return the finding on a connection to the server, tried for at most `SERVER_TIMEOUT_S`.
 
     A missing server is found at once, not at every call's deadline.
@@ -100,7 +100,7 @@ def _check_watchdog(parameters: DaqmxParameters, watchdog: WatchdogWiring) -> Fi
         for position, wiring in parameters.transducers.items()
         if wiring.strikes
         and int(wiring.coil_serial, 16) == board
-        and find_digital_name(wiring.output_terminal) not in watchdog.lines
+        and find_digital_line(wiring.output_terminal) not in watchdog.lines
     ]
     covered = f"{', '.join(watchdog.lines)} of board {board:08X} go low after {watchdog.timeout_s:g} s"
     return Finding(
@@ -129,7 +129,7 @@ def _check_missing_watchdogs(parameters: DaqmxParameters) -> Iterator[Finding]:
     )
 
 
-def find_digital_name(terminal: str) -> str:
+def find_digital_line(terminal: str) -> str:
     """Return an X Series PFI's digital name: PFI 0..7 are port 1, 8..15 port 2; empty for others."""
     match = re.fullmatch(r"PFI(\d+)", terminal)
     if match is None:

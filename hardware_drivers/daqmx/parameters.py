@@ -14,7 +14,7 @@ from typing import Annotated, Literal
 
 from annotated_types import Ge, Gt, Le
 
-from hardware_drivers.bounds import bounded, check_pair
+from hardware_drivers.bounds import bounded, check_field_relation
 
 LONGEST_PULSE_S = 0.5
 """Cap of the coil's on-time: many times what lifts a striker by millimetres, far from heating a coil."""
@@ -208,7 +208,7 @@ class DaqmxParameters:
 
         So too for a trigger level that is not inside the range of a digitized position.
         """
-        check_pair(self, "pretrigger_samples", "less than", "record_samples")
+        check_field_relation(self, "pretrigger_samples", "less than", "record_samples")
         if not self.transducers:
             raise ValueError("transducers is empty; wire at least one position")
         for position, wiring in self.transducers.items():

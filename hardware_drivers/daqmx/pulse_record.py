@@ -56,7 +56,7 @@ class FreeInput:
             acquisition.start()
             self._chassis.coil(self.position, "pulse").pulse()
             record = acquisition.read(self._timeout_s)
-            self._chassis.end_turn()
+            self._chassis.clear_tasks()
         return record
 
     def close(self) -> None:

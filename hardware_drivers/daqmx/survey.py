@@ -14,7 +14,7 @@ import numpy as np
 
 from hardware_drivers.daqmx.acquisition import Acquisition, commit_acquisition
 from hardware_drivers.daqmx.boards import Board, check_board, describe_board, list_boards, normalize_serial
-from hardware_drivers.daqmx.chassis import ROLES, list_serials
+from hardware_drivers.daqmx.chassis import ROLES, list_board_serials
 from hardware_drivers.daqmx.client_lock import ClientLock
 from hardware_drivers.daqmx.coil import Coil, commit_coil
 from hardware_drivers.daqmx.connection import Connection, build_client_name
@@ -122,7 +122,7 @@ class Survey:
                 stack.callback(ClientLock(parameters.grpc_address, build_client_name(parameters)).release)
             connection = Connection(parameters)
             stack.callback(connection.close)
-            connection.clear_leftovers(ROLES)
+            connection.clear_leftover_tasks(ROLES)
             self.driver_version = connection.driver_version()
             reached.append(connection)
             return f"NI-DAQmx {self.driver_version} by {parameters.transport}"
@@ -143,7 +143,7 @@ class Survey:
         self._run_check("driver", "lists its boards", lambda: listed.update(list_boards(connection)))
         for serial, device in listed.items():
             failed: State = "fail" if ours is None or serial in ours else "warn"
-            work = partial(self._describe, serial, device, ours=serial in (ours or ()))
+            work = partial(self._survey_board, serial, device, ours=serial in (ours or ()))
             self._run_check(f"board {serial}", "answers", work, failed=failed)
         return listed
 
@@ -152,7 +152,7 @@ class Survey:
 
         A simulated board fails, or is a warning in a dry run.
         """
-        ours = set(map(normalize_serial, list_serials(self.parameters)))
+        ours = set(map(normalize_serial, list_board_serials(self.parameters)))
         listed = self.list_boards(connection, ours)
         for serial in sorted(ours - set(listed)):
             self._add_result(
@@ -174,7 +174,7 @@ class Survey:
             if facts.ours:
                 self._add_result(f"board {facts.serial}", "calibrated", *_rate_calibration(facts))
 
-    def _describe(self, serial: str, device: Device, *, ours: bool) -> str:
+    def _survey_board(self, serial: str, device: Device, *, ours: bool) -> str:
         """Read and store the facts of a board; return a summary for its finding.
 
         Raise InstrumentError if the board does not answer.

@@ -51,7 +51,7 @@ _OWNING_TASK = re.compile(r"in use by\s+task name:\s*([^\n]+)", re.IGNORECASE)
 _NOISE = re.compile(r"status code: ?-?\d+\.?", re.IGNORECASE)
 
 
-def find_owner(text: str) -> str:
+def find_resource_owner(text: str) -> str:
     """Return the owner of a resource that the driver's text names, the longest if several; else empty."""
     named = _OWNING_TASK.findall(text) or _OWNER.findall(text)
     # The driver's own sentence ("reserved by another process") is the shorter one.
@@ -75,7 +75,7 @@ def translate_error(error: Exception, doing: str) -> InstrumentError:
     if isinstance(error, vendor.RpcError):
         code = getattr(error.rpc_code, "name", str(error.rpc_code))
         texts = (str(error.description), _find_reason(error.__context__))
-        return _map_rpc(code, ": ".join(filter(None, dict.fromkeys(texts))), doing)
+        return _build_rpc_error(code, ": ".join(filter(None, dict.fromkeys(texts))), doing)
     if isinstance(error, vendor.DaqNotFoundError):
         return ConfigurationError(
             f"{doing}: NI-DAQmx is not installed on this computer; install NI's driver, or use a chassis "
@@ -90,9 +90,9 @@ def translate_error(error: Exception, doing: str) -> InstrumentError:
         return ConfigurationError(f"{doing}: {_join_lines(str(error))}; install a newer NI-DAQmx driver")
     if isinstance(error, vendor.Error | vendor.FeatureNotSupportedError):
         return ConfigurationError(f"{doing}: {_join_lines(str(error))}; {_REMEDIES[ConfigurationError]}")
-    if _is_bare_rpc_error(error):
+    if _is_untranslated_rpc_error(error):
         code = error.code() if hasattr(error, "code") else None
-        return _map_rpc(getattr(code, "name", "UNKNOWN"), _find_reason(error) or str(error), doing)
+        return _build_rpc_error(getattr(code, "name", "UNKNOWN"), _find_reason(error) or str(error), doing)
     # nidaqmx turns codes into enumerations and texts as it reads them: an answer it cannot is nonsense.
     return ConnectionLostError(
         f"{doing}: the driver's answer makes no sense ({type(error).__name__}: {_join_lines(str(error))}); "
@@ -150,7 +150,7 @@ def _build_status_error(error: Exception, doing: str) -> InstrumentError:
     text = str(error)
     message = f"{doing}: {_join_lines(text)} (DAQmx {status}, {name})"
     if kind is BusyError:
-        message += f"; owner: {find_owner(text) or 'not named by the driver'}"
+        message += f"; owner: {find_resource_owner(text) or 'not named by the driver'}"
     return kind(f"{message}; {_REMEDIES[kind]}")
 
 
@@ -159,7 +159,7 @@ def _find_reason(error: BaseException | None) -> str:
     return str(getattr(error, "details", str)() or "")
 
 
-def _map_rpc(code: str, text: str, doing: str) -> InstrumentError:
+def _build_rpc_error(code: str, text: str, doing: str) -> InstrumentError:
     """Return the error of a gRPC code, with its reason and remedy.
 
     ConfigurationError for a code in `RPC_CONFIGURATION`, else ConnectionLostError.
@@ -173,7 +173,7 @@ def _map_rpc(code: str, text: str, doing: str) -> InstrumentError:
     return kind(f"{doing}: gRPC {code}: {_join_lines(text)}; {remedy}")
 
 
-def _is_bare_rpc_error(error: Exception) -> bool:
+def _is_untranslated_rpc_error(error: Exception) -> bool:
     """Return whether an exception is a gRPC error that NI's package did not translate."""
     grpc = sys.modules.get("grpc")
     return grpc is not None and isinstance(error, grpc.RpcError)

@@ -115,7 +115,7 @@ def sum_records(
         The sum of so many records may not fit in 32 bits.
     """
     n_records = records.shape[0]
-    check_sum_fits(n_records, codes.width_bits)
+    require_32_bit_sum(n_records, codes.width_bits)
     clipped = (records.min(axis=1) <= codes.lowest) | (records.max(axis=1) >= codes.highest)
     return AveragedRecord(
         counts=records.sum(axis=0, dtype=np.int32),
@@ -134,7 +134,7 @@ def _count_sum_bits(n_records: int, width_bits: int) -> int:
     return width_bits + math.ceil(math.log2(n_records))
 
 
-def check_sum_fits(n_records: int, width_bits: int) -> None:
+def require_32_bit_sum(n_records: int, width_bits: int) -> None:
     """Raise ConfigurationError if a sum of ``n_records`` counts may need more than 32 bits."""
     if _count_sum_bits(n_records, width_bits) > 32:
         raise ConfigurationError(

@@ -72,7 +72,7 @@ class BoardConnection:
         InstrumentError
             One of the four classes; after `ConnectionLostError` the next call climbs a rung.
         """
-        with self._count_loss():
+        with self._close_on_loss():
             return self._open_and_configure(position, wiring)
 
     def acquire(
@@ -87,7 +87,7 @@ class BoardConnection:
         InstrumentError
             As for `prepare`; `AcquisitionTimeoutError` without enough triggers in time.
         """
-        with self._count_loss():
+        with self._close_on_loss():
             board, setup = self._open_and_configure(position, wiring)
             with translate_errors(self._niscope, f"recording {position!r} on {board.resource!r}") as noted:
                 fetched = fetch_records(self._session, setup, wiring, timeout_s)
@@ -99,8 +99,8 @@ class BoardConnection:
 
         It is configured again before the next record. Raise as `prepare` does.
         """
-        with self._count_loss():
-            board = self._open()
+        with self._close_on_loss():
+            board = self._open_board()
             self._position = None
             with translate_errors(self._niscope, f"calibrating {board.resource!r}"):
                 self._session.self_cal()
@@ -119,7 +119,7 @@ class BoardConnection:
             close_session(self._niscope, session)
 
     @contextlib.contextmanager
-    def _count_loss(self) -> Iterator[None]:
+    def _close_on_loss(self) -> Iterator[None]:
         """Close the board and count a failure if the block loses the connection, and raise the error again.
 
         The next call then takes one more recovery step. After any other error but a timeout the board is
@@ -145,7 +145,7 @@ class BoardConnection:
 
         Return the board's description and its settings as read back.
         """
-        board = self._open()
+        board = self._open_board()
         if self._position != position or self._setup is None:
             self._position, self._setup = None, None
             with translate_errors(self._niscope, f"setting {board.resource!r} up for {position!r}"):
@@ -153,7 +153,7 @@ class BoardConnection:
             self._position = position
         return board, self._setup
 
-    def _open(self) -> Board:
+    def _open_board(self) -> Board:
         """Open the board with the recovery step that the failures require; an open board is only returned.
 
         Raise BusyError if a name's board is in use, ConfigurationError if a board that never answered is
@@ -166,7 +166,7 @@ class BoardConnection:
         problems: list[BusyError | ConnectionLostError] = []
         for name in names:
             try:
-                self._board = self._open_named(name)
+                self._board = self._open_board_by_name(name)
             except (BusyError, ConnectionLostError) as error:
                 problems.append(error)
                 continue
@@ -180,7 +180,7 @@ class BoardConnection:
             kind = ConfigurationError
         raise kind("; ".join(map(str, problems))) from problems[0]
 
-    def _open_named(self, name: str) -> Board:
+    def _open_board_by_name(self, name: str) -> Board:
         """Open the board of a name, verify its serial number, and reset it if recovery requires that.
 
         Raise BoardAbsentError if another board has the name; after any error the board is closed.

@@ -81,9 +81,9 @@ class NiscopeParameters:
         if not self.probes:
             raise ValueError("probes is empty; give each pulse-echo position its [rig.niscope.probes.NAME]")
         object.__setattr__(self, "probes", dict(self.probes))
-        self._check_sharing()
+        self._check_shared_boards()
 
-    def _check_sharing(self) -> None:
+    def _check_shared_boards(self) -> None:
         """Check the probes that share a board.
 
         Raise ValueError if their serial number or other resources differ, or if two use one channel.

@@ -17,7 +17,7 @@ from hardware_drivers.measurement import ShotKey, Waveform
 from hardware_drivers.niscope.averaging import AveragedRecord, sum_records
 from hardware_drivers.niscope.connection import BoardConnection
 from hardware_drivers.niscope.parameters import NiscopeParameters, ProbeWiring
-from hardware_drivers.niscope.session import Board, Fetched, Setup, import_vendor, read_version
+from hardware_drivers.niscope.session import Board, Fetched, Setup, import_niscope, read_package_version
 
 
 class NiscopePulseEchoUnit:
@@ -117,7 +117,7 @@ class NiscopePulseEchoUnit:
         ``niscope`` and ``ni_scope`` are the versions of package and driver; ``probe_NAME`` is product,
         serial number, resource and channel. A probe whose board was never opened is left out.
         """
-        named = {"niscope": read_version()}
+        named = {"niscope": read_package_version()}
         for position, wiring in self._parameters.probes.items():
             board = self._connections[wiring.resource].board
             if board is not None:
@@ -147,7 +147,7 @@ def open_niscope(parameters: NiscopeParameters) -> Iterator[NiscopePulseEchoUnit
     BusyError, ConnectionLostError
         Another program uses a board, or it does not answer.
     """
-    niscope = import_vendor()
+    niscope = import_niscope()
     with contextlib.ExitStack() as stack:
         connections: dict[str, BoardConnection] = {}
         for position, wiring in parameters.probes.items():
@@ -171,7 +171,7 @@ def _collect_settings(
         "resource": board.resource,
         "channel": wiring.channel,
         "driver_version": board.driver_version,
-        "niscope_version": read_version(),
+        "niscope_version": read_package_version(),
         "range_v": setup.range_v,
         "resolution_bits": float(setup.resolution_bits),
         "input_impedance_ohm": float(wiring.input_impedance_ohm),

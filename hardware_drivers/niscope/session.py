@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hardware_drivers.errors import ConfigurationError, ConnectionLostError
-from hardware_drivers.niscope.averaging import Codes, check_sum_fits, compute_code_scale
+from hardware_drivers.niscope.averaging import Codes, compute_code_scale, require_32_bit_sum
 from hardware_drivers.niscope.parameters import NiscopeParameters, ProbeWiring
 from hardware_drivers.niscope.vendor_errors import read_metadata
 
@@ -34,7 +34,7 @@ RELATIVE_TOLERANCE = 1e-9
 """Asked and given are equal but for the rounding of a decimal number."""
 
 
-def import_vendor() -> ModuleType:
+def import_niscope() -> ModuleType:
     """Import `niscope` and check that both of its libraries load.
 
     Raises
@@ -168,13 +168,13 @@ def configure_board(
     _configure_trigger(niscope, session, wiring)
     session.commit()
     setup = _read_back_settings(niscope, session, channel, board)
-    _reject_coerced(parameters, wiring, setup, channel, board)
+    _reject_coerced_settings(parameters, wiring, setup, channel, board)
     if session.trigger_source != find_trigger_terminal(wiring):
         raise ConnectionLostError(
             f"the board at {board.resource!r} waits for a trigger at {session.trigger_source!r}, not at "
             f"{find_trigger_terminal(wiring)!r} as it was told"
         )
-    check_sum_fits(parameters.averages, max(setup.sample_bits, setup.resolution_bits))
+    require_32_bit_sum(parameters.averages, max(setup.sample_bits, setup.resolution_bits))
     return setup
 
 
@@ -229,7 +229,7 @@ def _read_back_settings(niscope: ModuleType, session: Session, channel: Session,
     )
 
 
-def _reject_coerced(
+def _reject_coerced_settings(
     parameters: NiscopeParameters, wiring: ProbeWiring, setup: Setup, channel: Session, board: Board
 ) -> None:
     """Raise ConfigurationError for a setting that the board changed.
@@ -354,6 +354,6 @@ def _check_record_times(
         raise ConnectionLostError("two records have one time stamp; a record was handed over twice")
 
 
-def read_version() -> str:
+def read_package_version() -> str:
     """Return the version of the installed `niscope` package."""
     return version("niscope")

@@ -82,24 +82,27 @@ def _resolve(source: int, properties: Mapping[str, Any], *, limit: int) -> Polyn
         # The scaler of DAQmx raw data has a number, but no properties: it hands over the raw values.
         return identity
 
-    def input_of(name: str) -> Polynomial:
+    def resolve_input(name: str) -> Polynomial:
         """Return the polynomial of this scale's named input; the raw values where it names none."""
         return _resolve(int(properties.get(f"{prefix}{name}_Input_Source", RAW)), properties, limit=source)
 
     if kind == "Linear":
         own = np.array(
-            [_number(properties, f"{prefix}Linear_Y_Intercept"), _number(properties, f"{prefix}Linear_Slope")]
+            [
+                _parse_number(properties, f"{prefix}Linear_Y_Intercept"),
+                _parse_number(properties, f"{prefix}Linear_Slope"),
+            ]
         )
-        return _compose_polynomials(own, input_of("Linear"))
+        return _compose_polynomials(own, resolve_input("Linear"))
     if kind == "Polynomial":
         size = int(properties.get(f"{prefix}Polynomial_Coefficients_Size", 4))
         names = [f"{prefix}Polynomial_Coefficients[{index}]" for index in range(size)]
-        own = np.array([_number(properties, name) for name in names])
-        return _compose_polynomials(own, input_of("Polynomial"))
+        own = np.array([_parse_number(properties, name) for name in names])
+        return _compose_polynomials(own, resolve_input("Polynomial"))
     if kind == "AdvancedAPI":
-        return input_of("AdvancedAPI")
+        return resolve_input("AdvancedAPI")
     if kind in ("Add", "Subtract"):
-        left, right = input_of(f"{kind}_Left_Operand"), input_of(f"{kind}_Right_Operand")
+        left, right = resolve_input(f"{kind}_Left_Operand"), resolve_input(f"{kind}_Right_Operand")
         # NI subtracts the left operand from the right one.
         total = polyadd(left, right) if kind == "Add" else polysub(right, left)
         return np.asarray(total, dtype=np.float64)
@@ -122,7 +125,7 @@ def _compose_polynomials(outer: Polynomial, inner: Polynomial) -> Polynomial:
     return result[: (outer.size - 1) * (inner.size - 1) + 1]
 
 
-def _number(properties: Mapping[str, Any], name: str) -> float:
+def _parse_number(properties: Mapping[str, Any], name: str) -> float:
     """Parse a property as a float; ScalingError if it is missing or no number."""
     try:
         return float(properties[name])

@@ -81,7 +81,7 @@ class TdmsShots:
         """Return the recorded positions and their method: ``solitary_wave`` or ``pulse_echo``."""
         return self._positions
 
-    def next_moment(self, after_utc_ns: int) -> int | None:
+    def find_next_moment(self, after_utc_ns: int) -> int | None:
         """Return the first recorded time after ``after_utc_ns`` (ns UTC); None after the last one."""
         index = bisect_right(self._moments, after_utc_ns)
         return self._moments[index] if index < len(self._moments) else None
@@ -216,7 +216,7 @@ def _find_file_records(
     matched: dict[tuple[str, str], Mapping[str, str | None]] = {}
     unmatched: list[tuple[str, str]] = []
 
-    def wanted(group: str, channel: str) -> bool:
+    def is_wanted(group: str, channel: str) -> bool:
         """Return whether the names of group and channel match; store what their named groups matched."""
         from_group = re.fullmatch(mapping.group_pattern, group)
         from_channel = re.fullmatch(mapping.channel_pattern, channel)
@@ -230,7 +230,7 @@ def _find_file_records(
         }
         return True
 
-    channels = read_channels(path, wanted)
+    channels = read_channels(path, is_wanted)
     if not matched and by_name:
         named = find_shots_by_name(unmatched, by_name, mapping, name)
         matched |= {place: {**from_file.groupdict(), **parts} for place, parts in named.items()}
@@ -257,7 +257,7 @@ def _find_first_location(
     """
     n_samples = count_record_samples(channel, mapping)
     rate_hz = sample_rate_hz(channel, mapping)
-    conversion = _share_conversion(build_conversion(channel, mapping), shared)
+    conversion = _reuse_conversion(build_conversion(channel, mapping), shared)
     return _RecordLocation(
         path=channel.path,
         group=channel.group,
@@ -297,7 +297,7 @@ def _yield_appended_records(
         )
 
 
-def _share_conversion(conversion: Conversion, known: dict[tuple[object, ...], Conversion]) -> Conversion:
+def _reuse_conversion(conversion: Conversion, known: dict[tuple[object, ...], Conversion]) -> Conversion:
     """Return the known equal conversion, else store this one: a recording has thousands of channels."""
     calibration = conversion.calibration
     polynomial = None if conversion.polynomial is None else conversion.polynomial.tobytes()

@@ -109,10 +109,10 @@ class Conversion:
         if self.polynomial is None:
             # Whatever byte order the file has; 8-bit codes fit 16 bits.
             return values.astype(np.int32) if values.dtype.itemsize == 4 else values.astype(np.int16)
-        return _quantise(values, self.polynomial, self.calibration, where)
+        return _quantise_values(values, self.polynomial, self.calibration, where)
 
 
-def _quantise(
+def _quantise_values(
     values: NDArray[np.generic], polynomial: NDArray[np.float64], calibration: Calibration, where: str
 ) -> NDArray[np.int32]:
     """Return the nearest code of each value, int32; the end of the range becomes the highest code.

@@ -37,7 +37,7 @@ def _open_supply(parameters: SupplyParameters, opening: Opening) -> Iterator[Ope
 
 
 @contextmanager
-def _open_climate(parameters: ClimateParameters, opening: Opening) -> Iterator[Opened]:
+def _open_climate_probe(parameters: ClimateParameters, opening: Opening) -> Iterator[Opened]:
     """Yield the climate probe and close it on exit; its first call opens the port."""
     from hardware_drivers.serial_port.climate_probe import ScpiClimateProbe
 
@@ -95,7 +95,7 @@ def check_supply(parameters: SupplyParameters, opening: Opening) -> Iterator[Fin
             yield build_error_finding(subject, check, error, CABLE)
 
 
-def check_climate(parameters: ClimateParameters, opening: Opening) -> Iterator[Finding]:
+def check_climate_probe(parameters: ClimateParameters, opening: Opening) -> Iterator[Finding]:
     """Query identity and one reading of the climate probe, and yield the findings.
 
     An instrument error becomes a failed finding, and is the last one.
@@ -128,8 +128,8 @@ SUPPLY = Kind(
 )
 CLIMATE = Kind(
     parameters=ClimateParameters,
-    open=_open_climate,
-    check=check_climate,
+    open=_open_climate_probe,
+    check=check_climate_probe,
     packages=_list_packages,
     reached_by=CLIMATE_REACHED_BY,
 )

@@ -143,7 +143,7 @@ class SerialLine:
             self._trouble = (type(error), f"{error} ({tries})")
             raise type(error)(self._trouble[1]) from error
         if self._trouble is not None:
-            log.warning("%s: back after %d failed attempts to reach it", self._locate(), self._attempts)
+            log.warning("%s: back after %d failed attempts to reach it", self._format_name(), self._attempts)
         self._attempts, self._trouble, self.in_step = 0, None, True
         return True
 
@@ -154,15 +154,15 @@ class SerialLine:
         """
         if self._port is not None:
             try:
-                return self._identify(deadline_s)
+                return self._query_identity(deadline_s)
             except ConnectionLostError:
                 if self._port is not None:
                     raise  # silent, but there
         # A port that has just gone may be back already, as another terminal behind the same name.
         self._port = open_port(self.parameters)
-        return self._identify(deadline_s)
+        return self._query_identity(deadline_s)
 
-    def _identify(self, deadline_s: float) -> str:
+    def _query_identity(self, deadline_s: float) -> str:
         """Query the identity and return it; text before the expected name is a late response and discarded.
 
         The wait ends at ``deadline_s`` (monotonic), after the reply timeout or `LINES_BEFORE_NAME` lines.
@@ -174,7 +174,7 @@ class SerialLine:
         strangers, garbage = [], []
         pending = bytearray()
         for _ in range(LINES_BEFORE_NAME):
-            if (raw := self._next_line(pending, deadline_s)) is None:
+            if (raw := self._read_line(pending, deadline_s)) is None:
                 break
             reply = _decode_response(raw)
             if reply == self._identity_query:
@@ -236,7 +236,7 @@ class SerialLine:
                 self._port.read(self.parameters.longest_reply_bytes)  # type: ignore[union-attr] # just written
         elif self._echoes:
             # Awaited, since it must not come in front of the next answer.
-            self._next_line(bytearray(), self.monotonic_s() + self.parameters.reply_timeout_s)
+            self._read_line(bytearray(), self.monotonic_s() + self.parameters.reply_timeout_s)
 
     def query(self, question: str, deadline_s: float) -> str:
         """Send a query; return its response as printable ASCII without terminator and outer spaces.
@@ -252,13 +252,13 @@ class SerialLine:
             No answer in time, or one that is no text, too long or followed by another: the line finds
             its step again at the next `connect`.
         """
-        raw = self._query(question, deadline_s)
+        raw = self._query_bytes(question, deadline_s)
         reply = _decode_response(raw)
         if reply is None:
             raise self.mark_lost(f"answered {_quote(raw)} to {question}: that is no text")
         return reply
 
-    def _query(self, question: str, deadline_s: float) -> bytes:
+    def _query_bytes(self, question: str, deadline_s: float) -> bytes:
         """Send a query and return its response as bytes, without its terminator and the command's echo.
 
         Raise ConnectionLostError at the deadline or the reply timeout, and for a second response.
@@ -266,15 +266,15 @@ class SerialLine:
         now_s = self.monotonic_s()
         if now_s >= deadline_s:
             raise ConnectionLostError(
-                f"{self._locate()}: no time left to ask {question}; it is too slow for the timeout given"
+                f"{self._format_name()}: no time left to ask {question}; it is too slow for the timeout given"
             )
         self._write(question)
         reply_timeout_s = self.parameters.reply_timeout_s
         pending = bytearray()
         answered_by_s = min(deadline_s, now_s + reply_timeout_s)
-        raw = self._next_line(pending, answered_by_s)
+        raw = self._read_line(pending, answered_by_s)
         if self._echoes and raw is not None and _decode_response(raw) == question:
-            raw = self._next_line(pending, answered_by_s)
+            raw = self._read_line(pending, answered_by_s)
         if raw is None:
             raise self.mark_lost(
                 f"did not answer {question} in time (at most {reply_timeout_s:g} s)"
@@ -347,7 +347,7 @@ class SerialLine:
             As `query`, and for any other answer.
         """
         if raw:
-            byte = self._query(question, deadline_s)
+            byte = self._query_bytes(question, deadline_s)
             if len(byte) != 1:
                 raise self.mark_lost(f"answered {_quote(byte)} to {question}: expected one byte")
             return bool(byte[0] & mask)
@@ -385,13 +385,13 @@ class SerialLine:
         Raise ConnectionLostError if the port is closed, gone or does not take it within the reply timeout.
         """
         if self._port is None:
-            raise ConnectionLostError(f"{self._locate()} is closed")
+            raise ConnectionLostError(f"{self._format_name()} is closed")
         with self._translate_errors(f"send {command}"):
             # A reply that came too late must not answer this command.
             self._port.reset_input_buffer()
             self._port.write((command + self.parameters.terminator).encode("ascii"))
 
-    def _next_line(self, pending: bytearray, deadline_s: float) -> bytes | None:
+    def _read_line(self, pending: bytearray, deadline_s: float) -> bytes | None:
         """Return the next line without its terminator, None at the deadline; the rest stays in ``pending``.
 
         Raises
@@ -437,9 +437,9 @@ class SerialLine:
     def mark_lost(self, message: str) -> ConnectionLostError:
         """Mark the line as out of step after an impossible response; return the error to raise."""
         self.in_step = False
-        return ConnectionLostError(f"{self._locate()} {message}")
+        return ConnectionLostError(f"{self._format_name()} {message}")
 
-    def _locate(self) -> str:
+    def _format_name(self) -> str:
         """Return name (``the instrument`` if unknown) and port of the instrument, for messages."""
         return f"{self.name.rstrip() or 'the instrument'} at {self.parameters.port}"
 

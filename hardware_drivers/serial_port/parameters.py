@@ -7,7 +7,7 @@ from typing import Annotated, ClassVar, Literal
 
 from annotated_types import Ge, Gt, Le
 
-from hardware_drivers.bounds import bounded, check_pair
+from hardware_drivers.bounds import bounded, check_field_relation
 from hardware_drivers.drive_parameters import CLIMATE_KEYS, WATCH_KEYS, DriveParameters, LogParameters
 from hardware_drivers.serial_port.dialects import build_channel_dialect
 
@@ -85,7 +85,7 @@ class SerialLineParameters:
             raise ValueError(
                 f"port is {self.port!r}; give visa: and a resource, like {VISA_PREFIX}GPIB0::5::INSTR"
             )
-        check_pair(self, "reconnect_longest_s", "at least", "reconnect_first_s", " s")
+        check_field_relation(self, "reconnect_longest_s", "at least", "reconnect_first_s", " s")
 
 
 @bounded
@@ -123,11 +123,11 @@ class SupplyParameters(DriveParameters):
 
     def __post_init__(self) -> None:
         DriveParameters.__post_init__(self)
-        check_identity(self.identity)
+        check_identity_pattern(self.identity)
         for query in self.protection_queries or ():
-            check_query("protection_queries", query)
+            check_query_text("protection_queries", query)
         for command in self.setup_commands:
-            check_query("setup_commands", command)
+            check_query_text("setup_commands", command)
             if not command.upper().lstrip(":").startswith(("SYST", "INST", "DISP")):
                 raise ValueError(
                     f"setup_commands has {command!r}; only SYST, INST and DISP commands are sent"
@@ -143,7 +143,7 @@ class SupplyParameters(DriveParameters):
                     "level: set it at the instrument and leave the key out"
                 )
         if self.over_voltage_v is not None:
-            check_pair(self, "over_voltage_v", "above", "voltage_v")
+            check_field_relation(self, "over_voltage_v", "above", "voltage_v")
 
 
 @bounded
@@ -164,12 +164,12 @@ class ClimateParameters(LogParameters):
     """Unit in which the probe tells its relative humidity."""
 
     def __post_init__(self) -> None:
-        check_identity(self.identity)
+        check_identity_pattern(self.identity)
         for name in ("identity_query", "temperature_query", "humidity_query"):
-            check_query(name, getattr(self, name))
+            check_query_text(name, getattr(self, name))
 
 
-def check_identity(pattern: str) -> None:
+def check_identity_pattern(pattern: str) -> None:
     """Raise ValueError for an identity that is no regular expression or that matches an empty text."""
     try:
         matches_anything = re.match(pattern, "") is not None
@@ -179,7 +179,7 @@ def check_identity(pattern: str) -> None:
         raise ValueError(f"identity is {pattern!r}, which any instrument matches; give its maker and model")
 
 
-def check_query(name: str, query: str) -> None:
+def check_query_text(name: str, query: str) -> None:
     """Raise ValueError, naming the key, for a text that is not one query.
 
     It must be printable ASCII without a semicolon, and not blank.

@@ -107,7 +107,7 @@ class ScpiPowerSupply(SerialInstrument[SupplyParameters]):
         try:
             self._switch_off(deadline_s)
             self._drain_errors(deadline_s)  # what was wrong before is not this order's fault
-            self._set(voltage_v, current_limit_a, deadline_s)
+            self._set_output_levels(voltage_v, current_limit_a, deadline_s)
             if self.protection_unknown:
                 log.warning("%s is switched on, though %s", self._line.name, self.protection_unknown)
             self._line.send(self._dialect.switch_on)
@@ -173,10 +173,10 @@ class ScpiPowerSupply(SerialInstrument[SupplyParameters]):
 
     def _connect(self, deadline_s: float, *, at_once: bool = False) -> None:
         """Connect; if that brought the line into step, send the setup commands and log errors they cause."""
-        for entry in self._connect_without_error(deadline_s, at_once=at_once):
+        for entry in self._connect_and_set_up(deadline_s, at_once=at_once):
             log.warning("%s after the setup commands: %s", self._line.name, entry)
 
-    def _connect_without_error(self, deadline_s: float, *, at_once: bool) -> list[str]:
+    def _connect_and_set_up(self, deadline_s: float, *, at_once: bool) -> list[str]:
         """Connect and, newly in step, send the setup commands; return the errors they cause, else none."""
         if not self._line.connect(deadline_s, at_once=at_once) or not self._parameters.setup_commands:
             return []
@@ -202,7 +202,7 @@ class ScpiPowerSupply(SerialInstrument[SupplyParameters]):
         if self._query_flag(self._dialect.output, deadline_s):
             raise self._line.mark_lost("was told to switch its output off and says it is on")
 
-    def _set(self, voltage_v: float, current_limit_a: float, deadline_s: float) -> None:
+    def _set_output_levels(self, voltage_v: float, current_limit_a: float, deadline_s: float) -> None:
         """Set protection levels, current limit, then voltage, each read back.
 
         The limit comes first, so that a voltage never meets the limit of an earlier command. With an
@@ -288,7 +288,7 @@ class ScpiPowerSupply(SerialInstrument[SupplyParameters]):
             except ConnectionLostError as error:
                 # An instrument does not answer what it does not know. Only its own word separates that from a
                 # lost line, and then the protection is reported as unknown, never as sound.
-                if not self._reports_undefined(deadline_s):
+                if not self._was_query_undefined(deadline_s):
                     raise
                 self._undefined |= {flag.ask}
                 log.warning("%s; it reports an undefined command: that protection is unknown", error)
@@ -297,9 +297,9 @@ class ScpiPowerSupply(SerialInstrument[SupplyParameters]):
                 tripped.append(name)
         return tuple(tripped)
 
-    def _reports_undefined(self, deadline_s: float) -> bool:
+    def _was_query_undefined(self, deadline_s: float) -> bool:
         """Connect again, empty the error queue, and return whether it has `UNDEFINED_HEADER`."""
-        entries = self._connect_without_error(deadline_s, at_once=True) + self._drain_errors(deadline_s)
+        entries = self._connect_and_set_up(deadline_s, at_once=True) + self._drain_errors(deadline_s)
         return any(int(entry.partition(",")[0]) == UNDEFINED_HEADER for entry in entries)
 
     def _require_no_error(self, doing: str, deadline_s: float) -> None:

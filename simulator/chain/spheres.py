@@ -171,7 +171,7 @@ def build_chain(parameters: ChainParameters, plate: PlateParameters) -> Chain:
     )
 
 
-def with_other_strike(
+def change_strike(
     chain: Chain, damping_n_s_per_m: float, drop_height_m: float, tilt_rad: float, contacts: Contacts | None
 ) -> Chain:
     """Return the chain with another drop height in m, sensor tilt in rad and contacts.

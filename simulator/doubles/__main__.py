@@ -15,10 +15,10 @@ import threading
 from collections.abc import Sequence
 from pathlib import Path
 
-from simulator.doubles.chassis.description import default_description, read_description
+from simulator.doubles.chassis.description import build_default_description, read_description
 from simulator.doubles.device_model import Brain
 from simulator.doubles.transports.control_server import ControlServer
-from simulator.doubles.transports.grpc_front import GrpcFront, why_unavailable
+from simulator.doubles.transports.grpc_front import GrpcFront, find_unavailability_reason
 from simulator.doubles.transports.server import WireServer
 
 
@@ -34,7 +34,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     chosen = parser.parse_args(arguments)
     logging.basicConfig(level=logging.WARNING, stream=sys.stderr)
 
-    description = read_description(chosen.description) if chosen.description else default_description()
+    description = read_description(chosen.description) if chosen.description else build_default_description()
     brain = Brain(description)
     if not chosen.no_warm_up:
         brain.bench.strikes.warm_up()
@@ -42,7 +42,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         for server in (wire, control):
             threading.Thread(target=server.serve_forever, daemon=True).start()
         # Kept: a gRPC server ends with its last reference.
-        front = _grpc_front(brain)
+        front = _start_grpc_front(brain)
         ready = json.dumps(
             {
                 "event": "ready",
@@ -58,9 +58,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         os._exit(0)
 
 
-def _grpc_front(brain: Brain) -> GrpcFront | None:
+def _start_grpc_front(brain: Brain) -> GrpcFront | None:
     """Start the gRPC server and return it; return None, with a logged reason, if gRPC is not installed."""
-    reason = why_unavailable()
+    reason = find_unavailability_reason()
     if reason:
         logging.getLogger(__name__).warning("no gRPC front: %s", reason)
         return None

@@ -36,7 +36,7 @@ from simulator.doubles.daqmx.lines import LineRecord
 from simulator.doubles.daqmx.reservations import Reservations
 from simulator.doubles.daqmx.strikes import Strikes
 from simulator.doubles.daqmx.tasks import Arguments, Bench, Clock, Handler, TaskHandler, WallClock
-from simulator.doubles.faults import Faults, wrong_answer
+from simulator.doubles.faults import Faults, build_wrong_answer
 from simulator.doubles.niscope.device_model import NiscopeBrain
 from simulator.doubles.vendor_api import statuses
 from simulator.doubles.vendor_api.attributes import ATTRIBUTES
@@ -75,13 +75,13 @@ TASK_HANDLERS: Mapping[str, TaskHandler] = {
 """Those that are about one task."""
 
 
-def _niscope(description: Description, bench: Bench) -> NiscopeBrain:
+def _create_niscope_boards(description: Description, bench: Bench) -> NiscopeBrain:
     """Create the NI-SCOPE boards of the described probes, on the specimen of the bench."""
 
     def next_echo(position: str) -> tuple[ShotKey, float]:
         """Return key and hour of the next pulse-echo record at a position, under the lock of the bench."""
         with bench.changed:
-            return bench.strikes.next_echo(position)
+            return bench.strikes.take_next_echo(position)
 
     return NiscopeBrain(description.all_scopes, description.probes, bench.strikes.specimen, next_echo)
 
@@ -157,7 +157,7 @@ class Brain:
         self._leaked: list[LeakedTask] = []
         self._clients: dict[str, ClientKind] = {}
         self._client_count = 0
-        self.niscope = _niscope(description, self.bench)
+        self.niscope = _create_niscope_boards(description, self.bench)
 
     # Clients
 
@@ -192,9 +192,9 @@ class Brain:
                     )
                 )
                 if kind == "library":
-                    tasks.clear(self.bench, task)
+                    tasks.clear_task(self.bench, task)
             self.bench.changed.notify_all()
-        for resource in self.niscope.client_gone(client):
+        for resource in self.niscope.close_client_sessions(client):
             leak = LeakedTask(
                 client=client, task="session", state="open", reservations=(resource,), ns=time.monotonic_ns()
             )
@@ -223,7 +223,7 @@ class Brain:
         begin_ns = time.monotonic_ns()
         code = 0
         try:
-            return self._obeying_faults(client, entry, name, arguments)
+            return self._answer_with_faults(client, entry, name, arguments)
         except Status as status:
             code = status.code
             raise
@@ -240,7 +240,7 @@ class Brain:
                 )
             )
 
-    def _obeying_faults(
+    def _answer_with_faults(
         self, client: str, entry: EntryPoint, attribute: str, arguments: Arguments
     ) -> dict[str, Any]:
         """Answer a call, unless an injected fault makes it hang, fail, answer wrongly or end the process."""
@@ -254,7 +254,7 @@ class Brain:
         if fault is not None and fault.kind == "error":
             raise Status(fault.code, "Ordered by a test.")
         if fault is not None and fault.kind == "lie":
-            return wrong_answer(entry, arguments, lambda: self._answer(client, entry, arguments))
+            return build_wrong_answer(entry, arguments, lambda: self._answer(client, entry, arguments))
         return self._answer(client, entry, arguments)
 
     def _answer(self, client: str, entry: EntryPoint, arguments: Arguments) -> dict[str, Any]:
@@ -263,7 +263,7 @@ class Brain:
             return dict(self.niscope.call(client, entry.name, arguments))
         with self.bench.changed:
             if entry.name in TASK_HANDLERS:
-                task = tasks.find(self.bench, client, arguments["task"])
+                task = tasks.find_task(self.bench, client, arguments["task"])
                 return dict(TASK_HANDLERS[entry.name](self.bench, task, arguments) or {})
             return dict(HANDLERS[entry.name](self.bench, client, arguments) or {})
 
@@ -290,18 +290,18 @@ class Brain:
 
         Raise KeyError if there is none.
         """
-        if self.niscope.has(serial_number):
+        if self.niscope.has_board(serial_number):
             self.niscope.unplug(serial_number)
             return
         with self.bench.changed:
-            device_calls.unplug(self.bench, serial_number)
+            device_calls.unplug_board(self.bench, serial_number)
 
     def plug(self, serial_number: int, name: str = "") -> None:
         """Plug a removed board in again, under another name if one is given.
 
         Raise KeyError if there is none.
         """
-        if self.niscope.has(serial_number):
+        if self.niscope.has_board(serial_number):
             self.niscope.plug(serial_number, name)
             return
         with self.bench.changed:
@@ -351,11 +351,11 @@ class Brain:
 
         Of the calls, level changes and strikes only the newest are kept.
         """
-        sessions = self.niscope.open_sessions()
+        sessions = self.niscope.list_open_sessions()
         with self.bench.changed:
             now_ns = self.bench.settle()
             wired = {
-                self._line(wiring.counter_serial, wiring.counter): position
+                self._get_counter_line(wiring.counter_serial, wiring.counter): position
                 for position, wiring in self.bench.description.transducers.items()
             }
             return {
@@ -402,9 +402,9 @@ class Brain:
                 ],
             }
 
-    def _line(self, serial_number: int, counter: int) -> str:
+    def _get_counter_line(self, serial_number: int, counter: int) -> str:
         """Return the name of the line that a counter drives, ``<serial number>/<terminal>``."""
-        kind = self.bench.devices.by_serial(serial_number).kind
+        kind = self.bench.devices.get_by_serial(serial_number).kind
         return f"{serial_number}/{kind.counter_terminals[counter]}"
 
     def clear_record(self) -> None:

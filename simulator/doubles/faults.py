@@ -11,7 +11,7 @@ import numpy as np
 
 from simulator.doubles.vendor_api.attributes import ATTRIBUTES
 from simulator.doubles.vendor_api.entry_points import ENTRY_POINTS, HANDLE, EntryPoint, Parameter, Role
-from simulator.doubles.vendor_api.wire import outputs
+from simulator.doubles.vendor_api.wire import list_outputs
 
 FaultKind = Literal["error", "hang", "lie", "death"]
 KINDS: tuple[FaultKind, ...] = ("error", "hang", "lie", "death")
@@ -147,7 +147,7 @@ class Faults:
             return self._released.wait_for(lambda: self._hanging > 0, timeout=timeout_s)
 
 
-def wrong_answer(
+def build_wrong_answer(
     entry: EntryPoint, arguments: Mapping[str, Any], answer: Callable[[], Mapping[str, Any]]
 ) -> dict[str, Any]:
     """Return a plausible wrong answer: success without the effect, or slightly changed values.
@@ -155,7 +155,7 @@ def wrong_answer(
     A function without outputs is not executed. A read returns half of its samples, a rate is one per cent
     off, a flag is inverted, a text is empty, an array is doubled, a handle belongs to no task.
     """
-    parameters = outputs(entry, arguments.get("attribute", 0))
+    parameters = list_outputs(entry, arguments.get("attribute", 0))
     if not parameters:
         return {}
     values = dict(answer())
@@ -168,12 +168,12 @@ def wrong_answer(
         elif parameter.role is Role.OUT_ARRAY and any(name in values for name in counts):
             values[parameter.name] = values[parameter.name][: len(values[parameter.name]) // 2]
         else:
-            values[parameter.name] = _distorted(parameter, values[parameter.name])
+            values[parameter.name] = _distort_value(parameter, values[parameter.name])
     return values
 
 
-def _distorted(parameter: Parameter, value: Any) -> Any:
-    """Return a value changed slightly, by the type of its parameter; the rule is that of `wrong_answer`."""
+def _distort_value(parameter: Parameter, value: Any) -> Any:
+    """Return a value changed slightly, by the type of its parameter, as `build_wrong_answer` says."""
     if parameter.role is Role.OUT_TEXT:
         return ""
     if parameter.role is Role.OUT_ARRAY:

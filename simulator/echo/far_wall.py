@@ -72,7 +72,7 @@ class FarWall:
         return float(self.thickness_m[self.weights >= 0.5 * self.weights.max()].min())
 
 
-def smooth_wall(thickness_m: float) -> FarWall:
+def build_smooth_wall(thickness_m: float) -> FarWall:
     """Create a far wall of uniform thickness: one facet of weight 1."""
     return FarWall(thickness_m=np.array([thickness_m]), weights=np.ones(1))
 

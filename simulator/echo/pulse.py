@@ -19,7 +19,7 @@ import numpy as np
 from scipy.fft import irfft, next_fast_len, rfft
 
 from hardware_drivers.measurement import Calibration
-from simulator.echo.far_wall import FarWall, smooth_wall
+from simulator.echo.far_wall import FarWall, build_smooth_wall
 from simulator.numerics.arrays import FloatArray
 from simulator.parameters.echo import EchoParameters
 
@@ -55,7 +55,7 @@ def warm_probe_and_wall(echo: EchoParameters, warmer_k: float) -> EchoParameters
     )
 
 
-def echo_volts(wall: float | FarWall, echo: EchoParameters) -> FloatArray:
+def simulate_echo(wall: float | FarWall, echo: EchoParameters) -> FloatArray:
     """Simulate a noise-free pulse-echo record in V, shape (record_samples,); time zero is the firing pulse.
 
     Parameters
@@ -69,19 +69,19 @@ def echo_volts(wall: float | FarWall, echo: EchoParameters) -> FloatArray:
         No wall: the thickness is not positive.
     """
     if isinstance(wall, FarWall):
-        volts = _rough_wall_volts(wall, echo)
+        volts = _simulate_rough_wall(wall, echo)
     elif not wall > 0.0:
         raise ValueError(f"thickness_m is {wall} m; an echo needs a positive thickness")
     elif echo.attenuation_exponent > 0.0:
-        volts = _rough_wall_volts(smooth_wall(wall), echo)
+        volts = _simulate_rough_wall(build_smooth_wall(wall), echo)
     else:
-        volts = _smooth_wall_volts(wall, echo)
+        volts = _simulate_smooth_wall(wall, echo)
     # Cross-talk from the front wall has the opposite sign of the reflections at the free back wall.
     _add_pulse(volts, echo.delay_s, -echo.front_wall_v, echo)
     return volts
 
 
-def _smooth_wall_volts(thickness_m: float, echo: EchoParameters) -> FloatArray:
+def _simulate_smooth_wall(thickness_m: float, echo: EchoParameters) -> FloatArray:
     """Simulate the back-wall echoes of a smooth wall in V, in closed form, shape (record_samples,)."""
     volts = np.zeros(echo.record_samples)
     end_s = echo.record_samples / echo.sample_rate_hz
@@ -95,7 +95,7 @@ def _smooth_wall_volts(thickness_m: float, echo: EchoParameters) -> FloatArray:
     return volts
 
 
-def _rough_wall_volts(wall: FarWall, echo: EchoParameters) -> FloatArray:
+def _simulate_rough_wall(wall: FarWall, echo: EchoParameters) -> FloatArray:
     """Simulate the back-wall echoes of all facets of a rough wall in V, shape (record_samples,).
 
     The weighted arrivals are convolved with the pulse by its spectrum; facets of thickness 0 send nothing
@@ -188,7 +188,7 @@ def _add_pulse(volts: FloatArray, arrival_s: float, amplitude_v: float, echo: Ec
     volts[first:last] += amplitude_v * envelope * np.cos(2.0 * np.pi * echo.centre_frequency_hz * t)
 
 
-def bubble_volts(
+def simulate_bubbles(
     thickness_m: float, echo: EchoParameters, random: np.random.Generator, records: int
 ) -> FloatArray:
     """Simulate echoes of bubbles in the liquid behind the wall in V, shape (records, record_samples).
@@ -227,7 +227,7 @@ def bubble_volts(
     return volts
 
 
-def echo_calibration(echo: EchoParameters) -> Calibration:
+def build_echo_calibration(echo: EchoParameters) -> Calibration:
     """Build the receiver's linear calibration: half of all codes span 0 to ``range_v``."""
     half = float(1 << (echo.resolution_bits - 1))
     return Calibration(

@@ -13,7 +13,7 @@ import numpy as np
 
 from hardware_drivers.measurement import Calibration, ShotKey
 from simulator.echo.far_wall import FarWall, RoughSpot
-from simulator.echo.pulse import bubble_volts, echo_volts, travel_time_s, warm_probe_and_wall
+from simulator.echo.pulse import simulate_bubbles, simulate_echo, travel_time_s, warm_probe_and_wall
 from simulator.electronics.transduction import quantise_volts
 from simulator.numerics.arrays import FloatArray
 from simulator.numerics.keyed_random import Purpose, keyed_generator
@@ -45,7 +45,7 @@ class ProbedWall:
 
     def volts(self, echo: EchoParameters) -> FloatArray:
         """Simulate the noise-free record of this wall in V, shape (record_samples,)."""
-        return echo_volts(
+        return simulate_echo(
             self.thickness_m if self.facets is None else self.facets, warm_probe_and_wall(echo, self.warmer_k)
         )
 
@@ -63,7 +63,7 @@ class ProbedWall:
         return known
 
 
-def probe_wall(
+def build_wall(
     pristine_m: float, depth_fraction: float, spot: RoughSpot | None, warmer_k: float
 ) -> ProbedWall:
     """Build the wall under a probe at one depth; without a spot or without loss it is smooth."""
@@ -115,11 +115,11 @@ def simulate_disturbed_records(
     if found.bubbles:
         random = keyed_generator(seed, Purpose.BUBBLES, key=key)
         random.random()  # what `disturbance` has drawn
-        volts += bubble_volts(wall.thickness_m, warm_probe_and_wall(echo, wall.warmer_k), random, records)
+        volts += simulate_bubbles(wall.thickness_m, warm_probe_and_wall(echo, wall.warmer_k), random, records)
     return found.gain * volts
 
 
-def average_record(
+def simulate_record(
     wall: ProbedWall,
     echo: EchoParameters,
     calibration: Calibration,

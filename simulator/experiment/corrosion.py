@@ -82,9 +82,9 @@ class WallHistory:
 
     def at(self, hour_h: float) -> Wall:
         """Return the mean and deepest wall loss at an hour of the test; cached."""
-        return _cached_wall_state(self, hour_h)
+        return _compute_wall_state(self, hour_h)
 
-    def mean_at(self, hour_h: float) -> float:
+    def compute_mean_depth(self, hour_h: float) -> float:
         """Return the mean depth at an hour of the test, as a fraction of the thickness; it never falls."""
         onset_h, reference_h = self.thinning.onset_h, self.thinning.reference_h
         if self.thinning.history:
@@ -104,9 +104,9 @@ class WallHistory:
 
 
 @lru_cache(maxsize=256)
-def _cached_wall_state(history: WallHistory, hour_h: float) -> Wall:
+def _compute_wall_state(history: WallHistory, hour_h: float) -> Wall:
     """Return mean and deepest loss of a wall at an hour, cached: all shots of a set need it."""
-    mean = history.mean_at(hour_h)
+    mean = history.compute_mean_depth(hour_h)
     pit, onset_h = mean, history.thinning.onset_h
     is_pitted = history.pits.size > 0
     if is_pitted:
@@ -148,7 +148,7 @@ def _draw_pit_depths(flat: WallHistory, seed: int, position: str) -> FloatArray:
     pits = np.maximum(drawn / drawn[middle], SHALLOWEST_PIT)
     if hole_h is None:
         return np.asarray(pits)
-    mean = flat.mean_at(hole_h) / DEEPEST_PATCH_FRACTION
+    mean = flat.compute_mean_depth(hole_h) / DEEPEST_PATCH_FRACTION
     least, most = pits.size**-1.0, 1.0
     if not least < mean < most:
         raise SpecimenError(
@@ -211,7 +211,7 @@ def divide_into_pits(corrosion: CorrosionParameters, history: WallHistory) -> Co
     )
 
 
-def held_hour_h(elapsed_ns: int, update_interval_s: float) -> float:
+def round_down_hour_h(elapsed_ns: int, update_interval_s: float) -> float:
     """Return the hour of the test rounded down to the update interval.
 
     Rounded in integer nanoseconds: a due time that is a multiple of the interval belongs to the

@@ -223,16 +223,16 @@ class TransducerNuisance:
             contacts=Contacts(stiffness_factor=factors[:n], damping_factor=factors[n : 2 * n]),
             plate_modulus_factor=seat.plate_modulus_factor,
             liquid_factor=seat.liquid_factor,
-            knock=_draw_ringing(parameters.knock_v * normal[2], KNOCK_HZ, KNOCK_DECAY_S, even[4:7])
+            knock=_build_ringing(parameters.knock_v * normal[2], KNOCK_HZ, KNOCK_DECAY_S, even[4:7])
             if knocked
             else None,
-            burst=_draw_ringing(parameters.burst_v * normal[3], BURST_HZ, BURST_DECAY_S, even[8:11])
+            burst=_build_ringing(parameters.burst_v * normal[3], BURST_HZ, BURST_DECAY_S, even[8:11])
             if burst
             else None,
         )
 
 
-def _draw_ringing(
+def _build_ringing(
     height_v: float, range_hz: tuple[float, float], decay_s: tuple[float, float], even: FloatArray
 ) -> Ringing:
     """Build a ringing from three uniform numbers: start, and log-uniform frequency and decay."""
@@ -260,7 +260,7 @@ def disturb_strike(
 
 
 @lru_cache(maxsize=16)
-def disturb_noise(noise: NoiseParameters, factor: float) -> NoiseParameters:
+def scale_noise(noise: NoiseParameters, factor: float) -> NoiseParameters:
     """Return the noise with its RMS values scaled by the factor of an hour; disabled noise stays disabled."""
     if factor == 1.0:
         return noise

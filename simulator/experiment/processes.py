@@ -69,7 +69,7 @@ def draw_autocorrelated_values(
         [_draw_innovations(seed, position, number, weights.shape[1], dof) for number in (block, block + 1)]
     )[first + 1 : first + 1 + LAGS]
     if unscheduled:
-        key = ShotKey.in_set(set_key, position, 0)
+        key = ShotKey.from_set(set_key, position, 0)
         recent[-1] = draw_unit_t(
             keyed_generator(seed, Purpose.SEATING_MEMORY, key=key), dof, (weights.shape[1],)
         )

@@ -76,7 +76,7 @@ def draw_scattered_strike(
     nowhere beyond. The set's part is drawn from the set alone, so all its shots share it. The drop height is
     limited to 0.01 times the nominal one and 1 m, the tilt to 0.2 rad.
     """
-    set_part = _draw_set_numbers(seed, ShotKey.in_set(key.set_key, key.position, 0))
+    set_part = _draw_set_numbers(seed, ShotKey.from_set(key.set_key, key.position, 0))
     shot_part = _draw_unit_numbers(keyed_generator(seed, Purpose.SHOT_SCATTER, key=key))
     warmer_k = temperature_c - drift.mean_temperature_c
 

@@ -61,7 +61,7 @@ def read_or_compute_arrays(
     folder
         None computes without any disk. Kept or not, the arrays are the same to the last bit.
     key
-        From `hash_content`: whatever changes the arrays must change it.
+        From `compute_cache_key`: whatever changes the arrays must change it.
     compute
         Makes the arrays, float64 of any shape, by name.
     """
@@ -76,7 +76,7 @@ def read_or_compute_arrays(
     return found
 
 
-def hash_content(described: Mapping[str, object]) -> str:
+def compute_cache_key(described: Mapping[str, object]) -> str:
     """Return the SHA-256 (hex) of a description, the simulator's code and the numerical libraries.
 
     Parameters

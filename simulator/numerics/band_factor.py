@@ -93,7 +93,7 @@ class FactorFamily:
         window = min(self._bandwidth, n - self._fixed)  # what the first columns reach into
         self._factor = np.empty((self._bandwidth + 1, n), order="F")
         end = self._fixed + window
-        head = self._band_at_parameter([one.within(0, end) for one in entries], 1.0, end)
+        head = self._assemble_band([one.within(0, end) for one in entries], 1.0, end)
         before = _extract_lower_corner(head[:, self._fixed :])
         head = factorize_band(head)
         self._factor[:, : self._fixed] = head[:, : self._fixed]
@@ -108,7 +108,7 @@ class FactorFamily:
         numpy.linalg.LinAlgError
             A(s) is not positive definite.
         """
-        rest = self._band_at_parameter(self._rest, s, len(self._order) - self._fixed)
+        rest = self._assemble_band(self._rest, s, len(self._order) - self._fixed)
         for column in range(len(self._taken)):
             rest[: len(self._taken) - column, column] -= self._taken[column:, column]
         self._factor[:, self._fixed :] = factorize_band(rest)
@@ -121,7 +121,7 @@ class FactorFamily:
         """
         return np.asarray(solve_band(factor, right[self._order])[self._place])
 
-    def _band_at_parameter(self, entries: list[_LowerEntries], s: float, size: int) -> FloatArray:
+    def _assemble_band(self, entries: list[_LowerEntries], s: float, size: int) -> FloatArray:
         """Assemble the lower band storage of A(s), shape (bandwidth + 1, size)."""
         band = np.zeros((self._bandwidth + 1, size), order="F")
         for power, one in enumerate(entries):

@@ -63,7 +63,7 @@ def keyed_generator(
         keeps the streams of neighbouring keys independent.
     """
     name = position if key is None else key.position
-    words = [seed, int(purpose), *_words_of_name(name)]
+    words = [seed, int(purpose), *_hash_name(name)]
     if key is not None:
         words += [key.set_key.number, key.shot_index, key.attempt]
     # Every word is below 2**32: SeedSequence would split a larger one and keys could coincide.
@@ -72,7 +72,7 @@ def keyed_generator(
 
 
 @lru_cache(maxsize=256)
-def _words_of_name(name: str) -> tuple[int, int]:
+def _hash_name(name: str) -> tuple[int, int]:
     """Hash a name to two 32-bit words of a seed (BLAKE2b), the same in every process."""
     digest = hashlib.blake2b(name.encode(), digest_size=8).digest()
     return int.from_bytes(digest[:4], "little"), int.from_bytes(digest[4:], "little")

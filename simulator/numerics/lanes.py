@@ -59,7 +59,7 @@ def _make_intrinsic(function: Callable[..., Any]) -> Callable[..., Any]:
     return intrinsic
 
 
-def _address_of_lanes(
+def _emit_lane_address(
     context: Any, builder: Any, array_type: Any, array: Any, start: Any, lanes: Lanes
 ) -> Any:
     """Emit the address of the lanes that begin at index ``start`` in an array, without a bounds check."""
@@ -74,7 +74,7 @@ def load(typing: Any, array: Any, start: Any, width: Any) -> Any:
 
     def codegen(context: Any, builder: Any, signature: Any, values: Any) -> Any:
         """Emit the load of the lanes."""
-        pointer = _address_of_lanes(context, builder, array, values[0], values[1], lanes)
+        pointer = _emit_lane_address(context, builder, array, values[0], values[1], lanes)
         return builder.load(pointer, align=8)
 
     return lanes(array, types.intp, width), codegen
@@ -87,7 +87,7 @@ def store(typing: Any, array: Any, start: Any, lanes: Any) -> Any:
     def codegen(context: Any, builder: Any, signature: Any, values: Any) -> Any:
         """Emit the store of the lanes."""
         builder.store(
-            values[2], _address_of_lanes(context, builder, array, values[0], values[1], lanes), align=8
+            values[2], _emit_lane_address(context, builder, array, values[0], values[1], lanes), align=8
         )
         return context.get_dummy_value()
 
@@ -101,19 +101,19 @@ def broadcast(typing: Any, number: Any, width: Any) -> Any:
 
     def codegen(context: Any, builder: Any, signature: Any, values: Any) -> Any:
         """Emit the copies of the number."""
-        return _splat(builder, values[0], lanes)
+        return _emit_broadcast(builder, values[0], lanes)
 
     return lanes(types.float64, width), codegen
 
 
-def _splat(builder: Any, number: Any, lanes: Lanes) -> Any:
+def _emit_broadcast(builder: Any, number: Any, lanes: Lanes) -> Any:
     """Emit a vector with the number in each lane (an LLVM shuffle)."""
     vector = builder.insert_element(ir.Constant(_vector_type(lanes), ir.Undefined), number, ir.IntType(32)(0))
     mask = ir.Constant(ir.VectorType(ir.IntType(32), lanes.width), [0] * lanes.width)
     return builder.shuffle_vector(vector, ir.Constant(_vector_type(lanes), ir.Undefined), mask)
 
 
-def _common_vector_type(given: Sequence[Any]) -> Lanes | None:
+def _find_common_vector_type(given: Sequence[Any]) -> Lanes | None:
     """Return the common vector type of the arguments; None if there is none or they differ."""
     lanes = [one for one in given if isinstance(one, Lanes)]
     return lanes[0] if lanes and all(one == lanes[0] for one in lanes) else None
@@ -124,7 +124,7 @@ def _make_lane_intrinsic(operands: int, emit: Callable[[Any, Any], Any]) -> Call
 
     def typed(*given: Any) -> Any:
         """Return signature and code generator for the given types; None if they do not match."""
-        lanes = _common_vector_type(given)
+        lanes = _find_common_vector_type(given)
         if lanes is None:
             return None
         arguments = [one if isinstance(one, Lanes) else types.float64 for one in given]
@@ -132,7 +132,7 @@ def _make_lane_intrinsic(operands: int, emit: Callable[[Any, Any], Any]) -> Call
         def codegen(context: Any, builder: Any, signature: Any, values: Any) -> Any:
             """Broadcast numbers to vectors and emit the operation."""
             wide = [
-                value if isinstance(one, Lanes) else _splat(builder, value, lanes)
+                value if isinstance(one, Lanes) else _emit_broadcast(builder, value, lanes)
                 for one, value in zip(arguments, values, strict=True)
             ]
             return emit(builder, wide)
@@ -168,27 +168,27 @@ sqrt = _make_lane_intrinsic(1, _make_call_emitter("llvm.sqrt"))
 absolute = _make_lane_intrinsic(1, _make_call_emitter("llvm.fabs"))
 
 
-def _positive(builder: Any, values: Any) -> Any:
+def _emit_positive(builder: Any, values: Any) -> Any:
     """Emit max(x, 0) of each lane; NaN gives 0."""
     zero = ir.Constant(values[0].type, [0.0] * values[0].type.count)
     return builder.select(builder.fcmp_ordered(">", values[0], zero), values[0], zero)
 
 
-def _where_greater(builder: Any, values: Any) -> Any:
+def _emit_where_greater(builder: Any, values: Any) -> Any:
     """Emit ``c if a > b else d`` for each lane; NaN gives d."""
     return builder.select(builder.fcmp_ordered(">", values[0], values[1]), values[2], values[3])
 
 
-def _where_not_less_or_equal(builder: Any, values: Any) -> Any:
+def _emit_unless_within(builder: Any, values: Any) -> Any:
     """Emit ``d if a <= b else c`` for each lane; NaN gives c."""
     return builder.select(builder.fcmp_unordered(">", values[0], values[1]), values[2], values[3])
 
 
-positive = _make_lane_intrinsic(1, _positive)
+positive = _make_lane_intrinsic(1, _emit_positive)
 """``max(a, 0)``; 0 for what is not a number."""
-where_greater = _make_lane_intrinsic(4, _where_greater)
+where_greater = _make_lane_intrinsic(4, _emit_where_greater)
 """c in the lanes with a > b, d in the others."""
-unless_within = _make_lane_intrinsic(4, _where_not_less_or_equal)
+unless_within = _make_lane_intrinsic(4, _emit_unless_within)
 """d in the lanes with a <= b, c in the others, also where one of them is not a number."""
 
 
@@ -223,7 +223,7 @@ def _register_operator(symbol: Any, method: str) -> None:
     class _Template(templates.AbstractTemplate):  # type: ignore[misc]
         def generic(self, arguments: Any, keywords: Any) -> Any:
             """Return the signature for the given types; None if there is no vector or they do not match."""
-            lanes = _common_vector_type(arguments)
+            lanes = _find_common_vector_type(arguments)
             if lanes is None:
                 return None
             return templates.signature(
@@ -235,7 +235,7 @@ def _register_operator(symbol: Any, method: str) -> None:
     def lowered(context: Any, builder: Any, intrinsic: Any, values: Any) -> Any:
         """Broadcast numbers to vectors and emit the operator's instruction."""
         wide = [
-            value if isinstance(one, Lanes) else _splat(builder, value, intrinsic.return_type)
+            value if isinstance(one, Lanes) else _emit_broadcast(builder, value, intrinsic.return_type)
             for one, value in zip(intrinsic.args, values, strict=True)
         ]
         return getattr(builder, method)(*wide)

@@ -145,12 +145,12 @@ def factorize(fronts: list[Front], cell_matrix: Callable[[int], FloatArray]) -> 
             matrix = np.zeros((size, size))
             for child, place in zip(front.children, front.places, strict=True):
                 matrix[np.ix_(place, place)] += waiting.pop(child)
-        own, below, waiting[number] = _eliminate(matrix, *front.own)
+        own, below, waiting[number] = _eliminate_unknowns(matrix, *front.own)
         factors.append((own, below))
     return DissectedCholesky(fronts=fronts, factors=factors)
 
 
-def _eliminate(
+def _eliminate_unknowns(
     matrix: FloatArray, done: IntArray, rest: IntArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Eliminate unknowns; return their Cholesky factor, its continuation below, and the Schur complement."""

@@ -65,7 +65,7 @@ def _ziggurat_layers() -> tuple[NDArray[np.uint32], Table, Table]:
 
 
 @jit_compile(error_model="numpy")
-def _next_uint32(words: Words) -> Any:
+def _draw_uint32(words: Words) -> Any:
     """Return the next 32 bits of an SFC64 and advance its state in ``words``."""
     if words[4]:
         words[4] = np.uint64(0)
@@ -83,8 +83,8 @@ def _next_uint32(words: Words) -> Any:
 def _draw_from_tail(words: Words, bits: np.uint32) -> Any:
     """Draw a normal number beyond the last edge (Marsaglia 1964); bit 17 of ``bits`` is the sign."""
     while True:
-        first = np.float32(_next_uint32(words) >> np.uint32(8)) * np.float32(2.0**-24)
-        second = np.float32(_next_uint32(words) >> np.uint32(8)) * np.float32(2.0**-24)
+        first = np.float32(_draw_uint32(words) >> np.uint32(8)) * np.float32(2.0**-24)
+        second = np.float32(_draw_uint32(words) >> np.uint32(8)) * np.float32(2.0**-24)
         x = -np.float32(1.0 / LAST_EDGE) * np.float32(math.log1p(-np.float64(first)))
         y = -np.float32(math.log1p(-np.float64(second)))
         if y + y > x * x:
@@ -104,7 +104,7 @@ def _fill_with_normals(
     done = 0
     while done < size:
         if words[4] or done + 1 == size:
-            drawn[done] = _next_number(words, _next_uint32(words), inside, widths, heights)
+            drawn[done] = _draw_normal(words, _draw_uint32(words), inside, widths, heights)
             done += 1
             continue
         # Two numbers of each word, which stays in registers, as long as all lie well inside their layers.
@@ -119,10 +119,10 @@ def _fill_with_normals(
             s1 = s2 + (s2 << np.uint64(3))
             s2 = ((s2 << np.uint64(24)) | (s2 >> np.uint64(40))) + given
             low, high = np.uint32(given & np.uint64(0xFFFFFFFF)), np.uint32(given >> np.uint64(32))
-            first, low_inside = _number_in_layer(low, inside, widths)
+            first, low_inside = _convert_bits_to_number(low, inside, widths)
             if not low_inside:
                 break
-            second, high_inside = _number_in_layer(high, inside, widths)
+            second, high_inside = _convert_bits_to_number(high, inside, widths)
             drawn[done] = first
             if not high_inside:
                 break
@@ -131,15 +131,15 @@ def _fill_with_normals(
         words[0], words[1], words[2], words[3], words[5] = s0, s1, s2, counter, np.uint64(high)
         if not low_inside:
             words[4] = np.uint64(1)
-            drawn[done] = _next_number(words, low, inside, widths, heights)
+            drawn[done] = _draw_normal(words, low, inside, widths, heights)
             done += 1
         elif not high_inside:
-            drawn[done + 1] = _next_number(words, high, inside, widths, heights)
+            drawn[done + 1] = _draw_normal(words, high, inside, widths, heights)
             done += 2
 
 
 @jit_compile(error_model="numpy")
-def _number_in_layer(bits: np.uint32, inside: NDArray[np.uint32], widths: Table) -> Any:
+def _convert_bits_to_number(bits: np.uint32, inside: NDArray[np.uint32], widths: Table) -> Any:
     """Convert 32 bits to a number, and whether the curve is above all of its layer there (accept at once)."""
     layer = bits & np.uint32(LAYERS - 1)
     place = bits >> np.uint32(9)
@@ -147,19 +147,19 @@ def _number_in_layer(bits: np.uint32, inside: NDArray[np.uint32], widths: Table)
 
 
 @jit_compile(error_model="numpy")
-def _next_number(
+def _draw_normal(
     words: Words, bits: np.uint32, inside: NDArray[np.uint32], widths: Table, heights: Table
 ) -> Any:
     """Draw a standard normal number from 32 bits; draw further bits while it is rejected."""
     while True:
-        x, under = _number_in_layer(bits, inside, widths)
+        x, under = _convert_bits_to_number(bits, inside, widths)
         if under:
             return x
         layer = bits & np.uint32(LAYERS - 1)
         if layer == 0:
             return _draw_from_tail(words, bits)
-        even = np.float32(_next_uint32(words) >> np.uint32(8)) * np.float32(2.0**-24)
+        even = np.float32(_draw_uint32(words) >> np.uint32(8)) * np.float32(2.0**-24)
         height = (heights[layer - 1] - heights[layer]) * even + heights[layer]
         if height < math.exp(-0.5 * np.float64(x) * np.float64(x)):
             return x
-        bits = _next_uint32(words)
+        bits = _draw_uint32(words)

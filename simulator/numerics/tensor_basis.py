@@ -59,7 +59,7 @@ class Axis:
         mass, slope, stiffness = _reference_element_matrices(self.degrees[interval])
         return mass * (0.5 * length), slope, stiffness * (2.0 / length)
 
-    def matrices(self, intervals: Iterable[int]) -> tuple[FloatArray, FloatArray, FloatArray]:
+    def integrate_intervals(self, intervals: Iterable[int]) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Sum the integrals of `interval_matrices` over some intervals; three arrays, (nodes, nodes) each."""
         count = int(self.first[-1]) + 1
         sums = np.zeros((3, count, count))

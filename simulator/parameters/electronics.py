@@ -6,7 +6,7 @@ from typing import Annotated
 
 from annotated_types import Ge, Gt, Le
 
-from hardware_drivers.bounds import bounded, check_pair
+from hardware_drivers.bounds import bounded, check_field_relation
 
 
 @bounded
@@ -65,5 +65,5 @@ class AdcParameters:
 
     def __post_init__(self) -> None:
         """Raise ValueError unless the pre-trigger is within the record and the level within the range."""
-        check_pair(self, "pretrigger_samples", "less than", "record_samples")
-        check_pair(self, "trigger_level_v", "below", "range_v", " V")
+        check_field_relation(self, "pretrigger_samples", "less than", "record_samples")
+        check_field_relation(self, "trigger_level_v", "below", "range_v", " V")

@@ -14,7 +14,7 @@ from typing import Annotated, Literal
 
 from annotated_types import Ge, Gt, Le
 
-from hardware_drivers.bounds import bounded, check_pair
+from hardware_drivers.bounds import bounded, check_field_relation
 
 NuisanceLevel = Literal["none", "laboratory", "workshop", "plant"]
 
@@ -136,8 +136,8 @@ class NuisanceParameters:
 
     def __post_init__(self) -> None:
         """Raise ValueError if a longest period is below the shortest one."""
-        check_pair(self, "longest_wander_h", "at least", "shortest_wander_h", " h")
-        check_pair(self, "longest_process_h", "at least", "shortest_process_h", " h")
+        check_field_relation(self, "longest_wander_h", "at least", "shortest_wander_h", " h")
+        check_field_relation(self, "longest_process_h", "at least", "shortest_process_h", " h")
 
 
 _FILE = Path(__file__).with_suffix(".toml")

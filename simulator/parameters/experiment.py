@@ -16,7 +16,7 @@ from typing import Annotated, Literal
 
 from annotated_types import Ge, Gt, Le, Lt
 
-from hardware_drivers.bounds import bounded, check_pair
+from hardware_drivers.bounds import bounded, check_field_relation
 from simulator.parameters.echo import EchoParameters as EchoParameters
 from simulator.parameters.electronics import AdcParameters, NoiseParameters, SensorParameters
 from simulator.parameters.environmental_variability import NuisanceLevel
@@ -53,7 +53,7 @@ class ThinningParameters:
         """Raise ValueError for a history that does not rise, or hours in the wrong order."""
         if self.history:
             self._check_history()
-        check_pair(self, "reference_h", "later than", "onset_h", " h")
+        check_field_relation(self, "reference_h", "later than", "onset_h", " h")
         if self.hole_h is not None and not self.onset_h < self.hole_h <= 1e6:
             raise ValueError(
                 f"hole_h is {self.hole_h} h; it must be later than onset_h ({self.onset_h} h) and at most "
@@ -141,7 +141,7 @@ class DriftParameters:
 
     def __post_init__(self) -> None:
         """Raise ValueError if the longest period of the slow drift is below the shortest."""
-        check_pair(self, "longest_wander_h", "at least", "shortest_wander_h", " h")
+        check_field_relation(self, "longest_wander_h", "at least", "shortest_wander_h", " h")
 
 
 PAPER_THINNING: Mapping[str, ThinningParameters] = MappingProxyType(

@@ -12,7 +12,7 @@ from typing import Annotated
 
 from annotated_types import Ge, Gt, Le
 
-from hardware_drivers.bounds import bounded, check_pair
+from hardware_drivers.bounds import bounded, check_field_relation
 
 
 @bounded
@@ -54,7 +54,7 @@ class DoubleStrikeFault(_Fault):
 
     def __post_init__(self) -> None:
         """Raise ValueError if the longest delay is below the shortest."""
-        check_pair(self, "longest_delay_s", "at least", "shortest_delay_s", " s")
+        check_field_relation(self, "longest_delay_s", "at least", "shortest_delay_s", " s")
 
 
 @bounded

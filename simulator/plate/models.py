@@ -8,14 +8,14 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Protocol
 
-from simulator.numerics.array_cache import hash_content, read_or_compute_arrays
+from simulator.numerics.array_cache import compute_cache_key, read_or_compute_arrays
 from simulator.numerics.arrays import FloatArray
 from simulator.numerics.one_thread import use_one_blas_thread
 from simulator.parameters.plate import CorrosionParameters, PlateParameters
 from simulator.plate.mindlin.cache import load_reduced_plate
 from simulator.plate.reduced import PlateModes
 from simulator.plate.solid.family import SolidFamily, build_solid_family, restore_family
-from simulator.plate.solid.plate import check_solid
+from simulator.plate.solid.plate import check_solid_parameters
 from simulator.plate.solid.reduction import SHALLOWEST_FRACTION, solid_modes
 
 DEPTHS_KNOWN = 256
@@ -74,7 +74,7 @@ class CachedSolid:
 
     def __init__(self, plate: PlateParameters, corrosion: CorrosionParameters, folder: Path | None) -> None:
         """Check plate and patch; nothing is computed before the first call of `modes`."""
-        check_solid(plate, replace(corrosion, depth_fraction=0.0))
+        check_solid_parameters(plate, replace(corrosion, depth_fraction=0.0))
         self._plate = plate
         self._corrosion = corrosion
         self._folder = folder
@@ -90,24 +90,24 @@ class CachedSolid:
         with self._lock:  # two threads must not compute the same depth
             found = self._known.get(depth_fraction)
             if found is None:
-                found = self._find_modes(replace(self._corrosion, depth_fraction=depth_fraction))
+                found = self._compute_modes(replace(self._corrosion, depth_fraction=depth_fraction))
                 self._known[depth_fraction] = found
                 if len(self._known) > DEPTHS_KNOWN:
                     self._known.popitem(last=False)
             return found
 
-    def _find_modes(self, corrosion: CorrosionParameters) -> PlateModes:
+    def _compute_modes(self, corrosion: CorrosionParameters) -> PlateModes:
         """Compute the modes of a thinned plate: from one basis for all depths if so set, else on its own."""
-        check_solid(self._plate, corrosion)
+        check_solid_parameters(self._plate, corrosion)
         lost = corrosion.depth_fraction * corrosion.depth_factor
         if not self._plate.solid.one_basis or lost < SHALLOWEST_FRACTION:
-            return self._cached_modes(corrosion)
+            return self._load_or_compute_modes(corrosion)
         if self._family is None:
-            self._family = self._cached_family()
+            self._family = self._load_or_compute_family()
         with use_one_blas_thread():
             return self._family.modes(1.0 - lost)
 
-    def _cached_modes(self, corrosion: CorrosionParameters) -> PlateModes:
+    def _load_or_compute_modes(self, corrosion: CorrosionParameters) -> PlateModes:
         """Read the modes of a thinned plate from the disk cache, or compute and store them."""
 
         def compute() -> dict[str, FloatArray]:
@@ -116,11 +116,11 @@ class CachedSolid:
                 return asdict(solid_modes(self._plate, corrosion))
 
         described = {"modes": "solid", "plate": asdict(self._plate), "patch": asdict(corrosion)}
-        found = read_or_compute_arrays(self._folder, hash_content(described), compute)
+        found = read_or_compute_arrays(self._folder, compute_cache_key(described), compute)
         residual_m_per_n = float(found.pop("residual_compliance_m_per_n"))
         return PlateModes(**found, residual_compliance_m_per_n=residual_m_per_n)
 
-    def _cached_family(self) -> SolidFamily:
+    def _load_or_compute_family(self) -> SolidFamily:
         """Read the basis for all depths from the disk cache, or compute and store it."""
 
         def compute() -> dict[str, FloatArray]:
@@ -130,4 +130,4 @@ class CachedSolid:
 
         footprint = asdict(replace(self._corrosion, depth_fraction=0.0))
         described = {"basis": "solid", "plate": asdict(self._plate), "patch": footprint}
-        return restore_family(read_or_compute_arrays(self._folder, hash_content(described), compute))
+        return restore_family(read_or_compute_arrays(self._folder, compute_cache_key(described), compute))

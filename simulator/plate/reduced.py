@@ -53,7 +53,7 @@ class PlateModes:
             residual_compliance_m_per_n=self.residual_compliance_m_per_n / factor,
         )
 
-    def cut_above(self, omega_rad_per_s: float, yielding_per_kg: float) -> PlateModes:
+    def cut_off_fast_modes(self, omega_rad_per_s: float, yielding_per_kg: float) -> PlateModes:
         """Return the modes up to a frequency; those above become residual compliance.
 
         Parameters

@@ -169,7 +169,7 @@ def _set_bodies_at_rest(chains: Chains, speed: Any, step: float, width: int) -> 
 
 
 @_step
-def _contact_weights(
+def _compute_contact_weights(
     chains: Chains, specimen: Propagator, step: float, width: int, law: int, linear: bool
 ) -> Contact:
     """Return the constants of a step that act on the contact with the plate, one lane per shot."""
@@ -341,7 +341,7 @@ def _advance_modes_of_two(y: FloatArray, sums: FloatArray, bank: FloatArray, las
 
 @_step
 def _store_sums_of_two(sums: FloatArray, total: Any, other: Any) -> None:
-    """Store the sums of two shots in `sums` so that `_sum_of_eight` returns them unchanged."""
+    """Store the sums of two shots in `sums` so that `_sum_eight_vectors` returns them unchanged."""
     n = 2 * BLOCK
     store(sums, n, total)
     store(sums, n + BLOCK, other)
@@ -381,7 +381,7 @@ def _advance_modes_of_many(
 
 
 @_step
-def _sum_of_eight(sums: FloatArray, width: int) -> Any:
+def _sum_eight_vectors(sums: FloatArray, width: int) -> Any:
     """Sum eight vectors of `sums` in a fixed order; return one vector of `width` lanes."""
     front = load(sums, 0, width) + load(sums, width, width)
     front = front + (load(sums, 2 * width, width) + load(sums, 3 * width, width))
@@ -390,7 +390,7 @@ def _sum_of_eight(sums: FloatArray, width: int) -> Any:
 
 
 @_step
-def _predict_places(bodies: Bodies, last: LastBody, row_of_last: int, size: int, h24: float) -> None:
+def _predict_displacements(bodies: Bodies, last: LastBody, row_of_last: int, size: int, h24: float) -> None:
     """Predict the displacements of all bodies by an Adams-Bashforth step of order four, into `ahead`."""
     for k in range(0, size, BLOCK):
         past = fma(load(bodies.v2, k, BLOCK), 37.0, -9.0 * load(bodies.v3, k, BLOCK))
@@ -484,7 +484,7 @@ def _solve_overlap_root(
 
 
 @_step
-def _press_plate(
+def _solve_plate_contact(
     last: LastBody, contact: Contact, above: Any, w_free: Any, zero: Any, law: int, linear: bool
 ) -> LastBody:
     """Solve the contact with the plate implicitly; return the last body after the step.
@@ -571,7 +571,7 @@ def _correct_forces(bodies: Bodies, size: int, width: int, h24: float, law: int)
 
 
 @_step
-def _contact_force(
+def _compute_contact_force(
     i: int,
     bodies: Bodies,
     last: LastBody,
@@ -599,7 +599,7 @@ def _contact_force(
 
 
 @_step
-def _energy_of_bodies(bodies: Bodies, last: LastBody, contact: Contact, chains: Chains, width: int) -> Any:
+def _sum_body_energy(bodies: Bodies, last: LastBody, contact: Contact, chains: Chains, width: int) -> Any:
     """Sum energy and losses of chain and contacts in J, without the modes of the plate."""
     n_last = chains.mass.shape[0] - 1
     spent = last.dissipated
@@ -619,7 +619,7 @@ def _energy_of_bodies(bodies: Bodies, last: LastBody, contact: Contact, chains: 
 
 
 @_step
-def _energy_of_modes_of_two(y: FloatArray, sums: FloatArray, bank: FloatArray, last: LastBody) -> None:
+def _sum_mode_energy_of_two(y: FloatArray, sums: FloatArray, bank: FloatArray, last: LastBody) -> None:
     """Sum the energy in J of the plate's modes of two shots, into `sums`."""
     total, other = broadcast(0.0, BLOCK), broadcast(0.0, BLOCK)
     i, s = last.i, last.s[0]
@@ -643,14 +643,14 @@ def _energy_of_modes_of_two(y: FloatArray, sums: FloatArray, bank: FloatArray, l
             load(bank, k + 15 * BLOCK, BLOCK),
         )
         bent, gain = load(y, m, BLOCK), load(y, m + BLOCK, BLOCK)
-        total = total + _energy_of_mode(bent, gain, of_first, bending, moving)
+        total = total + _compute_mode_energy(bent, gain, of_first, bending, moving)
         bent, gain = load(y, m + 2 * BLOCK, BLOCK), load(y, m + 3 * BLOCK, BLOCK)
-        other = other + _energy_of_mode(bent, gain, of_second, bending, moving)
+        other = other + _compute_mode_energy(bent, gain, of_second, bending, moving)
     _store_sums_of_two(sums, total, other)
 
 
 @_step
-def _energy_of_modes_of_many(
+def _sum_mode_energy_of_many(
     y: FloatArray, sums: FloatArray, bank: FloatArray, last: LastBody, width: int
 ) -> None:
     """Sum the energy in J of the plate's modes of ``width`` shots, into `sums`."""
@@ -675,12 +675,12 @@ def _energy_of_modes_of_many(
                 bank[k + 15 * BLOCK],
             )
             bent, gain = load(y, m, width), load(y, m + width, width)
-            total = total + _energy_of_mode(bent, gain, acting, bending, moving)
+            total = total + _compute_mode_energy(bent, gain, acting, bending, moving)
         store(sums, j * width, total)
 
 
 @_step
-def _energy_of_mode(bent: Any, gain: Any, acting: Any, bending: Any, moving: Any) -> Any:
+def _compute_mode_energy(bent: Any, gain: Any, acting: Any, bending: Any, moving: Any) -> Any:
     """Compute the energy of a mode in J from I now, one and two steps ago and S now."""
     speed = fma(moving[0], gain, moving[1] * bent)
     speed = fma(moving[2], acting[0], fma(moving[3], acting[1], speed))
@@ -731,7 +731,7 @@ def _make_time_loop(W: int, LINEAR: bool) -> Callable[..., None]:
         zero = broadcast(0.0, W)
         speed = load(strikes.speed, 0, W)
         bodies = _set_bodies_at_rest(chains, speed, step, W)
-        contact = _contact_weights(chains, specimen, step, W, law, LINEAR)
+        contact = _compute_contact_weights(chains, specimen, step, W, law, LINEAR)
         last = _set_last_body_at_rest(chains, contact, zero, W)
         y = np.zeros(bank.shape[0] // (BANK_ROWS * BLOCK) * 2 * BLOCK * W)  # two numbers a mode
         sums = np.zeros(BLOCK * (W + NARROWEST))
@@ -757,17 +757,17 @@ def _make_time_loop(W: int, LINEAR: bool) -> Callable[..., None]:
                 _advance_modes_of_two(y, sums, bank, last)
             else:
                 _advance_modes_of_many(y, sums, bank, last, W)
-            w_free = fma(last.i[1], contact.w_per_earlier_i, _sum_of_eight(sums, W))
+            w_free = fma(last.i[1], contact.w_per_earlier_i, _sum_eight_vectors(sums, W))
             w_free = fma(last.s[0], contact.w_per_last_s, w_free)
             w_free = fma(last.i[0], contact.w_per_last_i, w_free)
-            _predict_places(bodies, last, last_body * W, size, h24)
+            _predict_displacements(bodies, last, last_body * W, size, h24)
             striker = chains.mass[0] * (load(launch_speed, 0, W) + chains.gravity * (n * step))
             _predict_impulses(bodies, striker, size, W, h24, law)
             above = load(bodies.given, last_body * W, W)
             _move_bodies(bodies, size, W, h24)
 
             before = last
-            last = _press_plate(before, contact, above, w_free, zero, law, LINEAR)
+            last = _solve_plate_contact(before, contact, above, w_free, zero, law, LINEAR)
             store(bodies.u, last_body * W, last.u)
             store(bodies.v0, last_body * W, last.v[0])
             turn = where_greater(last.f[0], largest, zero + float(n), turn)
@@ -777,21 +777,21 @@ def _make_time_loop(W: int, LINEAR: bool) -> Callable[..., None]:
             # The plate's speed is not known: its contact closes at the rate of the last four d.
             closing = 11.0 * last.d[0] - 18.0 * last.d[1] + 9.0 * last.d[2] - 2.0 * before.d[2]
             closing = closing * (1.0 / (6.0 * step))
-            over = _contact_force(chains.sensor - 1, bodies, last, contact, chains, closing, W, law)
-            under = _contact_force(chains.sensor, bodies, last, contact, chains, closing, W, law)
+            over = _compute_contact_force(chains.sensor - 1, bodies, last, contact, chains, closing, W, law)
+            under = _compute_contact_force(chains.sensor, bodies, last, contact, chains, closing, W, law)
             store(found.sensor_force, n * W, 0.5 * (over + under))
             if found.contact_force.shape[0]:
                 for i in range(last_body + 1):
-                    force = _contact_force(i, bodies, last, contact, chains, closing, W, law)
+                    force = _compute_contact_force(i, bodies, last, contact, chains, closing, W, law)
                     store(found.contact_force, (i * n_steps + n) * W, force)
 
             if n % interval == 0 or n == n_steps - 1:
-                energy = _energy_of_bodies(bodies, last, contact, chains, W)
+                energy = _sum_body_energy(bodies, last, contact, chains, W)
                 if W == NARROWEST:
-                    _energy_of_modes_of_two(y, sums, bank, last)
+                    _sum_mode_energy_of_two(y, sums, bank, last)
                 else:
-                    _energy_of_modes_of_many(y, sums, bank, last, W)
-                energy = energy + _sum_of_eight(sums, W)
+                    _sum_mode_energy_of_many(y, sums, bank, last, W)
+                energy = energy + _sum_eight_vectors(sums, W)
                 defect = absolute(energy - load(given_energy, 0, W))
                 # So that what is not a number ends up in `worst` as well.
                 worst = unless_within(defect, worst, defect, worst)

@@ -23,8 +23,8 @@ from pathlib import Path
 
 import numpy as np
 
-from hardware_drivers.bounds import check_values
-from simulator.chain.spheres import Chain, Contacts, build_chain, impact_speed_m_per_s, with_other_strike
+from hardware_drivers.bounds import check_value_bounds
+from simulator.chain.spheres import Chain, Contacts, build_chain, change_strike, impact_speed_m_per_s
 from simulator.errors import IntegrationError, SpecimenError
 from simulator.materials import thin_plate_impedance_n_s_per_m
 from simulator.numerics.arrays import FloatArray
@@ -287,9 +287,9 @@ class ShotModel:
         by_wall: dict[tuple[float, float, bool], list[tuple[int, Chain]]] = {}
         count = 0
         for count, impact in enumerate(impacts, start=1):
-            depth = 0.0 if impact.through_hole else self._depth_of_wall(impact)
+            depth = 0.0 if impact.through_hole else self._find_wall_depth(impact)
             wall = depth, impact.plate_modulus_factor, impact.through_hole
-            by_wall.setdefault(wall, []).append((count - 1, self._chain_as_struck(impact)))
+            by_wall.setdefault(wall, []).append((count - 1, self._build_struck_chain(impact)))
         forces: dict[int, ShotForce] = {}
         for (depth, modulus, is_hole), struck in by_wall.items():
             chains = [chain for _, chain in struck]
@@ -301,7 +301,7 @@ class ShotModel:
             forces.update(zip((order for order, _ in struck), found, strict=True))
         return [forces[order] for order in range(count)]
 
-    def _depth_of_wall(self, impact: Impact) -> float:
+    def _find_wall_depth(self, impact: Impact) -> float:
         """Return an impact's depth fraction; SpecimenError if a plate without patch is to have one."""
         if impact.depth_fraction is None:
             return self._corrosion.depth_fraction
@@ -313,20 +313,20 @@ class ShotModel:
             raise SpecimenError(_no_patch_message(self._plate.model, depth))
         return depth
 
-    def _chain_as_struck(self, impact: Impact) -> Chain:
+    def _build_struck_chain(self, impact: Impact) -> Chain:
         """Return the chain with an impact's height, tilt, contacts and second strike, bounds checked."""
         chain, height_m, tilt_rad = self._chain, impact.drop_height_m, impact.tilt_rad
         struck = self._nominal
         if height_m is not None or tilt_rad is not None or impact.contacts is not None:
             height_m = chain.drop_height_m if height_m is None else float(height_m)
             tilt_rad = chain.tilt_rad if tilt_rad is None else float(tilt_rad)
-            check_values(ChainParameters, {"drop_height_m": height_m, "tilt_rad": tilt_rad})
-            struck = with_other_strike(struck, chain.damping_n_s_per_m, height_m, tilt_rad, impact.contacts)
+            check_value_bounds(ChainParameters, {"drop_height_m": height_m, "tilt_rad": tilt_rad})
+            struck = change_strike(struck, chain.damping_n_s_per_m, height_m, tilt_rad, impact.contacts)
         if impact.second_delay_s is None:
             return struck
         second_speed = struck.impact_speed_m_per_s
         if impact.second_drop_height_m is not None:
-            check_values(ChainParameters, {"drop_height_m": float(impact.second_drop_height_m)})
+            check_value_bounds(ChainParameters, {"drop_height_m": float(impact.second_drop_height_m)})
             second_speed = impact_speed_m_per_s(float(impact.second_drop_height_m))
         return replace(struck, second_delay_s=impact.second_delay_s, second_speed_m_per_s=second_speed)
 
@@ -435,7 +435,7 @@ class ShotModel:
         every_mode = self._modes(depth)
         if modulus != 1.0:
             every_mode = every_mode.with_scaled_modulus(modulus)
-        modes = every_mode.cut_above(phase / step, yielding)
+        modes = every_mode.cut_off_fast_modes(phase / step, yielding)
         propagator = Propagator(
             bank=modal_weights(modes.omega_rad_per_s, modes.participation, step),
             residual_compliance_m_per_n=modes.residual_compliance_m_per_n,

@@ -100,7 +100,7 @@ def _find_waves(force_n: FloatArray, time_s: FloatArray, preload_n: float, turn_
         strongest = max(strongest, force_n[k] - preload_n)
     isw = -1
     for k in range(1, n - 1):
-        if _is_maximum(force_n, k) and force_n[k] - preload_n >= LEADING_FRACTION * strongest:
+        if _is_local_maximum(force_n, k) and force_n[k] - preload_n >= LEADING_FRACTION * strongest:
             isw = k
             break
     if isw < 0 or force_n[isw] - preload_n <= 0.0:
@@ -108,7 +108,7 @@ def _find_waves(force_n: FloatArray, time_s: FloatArray, preload_n: float, turn_
     gate_s = turn_s + RETURN_FRACTION * (turn_s - time_s[isw])
     strongest = -np.inf
     for k in range(1, n - 1):
-        if time_s[k] > gate_s and _is_maximum(force_n, k):
+        if time_s[k] > gate_s and _is_local_maximum(force_n, k):
             strongest = max(strongest, force_n[k] - preload_n)
     if strongest < REFLECTED_FRACTION * (force_n[isw] - preload_n):
         return isw, -1
@@ -117,7 +117,7 @@ def _find_waves(force_n: FloatArray, time_s: FloatArray, preload_n: float, turn_
         height = force_n[k] - preload_n
         if psw >= 0 and height < PULSE_EDGE_FRACTION * strongest:
             break
-        if time_s[k] > gate_s and _is_maximum(force_n, k):
+        if time_s[k] > gate_s and _is_local_maximum(force_n, k):
             leads = psw < 0 and height >= LEADING_FRACTION * strongest
             if leads or (psw >= 0 and force_n[k] > force_n[psw]):
                 psw = k
@@ -125,7 +125,7 @@ def _find_waves(force_n: FloatArray, time_s: FloatArray, preload_n: float, turn_
 
 
 @jit_compile(error_model="numpy")
-def _is_maximum(values: FloatArray, k: int) -> bool:
+def _is_local_maximum(values: FloatArray, k: int) -> bool:
     """Check whether sample k, not an end, is a local maximum; of a plateau only the first sample is."""
     return bool(values[k] > values[k - 1] and values[k] >= values[k + 1])
 

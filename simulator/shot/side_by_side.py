@@ -65,7 +65,7 @@ def _run_kernel(
     lanes = chains + [chains[-1]] * (width - len(chains))
     chain = lanes[0]
 
-    def of_all(name: str) -> FloatArray:
+    def stack_lanes(name: str) -> FloatArray:
         """Return one field of all lanes, body by body with the lanes adjacent."""
         return np.array([getattr(lane, name) for lane in lanes]).ravel(order="F")
 
@@ -76,10 +76,10 @@ def _run_kernel(
     compile_time_loop(width, chain.damping_exponent == 0.0)(
         Chains(
             chain.mass_kg,
-            of_all("stiffness_n_per_m15"),
-            of_all("dashpot_impulse_n_s_per_m"),
+            stack_lanes("stiffness_n_per_m15"),
+            stack_lanes("dashpot_impulse_n_s_per_m"),
             chain.static_force_n,
-            of_all("static_overlap_m"),
+            stack_lanes("static_overlap_m"),
             chain.gravity_m_per_s2,
             chain.sensor,
             chain.precompression_n,

@@ -37,7 +37,7 @@ class Table2Row:
     tof_us: int
 
 
-def table_2() -> tuple[Table2Row, ...]:
+def compute_table_2() -> tuple[Table2Row, ...]:
     """Compute Table 2 of the paper, cases 1 to 5, with the roundings that give its digits.
 
     The striker's speed is rounded to 2 decimals and used so from there on. Lambda takes spheres and plate

@@ -17,7 +17,7 @@ from support.waiting import until
 from daq_service.catalogue import SetCommit
 from daq_service.corrosion_drive.charge import DriveState
 from daq_service.corrosion_drive.supply_state import stamp_state, write_stored_state
-from daq_service.processes.data_folder import DRIVE_FILE, own_data_folder
+from daq_service.processes.data_folder import DRIVE_FILE, hold_recorder_lock
 from daq_service.settings.tree import Settings
 from daq_service.web.app import create_app
 
@@ -49,7 +49,7 @@ def filled(history, tmp_path):
 
 @pytest.fixture(scope="module")
 def historian(history):
-    with own_data_folder(history), served(SETTINGS, history) as running:
+    with hold_recorder_lock(history), served(SETTINGS, history) as running:
         yield running
 
 

@@ -11,7 +11,7 @@ from support.waiting import until
 
 from daq_service.catalogue.rows import FeatureRow
 from daq_service.settings.tree import Settings
-from daq_service.web.multi_test.app import create_app_of_many
+from daq_service.web.multi_test.app import create_multi_test_app
 
 pytestmark = pytest.mark.browser
 
@@ -40,7 +40,7 @@ def tests(tmp_path_factory):
 @pytest.fixture(scope="module")
 def service(tests, tmp_path_factory):
     folders = [filled.folder for filled in tests.values()]
-    app = create_app_of_many(
+    app = create_multi_test_app(
         [*folders, folders[0].parent / "unplugged"], Settings(), tmp_path_factory.mktemp("own")
     )
     with served_app(app) as running:

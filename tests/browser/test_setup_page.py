@@ -15,13 +15,15 @@ from support.waiting import until
 from daq_service.catalogue import open_catalogue
 from daq_service.catalogue.rows import FeatureRow, SetRow
 from simulator.doubles.chassis.crosstalk import Crosstalk
-from simulator.doubles.transports.library import build_library, client_environment, why_unavailable
+from simulator.doubles.transports.library import build_library, client_environment, find_unavailability_reason
 from simulator.parameters.electronics import NoiseParameters
 
 pytestmark = [
     pytest.mark.browser,
     pytest.mark.skipif(os.name == "nt", reason="Windows has no pseudo-terminal here"),
-    pytest.mark.skipif(bool(why_unavailable()), reason=why_unavailable() or "it can be built"),
+    pytest.mark.skipif(
+        bool(find_unavailability_reason()), reason=find_unavailability_reason() or "it can be built"
+    ),
 ]
 
 QUICK = quick_description(board(), positions="B")

@@ -13,8 +13,8 @@ from h5py import h5t
 from support.archived_sets import LINEAR, SET_INDEX, make_set, other_set
 from support.filed_archive import FiledArchive
 
-from daq_service.archive.consolidated import Facts, build_consolidated_image, list_blocks
-from daq_service.archive.layout import build_image
+from daq_service.archive.consolidated import Facts, build_consolidated_image, list_record_blocks
+from daq_service.archive.layout import build_set_image
 
 SHOTS = [shot for shot in make_set().shots if shot.key.position == "B"]
 COUNTS = np.stack([shot.waveform.counts for shot in SHOTS])
@@ -41,7 +41,7 @@ needs_h5dump = pytest.mark.skipif(
 def path(tmp_path_factory):
     path = tmp_path_factory.mktemp("readers") / "set.h5"
     record = make_set()
-    path.write_bytes(build_image(type(record)(**{**fields_of(record), "results": RESULTS})))
+    path.write_bytes(build_set_image(type(record)(**{**fields_of(record), "results": RESULTS})))
     return path
 
 
@@ -51,7 +51,7 @@ def consolidated(tmp_path_factory):
     folder = tmp_path_factory.mktemp("consolidated")
     archive, blocks = FiledArchive(folder), {}
     for record in (make_set(), other_set(make_set(), SET_INDEX + 1)):
-        for sampling, block in list_blocks(folder, archive.store_set(record).file):
+        for sampling, block in list_record_blocks(folder, archive.store_set(record).file):
             blocks.setdefault(sampling, []).append(block)
     shots = {}
     for sampling, found in blocks.items():

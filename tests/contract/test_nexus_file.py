@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from support.archived_sets import CURVED, make_echo, make_set, make_shot
 
-from daq_service.archive.layout import build_image
+from daq_service.archive.layout import build_set_image
 
 NS_PER_S = 1_000_000_000
 
@@ -18,7 +18,7 @@ NS_PER_S = 1_000_000_000
 @pytest.fixture(scope="module")
 def path(tmp_path_factory):
     path = tmp_path_factory.mktemp("nexus") / "set.h5"
-    path.write_bytes(build_image(make_set()))
+    path.write_bytes(build_set_image(make_set()))
     return path
 
 
@@ -66,7 +66,7 @@ def test_the_preview_shows_mean_and_extremes_of_the_shots(file):
 def test_a_long_record_is_previewed_by_what_it_reaches_between_points():
     shot = make_shot("B", 0, 1, n_samples=1201)
     record = make_set()
-    image = build_image(type(record)(**{**fields_of(record), "shots": [shot], "echoes": [make_echo(2)]}))
+    image = build_set_image(type(record)(**{**fields_of(record), "shots": [shot], "echoes": [make_echo(2)]}))
     with h5py.File.in_memory(image) as opened:
         preview = opened["entry/preview"]
         time_s, low, high = (preview[name][()] for name in ("time", "B_min", "B_max"))

@@ -23,7 +23,7 @@ from daq_service.settings.tree import Settings
 from daq_service.web.answers.models import AlarmEvidence
 from daq_service.web.app import RESOURCES, create_app
 from daq_service.web.multi_test.app import RESOURCES as OF_SEVERAL
-from daq_service.web.multi_test.app import create_app_of_many
+from daq_service.web.multi_test.app import create_multi_test_app
 from daq_service.web.routes import health, metrics
 from daq_service.web.routes.description import is_numeric_schema, load_examples
 
@@ -37,7 +37,7 @@ def description(folder):
 
 
 def description_of_several(folder):
-    return create_app_of_many([], Settings(), folder).openapi()
+    return create_multi_test_app([], Settings(), folder).openapi()
 
 
 DESCRIPTIONS = {"a test": description, "several tests": description_of_several}

@@ -24,7 +24,7 @@ from support.daqmx_rig import (
 from support.waiting import happened
 
 from analysis.waves.features import extract_features
-from daq_service.cli.doctor.spike import propose_ringing_s, survey_coil
+from daq_service.cli.doctor.spike import propose_ringing_s, strike_and_survey_coil
 from hardware_drivers.daqmx.instruments import open_daqmx
 from hardware_drivers.measurement import ShotKey
 from simulator.doubles.chassis.crosstalk import Crosstalk
@@ -98,7 +98,7 @@ def wrong_with(parameters, doubles, cases, shots, description=DESCRIPTION):
     for number, case in enumerate(cases):
         edge, height_v, _, _ = case
         doubles.control.disturb("C", crosstalk_of(case, noisy=description.twin.noise.enabled))
-        survey = survey_coil(parameters, "C", READ_TIMEOUT_S)
+        survey = strike_and_survey_coil(parameters, "C", READ_TIMEOUT_S)
         spike = survey.on if edge == "on_v" else survey.off
         named = spike.height_v > 0.6 * height_v and spike.triggers is (height_v > parameters.trigger_level_v)
         if height_v > seen_v and not named:

@@ -24,7 +24,7 @@ from support.serial_rig import NO_TERMINALS, SerialRig
 from support.waiting import ended
 
 from simulator.doubles.serial.supply import Cell
-from simulator.doubles.transports.library import why_unavailable
+from simulator.doubles.transports.library import find_unavailability_reason
 from simulator.parameters.electronics import NoiseParameters
 
 ROOT = Path(__file__).parents[2]
@@ -36,7 +36,7 @@ DESCRIPTION = replace(
     probes=PROBE.probes,
 )
 LOAD_OHM = 100.0
-NO_LIBRARY = why_unavailable() or why_no_niscope()
+NO_LIBRARY = find_unavailability_reason() or why_no_niscope()
 LIBRARY = pytest.mark.skipif(bool(NO_LIBRARY), reason=NO_LIBRARY or "the libraries can be built")
 TERMINALS = pytest.mark.skipif(bool(NO_TERMINALS), reason=NO_TERMINALS or "there are pseudo terminals")
 

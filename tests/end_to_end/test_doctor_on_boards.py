@@ -22,10 +22,12 @@ from support.daqmx_rig import (
 from daq_service.cli.doctor.command import run_doctor
 from daq_service.processes.data_folder import prepare_data_folder
 from simulator.doubles.chassis.description import SIMULTANEOUS_16_BIT, SLOW
-from simulator.doubles.transports.library import why_unavailable
+from simulator.doubles.transports.library import find_unavailability_reason
 from simulator.parameters.electronics import NoiseParameters
 
-pytestmark = pytest.mark.skipif(bool(why_unavailable()), reason=why_unavailable() or "it can be built")
+pytestmark = pytest.mark.skipif(
+    bool(find_unavailability_reason()), reason=find_unavailability_reason() or "it can be built"
+)
 
 NOISY = replace(QUICK_TWIN, noise=NoiseParameters())
 DESCRIPTION = replace(
@@ -113,8 +115,8 @@ def test_boards_of_a_running_recorder_are_left_alone(doubles, tmp_path, capsys):
     prepare_data_folder(folder)
     script = (
         "import sys; from pathlib import Path\n"
-        "from daq_service.processes.data_folder import own_data_folder\n"
-        "with own_data_folder(Path(sys.argv[1])):\n    print('owned', flush=True); sys.stdin.read()"
+        "from daq_service.processes.data_folder import hold_recorder_lock\n"
+        "with hold_recorder_lock(Path(sys.argv[1])):\n    print('owned', flush=True); sys.stdin.read()"
     )
     command = [sys.executable, "-c", script, str(folder)]
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as owner:

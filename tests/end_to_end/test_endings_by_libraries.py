@@ -69,7 +69,7 @@ def test_a_driver_that_ends_the_recorder_costs_no_set(endings, tmp_path, monkeyp
     "ending", [SystemExit(0), SystemExit(3), KeyboardInterrupt(), GeneratorExit(), EOFError()], ids=repr
 )
 def test_an_exit_raised_by_a_driver_is_a_fault(ending, tmp_path, monkeypatch, caplog):
-    monkeypatch.setattr(cli_run, "log_to", lambda path: None)  # its handlers stay as long as the process
+    monkeypatch.setattr(cli_run, "log_to_file", lambda path: None)  # its handlers stay as long as the process
     offer(monkeypatch, tmp_path / "site", OFFERED)
     folder = tmp_path / "data"
     prepare_data_folder(folder)

@@ -17,7 +17,7 @@ from daq_service.catalogue.rows import EnvironmentRow, SetRow
 from daq_service.cli.doctor.command import run_doctor
 from daq_service.clock import WallClock
 from daq_service.corrosion_drive.watch import DriveWatch
-from daq_service.processes.data_folder import own_data_folder, prepare_data_folder
+from daq_service.processes.data_folder import hold_recorder_lock, prepare_data_folder
 from daq_service.recording.session import compute_longest_call_s, record_test
 from daq_service.rig.open_rig import open_rig, open_supply
 from daq_service.settings.instruments import fill_instrument_defaults
@@ -126,7 +126,7 @@ def test_a_person_is_prompted_on_every_channel_until_the_strike_ends(script, fol
     heard = []
     settings = mixed({"hammer": HAMMER, "scope": SCOPE}, {"B": ("scope", "hammer")}, read_timeout_s=400.0)
     prepare_data_folder(folder)
-    with own_data_folder(folder):
+    with hold_recorder_lock(folder):
         assert record_test(
             settings,
             folder,
@@ -186,7 +186,7 @@ def test_supply_and_climate_of_other_packages_are_logged(script, folder):
     with open_catalogue(folder, writer=True) as catalogue, open_rig(settings, clock, 0) as rig:
         catalogue.restore_rows([replace(row, charge_coulomb=123.0)])
         restarted = DriveWatch(settings.rig, rig, catalogue, {}, lambda *_: None, lambda _: None)
-        assert restarted.summary()["charge_coulomb"] == 123.0, "a restart goes on counting"
+        assert restarted.summarise_readings()["charge_coulomb"] == 123.0, "a restart goes on counting"
     # The recorder leaves a supply that has a process of its own to that process.
     with open_rig(settings.model_copy(update={"rig": settings.rig.copy_without_supply()}), clock, 0) as rig:
         assert (rig.supply, rig.climate is None) == (None, False)

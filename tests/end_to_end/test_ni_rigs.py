@@ -12,13 +12,13 @@ from support.stored_files import read_set, set_files
 
 from daq_service.catalogue import open_catalogue
 from daq_service.catalogue.rows import FeatureRow, SetRow
-from daq_service.processes.data_folder import own_data_folder, prepare_data_folder
+from daq_service.processes.data_folder import hold_recorder_lock, prepare_data_folder
 from daq_service.recording.session import record_test
 from daq_service.rig.doubles import run_rig_doubles
 from daq_service.rig.open_rig import CONTROL_VARIABLE, open_rig
 from simulator.doubles.transports.control import DoublesControl
-from simulator.doubles.transports.grpc_front import why_unavailable as why_no_grpc
-from simulator.doubles.transports.library import why_unavailable as why_no_library
+from simulator.doubles.transports.grpc_front import find_unavailability_reason as why_no_grpc
+from simulator.doubles.transports.library import find_unavailability_reason as why_no_library
 
 REASONS = {"daqmx-library": why_no_library(), "daqmx-grpc": why_no_grpc()}
 NI_RIGS = [
@@ -54,7 +54,7 @@ def rig_here(rig):
 def follow(running, folder):
     """Run the schedule in this process."""
     prepare_data_folder(folder)
-    with own_data_folder(folder):
+    with hold_recorder_lock(folder):
         return record_test(
             running.settings, folder, open_rig, stop=threading.Event(), report=lambda event, **_: None
         )

@@ -20,9 +20,11 @@ from daq_service.catalogue.rows import AlarmRow, AssessmentRow, BaselineRow, Fea
 from daq_service.cli.doctor.command import run_doctor
 from daq_service.errors import RigError
 from daq_service.settings.file import load_settings
-from simulator.doubles.transports.library import why_unavailable
+from simulator.doubles.transports.library import find_unavailability_reason
 
-pytestmark = pytest.mark.skipif(bool(why_unavailable()), reason=why_unavailable() or "it can be built")
+pytestmark = pytest.mark.skipif(
+    bool(find_unavailability_reason()), reason=find_unavailability_reason() or "it can be built"
+)
 
 SIMULATED = replace(board(), serial_number=0, simulated=True)
 DESCRIPTION = quick_description(SIMULATED, positions="BCD")

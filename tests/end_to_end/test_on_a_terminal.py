@@ -13,10 +13,10 @@ from support.command_line import SOLIMON
 from support.waiting import WAIT_S, until
 
 from daq_service.archive import FolderSetReader
-from daq_service.processes.data_folder import LOCK_FILE, lock_text
-from simulator.doubles.serial.link import pseudo_terminals_missing
+from daq_service.processes.data_folder import LOCK_FILE, read_lock_owner
+from simulator.doubles.serial.link import find_missing_terminal_reason
 
-if missing := pseudo_terminals_missing():
+if missing := find_missing_terminal_reason():
     pytest.skip(missing, allow_module_level=True)
 
 from support.pseudo_terminal import on_terminal
@@ -97,7 +97,7 @@ def ran(folder, recorded):
         url = re.findall(r"http://\S+/", terminal.written)[0]
         with urllib.request.urlopen(f"{url}api/v1/health", timeout=WAIT_S) as answer:
             assert json.load(answer)["as_of"]["recorder"] == "finished"
-        os.kill(int(lock_text(folder, LOCK_FILE).removeprefix("process ")), signal.SIGKILL)
+        os.kill(int(read_lock_owner(folder, LOCK_FILE).removeprefix("process ")), signal.SIGKILL)
         terminal.until("the schedule is done", times=2)
         terminal.process.send_signal(signal.SIGTERM)
         assert terminal.end() == 130

@@ -10,7 +10,7 @@ from support.small_experiment import small_settings as half_a_day
 from support.stored_files import read_set, set_files
 
 from analysis.waves.features import extract_from_average
-from daq_service.archive.waterfall.tiles import WIDTHS, count_tile_bytes
+from daq_service.archive.waterfall.tiles import WIDTHS, sum_tile_bytes
 from daq_service.catalogue.connection import FILE_NAME
 from daq_service.cli.forecast import CATALOGUE_BYTES_A_RECORD, predict_set_file_bytes, predict_tile_bytes
 from daq_service.cli.offline.twin_line import simulate_assessed_sets
@@ -48,7 +48,7 @@ def test_the_forecast_is_the_folder_s_size(finished):
     # Rows of incomplete blocks follow while no set is due; a pretrigger may take a cell more.
     rows, complete = sum(math.ceil(SETS / width) for width in WIDTHS), sum(SETS // width for width in WIDTHS)
     assert predict_tile_bytes(settings, SETS) * complete / rows == pytest.approx(
-        count_tile_bytes(finished), rel=0.01
+        sum_tile_bytes(finished), rel=0.01
     )
     # Empty tables, 0.3 MB, and the newest states of the assessors, 0.4 MB, do not grow with the test.
     catalogue = (finished / FILE_NAME).stat().st_size

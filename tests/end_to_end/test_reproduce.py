@@ -22,12 +22,12 @@ from support.stored_files import read_waveform, set_files
 from daq_service.catalogue import open_catalogue
 from daq_service.catalogue.rows import AssessmentRow, FeatureRow, ThicknessRow
 from daq_service.cli.reproduce.comparison import NOT_AVAILABLE
-from daq_service.cli.reproduce.diagnosis import cause_of
+from daq_service.cli.reproduce.diagnosis import find_deviation_cause
 from daq_service.cli.reproduce.item import Job
 from daq_service.cli.reproduce.items import ITEMS, choose_items
 from daq_service.cli.reproduce.models import compute_impact_over_inelasticity
 from daq_service.cli.reproduce.paper_values import PAPER_VALUES, find_paper_value, printed_number
-from daq_service.cli.reproduce.run import reproduce, reproduce_into
+from daq_service.cli.reproduce.run import compute_and_write_items, reproduce
 from daq_service.cli.reproduce.slips import SLIPS
 from daq_service.errors import StorageError, UsageError
 
@@ -48,7 +48,7 @@ def small(tmp_path_factory):
 
 
 def made(out, items, executor, data_dir=None):
-    return reproduce_into(
+    return compute_and_write_items(
         out,
         items,
         data_dir=data_dir,
@@ -265,7 +265,7 @@ def test_the_tally_counts_every_value_once(whole):
     ],
 )
 def test_a_deviation_is_attributed_to_the_origin_of_its_measurements(item, quantity, origin, words):
-    assert words in cause_of(find_paper_value(item, quantity), origin=origin)
+    assert words in find_deviation_cause(find_paper_value(item, quantity), origin=origin)
 
 
 def test_slips_alone_take_the_limits_of_the_test_they_are_given(small, executor, tmp_path):
@@ -380,7 +380,7 @@ def test_an_interruption_leaves_what_is_finished(executor, tmp_path):
         if text.startswith("fig10: done"):
             stop.set()
 
-    result, finished = reproduce_into(
+    result, finished = compute_and_write_items(
         tmp_path / "out",
         choose_items("fig10,table2"),
         data_dir=None,
@@ -423,7 +423,7 @@ LIMIT_S = 120.0
 def test_the_command_runs_the_test_and_goes_on_in_its_own_folder(tmp_path, monkeypatch):
     out = tmp_path / "out"
     # Of the life of a process.
-    monkeypatch.setattr("daq_service.cli.reproduce.experiment.log_to", lambda path: None)
+    monkeypatch.setattr("daq_service.cli.reproduce.experiment.log_to_file", lambda path: None)
 
     def command(*arguments):
         return solimon_here("reproduce", "--out", str(out), *arguments, env=QUICK)

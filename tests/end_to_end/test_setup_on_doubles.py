@@ -20,14 +20,16 @@ from daq_service.cli.set_up.dialogue import Dialogue
 from daq_service.cli.set_up.setup import find_boards
 from daq_service.cli.set_up.wiring import parse_wiring
 from daq_service.errors import BusyError
-from daq_service.processes.data_folder import own_data_folder, prepare_data_folder
+from daq_service.processes.data_folder import hold_recorder_lock, prepare_data_folder
 from daq_service.settings.file import load_settings
 from simulator.doubles.chassis.crosstalk import Crosstalk
 from simulator.doubles.chassis.description import SLOW
-from simulator.doubles.transports.library import why_unavailable
+from simulator.doubles.transports.library import find_unavailability_reason
 from simulator.parameters.electronics import NoiseParameters
 
-pytestmark = pytest.mark.skipif(bool(why_unavailable()), reason=why_unavailable() or "it can be built")
+pytestmark = pytest.mark.skipif(
+    bool(find_unavailability_reason()), reason=find_unavailability_reason() or "it can be built"
+)
 
 QUICK = quick_description(board(), replace(SLOW, name="Dev9"), positions="BC")
 SPIKE = Crosstalk(on_v=0.3, off_v=1.0, decay_s=0.3e-3)
@@ -156,7 +158,7 @@ def test_strikes_are_refused_in_the_folder_of_a_recorder(doubles, tmp_path):
     usual, other = tmp_path / "solimon-data", tmp_path / "other"
     for folder, options in ((usual, ()), (other, ("--data-dir", str(other)))):
         prepare_data_folder(folder)
-        with own_data_folder(folder):
+        with hold_recorder_lock(folder):
             done = setup(tmp_path / "lab.toml", *WIRED, "--strike", *options)
         assert done.returncode == 5
         assert f"setup is refused: another recorder owns {folder}" in done.stderr
@@ -169,7 +171,10 @@ def test_strikes_stop_when_a_recorder_has_started_meanwhile(doubles, tmp_path):
     try:
         bench.wire("B", parse_wiring(bench.boards, "01E16086/ai0/ctr0"))
         prepare_data_folder(tmp_path)
-        with own_data_folder(tmp_path), pytest.raises(BusyError, match="strike is refused: another recorder"):
+        with (
+            hold_recorder_lock(tmp_path),
+            pytest.raises(BusyError, match="strike is refused: another recorder"),
+        ):
             bench.strike("B")
         assert coil_pulses_s(doubles.control.record()) == []
         bench.strike("B")

@@ -17,17 +17,17 @@ from support.waiting import ended, until
 from daq_service.catalogue import open_catalogue
 from daq_service.catalogue.errors import NoDataYetError
 from daq_service.catalogue.rows import AlarmRow, EnvironmentRow, EventRow, SetRow
-from daq_service.cli.run import create_remote_drive
+from daq_service.cli.run import create_supply_client
 from daq_service.cli.status.facts import describe_status
 from daq_service.clock import WallClock
 from daq_service.corrosion_drive.supply_state import read_supply_status
 from daq_service.errors import RigError, StorageError
 from daq_service.processes.data_folder import (
     DRIVE_LOCK,
-    is_owned,
-    lock_text,
-    own_data_folder,
+    hold_recorder_lock,
+    is_held,
     prepare_data_folder,
+    read_lock_owner,
     write_configuration,
 )
 from daq_service.processes.heartbeat import read_heartbeat
@@ -36,10 +36,10 @@ from daq_service.recording.session import record_test
 from daq_service.rig.open_rig import open_rig
 from daq_service.settings.tree import Settings
 from simulator.doubles.serial.instruments import SerialInstruments
-from simulator.doubles.serial.link import pseudo_terminals_missing
+from simulator.doubles.serial.link import find_missing_terminal_reason
 from simulator.doubles.serial.supply import Cell, Supply
 
-NO_TERMINALS = pseudo_terminals_missing()
+NO_TERMINALS = find_missing_terminal_reason()
 pytestmark = pytest.mark.skipif(bool(NO_TERMINALS), reason=NO_TERMINALS or "available")
 
 SECOND_H = 1.0 / 3600.0
@@ -99,8 +99,8 @@ class Test:
                 (after or {}).get(values["done"], lambda: None)()
 
         assert settings.rig.supply is not None
-        near = create_remote_drive(settings, settings.rig.supply, self.folder)
-        with own_data_folder(self.folder), near as drive:
+        near = create_supply_client(settings, settings.rig.supply, self.folder)
+        with hold_recorder_lock(self.folder), near as drive:
             return record_test(
                 settings,
                 self.folder,
@@ -137,7 +137,7 @@ class Test:
             until(self.has_charge, "a set with its charge")
 
     def switchings(self):
-        return [change.on for change in self.instruments.output_changes()]
+        return [change.on for change in self.instruments.list_output_changes()]
 
     def alarms(self):
         with open_catalogue(self.folder) as catalogue:
@@ -165,10 +165,10 @@ class Test:
 
     def drive(self):
         """Return the id of the running supply process."""
-        return int(lock_text(self.folder, DRIVE_LOCK).partition("\n")[0].removeprefix("process "))
+        return int(read_lock_owner(self.folder, DRIVE_LOCK).partition("\n")[0].removeprefix("process "))
 
     def drive_has_left(self):
-        return is_owned(self.folder, DRIVE_LOCK) is False
+        return is_held(self.folder, DRIVE_LOCK) is False
 
     def is_switched_off_unwatched(self):
         """Wait for the switch-off and check the status meanwhile."""
@@ -188,7 +188,7 @@ def test(tmp_path):
     with SerialInstruments(tmp_path / "ports", supply=Supply(noise_v=0.0, noise_a=0.0)) as instruments:
         test = Test(tmp_path / "data", instruments)
         yield test
-        if is_owned(test.folder, DRIVE_LOCK):
+        if is_held(test.folder, DRIVE_LOCK):
             os.kill(test.drive(), signal.SIGKILL)
 
 
@@ -244,7 +244,7 @@ def test_the_output_is_switched_off_after_the_final_end_of_a_recorder(test, erro
 def test_a_killed_supply_process_is_unknown_and_its_successor_energizes_nothing(test):
     settings = test.settings(off_at_end=False)
     with test.note_first_set(settings):
-        until(lambda: is_owned(test.folder, DRIVE_LOCK), "the drive")
+        until(lambda: is_held(test.folder, DRIVE_LOCK), "the drive")
         test.switch_on()
         first = test.drive()
         os.kill(first, signal.SIGKILL)
@@ -299,7 +299,7 @@ def test_the_output_is_switched_off_after_a_kill_when_no_recorder_returns(test, 
             os.kill(process.pid if name == "supervisor" else recorder, signal.SIGKILL)
         ended(process, "the kill")
         test.is_switched_off_unwatched()
-        until(lambda: is_owned(test.folder) is False, "the recorder's end")
+        until(lambda: is_held(test.folder) is False, "the recorder's end")
 
 
 def test_a_hung_recorder_is_killed_and_its_successor_goes_on(test):

@@ -15,7 +15,7 @@ from daq_service.catalogue import open_catalogue
 from daq_service.catalogue.connection import FILE_NAME
 from daq_service.catalogue.corruption import find_catalogue_corruption
 from daq_service.catalogue.experiment_file import HISTORY_FILE
-from daq_service.catalogue.history import parse_lines
+from daq_service.catalogue.history import parse_history_lines
 from daq_service.catalogue.rows import Row
 from daq_service.catalogue.tables import KINDS
 from daq_service.errors import StorageError
@@ -102,9 +102,9 @@ def test_no_other_value_is_read_in_silence_and_rebuild_restores_the_rows(life, t
 @pytest.mark.parametrize("number", [300, pytest.param(3000, marks=pytest.mark.slow)])
 def test_the_history_returns_the_written_events_and_reports_missing_ones(life, number):
     original = (life.folder / HISTORY_FILE).read_bytes()
-    whole = parse_lines(original)
+    whole = parse_history_lines(original)
     for count, content in enumerate(damaged(original, number, seed=7)):
-        found = parse_lines(content)
+        found = parse_history_lines(content)
         missing = 0
         for name in ("events", "commands", "digests"):
             read, written = getattr(found, name), getattr(whole, name)

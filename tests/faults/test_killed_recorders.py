@@ -18,7 +18,7 @@ from daq_service.archive.journal.reader import read_journal
 from daq_service.cli.maintenance.verify import verify_folder
 from daq_service.cli.run import plan_children
 from daq_service.processes.child import stop_on_signals
-from daq_service.processes.data_folder import LOCK_FILE, is_owned, lock_text, prepare_data_folder
+from daq_service.processes.data_folder import LOCK_FILE, is_held, prepare_data_folder, read_lock_owner
 from daq_service.processes.supervisor import Supervisor
 
 LONGEST_LIFE_S = 0.5
@@ -50,7 +50,7 @@ def supervise(config, folder, acknowledged):
 
 def another_owner(folder, before):
     """Return the process id of the recorder on a folder; None if there is no other than ``before``."""
-    owner = re.match(r"process (\d+)", lock_text(folder, LOCK_FILE)) if is_owned(folder) else None
+    owner = re.match(r"process (\d+)", read_lock_owner(folder, LOCK_FILE)) if is_held(folder) else None
     return int(owner[1]) if owner and int(owner[1]) != before else None
 
 

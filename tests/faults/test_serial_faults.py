@@ -223,7 +223,7 @@ def test_a_late_reply_answers_no_later_question(energised, late):
 def test_an_unsolicited_reply_answers_no_query(energised):
     rig = energised
     rig.supply.read(TIMEOUT_S)
-    rig.instruments.supply_link.chatter(b"+9.990000E+00\n")
+    rig.instruments.supply_link.send_unrequested(b"+9.990000E+00\n")
     reading = rig.supply.read(TIMEOUT_S)
     assert reading.voltage_v == 10.0
 

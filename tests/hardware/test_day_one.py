@@ -13,13 +13,13 @@ import pytest
 from looped_coil import AFTER_S, LOOPBACK_PRETRIGGER, LOOPBACK_RATE_HZ
 
 from analysis.waves.features import extract_features
-from daq_service.cli.doctor.spike import check_coil_spike
+from daq_service.cli.doctor.spike import strike_and_check_coil
 from hardware_drivers.daqmx.acquisition import commit_acquisition
 from hardware_drivers.daqmx.boards import find_boards, normalize_serial
 from hardware_drivers.daqmx.coil import commit_coil
 from hardware_drivers.daqmx.connection import Connection
 from hardware_drivers.daqmx.instruments import open_daqmx
-from hardware_drivers.daqmx.look import find_digital_name
+from hardware_drivers.daqmx.look import find_digital_line
 from hardware_drivers.daqmx.survey import survey_rig
 from hardware_drivers.errors import AcquisitionTimeoutError
 from hardware_drivers.measurement import ShotKey
@@ -47,7 +47,7 @@ def test_the_coils_lines_power_up_low(parameters):
     if parameters.transport == "grpc":
         pytest.skip("power-up states are read at the chassis itself")
     lines = {
-        (normalize_serial(wiring.coil_serial), find_digital_name(wiring.output_terminal))
+        (normalize_serial(wiring.coil_serial), find_digital_line(wiring.output_terminal))
         for wiring in parameters.transducers.values()
     }
     if not all(line for _, line in lines):
@@ -218,7 +218,7 @@ def test_a_holdoff_hides_the_pulse_from_the_trigger(loopback):
 def test_no_coil_takes_the_trigger_as_configured(parameters):
     """One strike each without a trigger: what the coil couples in has rung out when the trigger is armed."""
     for position in parameters.transducers:
-        check, _ = check_coil_spike(parameters, position, READ_TIMEOUT_S)
+        check, _ = strike_and_check_coil(parameters, position, READ_TIMEOUT_S)
         assert check.state == "ok", f"{position}: {check.found}; {check.remedy}"
 
 
@@ -261,7 +261,7 @@ def test_the_watchdog_cuts_a_pulse_short(loopback):
     from nidaqmx.types import DOExpirationState
 
     parameters, board = loopback.parameters, loopback.board
-    line = find_digital_name(parameters.transducers[loopback.position].output_terminal)
+    line = find_digital_line(parameters.transducers[loopback.position].output_terminal)
     if not line:
         pytest.skip(
             "this board's coils leave it at terminals without a digital line: it has no such watchdog"

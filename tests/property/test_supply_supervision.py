@@ -29,7 +29,7 @@ from daq_service.corrosion_drive.own_process import SUCCEEDED_WITHIN_S, DrivePro
 from daq_service.corrosion_drive.remote import RemoteDrive, longest_answer_time_s
 from daq_service.corrosion_drive.supply_state import Address, hold_supply_lock
 from daq_service.errors import BusyError, RigError
-from daq_service.processes.data_folder import DRIVE_FILE, DRIVE_LOCK, is_owned
+from daq_service.processes.data_folder import DRIVE_FILE, DRIVE_LOCK, is_held
 from hardware_drivers.errors import ConnectionLostError
 from hardware_drivers.serial_port.parameters import SerialLineParameters, SupplyParameters
 
@@ -150,7 +150,7 @@ class World:
     def run(self):
         for started in self.starting[:]:
             self.starting.remove(started)
-            if is_owned(self.folder, DRIVE_LOCK) is False:
+            if is_held(self.folder, DRIVE_LOCK) is False:
                 with suppress(BusyError):
                     started.process = Process(self, started.parameters)
                     self.processes.append(started.process)
@@ -167,7 +167,11 @@ class World:
                 drive = process.drive
                 handed_over = drive._released_ns is not None and drive._last_read_port == drive._supply_port
                 may_be_on = ("on", "unknown") if handed_over else ("on",)
-                left_on = self.supply.error is None and self.supply.on and drive._drive.find_output_state() in may_be_on
+                left_on = (
+                    self.supply.error is None
+                    and self.supply.on
+                    and drive._drive.find_output_state() in may_be_on
+                )
                 assert drive._succeeded or not left_on, "it leaves an output on"
                 process.die()
 
@@ -344,7 +348,7 @@ class Supervision(RuleBasedStateMachine):
             machine=world.machine(),
             kill=world.kill,
         )
-        self.recorder.take_over(DriveState())
+        self.recorder.store_catalogue_state(DriveState())
         self.pass_time(seconds)
 
     @rule()

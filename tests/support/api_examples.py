@@ -13,7 +13,7 @@ from daq_service.settings.tree import Settings
 from daq_service.web.answers.vocabulary import VOCABULARY, look_up_scoped_value
 from daq_service.web.app import create_app
 from daq_service.web.auth.tokens import create_token
-from daq_service.web.multi_test.app import create_app_of_many
+from daq_service.web.multi_test.app import create_multi_test_app
 from support.filled_folder import FilledFolder
 from support.served_web import served_app
 
@@ -96,7 +96,7 @@ def write_examples(folder: Path, *, renew: bool) -> None:
     _, text = create_token(folder / "tokens.json", "ada", "admin")
     BODIES["log_in"] = {"token": text}
     answers: dict[str, Any] = {}
-    for app in (create_app(Settings(), folder), create_app_of_many([folder], Settings(), folder)):
+    for app in (create_app(Settings(), folder), create_multi_test_app([folder], Settings(), folder)):
         with served_app(app) as service, service.client(Authorization=f"Bearer {text}") as client:
             paths = app.openapi()["paths"]
             calls = [(path, method, what) for path, item in paths.items() for method, what in item.items()]

@@ -39,7 +39,7 @@ from daq_service.catalogue.rows import (
     as_dict,
 )
 from daq_service.clock import Before, parse_utc
-from daq_service.processes.data_folder import own_data_folder, prepare_data_folder, remove_temporary_files
+from daq_service.processes.data_folder import hold_recorder_lock, prepare_data_folder, remove_temporary_files
 from daq_service.processes.worker import start_one_worker
 from daq_service.recording import session
 from daq_service.recording.recorder import Recorder
@@ -126,7 +126,7 @@ def record(
     instruments = instruments or LongerRecords(healthy)
     with in_memory(instruments) as opener:
         prepare_data_folder(folder)
-        with own_data_folder(folder):
+        with hold_recorder_lock(folder):
             remove_temporary_files(folder)
             finished = session.record_test(
                 settings,

@@ -21,7 +21,12 @@ from hardware_drivers.measurement import Counts, ShotKey
 from simulator.doubles.chassis.description import SIMULTANEOUS_16_BIT, BoardParameters, Description
 from simulator.doubles.chassis.description import TransducerWiring as DoubleWiring
 from simulator.doubles.transports.control import RunningDoubles
-from simulator.doubles.transports.library import SONAMES, build_library, client_environment, why_unavailable
+from simulator.doubles.transports.library import (
+    SONAMES,
+    build_library,
+    client_environment,
+    find_unavailability_reason,
+)
 from simulator.parameters.chain import ChainParameters
 from simulator.parameters.electronics import AdcParameters, NoiseParameters
 from simulator.parameters.experiment import ScatterParameters, TwinParameters
@@ -99,15 +104,15 @@ def parameters_of(
 def why_no(transport: str) -> str:
     """Return why this transport cannot be tested here, empty if it can."""
     if transport == "library":
-        return why_unavailable()
-    from simulator.doubles.transports.grpc_front import why_unavailable as why_no_grpc
+        return find_unavailability_reason()
+    from simulator.doubles.transports.grpc_front import find_unavailability_reason as why_no_grpc
 
     return why_no_grpc()
 
 
 TRANSPORTS = [
     "library",
-    pytest.param("grpc", marks=[] if why_unavailable() else pytest.mark.slow),
+    pytest.param("grpc", marks=[] if find_unavailability_reason() else pytest.mark.slow),
 ]
 """By library, where it cannot be built by gRPC: what the driver does is the same by either."""
 
@@ -171,7 +176,7 @@ def counts_of_the_twin(
         transducers={key.position: Transducer(chain=wiring.chain, model=model)},
         probed_thickness_m={},
     )
-    acquired = specimen.solitary_wave(key, hour_h)
+    acquired = specimen.simulate_wave(key, hour_h)
     assert acquired is not None, "the twin's strike reaches the level"
     return acquired.waveform.counts
 

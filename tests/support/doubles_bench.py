@@ -18,11 +18,11 @@ from simulator.doubles.chassis.description import (
     Description,
     ProbeWiring,
     TransducerWiring,
-    default_description,
+    build_default_description,
 )
 from simulator.doubles.device_model import Brain
 from simulator.doubles.transports.control import RunningDoubles
-from simulator.doubles.transports.library import build_library, why_unavailable
+from simulator.doubles.transports.library import build_library, find_unavailability_reason
 from simulator.doubles.vendor_api.statuses import NOT_DONE_IN_TIME, Status
 from simulator.parameters.experiment import TwinParameters
 from support.daqmx_models import running_brain
@@ -150,7 +150,7 @@ class Caller:
 @pytest.fixture(scope="session")
 def double_library() -> Path:
     """Return the folder of libnidaqmx; skip the test with the reason if it cannot be built."""
-    if reason := why_unavailable():
+    if reason := find_unavailability_reason():
         pytest.skip(reason)
     return build_library("nidaqmx")
 
@@ -158,7 +158,9 @@ def double_library() -> Path:
 @pytest.fixture(scope="module")
 def doubles(request: pytest.FixtureRequest) -> Iterator[RunningDoubles]:
     """Yield one running double for a module; a test that breaks it starts its own."""
-    with running_brain(getattr(request.module, "DESCRIPTION", None) or default_description()) as running:
+    with running_brain(
+        getattr(request.module, "DESCRIPTION", None) or build_default_description()
+    ) as running:
         yield running
 
 

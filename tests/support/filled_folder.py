@@ -14,7 +14,7 @@ import numpy as np
 
 from analysis.assessment.confirmation import STEP
 from analysis.waves.features import FEATURE_NAMES, extract_features
-from daq_service.acquisition.schedule import plan_sets, unscheduled_set
+from daq_service.acquisition.schedule import build_unscheduled_set, plan_sets
 from daq_service.alarms.operator_actions import acknowledge_alarm, reset_alarm, shelve
 from daq_service.alarms.states import Change, Moment
 from daq_service.archive import PositionRecord, SetRecord
@@ -35,7 +35,7 @@ from daq_service.catalogue.rows import (
 )
 from daq_service.catalogue.writer import build_event_payload
 from daq_service.clock import TimeLine, parse_utc
-from daq_service.processes.data_folder import own_data_folder
+from daq_service.processes.data_folder import hold_recorder_lock
 from daq_service.processes.heartbeat import Heartbeat
 from daq_service.processes.recorder_state import FAREWELLS
 from daq_service.recording.set_assessor import build_shot_row
@@ -106,7 +106,7 @@ class FilledFolder:
         self.archive = FiledArchive(folder)
         self.live = LiveFigure(folder, settings.rig.kind)
         self._ownership = ExitStack()
-        self._ownership.enter_context(own_data_folder(folder))
+        self._ownership.enter_context(hold_recorder_lock(folder))
         self.beat()
         if not exists:
             self.say("recorder_started", 0)
@@ -265,7 +265,7 @@ class FilledFolder:
         ``authors`` asked for it, of which "" is suspicion.
         """
         planned = self.due[planned_set]
-        due = unscheduled_set(1, planned, planned.due_utc_ns + 60 * NS_PER_S, position)
+        due = build_unscheduled_set(1, planned, planned.due_utc_ns + 60 * NS_PER_S, position)
         transaction = SetCommit()
         for author in authors:
             asked = Confirmation(due=due, reason=STEP, author=author).payload()

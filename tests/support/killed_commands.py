@@ -28,7 +28,7 @@ from daq_service.cli.maintenance.verify import verify_folder
 from daq_service.commands.audit import read_audit
 from daq_service.commands.execution import CommandExecutor
 from daq_service.commands.running_test import RunningTest
-from daq_service.processes.data_folder import own_data_folder
+from daq_service.processes.data_folder import hold_recorder_lock
 from daq_service.processes.line_file import MOST_LINES
 from daq_service.recording.set_assessor import SetAssessor
 from daq_service.settings.tree import Settings
@@ -116,7 +116,7 @@ def recorder_on(folder: Path, catalogue: RecorderCatalogue) -> Callable[[], None
         settings=WAVES_ONLY,
         next_set=lambda: 1,
         baseline=catalogue.baseline,
-        renewed=ledger.assessors.renew,
+        renewed=ledger.assessors.discard_state,
         positions=tuple(WAVES_ONLY.positions),
     )
     history = HistoryFollower(folder, catalogue)
@@ -165,7 +165,7 @@ def give_each(folder: Path, trace: Path) -> None:
 
 def restart(folder: Path) -> None:
     """Do what the next recorder does before its first set."""
-    with own_data_folder(folder), open_catalogue(folder, writer=True) as catalogue:
+    with hold_recorder_lock(folder), open_catalogue(folder, writer=True) as catalogue:
         recorder_on(folder, catalogue)()
 
 

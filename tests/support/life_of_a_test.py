@@ -7,7 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from daq_service.archive.layout import build_image
+from daq_service.archive.layout import build_set_image
 from daq_service.assessment.results_in_file import read_set_results
 from daq_service.catalogue.experiment_file import ensure_experiment_file
 from daq_service.catalogue.history import HistoryFollower
@@ -44,7 +44,7 @@ def run(line: Line, **options: Any) -> None:
         for set_index, file in catalogue.list_sets_without_digest().items():
             path = line.folder / file  # with a copy of its results, as the recorder's worker makes it
             path.write_bytes(
-                build_image(replace(read_set(path), results=read_set_results(catalogue, set_index)))
+                build_set_image(replace(read_set(path), results=read_set_results(catalogue, set_index)))
             )
             catalogue.store_digest(set_index, file, archive.digest(file))
         ensure_experiment_file(line.folder, catalogue.read_experiment())

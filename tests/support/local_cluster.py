@@ -15,7 +15,7 @@ from typing import Any
 from distributed import LocalCluster
 
 from daq_service.cli.offline.evidence.replay import replay_test
-from daq_service.cli.sweep.plan import make_plan
+from daq_service.cli.sweep.plan import build_plan
 from daq_service.cli.sweep.run import SweepOptions, run_sweep
 from daq_service.cli.sweep.specification import parse_axis
 from daq_service.processes.executors import count_workers, open_executor
@@ -28,7 +28,7 @@ ANALYTIC = ChainParameters(), PlateParameters(model="infinite_kirchhoff"), Corro
 
 
 def _swept(executor: str) -> str:
-    plan = make_plan("coupled", ANALYTIC, [parse_axis("chain.drop_height_m=0.003:0.008:20")])
+    plan = build_plan("coupled", ANALYTIC, [parse_axis("chain.drop_height_m=0.003:0.008:20")])
     options = SweepOptions(executor=executor, workers=2)
     return str(run_sweep(plan, options, {}, threading.Event()).facts["content_hash"])
 

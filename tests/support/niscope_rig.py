@@ -18,7 +18,12 @@ from simulator.doubles.chassis.description import Description
 from simulator.doubles.chassis.description import ProbeWiring as DoubleProbe
 from simulator.doubles.chassis.scopes import ScopeParameters
 from simulator.doubles.device_model import Brain
-from simulator.doubles.transports.library import SONAMES, build_library, client_environment, why_unavailable
+from simulator.doubles.transports.library import (
+    SONAMES,
+    build_library,
+    client_environment,
+    find_unavailability_reason,
+)
 from simulator.doubles.transports.server import WireServer
 from simulator.electronics.transduction import quantise_volts
 from simulator.parameters.electronics import NoiseParameters
@@ -42,7 +47,7 @@ def why_no_niscope() -> str:
     """Return why the NI-SCOPE library cannot be doubled here, empty if it can."""
     if find_spec("niscope") is None:
         return 'the package niscope is not installed (extra "solimon[niscope]")'
-    return why_unavailable()
+    return find_unavailability_reason()
 
 
 needs_niscope = pytest.mark.skipif(bool(why_no_niscope()), reason=why_no_niscope())

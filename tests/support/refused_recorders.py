@@ -25,15 +25,15 @@ from typing import Any
 from unittest.mock import patch
 
 from daq_service import shared_file
-from daq_service.archive.records import to_reference
+from daq_service.archive.records import build_reference
 from daq_service.background.finalize_sets import SetFinalizer
 from daq_service.background.live_figure import LiveFigure
 from daq_service.catalogue import errors, open_catalogue
 from daq_service.catalogue.rows import AlarmRow
 from daq_service.clock import MachineClock, WallClock, parse_utc
 from daq_service.errors import StorageError
-from daq_service.processes.child import log_to
-from daq_service.processes.data_folder import own_data_folder, prepare_data_folder, remove_temporary_files
+from daq_service.processes.child import log_to_file
+from daq_service.processes.data_folder import hold_recorder_lock, prepare_data_folder, remove_temporary_files
 from daq_service.processes.heartbeat import Heartbeat
 from daq_service.recording import session
 from daq_service.recording.resources import Host, SessionOptions
@@ -50,7 +50,7 @@ INTERVAL_S, FREED_AFTER_S, FREED_BEFORE_THE_START_S = 18.0, 25.0, 4.0
 """A disk that is freed only by a person takes nothing for longer than a set; one that keeps a recorder from
 starting only as long as no set is due."""
 TROUBLE_AFTER_S = 28.0
-DAMAGED = to_reference(SetKey(SETS - 1), parse_utc("2026-01-01T00:00:00Z"))
+DAMAGED = build_reference(SetKey(SETS - 1), parse_utc("2026-01-01T00:00:00Z"))
 """A set's file without rows, as a disk may leave one; a start sets it aside."""
 CALLS = "open,write,fsync,rename,unlink,truncate,allocate,mkdir"
 
@@ -130,7 +130,7 @@ def record(
     with in_memory(instruments) as opener, injected(clock):
         wall_clock = partial(WallClock, machine=clock.machine)
         prepare_data_folder(folder)
-        with own_data_folder(folder):
+        with hold_recorder_lock(folder):
             remove_temporary_files(folder)
             return session.record_test(
                 refusal_settings(),
@@ -196,7 +196,7 @@ def follow(case: dict[str, Any], folder: Path) -> dict[str, Any]:
     clock.look = look
     reports = FirstReport(clock, refusals)
     logging.getLogger().addHandler(reports)
-    log_to(folder / "logs" / "recorder.log")
+    log_to_file(folder / "logs" / "recorder.log")
     if case.get("damaged"):
         (folder / DAMAGED).write_bytes(b"torn")
     refuse(case, folder)

@@ -16,9 +16,9 @@ from hardware_drivers.serial_port.parameters import ClimateParameters, SerialLin
 from hardware_drivers.serial_port.power_supply import ScpiPowerSupply
 from simulator.doubles.serial.dialects import SUPPLIES
 from simulator.doubles.serial.instruments import SerialInstruments
-from simulator.doubles.serial.link import SerialLink, SocketLink, pseudo_terminals_missing
+from simulator.doubles.serial.link import SerialLink, SocketLink, find_missing_terminal_reason
 
-NO_TERMINALS = pseudo_terminals_missing()
+NO_TERMINALS = find_missing_terminal_reason()
 """Why there is nothing to test here; empty where there is."""
 REPLY_TIMEOUT_S = READ_TIMEOUT_S = 60.0
 """The doubles answer within a millisecond, on a busy machine later; no test waits for a missing reply, see
@@ -154,7 +154,7 @@ class SerialRig:
 
     def switched(self) -> list[tuple[bool, str]]:
         """Return the changes of the supply's output with their causes."""
-        return [(change.on, change.cause) for change in self.instruments.output_changes()]
+        return [(change.on, change.cause) for change in self.instruments.list_output_changes()]
 
     def heard(self) -> list[str]:
         """Return the commands that the supply received."""

@@ -22,7 +22,7 @@ from daq_service.catalogue.rows import (
     ShotRow,
     ThicknessRow,
 )
-from daq_service.processes.data_folder import own_data_folder, prepare_data_folder
+from daq_service.processes.data_folder import hold_recorder_lock, prepare_data_folder
 from daq_service.recording.resources import Host, SessionOptions
 from daq_service.recording.session import record_test
 from daq_service.rig.open_rig import open_rig
@@ -88,7 +88,7 @@ def run(
     prepare_data_folder(folder)
     if not (folder / FILE_NAME).exists():
         (folder / FILE_NAME).write_bytes(empty_catalogue())
-    with own_data_folder(folder):
+    with hold_recorder_lock(folder):
         return record_test(
             settings,
             folder,

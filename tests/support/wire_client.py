@@ -14,7 +14,7 @@ def encode_call(entry: EntryPoint, arguments: Mapping[str, Any]) -> bytes:
     """Return the body of a call."""
     name = entry.name.encode()
     parts = [struct.pack("<H", len(name)), name]
-    for parameter in wire.inputs(entry, arguments.get("attribute", 0)):
+    for parameter in wire.list_inputs(entry, arguments.get("attribute", 0)):
         parts.append(wire.encode_value(parameter, arguments[parameter.name]))
     return b"".join(parts)
 
@@ -27,7 +27,7 @@ def decode_answer(
     status, text = reader.number("i"), reader.text()
     values = {
         parameter.name: wire.decode_value(parameter, reader)
-        for parameter in wire.outputs(entry, arguments.get("attribute", 0))
+        for parameter in wire.list_outputs(entry, arguments.get("attribute", 0))
         if reader.number("B")
     }
     return status, text, values

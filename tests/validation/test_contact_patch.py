@@ -50,7 +50,7 @@ def exact_compliance(plate):
 
 def compliance(plate, *, whole=False):
     parts = build_plate(plate, PATCH, whole=whole)
-    stiffness, _ = parts.at_depth(0.0)
+    stiffness, _ = parts.evaluate_at_depth(0.0)
     return float(parts.load @ splu(stiffness).solve(parts.load))
 
 

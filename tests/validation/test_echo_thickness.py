@@ -13,7 +13,7 @@ from support.benchmark_modules import benchmark_module
 
 from analysis.ultrasound.thickness import compute_thickness, thickness_interval, travel_time
 from simulator.echo.far_wall import FarWall
-from simulator.echo.pulse import bubble_volts, echo_volts
+from simulator.echo.pulse import simulate_bubbles, simulate_echo
 
 N_WALLS = 60
 
@@ -49,7 +49,7 @@ def test_a_smooth_wall_is_read_without_bias_and_as_well_as_noise_allows(bias, th
 def test_attenuation_does_not_move_the_reading(bias, attenuation_db_per_m, exponent):
     echo = replace(bias.SMOOTH, attenuation_db_per_m=attenuation_db_per_m, attenuation_exponent=exponent)
     for thickness_m in (5e-3, 3.8e-3, 2e-3):
-        found = travel_time(bias.waveform_of(echo_volts(thickness_m, echo), echo), bias.sound_wall(echo))
+        found = travel_time(bias.waveform_of(simulate_echo(thickness_m, echo), echo), bias.sound_wall(echo))
         read_m = compute_thickness(
             found.travel_time_s, bias.sound_wall(echo).travel_time_s, 8e-6, 6.35e-3
         ).thickness_m
@@ -62,7 +62,7 @@ def test_the_v_shaped_path_reads_too_thick_by_its_geometry(bias):
     reference = bias.sound_wall(echo)
     s = echo.element_separation_m
     for thickness_m in (6.0e-3, 4.2e-3, 3.8e-3, 2.0e-3):
-        found = travel_time(bias.waveform_of(echo_volts(thickness_m, echo), echo), reference)
+        found = travel_time(bias.waveform_of(simulate_echo(thickness_m, echo), echo), reference)
         times = (found.travel_time_s, reference.travel_time_s, 8e-6, 6.35e-3)
         by_equation_17_m = 6.35e-3 * math.hypot(2 * thickness_m, s) / math.hypot(12.7e-3, s)
         # Neighbour echoes come at other multiples of the way than on a straight path: half a micrometre.
@@ -106,12 +106,12 @@ def test_without_a_back_wall_there_is_no_number(bias, front_wall_v):
     """With and without cross-talk: noise alone, and noise and bubbles."""
     echo = replace(bias.DEFAULT, front_wall_v=front_wall_v)
     reference = bias.sound_wall(echo)
-    nothing = echo_volts(FarWall(thickness_m=np.zeros(1), weights=np.ones(1)), echo)
+    nothing = simulate_echo(FarWall(thickness_m=np.zeros(1), weights=np.ones(1)), echo)
     for seed in range(200):
         random = np.random.default_rng(seed)
         volts = nothing + 2.5e-3 * random.standard_normal(nothing.size)
         if seed % 2:
-            volts += bubble_volts(3.8e-3, echo, random, 16).mean(axis=0)
+            volts += simulate_bubbles(3.8e-3, echo, random, 16).mean(axis=0)
         found = travel_time(bias.waveform_of(volts, echo), reference)
         assert found.quality == "bad"
         assert math.isnan(found.travel_time_s)
@@ -134,7 +134,7 @@ def test_bubbles_move_a_reading_by_less_than_its_noise(bias):
 
 def test_a_lost_coupling_widens_the_interval_and_moves_nothing(bias):
     reference = bias.sound_wall(bias.SMOOTH)
-    volts = echo_volts(4e-3, bias.SMOOTH)
+    volts = simulate_echo(4e-3, bias.SMOOTH)
     found = [travel_time(bias.waveform_of(gain * volts, bias.SMOOTH), reference) for gain in (1.0, 0.3)]
     intervals = [thickness_interval(each, reference, 6.35e-3) for each in found]
     assert found[1].travel_time_s == pytest.approx(found[0].travel_time_s, abs=0.1e-9)

@@ -56,7 +56,7 @@ CASES = {
 
 def exact_response(parts, depth, s):
     """Deflection under the load at the complex frequency s, all unknowns."""
-    stiffness, mass = parts.at_depth(depth)
+    stiffness, mass = parts.evaluate_at_depth(depth)
     dry = splu((stiffness + s**2 * mass).tocsc())
     load = parts.load.astype(complex)
     if parts.added_mass is None:

@@ -77,7 +77,7 @@ def test_every_mode_of_a_simply_supported_plate_falls_by_the_closed_form(depth_m
     for elements in (6, 12):
         x, y = np.linspace(0.0, 0.3, elements + 1), np.linspace(0.0, 0.25, elements + 1)
         parts = assemble_plate(plate, x, y, evaluate_thinning(x, y, PATCH), symmetric=(True, True))
-        stiffness, mass = (matrix.toarray() for matrix in parts.at_depth(0.0))
+        stiffness, mass = (matrix.toarray() for matrix in parts.evaluate_at_depth(0.0))
         wet_mass = mass + parts.added_mass @ np.eye(len(parts.load))
         dry, wet = (np.sqrt(linalg.eigh(stiffness, m, eigvals_only=True)[: len(k)]) for m in (mass, wet_mass))
         errors.append(np.max(np.abs(wet / dry / exact - 1.0)))
@@ -95,7 +95,7 @@ def test_modes_do_not_depend_on_where_the_chain_stands():
     x, y = np.linspace(-0.375, 0.225, 17), np.linspace(-0.1875, 0.3125, 17)
     x[np.argmin(np.abs(x))] = y[np.argmin(np.abs(y))] = 0.0
     parts = assemble_plate(plate, x, y, evaluate_thinning(x, y, PATCH_ANYWHERE), symmetric=(False, False))
-    stiffness, mass = (matrix.toarray() for matrix in parts.at_depth(0.0))
+    stiffness, mass = (matrix.toarray() for matrix in parts.evaluate_at_depth(0.0))
     wet_mass = mass + parts.added_mass @ np.eye(len(parts.load))
     dry, wet = (
         np.sqrt(linalg.eigh(stiffness, m, subset_by_index=(0, 3), eigvals_only=True))

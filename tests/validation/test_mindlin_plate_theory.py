@@ -30,12 +30,12 @@ def uniform_plate(elements, *, width_m=0.6, height_m=0.6, thickness_m=6e-3, supp
 
 
 def compliance(plate, depth=0.0):
-    stiffness, _ = plate.at_depth(depth)
+    stiffness, _ = plate.evaluate_at_depth(depth)
     return float(plate.load @ splu(stiffness).solve(plate.load))
 
 
 def lowest_frequencies_hz(plate, count):
-    stiffness, mass = plate.at_depth(0.0)
+    stiffness, mass = plate.evaluate_at_depth(0.0)
     eigenvalues = eigsh(stiffness, k=count, M=mass, sigma=0.0, return_eigenvectors=False)
     return np.sqrt(np.sort(eigenvalues)) / (2 * np.pi)
 
@@ -87,7 +87,7 @@ def test_patch_test_on_a_graded_mesh(w, beta_x, beta_y):
     """A state of constant strain is in equilibrium at every inner node, for any element sizes."""
     parameters = replace(PAPER, elements_per_edge=16, contact_element_m=1e-3)
     plate = build_plate(parameters, PATCH, whole=True)
-    stiffness, _ = plate.at_depth(0.0)
+    stiffness, _ = plate.evaluate_at_depth(0.0)
     field = nodal_field(plate, w, beta_x, beta_y)
     inner = inner_unknowns(plate)
     forces = stiffness @ field
@@ -150,7 +150,7 @@ def test_distributed_load_compliance_converges_with_order_two():
     errors = []
     for elements in (16, 32, 64):
         _, plate = uniform_plate(elements)
-        stiffness, mass = plate.at_depth(0.0)
+        stiffness, mass = plate.evaluate_at_depth(0.0)
         deflection = np.zeros(3 * len(plate.x_m) * len(plate.y_m))
         deflection[::3] = 1.0
         # The consistent mass turns a unit acceleration into rho h times a unit pressure; held nodes

@@ -26,7 +26,7 @@ def dimensionless(plate, count, *, elements, whole, rigid=0):
     """Eigenvalues of an almost even mesh, those of the bed taken off."""
     meshed = replace(plate, elements_per_edge=elements, contact_element_m=0.8 * plate.width_m / elements)
     parts = build_plate(meshed, PATCH, whole=whole)
-    stiffness, mass = parts.at_depth(0.0)
+    stiffness, mass = parts.evaluate_at_depth(0.0)
     values = np.sort(eigsh(stiffness, k=count + rigid, M=mass, sigma=-1.0, return_eigenvectors=False))
     if plate.support == "free":
         values -= (2 * np.pi * plate.suspension_hz) ** 2
@@ -63,7 +63,7 @@ def test_bed_carries_the_static_load_and_adds_its_frequency_to_every_mode():
     plate = replace(THIN, support="free", elements_per_edge=16, contact_element_m=5e-3)
     for suspension_hz in (1.0, 10.0):
         parts = build_plate(replace(plate, suspension_hz=suspension_hz), PATCH)
-        stiffness, _ = parts.at_depth(0.0)
+        stiffness, _ = parts.evaluate_at_depth(0.0)
         heave = np.zeros(3 * len(parts.x_m) * len(parts.y_m))
         heave[::3] = 1.0
         heave = heave[parts.free]

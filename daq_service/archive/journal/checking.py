@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from daq_service.archive.journal.frames import HEADER, Frame, parse_frames
-from daq_service.archive.journal.reader import JournaledSet, build_segment_path, list_strays, read_segments
+from daq_service.archive.journal.reader import JournaledSet, build_segment_path, list_misnamed, read_segments
 from daq_service.archive.records import JOURNAL_FOLDER, SETS_FOLDER, Damage, to_references
 from hardware_drivers.measurement import SetKey
 
@@ -52,7 +52,7 @@ class CheckedJournal:
         for frame in parse_frames(content):
             if frame.start > end_of_last:
                 self._add_gap(name, end_of_last, frame.start, last_sets | {frame.set_key})
-            if not frame.sound and not _is_torn(frame, length, len(content)):
+            if not frame.sound and not _is_truncated(frame, length, len(content)):
                 self.unsound.append((name, frame))
             self.sets.setdefault(frame.set_key, JournaledSet(set_key=frame.set_key)).take(frame, number)
             self.n_frames += 1
@@ -72,7 +72,7 @@ class CheckedJournal:
         )
 
 
-def _is_torn(frame: Frame, length: int, size: int) -> bool:
+def _is_truncated(frame: Frame, length: int, size: int) -> bool:
     """Return whether a crash truncated a frame: its last 512-byte sectors are zeros or outside the file."""
     return frame.end > size or -(-length // _SECTOR_BYTES) * _SECTOR_BYTES < frame.end
 
@@ -93,7 +93,7 @@ def check_journal(folder: Path) -> CheckedJournal:
         checked.take(number, _name_segment(folder, number), content)
     filed = to_references(path.name for path in (folder / SETS_FOLDER).glob("set_*.h5"))
     misnamed = Damage(reason="it holds frames, but its name is no segment's")
-    checked.damages += [(f"{JOURNAL_FOLDER}/{path.name}", misnamed) for path in list_strays(folder)]
+    checked.damages += [(f"{JOURNAL_FOLDER}/{path.name}", misnamed) for path in list_misnamed(folder)]
     reported: set[int] = set()
     for set_key, journaled in checked.sets.items():
         if journaled.end is not None and set_key not in filed:

@@ -78,7 +78,7 @@ class Frame:
     counts: bytes
     sound: bool
 
-    def read_facts(self) -> dict[str, Any]:
+    def parse_facts(self) -> dict[str, Any]:
         """Parse the facts of a sound frame as a dictionary; ValueError if they are no JSON."""
         facts: dict[str, Any] = json.loads(self.facts)
         return facts
@@ -168,7 +168,7 @@ def build_end_frame(record: SetRecord) -> Buffers:
     return _build_frame(Kind.END, record.set_key, facts, utc_ns=record.ended_utc_ns)
 
 
-def build_aside_frame(set_key: SetKey) -> Buffers:
+def build_discard_frame(set_key: SetKey) -> Buffers:
     """Build the frame that makes readers discard the earlier frames of a set."""
     return _build_frame(Kind.ASIDE, set_key, {}, utc_ns=0)
 
@@ -244,12 +244,12 @@ def parse_frames(content: bytes, *, of_set: SetKey | None = None) -> Iterator[Fr
 
 def decode_record(frame: Frame) -> Shot | PulseEchoRecord:
     """Decode the record of a sound frame, bit for bit: a pulse echo from ``ECHO``, else a shot."""
-    facts = frame.read_facts()
+    facts = frame.parse_facts()
     position, shot_index, attempt = facts["key"]
     calibration = facts["calibration"]
     common: dict[str, Any] = {
         "sequence": frame.sequence,
-        "key": ShotKey.in_set(frame.set_key, position, shot_index, attempt),
+        "key": ShotKey.from_set(frame.set_key, position, shot_index, attempt),
         "stamp": Stamp(utc_ns=frame.utc_ns, mono_ns=frame.mono_ns, boot_id=facts["boot_id"]),
         "waveform": Waveform(
             counts=np.frombuffer(frame.counts, dtype=f"<i{frame.width}"),
@@ -267,7 +267,7 @@ def decode_record(frame: Frame) -> Shot | PulseEchoRecord:
 
 def decode_missed(frame: Frame) -> MissedShot:
     """Decode the missed record of a sound frame of kind ``MISSED``."""
-    facts = frame.read_facts()
+    facts = frame.parse_facts()
     position, shot_index, attempt = facts["key"]
-    key = ShotKey.in_set(frame.set_key, position, shot_index, attempt)
+    key = ShotKey.from_set(frame.set_key, position, shot_index, attempt)
     return MissedShot(key=key, cause=facts["cause"], reason=facts["reason"])

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from daq_service.archive.journal.frames import Frame, Kind, decode_missed, decode_record, parse_frames
-from daq_service.archive.records import JOURNAL_FOLDER, Damage, OpenSet, Places, SetReference, to_reference
+from daq_service.archive.records import JOURNAL_FOLDER, Damage, OpenSet, Places, SetReference, build_reference
 from daq_service.shared_file import read_shared
 from hardware_drivers.measurement import (
     MissedShot,
@@ -68,12 +68,12 @@ class JournaledSet:
                 self.shots.clear()
                 self.missed.clear()
             case Kind.END:
-                self.end = {**frame.read_facts(), "ended_utc_ns": frame.utc_ns}
+                self.end = {**frame.parse_facts(), "ended_utc_ns": frame.utc_ns}
 
     @property
     def reference(self) -> SetReference | None:
         """Return the reference of its future file; None before its end."""
-        return None if self.end is None else to_reference(self.set_key, self.end["due_utc_ns"])
+        return None if self.end is None else build_reference(self.set_key, self.end["due_utc_ns"])
 
     @property
     def is_whole(self) -> bool:
@@ -139,7 +139,7 @@ class JournaledSet:
         """Build the durable part of an incomplete set, to resume it; None if no sound frame of it is left."""
         facts: Mapping[str, Any]
         if self.begin is not None:
-            facts = {**self.begin.read_facts(), "started_utc_ns": self.begin.utc_ns}
+            facts = {**self.begin.parse_facts(), "started_utc_ns": self.begin.utc_ns}
         elif self.end is not None:
             facts = self.end
         elif self.shots or self.missed:
@@ -167,7 +167,7 @@ _PLAIN = (
 
 def _parse_missed(set_key: SetKey, facts: Mapping[str, Any]) -> MissedShot:
     """Parse a missed record from an entry of the end frame; KeyError if the entry lacks a key."""
-    key = ShotKey.in_set(set_key, facts["position"], facts["shot_index"], facts["attempt"])
+    key = ShotKey.from_set(set_key, facts["position"], facts["shot_index"], facts["attempt"])
     return MissedShot(key=key, cause=facts["cause"], reason=facts["reason"])
 
 
@@ -182,7 +182,7 @@ def parse_segment_number(file: str) -> int:
     return int(Path(file).stem)
 
 
-def list_strays(folder: Path) -> list[Path]:
+def list_misnamed(folder: Path) -> list[Path]:
     """List the files of the journal's folder that hold frames but lack a segment's name; read them all."""
     others = (path for path in (folder / JOURNAL_FOLDER).glob("*") if not _NAME.fullmatch(path.name))
     return [path for path in others if path.is_file() and any(parse_frames(read_shared(path)))]

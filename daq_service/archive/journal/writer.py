@@ -11,12 +11,12 @@ from functools import partial
 from pathlib import Path
 
 from daq_service.archive.journal.checking import CheckedJournal, check_journal
-from daq_service.archive.journal.frames import Buffers, build_aside_frame, build_record_frame
+from daq_service.archive.journal.frames import Buffers, build_discard_frame, build_record_frame
 from daq_service.archive.journal.reader import (
     JournaledSet,
     build_segment_path,
+    list_misnamed,
     list_segments,
-    list_strays,
     parse_segment_number,
     read_journal,
 )
@@ -60,10 +60,10 @@ class Journal:
 
     def __init__(self, folder: Path, *, segment_bytes: int = SEGMENT_BYTES) -> None:
         self._folder, self._segment_bytes = folder, segment_bytes
-        renamed = self._rename_strays()
+        renamed = self._rename_misnamed_segments()
         checked = check_journal(folder)
         self.left: dict[SetKey, JournaledSet] = checked.sets
-        self.damage = self._copy_damaged(checked, renamed)
+        self.damage = self._copy_corrupt_segments(checked, renamed)
         self._sets_in: dict[int, dict[SetKey, tuple[int, int | None]]] = {
             number: {} for number in list_segments(folder)
         }
@@ -77,19 +77,19 @@ class Journal:
         self._unacknowledged: list[int] = []
         self._pending_sets: set[SetKey] = set()
 
-    def _rename_strays(self) -> dict[str, str]:
+    def _rename_misnamed_segments(self) -> dict[str, str]:
         """Give files that hold frames under other names the next segment numbers.
 
         Returns the former name by new path. Raises OSError.
         """
         former_names = {}
-        for path in list_strays(self._folder):
+        for path in list_misnamed(self._folder):
             new = build_segment_path(self._folder, max(list_segments(self._folder), default=0) + 1)
             retry(partial(os.rename, path, new))
             former_names[f"{JOURNAL_FOLDER}/{new.name}"] = path.name
         return former_names
 
-    def _copy_damaged(self, checked: CheckedJournal, renamed: Mapping[str, str]) -> JournalDamage:
+    def _copy_corrupt_segments(self, checked: CheckedJournal, renamed: Mapping[str, str]) -> JournalDamage:
         """Copy corrupt segments to the quarantine before any of their frames can be dropped; log each."""
         reasons_of = {file: [f"its name was {name}"] for file, name in renamed.items()}
         for file, damage in checked.damages:
@@ -148,7 +148,7 @@ class Journal:
         item = read_journal(self._folder, of_set=set_key)[set_key]
         for number in item.segments:
             self._copy_to_quarantine(number, f"{name}.{number:06d}.journal")
-        self.add(set_key, build_aside_frame(set_key))
+        self.add(set_key, build_discard_frame(set_key))
         self.sync()
         self.settle(set_key)
 

@@ -12,13 +12,13 @@ from typing import Protocol
 
 import numpy as np
 
-from analysis.statistics.levels import FACTOR, finer_blocks, sets_per_step
+from analysis.statistics.levels import FACTOR, choose_sets_per_step, finer_blocks
 from daq_service.archive.errors import ArchiveError
 from daq_service.archive.protocol import SetReader
 from daq_service.archive.records import SetReference
 from daq_service.archive.waterfall.cells import Alignment, Frame, Planes, coarsen, compute_planes, new_planes
 from daq_service.archive.waterfall.tile_files import build_tile_row, build_tiles
-from daq_service.archive.waterfall.tiles import WIDTHS, TileRow, Tiles, join_rows
+from daq_service.archive.waterfall.tiles import WIDTHS, TileRow, Tiles, join_tile_rows
 
 log = logging.getLogger(__name__)
 
@@ -144,8 +144,8 @@ class WaterfallReader:
         reference
             Planes that are subtracted from each set before extremes are taken over sets and times: `mean`.
         """
-        row_sets = sets_per_step(wanted.first, wanted.last, wanted.rows)
-        frame = _choose_columns(tiles.frame, wanted, may_be_finer=reference is None and row_sets == 1)
+        row_sets = choose_sets_per_step(wanted.first, wanted.last, wanted.rows)
+        frame = _choose_column_frame(tiles.frame, wanted, may_be_finer=reference is None and row_sets == 1)
         if frame.width < tiles.frame.width:  # finer cells are computed from records, not stored
             tiles = replace(tiles, frame=frame)
         reading = _Reading(self, tiles, index)
@@ -153,7 +153,7 @@ class WaterfallReader:
         rows_by_number: dict[int, list[TileRow]] = {}
         for row in reading.rows(width, range(wanted.first // width, wanted.last // width + 1)):
             rows_by_number.setdefault(row.first_set // row_sets, []).append(row)
-        rows = [join_rows(rows_by_number[number]) for number in sorted(rows_by_number)]
+        rows = [join_tile_rows(rows_by_number[number]) for number in sorted(rows_by_number)]
         offset = np.float32(0.0) if reference is None else reference
         volts = [row.planes - offset for row in rows]
         tile_frame = reading.tiles.frame
@@ -245,7 +245,7 @@ class _Reading:
             self.pending += n_stored
             return None
         finer_rows = self.rows(width // FACTOR, finer_blocks(number))
-        return join_rows(finer_rows) if finer_rows else None
+        return join_tile_rows(finer_rows) if finer_rows else None
 
     def _read_set_row(self, set_index: int) -> TileRow | None:
         """Read the row of a set from the cache or its records; None if it has none or is pending."""
@@ -269,7 +269,7 @@ class _Reading:
         return row
 
 
-def _choose_columns(frame: Frame, wanted: Wanted, *, may_be_finer: bool) -> Frame:
+def _choose_column_frame(frame: Frame, wanted: Wanted, *, may_be_finer: bool) -> Frame:
     """Choose the columns of a figure: the narrowest cells that do not exceed the requested number.
 
     At least two columns: before and after the anchor, independent of their width.

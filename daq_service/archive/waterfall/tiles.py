@@ -56,7 +56,7 @@ class TileRow:
     planes: Planes
 
 
-def join_rows(rows: Sequence[TileRow]) -> TileRow:
+def join_tile_rows(rows: Sequence[TileRow]) -> TileRow:
     """Combine one or more rows, given in the order of their sets, to one row."""
     return TileRow(
         n_sets=sum(row.n_sets for row in rows),
@@ -140,7 +140,7 @@ class Tiles:
             if complete_blocks_only and number % FACTOR != FACTOR - 1:
                 return
             finer_rows = dict(self._decode_rows(width, number - number % FACTOR, neighbors)) | {number: row}
-            row = join_rows([finer_rows[index] for index in sorted(finer_rows)])
+            row = join_tile_rows([finer_rows[index] for index in sorted(finer_rows)])
 
     # Files ----------------------------------------------------------------------------------------
 
@@ -253,6 +253,6 @@ def list_tile_cells(folder: Path) -> list[int]:
     return n_cells
 
 
-def count_tile_bytes(folder: Path) -> int:
+def sum_tile_bytes(folder: Path) -> int:
     """Sum the sizes of all tile files of a data folder in bytes; 0 without tiles."""
     return sum(path.stat().st_size for path in (folder / TILES_FOLDER).rglob("*.tile"))

@@ -61,7 +61,7 @@ class Check:
             raise ValueError(f"the check {self.name!r} is {self.state!r} and needs a remedy")
 
 
-def exit_code_of_checks(checks: Sequence[Check]) -> int:
+def choose_exit_code(checks: Sequence[Check]) -> int:
     """Return 0 if no check failed, otherwise the exit code of the first failed area in `EXIT_CODES`.
 
     Warnings and skipped checks do not count.
@@ -70,7 +70,7 @@ def exit_code_of_checks(checks: Sequence[Check]) -> int:
     return next((code for area, code in EXIT_CODES.items() if area in failed), errors.EXIT_OK)
 
 
-def check_of_error(name: str, error: InstrumentError, otherwise: str) -> Check:
+def build_error_check(name: str, error: InstrumentError, otherwise: str) -> Check:
     """Create the failed check for an instrument's error, whose message may contain the remedy.
 
     Text after the last ``; `` of the message is the remedy. An instrument that another program holds gives a
@@ -90,7 +90,7 @@ def check_of_error(name: str, error: InstrumentError, otherwise: str) -> Check:
     return Check("rig", name, "fail", problem, remedy)
 
 
-def check_of_finding(finding: Finding, instrument: str = "") -> Check:
+def build_finding_check(finding: Finding, instrument: str = "") -> Check:
     """Convert a finding of an instrument driver to a check of area ``rig``.
 
     A finding that another program holds the instrument gives a failed check of area ``recorder``.

@@ -11,13 +11,13 @@ from pathlib import Path
 import click
 import orjson
 
-from daq_service.cli.doctor.check import Check, check_of_error, check_of_finding, exit_code_of_checks
+from daq_service.cli.doctor.check import Check, build_error_check, build_finding_check, choose_exit_code
 from daq_service.cli.doctor.machine import check_machine
 from daq_service.cli.doctor.software import check_software
-from daq_service.cli.doctor.storage import check_storage, hold_folder, read_lock_owner, refuse_while_owned
-from daq_service.cli.doctor.trial import Trial, require_position, strike_transducer
+from daq_service.cli.doctor.storage import check_storage, lock_folder, read_lock_owner, refuse_if_owned
+from daq_service.cli.doctor.trial import Trial, check_strike_position, strike_transducer
 from daq_service.clock import WallClock
-from daq_service.processes.data_folder import DRIVE_LOCK, data_folder, is_owned
+from daq_service.processes.data_folder import DRIVE_LOCK, choose_folder, is_held
 from daq_service.rig.open_rig import build_opening
 from daq_service.settings.file import load_settings
 from daq_service.settings.instruments import Instrument, list_instruments
@@ -44,26 +44,26 @@ def run_doctor(*, config: Path | None, data_dir: Path | None, strike: str | None
         A strike is requested while a recorder owns the folder.
     """
     settings = load_settings(config)
-    folder = data_folder(settings.storage, config, data_dir)
+    folder = choose_folder(settings.storage, config, data_dir)
     if strike is not None:
-        require_position(settings, strike)
+        check_strike_position(settings, strike)
     owner = read_lock_owner(folder)
     if strike is not None:
-        refuse_while_owned("--strike", owner)
+        refuse_if_owned("--strike", owner)
     checks = list(run_checks(settings, folder, owner, _print_step))
     trial: Trial | None = None
     if strike is not None and any(check.area == "software" and check.state == "fail" for check in checks):
         found = "not struck: a package is missing"
         remedy = "install what failed above, then strike"
-        checks.append(_skipped_check(f"strike {strike}: record", found, remedy))
+        checks.append(_build_skipped_check(f"strike {strike}: record", found, remedy))
     elif strike is not None:
         strikes = "two test strikes" if settings.rig.kind == "daqmx" else "one test strike"
         _print_step(f"{strikes} at {strike}")
-        with hold_folder(folder) as owner:
-            refuse_while_owned("--strike", owner)
+        with lock_folder(folder) as owner:
+            refuse_if_owned("--strike", owner)
             trial = strike_transducer(settings, strike)
         checks += trial.checks
-    code = exit_code_of_checks(checks)
+    code = choose_exit_code(checks)
     if as_json:
         report = {
             "configuration_hash": settings.configuration_hash(),
@@ -99,16 +99,16 @@ def run_checks(settings: Settings, folder: Path, owner: str, progress: Progress)
     software = check_software(needed)
     yield from software
     progress(f"data folder {folder}")
-    yield _recorder_check(owner)
+    yield _check_recorder(owner)
     yield from check_storage(settings, folder)
     if owner:
         remedy = "stop the recorder first, or read `solimon status`"
         for name in (KNOWN_AS.get(item.name, item.name) for item in instruments):
-            yield _skipped_check(name, "not looked at: a recorder uses it", remedy)
+            yield _build_skipped_check(name, "not looked at: a recorder uses it", remedy)
     else:
         missing = {check.name for check in software if check.state == "fail"}
         yield from run_rig_checks(
-            settings, instruments, missing, progress, driven=bool(is_owned(folder, DRIVE_LOCK))
+            settings, instruments, missing, progress, driven=bool(is_held(folder, DRIVE_LOCK))
         )
     progress("clocks, sleep, updates and scanners")
     yield from check_machine(
@@ -142,25 +142,25 @@ def run_rig_checks(
         name = KNOWN_AS.get(item.name, item.name)
         if set(item.kind.packages(item.parameters)) & missing:
             found = "not looked at: a package they need is missing"
-            yield _skipped_check(name, found, "install what failed above, then look again")
+            yield _build_skipped_check(name, found, "install what failed above, then look again")
         elif driven and "supply" in item.serves:
-            yield _skipped_check(name, "its own process has the port", "see `solimon status`")
+            yield _build_skipped_check(name, "its own process has the port", "see `solimon status`")
         else:
             progress(f"{name}; nothing strikes, nothing is switched")
             instrument = item.name if settings.rig.kind == "mixed" else ""
             try:
                 for finding in item.kind.check(item.parameters, build_opening(item, settings, clock)):
-                    yield check_of_finding(finding, instrument)
+                    yield build_finding_check(finding, instrument)
             except InstrumentError as error:
-                yield check_of_error(name, error, "see what its maker says of it")
+                yield build_error_check(name, error, "see what its maker says of it")
 
 
-def _skipped_check(name: str, found: str, remedy: str) -> Check:
+def _build_skipped_check(name: str, found: str, remedy: str) -> Check:
     """Create a skipped check of area ``rig`` with its reason and a remedy."""
     return Check("rig", name, "skipped", found, remedy)
 
 
-def _recorder_check(owner: str) -> Check:
+def _check_recorder(owner: str) -> Check:
     """Return a passed check, or a failed one if ``owner`` describes a recorder that owns the folder."""
     name = "recorder"
     if not owner:

@@ -45,7 +45,7 @@ def check_machine(
             wall_s - (wall_s if started_wall_s is None else started_wall_s),
             mono_s - (mono_s if started_mono_s is None else started_mono_s),
         ),
-        _time_zone_check(),
+        _check_time_zone(),
     ]
     if clock == "wall":
         return [*checks, _check_synchronization(ask, system), *check_unattended_settings(folder, ask, system)]
@@ -82,7 +82,7 @@ def _check_monotonic_clock(wall_elapsed_s: float, mono_elapsed_s: float) -> Chec
     )
 
 
-def _time_zone_check() -> Check:
+def _check_time_zone() -> Check:
     """Return a check, always ok, with the time zone of this computer and its UTC offset in s."""
     now = datetime.now().astimezone()
     offset = now.utcoffset()

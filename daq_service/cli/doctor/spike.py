@@ -7,8 +7,8 @@ from contextlib import closing
 from dataclasses import replace
 
 from analysis.errors import AnalysisError
-from analysis.waves.coil_spike import EdgeSpike, SpikeSurvey, survey_spike
-from daq_service.cli.doctor.check import Check, check_of_error
+from analysis.waves.coil_spike import EdgeSpike, SpikeSurvey, measure_coil_spike
+from daq_service.cli.doctor.check import Check, build_error_check
 from hardware_drivers.daqmx.parameters import DaqmxParameters
 from hardware_drivers.errors import ConfigurationError, InstrumentError
 
@@ -18,7 +18,7 @@ HARDWARE_CURE = (
 )
 
 
-def survey_coil(parameters: DaqmxParameters, position: str, timeout_s: float) -> SpikeSurvey:
+def strike_and_survey_coil(parameters: DaqmxParameters, position: str, timeout_s: float) -> SpikeSurvey:
     """Strike once and analyze the complete record for the ringing of the coil.
 
     Blocks at most about ``timeout_s`` seconds per record: one with the coil at rest, one of the strike.
@@ -34,7 +34,7 @@ def survey_coil(parameters: DaqmxParameters, position: str, timeout_s: float) ->
 
     with closing(FreeInput(parameters, position, timeout_s)) as free:
         noise, strike = free.record_quiet_input(), free.strike()
-    return survey_spike(
+    return measure_coil_spike(
         strike,
         noise,
         pulse_s=parameters.pulse_s,
@@ -45,7 +45,7 @@ def survey_coil(parameters: DaqmxParameters, position: str, timeout_s: float) ->
     )
 
 
-def check_coil_spike(
+def strike_and_check_coil(
     parameters: DaqmxParameters, position: str, timeout_s: float
 ) -> tuple[Check, SpikeSurvey | None]:
     """Strike a transducer once and assess its coil's spike; return the check and the survey.
@@ -55,9 +55,9 @@ def check_coil_spike(
     """
     name = f"strike {position}: coil's spike"
     try:
-        survey = survey_coil(parameters, position, timeout_s)
+        survey = strike_and_survey_coil(parameters, position, timeout_s)
     except InstrumentError as error:
-        check = check_of_error(name, error, "mend what failed above, then strike")
+        check = build_error_check(name, error, "mend what failed above, then strike")
         if isinstance(error, ConfigurationError) and parameters.holdoff_s is None:
             # A board that its counter cannot start takes shots all the same.
             check = replace(check, area="rig", state="warn")
@@ -65,10 +65,10 @@ def check_coil_spike(
     except AnalysisError as error:
         found = f"the record of a whole strike cannot be assessed: {error}"
         return Check("rig", name, "warn", found, "see the log"), None
-    return _check_of_survey(name, parameters, survey), survey
+    return _build_spike_check(name, parameters, survey), survey
 
 
-def _check_of_survey(name: str, parameters: DaqmxParameters, survey: SpikeSurvey) -> Check:
+def _build_spike_check(name: str, parameters: DaqmxParameters, survey: SpikeSurvey) -> Check:
     """Convert a survey of the coil to a check, with proposed settings in its values.
 
     Fails if the spike would trigger the record or the holdoff ends too late; warns of any other obstacle.
@@ -87,9 +87,9 @@ def _check_of_survey(name: str, parameters: DaqmxParameters, survey: SpikeSurvey
         "rig",
         name,
         "fail" if is_lost else "warn" if survey.obstacle else "ok",
-        f"on: {describe_edge(survey.on)}; off: {describe_edge(off)}; {wave_text} (expected "
+        f"on: {describe_spike(survey.on)}; off: {describe_spike(off)}; {wave_text} (expected "
         f"{_format_time(parameters.fall_s)}); trigger level {parameters.trigger_level_v:g} V, {holdoff_text}",
-        _remedy_for_survey(parameters, survey),
+        _describe_spike_remedy(parameters, survey),
         {
             "on_height_v": survey.on.height_v,
             "off_height_v": off.height_v,
@@ -112,7 +112,7 @@ def propose_ringing_s(survey: SpikeSurvey) -> float:
     return math.ceil(survey.off.ringing_s * 1e4) / 1e4
 
 
-def _remedy_for_survey(parameters: DaqmxParameters, survey: SpikeSurvey) -> str:
+def _describe_spike_remedy(parameters: DaqmxParameters, survey: SpikeSurvey) -> str:
     """Describe the remedy for the obstacle of a survey; without one, the proposed settings."""
     if survey.obstacle == "ringing":
         return (
@@ -132,7 +132,7 @@ def _remedy_for_survey(parameters: DaqmxParameters, survey: SpikeSurvey) -> str:
     return f"{proposal} in [rig.daqmx] (the longest ringing of all transducers)"
 
 
-def describe_edge(edge: EdgeSpike) -> str:
+def describe_spike(edge: EdgeSpike) -> str:
     """Describe the spike after an edge of the coil's pulse: height (V), duration, ringing, flyback."""
     if not edge.height_v:
         return "no spike"

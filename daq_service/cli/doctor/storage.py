@@ -15,13 +15,13 @@ from daq_service.archive import FolderSetReader
 from daq_service.catalogue import check_owner, open_catalogue
 from daq_service.catalogue.errors import NoDataYetError, SchemaVersionError
 from daq_service.catalogue.network_folder import find_network_type
-from daq_service.catalogue.owner import refuse_other_experiment
+from daq_service.catalogue.owner import raise_if_other_configuration
 from daq_service.cli.doctor.check import Check, State
 from daq_service.cli.inspection import describe_plan
 from daq_service.errors import BusyError, StorageError
-from daq_service.processes.data_folder import OWN_NAMES, own_data_folder
+from daq_service.processes.data_folder import OWN_NAMES, hold_recorder_lock
 from daq_service.processes.disk_policy import disk_space
-from daq_service.processes.lost_catalogue import is_catalogue_lost, loss_reason, read_folder_history
+from daq_service.processes.lost_catalogue import describe_loss, is_catalogue_lost, read_folder_history
 from daq_service.processes.lost_sets import find_lost_sets
 from daq_service.recording.experiment import find_stored_experiment
 from daq_service.settings.tree import Settings
@@ -36,7 +36,7 @@ COMFORTABLE = 2.0
 
 
 @contextmanager
-def hold_folder(folder: Path) -> Iterator[str]:
+def lock_folder(folder: Path) -> Iterator[str]:
     """Hold the recorder's lock while the context is open, so that no recorder starts.
 
     Waits at most `LOOK_S` for the lock. If it cannot be taken, the context runs without it.
@@ -51,7 +51,7 @@ def hold_folder(folder: Path) -> Iterator[str]:
         owner = ""
         if (folder / "recorder.lock").is_file():
             try:
-                stack.enter_context(own_data_folder(folder, patience_s=LOOK_S))
+                stack.enter_context(hold_recorder_lock(folder, patience_s=LOOK_S))
             except BusyError as error:
                 owner = str(error)
             except OSError as error:
@@ -68,11 +68,11 @@ def read_lock_owner(folder: Path) -> str:
     It is released at once: a recorder that restarts now would find it taken, and its supervisor would end the
     test. A recorder waits for boards that are being checked.
     """
-    with hold_folder(folder) as owner:
+    with lock_folder(folder) as owner:
         return owner
 
 
-def refuse_while_owned(what: str, owner: str) -> None:
+def refuse_if_owned(what: str, owner: str) -> None:
     """Raise BusyError, naming the refused action ``what``, if ``owner`` is not empty."""
     if owner:
         raise BusyError(f"{what} is refused: {owner}")
@@ -93,7 +93,7 @@ def check_storage(settings: Settings, folder: Path) -> list[Check]:
     ]
 
 
-def _nearest_existing_folder(folder: Path) -> Path:
+def _find_existing_folder(folder: Path) -> Path:
     """Return the path itself, or its nearest parent that exists; it may be a file."""
     return next(path for path in (folder, *folder.parents) if path.exists())
 
@@ -117,7 +117,7 @@ def _check_writable(folder: Path) -> Check:
 
     Warns if the write takes longer than `SLOW_WRITE_S`. A missing folder is probed at its nearest parent.
     """
-    name, existing = "data folder: writable", _nearest_existing_folder(folder)
+    name, existing = "data folder: writable", _find_existing_folder(folder)
     if not existing.is_dir():
         return _failed_check(name, f"{existing} is a file", "choose another folder with --data-dir")
     if existing == folder:
@@ -160,7 +160,7 @@ def _check_owner(settings: Settings, folder: Path) -> Check:
         if is_catalogue_lost(folder):  # then the sets identify the test
             experiment = find_stored_experiment(folder, read_folder_history(folder), FolderSetReader(folder))
             if experiment is not None:
-                refuse_other_experiment(experiment, folder, settings)
+                raise_if_other_configuration(experiment, folder, settings)
     except StorageError as error:
         return _failed_check(
             name, str(error), "use this test's own folder or configuration, or a new --data-dir"
@@ -175,7 +175,7 @@ def _check_catalogue(folder: Path) -> list[Check]:
     An unreadable one gives none here: `_check_owner` reports it.
     """
     try:
-        reason = loss_reason(folder)
+        reason = describe_loss(folder)
     except StorageError:
         return []
     remedy = "look with solimon verify first; a backup of the folder has the catalogue, too"

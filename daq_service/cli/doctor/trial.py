@@ -15,14 +15,14 @@ from pydantic import TypeAdapter
 from analysis.waves.coil_spike import FITTING_LEVEL, SpikeSurvey
 from analysis.waves.features import ShotFeatures
 from daq_service.acquisition.shot_features import extract_shot_features
-from daq_service.cli.doctor.check import Check, check_of_error
-from daq_service.cli.doctor.spike import check_coil_spike
+from daq_service.cli.doctor.check import Check, build_error_check
+from daq_service.cli.doctor.spike import strike_and_check_coil
 from daq_service.clock import WallClock, parse_utc, read_boot_id
 from daq_service.errors import UsageError
 from daq_service.rig.open_rig import open_rig
 from daq_service.settings.rig import RigSettings
 from daq_service.settings.tree import Settings
-from daq_service.shared_file import load_table
+from daq_service.shared_file import load_module_toml
 from hardware_drivers.daqmx.parameters import DaqmxParameters
 from hardware_drivers.errors import InstrumentError
 from hardware_drivers.measurement import DueSet, MissedShot, Shot, Waveform
@@ -31,7 +31,7 @@ from hardware_drivers.take_set import SetPlan, take_set
 from simulator.clock import SimulatedClock
 
 PRINT_REQUEST = partial(click.echo, err=True)
-REMEDIES = TypeAdapter(dict[str, str]).validate_python(load_table(__file__))
+REMEDIES = TypeAdapter(dict[str, str]).validate_python(load_module_toml(__file__))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -69,7 +69,7 @@ class Trial:
         }
 
 
-def require_position(settings: Settings, position: str) -> None:
+def check_strike_position(settings: Settings, position: str) -> None:
     """Raise an error for a position that cannot be struck.
 
     Raises
@@ -105,11 +105,11 @@ def strike_transducer(
     report
         Shows the person at the rig what to do, if a person is the striker.
     """
-    settings = _restrict_settings(settings, position)
+    settings = _select_position_settings(settings, position)
     boards = settings.rig.daqmx
     if settings.rig.kind != "daqmx" or boards is None:
         return _take_shot(settings, position, None, report)
-    survey_check, spike = check_coil_spike(boards, position, settings.rig.read_timeout_s)
+    survey_check, spike = strike_and_check_coil(boards, position, settings.rig.read_timeout_s)
     trial = _take_shot(settings, position, spike, report)
     return replace(trial, checks=(survey_check, *trial.checks), spike=spike)
 
@@ -138,14 +138,14 @@ def _take_shot(
                 take_set(rig, plan, first_sequence=0, boot_id=read_boot_id(), idle=lambda: True)
             )
     except InstrumentError as error:
-        failed_check = check_of_error(
+        failed_check = build_error_check(
             f"strike {position}: record", error, "mend what failed above, then strike"
         )
         return Trial(position=position, checks=(failed_check,))
     took_s = time.monotonic() - started_s
     (measurement,) = measurements
     if isinstance(measurement, MissedShot):
-        return Trial(position=position, checks=(_missed_strike_check(measurement),))
+        return Trial(position=position, checks=(_build_missed_strike_check(measurement),))
     assert isinstance(measurement, Shot), "a solitary-wave position gives a shot or a miss"
     features = extract_shot_features(measurement)
     level_v = _read_trigger_level_v(settings.rig, settings.twin.adc.trigger_level_v, measurement)
@@ -161,26 +161,26 @@ def _take_shot(
     )
 
 
-def _restrict_settings(settings: Settings, position: str) -> Settings:
+def _select_position_settings(settings: Settings, position: str) -> Settings:
     """Return the settings for one position only: faults of other instruments must not prevent the strike."""
     used = settings.rig.positions.get(position)
     needed = {name: item for name, item in settings.rig.instruments.items() if used and name in used.names}
     unneeded = dict.fromkeys(("niscope", "supply", "drive", "climate", "air"))
     rig = settings.rig.model_copy(update={**unneeded, "instruments": needed})
     if rig.daqmx is not None:
-        rig = rig.model_copy(update={"daqmx": _restrict_boards(rig.daqmx, position)})
+        rig = rig.model_copy(update={"daqmx": _select_position_boards(rig.daqmx, position)})
     positions = {position: settings.positions[position]}
     return settings.model_copy(update={"rig": rig, "positions": positions})
 
 
-def _restrict_boards(boards: DaqmxParameters, position: str) -> DaqmxParameters:
+def _select_position_boards(boards: DaqmxParameters, position: str) -> DaqmxParameters:
     """Return the parameters of the boards with the wiring and the watchdog of one transducer only."""
     wiring = boards.transducers[position]
     watchdog = boards.find_watchdog(wiring.coil_serial)
     return replace(boards, transducers={position: wiring}, watchdog=watchdog, watchdogs=None)
 
 
-def _missed_strike_check(missed: MissedShot) -> Check:
+def _build_missed_strike_check(missed: MissedShot) -> Check:
     """Create the failed check for a strike without a record, with the reason of the miss."""
     found = f"no record ({missed.reason}): {missed.cause}"
     remedy = (

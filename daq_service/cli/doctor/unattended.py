@@ -10,7 +10,7 @@ from pathlib import Path, PureWindowsPath
 from pydantic import TypeAdapter
 
 from daq_service.cli.doctor.check import Check
-from daq_service.shared_file import load_table
+from daq_service.shared_file import load_module_toml
 
 LONGEST_ANSWER_S = 10.0
 """Timeout for programs of the system."""
@@ -24,7 +24,7 @@ UPGRADE, REBOOT = "APT::Periodic::Unattended-Upgrade", "Unattended-Upgrade::Auto
 UPDATE_POLICY = r"HKLM\SOFTWARE\Policies\Microsoft\Windows\WindowsUpdate\AU"
 UPDATE_WAITS = r"HKLM\SOFTWARE\Microsoft\Windows\CurrentVersion\WindowsUpdate\Auto Update\RebootRequired"
 DEFENDER = "(Get-MpComputerStatus).RealTimeProtectionEnabled; (Get-MpPreference).ExclusionPath"
-SCANNERS = TypeAdapter(dict[str, str]).validate_python(load_table(__file__))
+SCANNERS = TypeAdapter(dict[str, str]).validate_python(load_module_toml(__file__))
 """Programs of Linux that look into files as they are opened, by the name of their process."""
 
 
@@ -52,7 +52,7 @@ def check_unattended_settings(folder: Path, ask: Ask, system: str) -> list[Check
     return [_check_sleep(ask, system), _check_updates(ask, system), _check_antivirus(folder, ask, system)]
 
 
-def _computer_check(
+def _build_machine_check(
     name: str, good: bool | None, found: str, remedy: str, **values: str | bool | None
 ) -> Check:
     """Create a check of area ``machine``: ok if ``good`` is True, a warning if False or None (unknown)."""
@@ -66,7 +66,7 @@ def _check_sleep(ask: Ask, system: str) -> Check:
     """Check that sleep and hibernation are switched off; warn if not, or if it is unknown."""
     idle = None
     if system == "win32":
-        source, never = "powercfg", _windows_never_sleeps(ask)
+        source, never = "powercfg", _is_windows_sleep_disabled(ask)
         command = "powercfg /change standby-timeout-ac 0, and the same with hibernate-timeout-ac"
     elif system == "linux":
         states = [ask(["systemctl", "is-enabled", unit]) for unit in SLEEP_UNITS]
@@ -83,10 +83,10 @@ def _check_sleep(ask: Ask, system: str) -> Check:
         f"suspend is {texts[never]} ({source}{action}); a sleeping computer strikes nothing, "
         "its sets are missed"
     )
-    return _computer_check("sleep", never, found, command, never_sleeps=never, idle_action=idle)
+    return _build_machine_check("sleep", never, found, command, never_sleeps=never, idle_action=idle)
 
 
-def _windows_never_sleeps(ask: Ask) -> bool | None:
+def _is_windows_sleep_disabled(ask: Ask) -> bool | None:
     """Return whether sleep and hibernation are off on mains power; None if powercfg gives no answer.
 
     The timeout is the next-to-last hexadecimal number of each answer, in any language.
@@ -120,7 +120,7 @@ def _check_updates(ask: Ask, system: str) -> Check:
     waiting = "; one that is installed waits for a restart" if waits else ""
     found = f"updates {texts[restarts]} this computer by themselves ({source}){waiting}"
     good = restarts is False and not waits
-    return _computer_check(
+    return _build_machine_check(
         "updates", good, found, remedy, restart_by_themselves=restarts, restart_waits=waits
     )
 
@@ -173,7 +173,7 @@ def _check_antivirus(folder: Path, ask: Ask, system: str) -> Check:
     elif system == "win32":
         is_excluded, finding = _read_defender_exclusion(folder, ask)
         remedy = f'as administrator in PowerShell: Add-MpPreference -ExclusionPath "{folder}"'
-    return _computer_check(
+    return _build_machine_check(
         "antivirus", is_excluded, f"scanner on access: {finding}", remedy, data_folder_left_alone=is_excluded
     )
 

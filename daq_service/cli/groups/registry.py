@@ -57,7 +57,7 @@ def find_command(name: str) -> click.Command | None:
     return None if table is None else _build_command(name, table)
 
 
-def call_function(target: str, starting: str = "", **options: Any) -> int:
+def import_and_call(target: str, starting: str = "", **options: Any) -> int:
     """Import the function ``MODULE:NAME`` of this package, call it with the options, return its exit code.
 
     A function that returns None gives 0.
@@ -80,7 +80,7 @@ def _build_command(name: str, table: Table) -> click.Command:
     text = f"{table['summary']}\n\n{table.get('details', '')}"
     if "commands" in table:
         return click.Group(name, [_build_command(*item) for item in table["commands"].items()], help=text)
-    callback = partial(call_function, table["target"], table.get("starting", ""), **table.get("fixed", {}))
+    callback = partial(import_and_call, table["target"], table.get("starting", ""), **table.get("fixed", {}))
     return click.Command(name, callback=callback, params=list(_build_parameters(table["options"])), help=text)
 
 

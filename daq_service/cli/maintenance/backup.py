@@ -25,14 +25,14 @@ from daq_service.archive.records import (
     TEMPORARY_SUFFIX,
     to_references,
 )
-from daq_service.archive.verification import check_file
+from daq_service.archive.verification import check_set_file
 from daq_service.catalogue.connection import FILE_NAME
 from daq_service.catalogue.earlier_names import to_current_row
 from daq_service.catalogue.experiment_file import HISTORY_FILE
 from daq_service.catalogue.verification import UnchangedCatalogue
-from daq_service.cli.maintenance.verify import NOWHERE, Finding, stored_sha256
+from daq_service.cli.maintenance.verify import NOWHERE, Finding, find_stored_sha256
 from daq_service.errors import StorageError, StorageUnavailableError
-from daq_service.processes.data_folder import BACKUP_FILE, DRIVE_LOCK, LOCK_FILE, OWN_NAMES, backup_identity
+from daq_service.processes.data_folder import BACKUP_FILE, DRIVE_LOCK, LOCK_FILE, OWN_NAMES, read_identity
 from daq_service.processes.disk_policy import RESERVE_FILE
 from daq_service.processes.heartbeat import FILE_NAME as HEARTBEAT_FILE
 from daq_service.processes.heartbeat import WEB_FILE
@@ -150,7 +150,7 @@ def _mark_destination(destination: Path, experiment: dict[str, object] | None) -
             )
         content = json.dumps(identity, indent=1).encode()
         write_durably(marker, content, temporary=destination / f"{BACKUP_FILE}{TEMPORARY_SUFFIX}")
-    found = backup_identity(destination) or {}
+    found = read_identity(destination) or {}
     if found != identity:
         raise StorageError(
             f"{destination} holds a backup of another test ({found.get('name')!r}, configuration "
@@ -203,7 +203,7 @@ def _copy_sets(
         if target.exists() and target.stat().st_size == source.stat().st_size:
             copied.present += 1
             continue
-        checked = check_file(source, sha256=stored_sha256(catalogue.of_set("sets", set_key), file))
+        checked = check_set_file(source, sha256=find_stored_sha256(catalogue.of_set("sets", set_key), file))
         if checked.touched or checked.damages:
             description = f"{checked.damages[0] if checked.damages else 'its SHA-256 differs'}; {BACK}"
             copied.damage.append(Finding("set_unreadable", file, description))

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from daq_service.errors import EXIT_OK, StorageError, UsageError
-from daq_service.processes.data_folder import is_owned, own_data_folder
+from daq_service.processes.data_folder import hold_recorder_lock, is_held
 from daq_service.processes.printing import print_result
 
 if TYPE_CHECKING:
@@ -40,7 +40,7 @@ def run_verify(*, data_dir: Path, as_json: bool) -> int:
     from daq_service.cli.maintenance.verify import verify_folder
 
     _lower_priority(data_dir)
-    report = verify_folder(data_dir, _progress_printer("files"))
+    report = verify_folder(data_dir, _create_progress_printer("files"))
     damage = [asdict(finding) for finding in report.damage]
     counts = {name: number for name, number in report.checked.items() if name != "bytes"}
     lines = [
@@ -64,19 +64,19 @@ def run_repair(*, data_dir: Path, apply: bool, backup: Path | None, as_json: boo
     StorageError
         The folder holds no test, or a step fails.
     """
-    from daq_service.cli.maintenance.repair import execute_step, plan_repair
+    from daq_service.cli.maintenance.repair import execute_repair_step, plan_repair
     from daq_service.cli.maintenance.verify import verify_folder
 
-    with own_data_folder(data_dir) if apply else nullcontext():
-        report = verify_folder(data_dir, _progress_printer("files"))
+    with hold_recorder_lock(data_dir) if apply else nullcontext():
+        report = verify_folder(data_dir, _create_progress_printer("files"))
         steps = plan_repair(data_dir, report, backup)
         if apply:
             for step in steps:
                 try:
-                    execute_step(data_dir, step, backup)
+                    execute_repair_step(data_dir, step, backup)
                 except OSError as error:
                     raise StorageError(f"{step.file}: {error}; mend the disk and start again") from error
-            report = verify_folder(data_dir, _progress_printer("files"))
+            report = verify_folder(data_dir, _create_progress_printer("files"))
     damage = [asdict(item) for item in report.damage]
     lines = [f"{step.does:<13} {step.file}: {step.reason}" for step in steps]
     if any(step.does != "nothing" for step in steps) and not apply:
@@ -94,7 +94,7 @@ def run_backup(*, destination: Path, data_dir: Path, as_json: bool) -> int:
     from daq_service.cli.maintenance.backup import back_up
 
     _lower_priority(data_dir)
-    copied = back_up(data_dir, destination, _progress_printer("files"))
+    copied = back_up(data_dir, destination, _create_progress_printer("files"))
     line = (
         f"{destination}: {copied.files} files copied ({copied.n_bytes / 1e6:.1f} MB), "
         f"{copied.present} sets were there already"
@@ -148,7 +148,7 @@ def run_export(
     from daq_service.cli.maintenance.export import export_hdf5
 
     assert hdf5 is not None, "one of the two is given"
-    file = export_hdf5(data_dir, hdf5, overwrite=overwrite, progress=_progress_printer("sets"))
+    file = export_hdf5(data_dir, hdf5, overwrite=overwrite, progress=_create_progress_printer("sets"))
     lines = [f"left out  {sentence}" for sentence in file.left_out.values()]
     if file.waiting:
         lines.append(f"waiting   {file.waiting} sets have no file yet; export again later")
@@ -172,7 +172,7 @@ def run_acceptance_report(*, data_dir: Path, **options: Any) -> int:
     from daq_service.cli.maintenance.acceptance.command import write_acceptance_report
 
     _lower_priority(data_dir)
-    return write_acceptance_report(data_dir=data_dir, progress=_progress_printer("files"), **options)
+    return write_acceptance_report(data_dir=data_dir, progress=_create_progress_printer("files"), **options)
 
 
 def _format_findings(damage: Sequence[Finding]) -> list[str]:
@@ -190,11 +190,11 @@ def _lower_priority(folder: Path) -> None:
 
     Does nothing on Windows. The priority is not restored.
     """
-    if is_owned(folder) and hasattr(os, "nice"):
+    if is_held(folder) and hasattr(os, "nice"):
         os.nice(LOWEST_PRIORITY)
 
 
-def _progress_printer(what: str) -> Callable[[int, int], None]:
+def _create_progress_printer(what: str) -> Callable[[int, int], None]:
     """Create a function that prints how many of the planned ``what`` are done, to standard error."""
     terminal, printed_s = sys.stderr.isatty(), time.monotonic()
 

@@ -18,12 +18,12 @@ from daq_service.archive.consolidated import (
     Facts,
     Sampling,
     build_consolidated_image,
-    list_blocks,
+    list_record_blocks,
     name_groups,
 )
 from daq_service.catalogue import Catalogue, open_catalogue
 from daq_service.catalogue.connection import FILE_NAME
-from daq_service.catalogue.published_columns import choose_form
+from daq_service.catalogue.published_columns import choose_published_form
 from daq_service.catalogue.rows import (
     AssessmentRow,
     FeatureRow,
@@ -36,7 +36,7 @@ from daq_service.catalogue.rows import (
 from daq_service.clock import format_utc
 from daq_service.errors import StorageError, UsageError
 from daq_service.processes.data_folder import OWN_NAMES
-from daq_service.processes.lost_catalogue import loss_reason
+from daq_service.processes.lost_catalogue import describe_loss
 from daq_service.shared_file import write_output
 from daq_service.web.tables.formats import to_array
 from hardware_drivers.measurement import SetKey
@@ -108,13 +108,13 @@ def export_hdf5(
     StorageUnavailableError
         The disk does not take the file; one that was there stays.
     """
-    refuse_target(folder, target, overwrite=overwrite)
+    refuse_unsafe_target(folder, target, overwrite=overwrite)
     with open_catalogue(folder) as catalogue:
         experiment = catalogue.read_experiment()
         positions = sorted(experiment.configuration["positions"])
         rows = {name: catalogue.rows(SetRow, position=name) for name in positions}
         files = {row.set_key: SetReference(row.file) for found in rows.values() for row in found if row.file}
-        blocks, waiting, left_out = _list_arrays(folder, files, progress)
+        blocks, waiting, left_out = _list_record_blocks(folder, files, progress)
         if not blocks:
             raise StorageError(
                 f"{folder}: no set has a file that can be read; wait for one, or solimon verify"
@@ -148,7 +148,7 @@ def export_hdf5(
     )
 
 
-def refuse_target(folder: Path, target: Path, *, overwrite: bool) -> None:
+def refuse_unsafe_target(folder: Path, target: Path, *, overwrite: bool) -> None:
     """Raise an error for an output file that must not be written; the check changes nothing.
 
     Raises
@@ -160,7 +160,7 @@ def refuse_target(folder: Path, target: Path, *, overwrite: bool) -> None:
         The test's catalogue is lost.
     """
     if not (folder / FILE_NAME).is_file():
-        if reason := loss_reason(folder):
+        if reason := describe_loss(folder):
             raise StorageError(reason)
         raise UsageError(
             f"{folder} holds no test of solimon (no {FILE_NAME}); choose its folder with --data-dir"
@@ -174,7 +174,7 @@ def refuse_target(folder: Path, target: Path, *, overwrite: bool) -> None:
         raise UsageError(f"{target} exists; choose another file, or replace it with --overwrite")
 
 
-def _list_arrays(
+def _list_record_blocks(
     folder: Path, files: Mapping[SetKey, SetReference], progress: Callable[[int, int], None]
 ) -> tuple[dict[Sampling, list[Block]], int, dict[str, str]]:
     """Return the record arrays by sampling, the number of sets without a file yet, and the unreadable files.
@@ -186,7 +186,7 @@ def _list_arrays(
     for number, (set_key, file) in enumerate(sorted(files.items())):
         progress(number, len(files))
         try:
-            for sampling, block in list_blocks(folder, file):
+            for sampling, block in list_record_blocks(folder, file):
                 blocks.setdefault(sampling, []).append(block)
         except SetNotFoundError as error:
             if set_key in journaled:
@@ -268,7 +268,7 @@ def _to_columns(rows: Sequence[Row | None], kind: type[Row], names: Sequence[str
 
     Rows may be None, and then all their values are missing.
     """
-    forms = {column.name: choose_form(column.type) for column in list_columns(kind)}
+    forms = {column.name: choose_published_form(column.type) for column in list_columns(kind)}
     columns: dict[str, Column] = {}
     for name in names:
         values = [None if row is None else getattr(row, name) for row in rows]

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from daq_service.archive import FolderSetReader
 from daq_service.catalogue import Catalogue, open_catalogue
-from daq_service.cli.maintenance.export import refuse_target
+from daq_service.cli.maintenance.export import refuse_unsafe_target
 from daq_service.errors import UsageError
 from daq_service.processes.freshness import Freshness
 from daq_service.shared_file import write_output
@@ -47,7 +47,7 @@ def export_table(
     StorageError
         The catalogue cannot be read, or the disk does not take a file; one that was there stays.
     """
-    return _write_targets(
+    return _write_export_files(
         folder,
         *(choice.position, choice.table, targets),
         lambda catalogue, fresh, form: encode_table(catalogue, fresh, choice, form),
@@ -78,19 +78,19 @@ def export_records(
             read.append(read_record_slice(catalogue, archive, choice, most_bytes=MOST_RECORD_BYTES))
         return iter([encode_records(catalogue, fresh, choice, read[0], form)])
 
-    return _write_targets(folder, choice.position, RECORDS, targets, make_file, overwrite=overwrite)
+    return _write_export_files(folder, choice.position, RECORDS, targets, make_file, overwrite=overwrite)
 
 
-def _write_targets(
+def _write_export_files(
     folder: Path, position: str | None, table: str, targets: Sequence[Path], make: Make, *, overwrite: bool
 ) -> list[ExportedTable]:
     """Write a table to each target in the format of its suffix, and return the files written.
 
     Raises UsageError before the first write if a target or the position is refused.
     """
-    forms = [_format_of_target(target) for target in targets]
+    forms = [_parse_export_format(target) for target in targets]
     for target in targets:
-        refuse_target(folder, target, overwrite=overwrite)
+        refuse_unsafe_target(folder, target, overwrite=overwrite)
     files = []
     with open_catalogue(folder) as catalogue:
         experiment = catalogue.read_experiment()
@@ -104,7 +104,7 @@ def _write_targets(
     return files
 
 
-def _format_of_target(target: Path) -> str:
+def _parse_export_format(target: Path) -> str:
     """Return the export format of a target's suffix, in any case; raise UsageError for an unknown one."""
     form = {"hdf5": "h5"}.get(target.suffix[1:].lower(), target.suffix[1:].lower())
     if form not in FORMATS:

@@ -6,8 +6,8 @@ import logging
 from dataclasses import asdict
 from pathlib import Path
 
-from daq_service.cli.terminal import print_progress_of_sets
-from daq_service.processes.data_folder import own_data_folder, prepare_data_folder
+from daq_service.cli.terminal import print_set_progress
+from daq_service.processes.data_folder import hold_recorder_lock, prepare_data_folder
 from daq_service.processes.printing import print_result
 
 
@@ -32,8 +32,8 @@ def rebuild_and_print(*, data_dir: Path, as_json: bool) -> None:
     # Old alarms are raised again, which is of no interest here.
     logging.getLogger("daq_service.recording.set_assessor").addHandler(logging.NullHandler())
 
-    with own_data_folder(folder):
-        built = rebuild_folder_catalogue(folder, progress=print_progress_of_sets)
+    with hold_recorder_lock(folder):
+        built = rebuild_folder_catalogue(folder, progress=print_set_progress)
     lines = [
         f"{built.experiment}: {built.sets} sets, {built.events} events, {built.orders} orders",
         *(f"warning: {warning}" for warning in built.warnings),

@@ -12,14 +12,14 @@ from daq_service.archive.finalize_set import finalize_set
 from daq_service.archive.journal.checking import check_journal
 from daq_service.archive.journal.reader import JournaledSet
 from daq_service.archive.records import SETS_FOLDER, TEMPORARY_SUFFIX, to_references
-from daq_service.archive.verification import check_file
+from daq_service.archive.verification import check_set_file
 from daq_service.archive.writer import move_to_quarantine
 from daq_service.assessment.results_in_file import read_set_results
 from daq_service.catalogue import open_catalogue
 from daq_service.catalogue.errors import CatalogueError
 from daq_service.catalogue.verification import UnchangedCatalogue
 from daq_service.cli.maintenance.rows import RowsOfSet, find_row_differences
-from daq_service.cli.maintenance.verify import TABLES, Report, stored_sha256
+from daq_service.cli.maintenance.verify import TABLES, Report, find_stored_sha256
 from daq_service.shared_file import read_shared, remove_quietly, write_durably
 from hardware_drivers.measurement import SetKey
 
@@ -84,9 +84,9 @@ def _plan_file_repair(
     journaled = journal.get(set_key)
     if journaled is not None and journaled.is_whole and journaled.reference == file:
         return Step(does="from_journal", file=file, reason="the journal still has every record of the set")
-    rows = _read_rows(folder, set_key)
+    rows = _read_rows_of_set(folder, set_key)
     if backup is not None:
-        objection = _reason_against_backup(backup, file, rows)
+        objection = _find_backup_objection(backup, file, rows)
         if not objection:
             return Step(
                 does="from_backup", file=file, reason=f"{backup / file} is whole and agrees with the rows"
@@ -101,7 +101,7 @@ def _plan_file_repair(
     )
 
 
-def _read_rows(folder: Path, set_key: SetKey) -> RowsOfSet | None:
+def _read_rows_of_set(folder: Path, set_key: SetKey) -> RowsOfSet | None:
     """Read the rows of a set in all tables; None if the catalogue is unreadable."""
     try:
         with UnchangedCatalogue(folder) as catalogue:
@@ -110,7 +110,7 @@ def _read_rows(folder: Path, set_key: SetKey) -> RowsOfSet | None:
         return None
 
 
-def _read_results(folder: Path, set_key: SetKey) -> Results:
+def _read_results_of_set(folder: Path, set_key: SetKey) -> Results:
     """Read a set's results for its file; empty, with a logged warning, if the catalogue is unreadable."""
     try:
         with open_catalogue(folder) as catalogue:
@@ -120,20 +120,20 @@ def _read_results(folder: Path, set_key: SetKey) -> Results:
         return {}
 
 
-def _reason_against_backup(backup: Path, file: SetReference, rows: RowsOfSet | None) -> str:
+def _find_backup_objection(backup: Path, file: SetReference, rows: RowsOfSet | None) -> str:
     """Return why a backup's file cannot replace the lost one; empty if it is intact and fits the rows."""
     if not (backup / file).is_file():
         return f"{backup / file} is not there"
     if rows is None:
         return "there are no rows to compare it with; mend the catalogue first"
-    found = check_file(backup / file, sha256=stored_sha256(rows.sets, file))
+    found = check_set_file(backup / file, sha256=find_stored_sha256(rows.sets, file))
     if found.touched or found.damages or found.record is None:
         return f"{backup / file} is damaged, too"
     against = list(find_row_differences(rows, found.record, file, frozenset())) if rows.sets else []
     return f"{backup / file} differs from the rows: {against[0][1]}" if against else ""
 
 
-def execute_step(folder: Path, step: Step, backup: Path | None) -> None:
+def execute_repair_step(folder: Path, step: Step, backup: Path | None) -> None:
     """Execute one repair step; the caller holds the lock of the folder.
 
     A file that is replaced moves to the quarantine; only unfinished ones are deleted.
@@ -150,7 +150,7 @@ def execute_step(folder: Path, step: Step, backup: Path | None) -> None:
         move_to_quarantine(folder, file)
     if step.does == "from_journal":
         ((set_key, _),) = to_references([path.name]).items()
-        finalize_set(folder, set_key, results=_read_results(folder, set_key))
+        finalize_set(folder, set_key, results=_read_results_of_set(folder, set_key))
     elif step.does == "from_backup":
         assert backup is not None, "a plan with a backup's file has a backup"
         path.parent.mkdir(exist_ok=True)

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from daq_service.cli.maintenance.export import refuse_target
-from daq_service.processes.data_folder import data_folder
+from daq_service.cli.maintenance.export import refuse_unsafe_target
+from daq_service.processes.data_folder import choose_folder
 from daq_service.processes.printing import print_result
 from daq_service.settings.file import load_settings
 from daq_service.shared_file import write_output
@@ -32,9 +32,9 @@ def write_report(
     StorageError
         The catalogue cannot be read, or the file cannot be written.
     """
-    folder = where if where.is_dir() else data_folder(load_settings(where).storage, where, None)
+    folder = where if where.is_dir() else choose_folder(load_settings(where).storage, where, None)
     target = out or Path(f"report_{folder.name}.html")
-    refuse_target(folder, target, overwrite=overwrite)
+    refuse_unsafe_target(folder, target, overwrite=overwrite)
     content = build_report_page(folder, from_h=from_h, to_h=to_h, audited=True)
     write_output(target, content)
     result = {"ok": True, "file": str(target), "n_bytes": len(content)}

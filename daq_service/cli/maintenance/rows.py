@@ -69,7 +69,7 @@ def find_row_differences(
             }
             for difference in _find_column_differences(where, row, wanted):
                 yield None, difference
-        for difference in _check_results(rows, position.position, position.method):
+        for difference in _find_result_differences(rows, position.position, position.method):
             yield None, f"{where}: {difference}"
     for name, row in of_position.items():
         if row["n_taken"] or row["file"] is not None:
@@ -129,7 +129,7 @@ def _find_column_differences(where: str, row: Found, wanted: Found) -> Iterator[
             yield f"{where}: {name} is {row[name]!r}, in the file {wanted[name]!r}"
 
 
-def _check_results(rows: RowsOfSet, position: str, method: str) -> Iterator[str]:
+def _find_result_differences(rows: RowsOfSet, position: str, method: str) -> Iterator[str]:
     """Yield a text for each table of results whose rows do not match the stored shots of a position."""
     shots = {row["sequence"] for row in rows.shots if row["position"] == position}
     if method == PULSE_ECHO:

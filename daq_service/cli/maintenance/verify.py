@@ -24,17 +24,17 @@ from daq_service.archive.records import (
     parse_set_keys,
     to_references,
 )
-from daq_service.archive.verification import check_file
+from daq_service.archive.verification import check_set_file
 from daq_service.catalogue.connection import FILE_NAME
 from daq_service.catalogue.errors import CatalogueDamagedError, CatalogueError, NoDataYetError
-from daq_service.catalogue.experiment_file import EXPERIMENT_FILE, HISTORY_FILE, read_experiment
-from daq_service.catalogue.history import describe_lost_event, parse_lines, read_history
+from daq_service.catalogue.experiment_file import EXPERIMENT_FILE, HISTORY_FILE, read_experiment_file
+from daq_service.catalogue.history import describe_lost_event, parse_history_lines, read_history
 from daq_service.catalogue.verification import UnchangedCatalogue
 from daq_service.cli.maintenance.rows import Found, RowsOfSet, find_row_differences
 from daq_service.clock import format_utc
 from daq_service.commands.audit import AUDIT_FILE
 from daq_service.errors import StorageError
-from daq_service.processes.data_folder import CACHES, is_owned
+from daq_service.processes.data_folder import CACHES, is_held
 from daq_service.processes.notifications.delivery_log import LOG_FILE
 from daq_service.processes.recorder_state import FAREWELLS
 from daq_service.shared_file import read_shared
@@ -176,7 +176,7 @@ def check_catalogue(state: FolderCheck) -> Iterator[Finding]:
 def check_experiment(state: FolderCheck) -> Iterator[Finding]:
     """Yield damage of experiment.json and history.jsonl, and disagreements with the catalogue."""
     try:
-        stored = read_experiment(state.folder)
+        stored = read_experiment_file(state.folder)
     except CatalogueError as error:
         yield Finding("experiment", EXPERIMENT_FILE, str(error))
     else:
@@ -187,7 +187,7 @@ def check_experiment(state: FolderCheck) -> Iterator[Finding]:
                 values = f"it is of {in_file}, the catalogue of {in_catalogue}"
                 description = f"{values}: one is foreign or corrupt; {BACK}"
                 yield Finding("experiment", EXPERIMENT_FILE, description)
-    running = is_owned(state.folder) is not False
+    running = is_held(state.folder) is not False
     try:
         history = read_history(state.folder)
     except OSError as error:
@@ -231,7 +231,7 @@ def check_logs(state: FolderCheck) -> Iterator[Finding]:
     """Yield changed, missing or unreadable lines of audit log and notification log; skip a missing log."""
     for kind, (file, remedy) in LOGS.items():
         try:
-            damage = parse_lines(read_shared(state.folder / file), name=file).damage
+            damage = parse_history_lines(read_shared(state.folder / file), name=file).damage
         except FileNotFoundError:
             continue
         except OSError as error:
@@ -276,9 +276,9 @@ def check_sets(state: FolderCheck) -> Iterator[Finding]:
 def _check_file(state: FolderCheck, set_key: SetKey, reference: SetReference) -> Iterator[Finding]:
     """Check the file of a set and compare it with its rows; yield nothing if it is missing."""
     rows = _read_set_rows(state, set_key)
-    sha256 = None if rows is None else stored_sha256(rows.sets, reference)
+    sha256 = None if rows is None else find_stored_sha256(rows.sets, reference)
     try:
-        found = check_file(state.folder / reference, sha256=sha256)
+        found = check_set_file(state.folder / reference, sha256=sha256)
     except SetNotFoundError:
         return  # its rows decide whether it should exist
     state.checked["files"] += 1
@@ -297,7 +297,7 @@ def _check_file(state: FolderCheck, set_key: SetKey, reference: SetReference) ->
         yield from _compare_with_rows(state, rows, reference, found.record, lost)
 
 
-def stored_sha256(rows: Sequence[Found], reference: SetReference) -> str | None:
+def find_stored_sha256(rows: Sequence[Found], reference: SetReference) -> str | None:
     """Return the SHA-256 of a set's file that its rows contain, in hexadecimal; None if there is none."""
     return next((row.get("file_sha256") for row in rows if row["file"] == reference), None)
 
@@ -416,10 +416,10 @@ def verify_folder(folder: Path, progress: Callable[[int, int], None] = lambda do
         except CatalogueDamagedError as error:
             state.unreadable.add(str(error))
         damage = list(dict.fromkeys(finding for check in CHECKS for finding in check(state)))
-    return Report(checked=dict(state.checked), damage=damage, notes=_list_noteworthy(state))
+    return Report(checked=dict(state.checked), damage=damage, notes=_list_notes(state))
 
 
-def _list_noteworthy(state: FolderCheck) -> list[str]:
+def _list_notes(state: FolderCheck) -> list[str]:
     """List notes on unfinished, foreign or quarantined files, caches, and sets without rows yet."""
     others = [path.name for path in (state.folder / SETS_FOLDER).glob("*") if not to_references([path.name])]
     unfinished = sorted(name for name in others if name.endswith(TEMPORARY_SUFFIX))

@@ -39,7 +39,7 @@ class AlarmAnswer(TypedDict):
     limit: float | None
 
 
-def _alarm_of_refused() -> AlarmAnswer:
+def _build_refused_alarm() -> AlarmAnswer:
     """Return the alarm entry of a table that could not be assessed: no rows, no guaranteed rate."""
     return {"rows": [], "rate_guaranteed": False, "why": "refused", "limit": None}
 
@@ -72,7 +72,7 @@ class Sensor:
     default_because: str | None = None
     count: Mapping[str, int] = field(default_factory=dict)
     first: Mapping[str, int | None] = field(default_factory=dict)
-    alarm: AlarmAnswer = field(default_factory=_alarm_of_refused)
+    alarm: AlarmAnswer = field(default_factory=_build_refused_alarm)
     rows: Sequence[dict[str, float | None]] | None = None
 
     def as_json(self) -> dict[str, object]:
@@ -125,9 +125,9 @@ def run_assess(
             f"--budget {budget:g} at {sets_per_day:g} sets a day is an alarm in {design.run_length:.3g} "
             f"sets; charts are designed for more than 1 and at most {LONGEST_RUN:.0e}"
         )
-    with _provide_map(tables) as mapped:
+    with _open_parallel_map(tables) as mapped:
         assess_table = partial(
-            assess_table_or_error, read=read, budget=design, with_rows=as_json and not no_rows
+            try_to_assess_table, read=read, budget=design, with_rows=as_json and not no_rows
         )
         results: list[tuple[Sensor, UsageError | None]] = list(mapped(assess_table, tables))
         readable = {path: one for path, (one, error) in zip(tables, results, strict=True) if error is None}
@@ -152,7 +152,7 @@ def run_assess(
 
 
 @contextmanager
-def _provide_map(tables: tuple[Path, ...]) -> Iterator[Map]:
+def _open_parallel_map(tables: tuple[Path, ...]) -> Iterator[Map]:
     """Provide a function like `map`, with processes and, on a terminal, progress for many files.
 
     Fewer than `FEW_FILES` files or one core give `map` itself. The processes end with the context.
@@ -174,7 +174,7 @@ def _provide_map(tables: tuple[Path, ...]) -> Iterator[Map]:
         yield map_in_processes
 
 
-def assess_table_or_error(
+def try_to_assess_table(
     path: Path, *, read: Read, budget: Budget, with_rows: bool
 ) -> tuple[Sensor, UsageError | None]:
     """Assess one table; return its result and None, or a refused result and the UsageError of reading it."""
@@ -226,11 +226,11 @@ def assess_one_table(path: Path, *, read: Read, budget: Budget, with_rows: bool)
             "why": assessed.rate_not_verified_reason,
             "limit": assessed.chart_limit,
         },
-        rows=_result_rows(assessed) if with_rows else None,
+        rows=_build_result_rows(assessed) if with_rows else None,
     )
 
 
-def _result_rows(assessed: Assessed) -> list[dict[str, float | None]]:
+def _build_result_rows(assessed: Assessed) -> list[dict[str, float | None]]:
     """Return the statistics of each row of the table for JSON; NaN becomes None."""
     columns = {
         "distance_squared": assessed.distances_squared,

@@ -60,7 +60,7 @@ def is_comment(line: str) -> bool:
     return line.lstrip().startswith("#")
 
 
-def map_npy(path: Path, form: str, *, one_row: bool = False) -> NDArray[Any]:
+def mmap_npy(path: Path, form: str, *, one_row: bool = False) -> NDArray[Any]:
     """Map the array of a `.npy` file into memory, read-only; shape (rows, columns), or (n,) with ``one_row``.
 
     Parameters

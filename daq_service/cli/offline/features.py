@@ -20,7 +20,7 @@ from analysis.waves.features import (
     apply_flags,
     extract_from_volts,
 )
-from analysis.waves.pulses import first_fwhm_s
+from analysis.waves.pulses import measure_first_fwhm_s
 from analysis.waves.quality_gate import DISTURBED
 from analysis.waves.record_reduction import FEWEST_BLOCKS, ExtractionSettings
 from analysis.waves.template import Template, compare_with_others, learn_template
@@ -29,7 +29,7 @@ from daq_service.cli.offline.record_file import FileParameters, Record, RecordFi
 from daq_service.cli.sweep.progress import Progress
 from daq_service.cli.terminal import create_console
 from daq_service.errors import UsageError
-from daq_service.settings.foreign_text import to_one_line
+from daq_service.settings.foreign_text import escape_to_one_line
 
 MANY_RECORDS = 2_000
 """Number of records that take more than a second, so that progress is shown."""
@@ -144,7 +144,7 @@ def extract_file_features(
         The file cannot be read, or no wave can be sought in any record.
     """
     file = open_records(path, parameters)
-    settings = _choose_settings(path, file, transducer)
+    settings = _build_extraction_settings(path, file, transducer)
     progress = Progress(file.n, 0, what="records") if file.n >= MANY_RECORDS else None
     shots, of_position = [], defaultdict(list)
     any_settings = next(iter(settings.values()))
@@ -152,7 +152,7 @@ def extract_file_features(
     for index, record in enumerate(file.records(1)):
         try:
             own_settings = settings.get(record.position, any_settings)
-            shots.append(_extract_record(f"{path}, record {index}", record, own_settings))
+            shots.append(_extract_record_features(f"{path}, record {index}", record, own_settings))
         except UsageError as error:
             failed.append(error)
             shots.append(apply_flags(ShotFeatures(), {DISTURBED}))  # shorter than the others of its file
@@ -181,7 +181,7 @@ def extract_file_features(
     return shots
 
 
-def _choose_settings(
+def _build_extraction_settings(
     path: Path, file: RecordFile, transducer: TransducerParameters
 ) -> dict[str, ExtractionSettings]:
     """Build the extraction settings by position: the given ISW width, or the median of measured ones.
@@ -193,7 +193,7 @@ def _choose_settings(
     for record in file.records(-(-file.n // LOOKED_AT)):
         found = widths_s[record.position]
         if transducer.isw_fwhm_s is None:
-            width_s = first_fwhm_s(record.volts_v, record.rate_hz, record.pretrigger_samples)
+            width_s = measure_first_fwhm_s(record.volts_v, record.rate_hz, record.pretrigger_samples)
             # That of a spike would refuse every record.
             narrowest_s = FEWEST_BLOCKS * max(ExtractionSettings().block_s, 1.0 / record.rate_hz)
             found.append(width_s if width_s >= narrowest_s else math.nan)
@@ -214,7 +214,7 @@ def _choose_settings(
     return settings
 
 
-def _extract_record(where: str, record: Record, settings: ExtractionSettings) -> ShotFeatures:
+def _extract_record_features(where: str, record: Record, settings: ExtractionSettings) -> ShotFeatures:
     """Extract the features of a record; one with values above `LARGEST_V` is flagged as disturbed.
 
     Raises UsageError, which names the record, if no wave can be sought in it.
@@ -276,7 +276,7 @@ def _print_table(path: Path, shots: Sequence[ShotFeatures]) -> None:
     """Print the features of a file's records as a table on standard output."""
     from rich.table import Table
 
-    table = Table(title=f"{to_one_line(str(path))}, extractor {EXTRACTOR_VERSION}")
+    table = Table(title=f"{escape_to_one_line(str(path))}, extractor {EXTRACTOR_VERSION}")
     for name in ("record", "quality", "flags", *(title for title, *_ in COLUMNS)):
         table.add_column(name, justify="left" if name in ("quality", "flags") else "right")
     for index, shot in enumerate(shots):

@@ -17,14 +17,14 @@ from analysis.statistics.design import Budget
 from analysis.statistics.fleet import (
     FEWEST_SENSORS,
     SHARED_SD,
+    compute_running_p_values,
+    find_alarm_rows,
     find_shared_changes,
     mean_squared_correlation,
-    raised_at,
     residual_shift,
-    running_chance,
     sensor_gain,
     shared_deviation,
-    standardized,
+    standardize_by_baseline,
     typical_autocorrelation,
     typical_tails,
 )
@@ -122,7 +122,7 @@ def read_deviations(path: Path, read: Read) -> Deviations:
     Raises UsageError if the table cannot be read.
     """
     table = read(path)
-    z, _ = standardized(table.vectors, table.in_baseline)
+    z, _ = standardize_by_baseline(table.vectors, table.in_baseline)
     z = np.clip(z, -FARTHEST_SD, FARTHEST_SD).astype(np.float32)
     return Deviations(names=table.names, in_baseline=table.in_baseline, in_sd=z)
 
@@ -140,7 +140,7 @@ def assess_individually(
         Number of sets after the baseline that the chances refer to.
     """
     table = read(path)
-    _, sd = standardized(table.vectors, table.in_baseline)
+    _, sd = standardize_by_baseline(table.vectors, table.in_baseline)
     vectors = table.vectors - sd * shared[: len(table.vectors)]
     found = assess_sequence(
         vectors, table.in_baseline, table.names, budget, textbooks=False, least_phi=usual.phi
@@ -152,11 +152,13 @@ def assess_individually(
         refused=None,
         alarms=bool(found.onsets),
         why_not=found.rate_not_verified_reason,
-        chances=running_chance(found.unbroken, max(MINIMUM_SETS, int(found.n / usual.tails)), p, period),
+        chances=compute_running_p_values(
+            found.unbroken, max(MINIMUM_SETS, int(found.n / usual.tails)), p, period
+        ),
     )
 
 
-def _first_row_after_baseline(table: Deviations) -> int:
+def _find_first_assessed_row(table: Deviations) -> int:
     """Return the index of the row after the last baseline row; the number of rows without a baseline."""
     healthy = np.flatnonzero(table.in_baseline)
     return int(healthy[-1]) + 1 if healthy.size else len(table.in_sd)
@@ -191,11 +193,11 @@ def assess_fleet(
                 f"--fleet: {path} has the features {', '.join(table.names)}, {paths[0]} {', '.join(names)}; "
                 "sensors of a fleet have the same: choose them by --features"
             )
-    n_rows, after = max(len(table.in_sd) for table in first), max(map(_first_row_after_baseline, first))
+    n_rows, after = max(len(table.in_sd) for table in first), max(map(_find_first_assessed_row, first))
     shared = shared_deviation(_stack_tables([table.in_sd for table in first], n_rows))
     baselines = [(table.in_sd - shared[: len(table.in_sd)])[table.in_baseline] for table in first]
     usual = Usual(phi=typical_autocorrelation(baselines), tails=typical_tails(baselines))
-    period = max(1, *(len(table.in_sd) - _first_row_after_baseline(table) for table in first))
+    period = max(1, *(len(table.in_sd) - _find_first_assessed_row(table) for table in first))
     assess_table = partial(
         assess_individually, read=read, shared=shared, usual=usual, budget=budget, period=period
     )
@@ -204,14 +206,14 @@ def assess_fleet(
     held = [
         np.pad(one, (0, n_rows - len(one)), mode="edge") for one in (results[k].chances for k in assessed)
     ]
-    rows = raised_at(np.stack(held), rate) if held else []
+    rows = find_alarm_rows(np.stack(held), rate) if held else []
     raised = {k: row for k, row in zip(assessed, rows, strict=True) if row is not None}
     causes = find_shared_changes(shared, len(paths), float(usual.phi.max()), after)
     errors = mean_squared_correlation(baselines)
     gains = [sensor_gain(table.in_sd[after:], shared[after : len(table.in_sd)], errors) for table in first]
     n = int(np.median([table.in_baseline.sum() for table in first]))
     kept_sd = residual_shift(gains, causes, phi=float(usual.phi.max()), n=max(1, n), tails=usual.tails)
-    why = _rate_not_verified_reason([results[k].why_not for k in assessed], len(paths), kept_sd)
+    why = _describe_unverified_rate([results[k].why_not for k in assessed], len(paths), kept_sd)
     kept_back = [k for k in assessed if own_alarms[k] and k not in raised]
     explained = [
         k
@@ -243,7 +245,7 @@ def assess_fleet(
     }
 
 
-def _rate_not_verified_reason(of_sensors: Sequence[str], sensors: int, kept_sd: float) -> str:
+def _describe_unverified_rate(of_sensors: Sequence[str], sensors: int, kept_sd: float) -> str:
     """Return the reason why the false discovery rate is not verified; empty if it is.
 
     A healthy baseline is doubted by chance in `SLOW_RATE` of either test; only more than that counts.

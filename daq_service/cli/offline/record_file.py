@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from daq_service.archive import ArchiveError
 from daq_service.archive.reader import read_records
-from daq_service.cli.offline.csv_lines import COMMENTS, is_comment, map_npy, read_csv_lines
+from daq_service.cli.offline.csv_lines import COMMENTS, is_comment, mmap_npy, read_csv_lines
 from daq_service.errors import UsageError
 from daq_service.shared_file import read_shared
 from hardware_drivers.errors import ConfigurationError
@@ -102,14 +102,14 @@ def open_records(path: Path, parameters: FileParameters) -> RecordFile:
 
 def _open_npy(path: Path, parameters: FileParameters) -> RecordFile:
     """Open the records of a `.npy` file, shape (records, samples) or (samples,); integers are ADC counts."""
-    array = map_npy(path, "records x samples", one_row=True)
+    array = mmap_npy(path, "records x samples", one_row=True)
     table = np.atleast_2d(array)
     if not table.shape[1]:
         raise UsageError(f"{path} is empty: shape {array.shape}")
     counts = array.dtype.kind in "iu"
     limits = np.iinfo(array.dtype) if counts else None
     ends = None if limits is None else (float(limits.min), float(limits.max))
-    scaled = _make_scaling(path, parameters, counts=counts, ends=ends)
+    scaled = _make_record_converter(path, parameters, counts=counts, ends=ends)
     return RecordFile(n=len(table), records=lambda every: map(scaled, table[::every]))
 
 
@@ -125,7 +125,7 @@ def _open_csv(path: Path, parameters: FileParameters) -> RecordFile:
     if lines and (indexed or names == numbered or not any(map(_is_number, names))):
         del lines[0]
     counts = bool(lines) and all(map(WHOLE_NUMBER.fullmatch, _split_cells(lines[0])))
-    scaled = _make_scaling(path, parameters, counts=counts, ends=None)
+    scaled = _make_record_converter(path, parameters, counts=counts, ends=None)
 
     def read_csv_records(every: int) -> Iterator[Record]:
         """Yield every n-th record; raise UsageError for a line without numbers. Other cells become NaN."""
@@ -159,7 +159,7 @@ def _is_number(cell: str) -> bool:
     return True
 
 
-def _make_scaling(
+def _make_record_converter(
     path: Path, parameters: FileParameters, *, counts: bool, ends: tuple[float, float] | None
 ) -> Callable[[NDArray[np.generic]], Record]:
     """Create the function that converts values of a file without metadata to a record in V.
@@ -178,7 +178,7 @@ def _make_scaling(
     rate_hz = parameters.rate_hz or PAPER_RATE_HZ
     pretrigger_s = PAPER_PRETRIGGER_S if parameters.pretrigger_s is None else parameters.pretrigger_s
 
-    def scale_values(values: NDArray[np.generic]) -> Record:
+    def convert_to_record(values: NDArray[np.generic]) -> Record:
         """Convert values to a record in volts; mark it as clipped if one reaches the rails."""
         volts = values.astype(np.float64)
         clipped = _is_clipped(volts, rails)
@@ -191,7 +191,7 @@ def _make_scaling(
             clipped=clipped,
         )
 
-    return scale_values
+    return convert_to_record
 
 
 def _open_hdf5(path: Path, _: FileParameters) -> RecordFile:

@@ -14,7 +14,7 @@ from typing import SupportsFloat, TypedDict
 import numpy as np
 from numpy.typing import NDArray
 
-from daq_service.cli.offline.csv_lines import COMMENTS, NoTableError, is_comment, map_npy, read_csv_lines
+from daq_service.cli.offline.csv_lines import COMMENTS, NoTableError, is_comment, mmap_npy, read_csv_lines
 from daq_service.errors import UsageError
 
 MOST_ROWS = 5_000_000
@@ -112,16 +112,16 @@ def read_table(
     if missing:
         raise UsageError(f"{path}: no column {_join_names(missing)}; it has {_join_names(columns)}")
     chosen = list(features) or [name for name in columns if name != healthy_by]
-    numbers = {name: _to_numbers(columns[name], decimal) for name in chosen}
+    numbers = {name: _convert_to_numbers(columns[name], decimal) for name in chosen}
     reasons = (
         {}
         if features
-        else {name: _reason_to_leave_out(name, columns[name], numbers[name]) for name in chosen}
+        else {name: _find_exclusion_reason(name, columns[name], numbers[name]) for name in chosen}
     )
     if features:
         for name, column in numbers.items():
             if column is None:
-                cell = _first_non_number(columns[name], decimal)
+                cell = _find_first_non_number(columns[name], decimal)
                 at = f"in row {list(columns[name]).index(cell)}: write the number alone, or choose others"
                 raise UsageError(f"{path}: column {name!r} holds {cell!r}, no number, {at}")
     columns_of_numbers = {
@@ -142,7 +142,7 @@ def read_table(
     if baseline_where is None:
         healthy = np.arange(len(vectors)) < (baseline_rows or 0)
     else:
-        healthy = _select_equal_rows(columns[baseline_where[0]], baseline_where[1], decimal)
+        healthy = _mask_equal_rows(columns[baseline_where[0]], baseline_where[1], decimal)
         if not healthy.any():
             values = _join_names(dict.fromkeys(map(str, columns[baseline_where[0]])))
             raise NoTableError(f"{path}: no row has {'='.join(baseline_where)}; there is {values}")
@@ -150,7 +150,7 @@ def read_table(
     return TableFile(vectors=vectors, names=tuple(columns_of_numbers), in_baseline=healthy, left_out=left_out)
 
 
-def _reason_to_leave_out(name: str, column: Column, numbers: NDArray[np.float64] | None) -> str:
+def _find_exclusion_reason(name: str, column: Column, numbers: NDArray[np.float64] | None) -> str:
     """Return the reason why a column is no feature; empty for a feature and an unnamed empty column.
 
     Reasons: its name, cells that are no numbers, identifiers with leading zeros, monotonic values.
@@ -183,7 +183,7 @@ def _refuse_malformed_numbers(path: Path, name: str, column: Column, decimal: st
     known = {row: cell for row, cell in enumerate(column) if not _is_missing(cell)}
     mixed = decimal == "," and {",", "."} <= {*"".join(map(str, known.values()))}
     nearly = [row for row, cell in known.items() if _is_malformed_number(cell, decimal, mixed=mixed)]
-    n_texts = sum(_to_number(cell, decimal) is None for cell in known.values()) - len(nearly)
+    n_texts = sum(_parse_number(cell, decimal) is None for cell in known.values()) - len(nearly)
     if nearly and 2 * n_texts <= len(known):
         raise NoTableError(
             f"{path}: column {name!r} holds {str(column[nearly[0]])!r} in row {nearly[0]}, nearly a number: "
@@ -196,7 +196,7 @@ def _is_malformed_number(cell: object, decimal: str, *, mixed: bool) -> bool:
 
     With ``mixed`` decimal marks, numbers with thousands marks count, too.
     """
-    if not isinstance(cell, str) or _to_number(cell, decimal) is not None:
+    if not isinstance(cell, str) or _parse_number(cell, decimal) is not None:
         return isinstance(cell, timedelta) or (mixed and THOUSANDS.fullmatch(str(cell)) is not None)
     return NEARLY.fullmatch(cell.strip()) is not None and not DATE.match(cell.strip())
 
@@ -343,16 +343,16 @@ def _read_parquet(path: Path) -> Columns:
 
 def _read_npy(path: Path) -> Columns:
     """Map the columns of a `.npy` file of shape (rows, features), named by their numbers from 0."""
-    array = map_npy(path, "rows x features")
+    array = mmap_npy(path, "rows x features")
     return {str(k): array[:, k] for k in range(array.shape[1])}, "."
 
 
-def _to_numbers(column: Column, decimal: str) -> NDArray[np.float64] | None:
+def _convert_to_numbers(column: Column, decimal: str) -> NDArray[np.float64] | None:
     """Convert a column to float64, NaN if missing or overload; None if most cells are not numbers."""
     if isinstance(column, np.ndarray):
         return _replace_overload(column.astype(np.float64))
     cells = [None if _is_missing(cell) else cell for cell in column]
-    values = [_to_number(cell, decimal) for cell in cells]
+    values = [_parse_number(cell, decimal) for cell in cells]
     n_not_numbers = sum(value is None and cell is not None for value, cell in zip(values, cells, strict=True))
     if 2 * n_not_numbers > len(cells) - cells.count(None):
         return None
@@ -370,7 +370,7 @@ def _is_missing(cell: object) -> bool:
     return cell is None or (isinstance(cell, str) and MISSING.fullmatch(cell.strip()) is not None)
 
 
-def _to_number(cell: object, decimal: str) -> float | None:
+def _parse_number(cell: object, decimal: str) -> float | None:
     """Convert a cell to a float; None if it is not a number (truth values and ``1_2`` are not)."""
     if isinstance(cell, bool) or (isinstance(cell, str) and "_" in cell):  # 1_2 is Python's way, and a name
         return None
@@ -383,18 +383,18 @@ def _to_number(cell: object, decimal: str) -> float | None:
 
 def _is_number(cell: str, decimal: str) -> bool:
     """Return whether a cell can be converted to a float with this decimal mark."""
-    return _to_number(cell, decimal) is not None
+    return _parse_number(cell, decimal) is not None
 
 
-def _first_non_number(column: Column, decimal: str) -> object:
+def _find_first_non_number(column: Column, decimal: str) -> object:
     """Return the first cell that is neither missing nor a number; raise StopIteration if there is none."""
-    return next(cell for cell in column if not _is_missing(cell) and _to_number(cell, decimal) is None)
+    return next(cell for cell in column if not _is_missing(cell) and _parse_number(cell, decimal) is None)
 
 
-def _select_equal_rows(column: Column, value: str, decimal: str) -> NDArray[np.bool_]:
+def _mask_equal_rows(column: Column, value: str, decimal: str) -> NDArray[np.bool_]:
     """Return a mask of the rows whose cell equals a value: as a number, or as text in any case."""
-    wanted = _to_numbers([value], decimal)
-    numbers = _to_numbers(column, decimal)
+    wanted = _convert_to_numbers([value], decimal)
+    numbers = _convert_to_numbers(column, decimal)
     if numbers is not None and wanted is not None and np.isfinite(wanted[0]):
         return np.asarray(numbers == wanted[0])
     return np.array([str(cell).strip().lower() == value.lower() for cell in column], dtype=bool)

@@ -73,7 +73,7 @@ def simulate_assessed_sets(
             ShotKey(position=position, set_index=due.set_index, shot_index=index)
             for index in range(settings.schedule.shots_per_set)
         ]
-        records = specimen.solitary_waves([(key, hour_h) for key in keys])
+        records = specimen.simulate_waves([(key, hour_h) for key in keys])
         shots = tuple(
             Shot(
                 sequence=key.shot_index + 1,

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from daq_service.cli.reproduce.diagnosis import GIVEN, cause_of
+from daq_service.cli.reproduce.diagnosis import GIVEN, find_deviation_cause
 from daq_service.cli.reproduce.item import Found, no_value
-from daq_service.cli.reproduce.paper_values import PaperValue, paper_values
+from daq_service.cli.reproduce.paper_values import PaperValue, list_paper_values
 
 NOT_AVAILABLE = "not available"
 
@@ -72,7 +72,7 @@ def compare_item(
     """
     return [
         _compare_value(value, found.get(value.quantity, no_value(missing_reason)), origin=origin)
-        for value in paper_values(item)
+        for value in list_paper_values(item)
     ]
 
 
@@ -115,7 +115,7 @@ def _compare_value(value: PaperValue, ours: Found, *, origin: str) -> Row:
         ours_words=ours.words if ours.value is not None else ours.reason,
         deviation=deviation,
         deviation_percent=relative,
-        cause=_cause_of_deviation(value, ours, agrees=agrees, origin=origin),
+        cause=_choose_shown_cause(value, ours, agrees=agrees, origin=origin),
     )
 
 
@@ -124,12 +124,12 @@ def _is_rounding_only(deviation: float, paper: float | None) -> bool:
     return abs(deviation) < 1e-9 * max(1.0, abs(paper or 0.0))
 
 
-def _cause_of_deviation(value: PaperValue, ours: Found, *, agrees: bool, origin: str) -> str:
+def _choose_shown_cause(value: PaperValue, ours: Found, *, agrees: bool, origin: str) -> str:
     """Return the reason for a deviation; empty if we have no value or the values agree.
 
     The reason that the twin was given the value is returned in any case.
     """
-    cause = "" if ours.value is None else cause_of(value, origin=origin)
+    cause = "" if ours.value is None else find_deviation_cause(value, origin=origin)
     return "" if agrees and not cause.startswith(GIVEN) else cause
 
 

@@ -22,7 +22,7 @@ READ_WITHIN_H = 5.0
 # Figure 14 --------------------------------------------------------------------------------------
 
 
-def draw_fig14(material: item.Material) -> item.Product:
+def draw_outlier_figure(material: item.Material) -> item.Product:
     """Draw the Mahalanobis squared distance of each transducer over the test, with its limits.
 
     Raises NotAvailableError if no baseline was frozen.
@@ -33,7 +33,7 @@ def draw_fig14(material: item.Material) -> item.Product:
         raise item.NotAvailableError(
             f"no baseline was frozen up to hour {test.last_h:g}; it takes the first {baseline_h:g} h"
         )
-    figure, axes = style.position_panels(names, "Mahalanobis squared distance (1)", height_in=3.6)
+    figure, axes = style.create_panels(names, "Mahalanobis squared distance (1)", height_in=3.6)
     for axis, name in zip(axes, names, strict=True):
         _draw_distances(axis, test.pulses[name], baseline_h, style.choose_colour(name, names))
     style.add_legend(figure, ncols=4)
@@ -44,7 +44,7 @@ def draw_fig14(material: item.Material) -> item.Product:
     return item.Product(
         drawing=figure,
         tables={"": item.stack_columns(test, lambda pulses: {name: pulses.values[name] for name in columns})},
-        found=_fig14_values(test),
+        found=_compute_outlier_values(test),
         notes=tuple(
             f"{name}: baseline of {pulses.baseline.n_sets} sets, {_describe_outliers(pulses)}."
             for name, pulses in test.pulses.items()
@@ -94,9 +94,9 @@ def _describe_outliers(pulses: Series) -> str:
     return " and ".join(dict.fromkeys(parts))
 
 
-def _fig14_values(test: Evidence) -> dict[str, item.Found]:
+def _compute_outlier_values(test: Evidence) -> dict[str, item.Found]:
     """Return the computed values of figure 14, each missing one with its reason."""
-    values = {"smallest_loss": _loss_at_first_alarm(test)}
+    values = {"smallest_loss": _find_loss_at_first_alarm(test)}
     for name in "BCD":
         pulses = test.pulses.get(name)
         baseline = None if pulses is None else pulses.baseline
@@ -110,7 +110,7 @@ def _fig14_values(test: Evidence) -> dict[str, item.Found]:
             values |= {f"{key}_{name}": item.no_value(why) for key in keys}
             continue
         for source in ("text", "caption"):
-            values[f"limit_{source}_{name}"] = item.our_value(
+            values[f"limit_{source}_{name}"] = item.make_value(
                 baseline.limit_mean_3sd, f"{baseline.n_sets} sets", reason=str(baseline.limit_reason)
             )
         for key, outlier, from_h in (
@@ -120,11 +120,11 @@ def _fig14_values(test: Evidence) -> dict[str, item.Found]:
         ):
             share, n = _outlier_percentage(pulses, outlier, from_h)
             reason = f"no set was judged after hour {from_h:g} (last: {test.last_h:g})"
-            values[f"{key}_{name}"] = item.our_value(share, f"of {n} sets", reason=reason)
+            values[f"{key}_{name}"] = item.make_value(share, f"of {n} sets", reason=reason)
     return values
 
 
-def _loss_at_first_alarm(test: Evidence) -> item.Found:
+def _find_loss_at_first_alarm(test: Evidence) -> item.Found:
     """Return the thickness loss in mm that the probe read near the first wall alarm of any transducer.
 
     A value with a reason instead if there is no alarm, probe or reading.
@@ -139,7 +139,7 @@ def _loss_at_first_alarm(test: Evidence) -> item.Found:
     loss_m = _median_near(probe, "thickness_loss_m", hour)
     if loss_m is None:
         return item.no_value(f"no ultrasonic reading near hour {hour:g}")
-    return item.our_value(1e3 * loss_m, f"read at {probe.position} when {name} alarmed first, hour {hour:g}")
+    return item.make_value(1e3 * loss_m, f"read at {probe.position} when {name} alarmed first, hour {hour:g}")
 
 
 def _median_near(probe: Series, column: str, hour: float) -> float | None:
@@ -151,7 +151,7 @@ def _median_near(probe: Series, column: str, hour: float) -> float | None:
 # Figure 15 --------------------------------------------------------------------------------------
 
 
-def draw_fig15(material: item.Material) -> item.Product:
+def draw_thickness_figure(material: item.Material) -> item.Product:
     """Draw travel time, thickness and loss of the first ultrasonic probe, with the twin's true wall.
 
     Raises NotAvailableError without a pulse-echo position.
@@ -191,11 +191,11 @@ def draw_fig15(material: item.Material) -> item.Product:
     more_handles, more_labels = wall.get_legend_handles_labels()
     wall.legend([*handles, *more_handles], [*labels, *more_labels], loc="lower left")
     loss.legend(loc="upper left")
-    style.name_panels(axes, (f"position {probe.position}: travel time and thickness", "loss of thickness"))
+    style.title_panels(axes, (f"position {probe.position}: travel time and thickness", "loss of thickness"))
     return item.Product(
         drawing=figure,
         tables={"": item.Table(columns={"set_index": probe.set_index, "due_h": hours, **values})},
-        found=_fig15_values(test, probe, line),
+        found=_find_thickness(test, probe, line),
     )
 
 
@@ -234,17 +234,17 @@ def _fit_line(probe: Series) -> tuple[float, float] | None:
     return float(start), float(slope)
 
 
-def _fig15_values(test: Evidence, probe: Series, line: tuple[float, float] | None) -> dict[str, item.Found]:
+def _find_thickness(test: Evidence, probe: Series, line: tuple[float, float] | None) -> dict[str, item.Found]:
     """Return the computed values of figure 15 for position A, each missing one with its reason."""
     names = ("thickness_300", "loss_300", "core", "linearity", "initial")
     if probe.position != "A":
         return dict.fromkeys(names, item.no_value("the test has no pulse-echo position A"))
     initial_m = test.settings.ultrasound.initial_thickness_m
-    values = {"initial": item.our_value(1e3 * initial_m, "configured")}
+    values = {"initial": item.make_value(1e3 * initial_m, "configured")}
     read_m = _median_near(probe, "thickness_m", READ_H)
     if read_m is not None:
-        values["thickness_300"] = item.our_value(1e3 * read_m)
-        values["loss_300"] = item.our_value(100.0 * (1.0 - read_m / initial_m))
+        values["thickness_300"] = item.make_value(1e3 * read_m)
+        values["loss_300"] = item.make_value(100.0 * (1.0 - read_m / initial_m))
     else:
         absent = item.no_value(f"no reading near hour {READ_H:g} (last: {test.last_h:g})")
         values |= dict.fromkeys(names[:2], absent)
@@ -254,12 +254,12 @@ def _fig15_values(test: Evidence, probe: Series, line: tuple[float, float] | Non
     values["core"] = (
         item.no_value(f"nobody cored this test's plate{read}")
         if truth is None
-        else item.our_value(1e3 * float(truth[1][-1]), f"the twin's truth at hour {truth[0][-1]:g}{read}")
+        else item.make_value(1e3 * float(truth[1][-1]), f"the twin's truth at hour {truth[0][-1]:g}{read}")
     )
     values["linearity"] = (
         item.no_value("fewer than two readings")
         if line is None
-        else item.our_value(_compute_r_squared(probe, line))
+        else item.make_value(_compute_r_squared(probe, line))
     )
     return values
 
@@ -272,5 +272,5 @@ def _compute_r_squared(probe: Series, line: tuple[float, float]) -> float:
     return 1.0 - float(residual @ residual) / float(((loss - loss.mean()) ** 2).sum())
 
 
-FIG14 = item.Item(name="fig14", make=draw_fig14, needs_test=True)
-FIG15 = item.Item(name="fig15", make=draw_fig15, needs_test=True)
+FIG14 = item.Item(name="fig14", make=draw_outlier_figure, needs_test=True)
+FIG15 = item.Item(name="fig15", make=draw_thickness_figure, needs_test=True)

@@ -21,7 +21,7 @@ MEASURED = ("table1", "fig7", "fig8", "fig9", "fig11", "fig14", "fig15")
 _CAUSES = {name: cause.text for cause in TEXTS.causes for name in cause.of}
 
 
-def cause_of(value: PaperValue, *, origin: str) -> str:
+def find_deviation_cause(value: PaperValue, *, origin: str) -> str:
     """Return the documented reason for a deviation from the paper; empty if none is documented.
 
     The most specific text counts: the longest beginning of ``item.quantity``.

@@ -13,7 +13,7 @@ import numpy as np
 
 from daq_service.cli.reproduce.evidence import Evidence, Series, Trace
 from daq_service.cli.reproduce.item import Item, Material, Product, stack_columns
-from daq_service.cli.reproduce.style import choose_colour, create_sheet, name_panels
+from daq_service.cli.reproduce.style import choose_colour, create_sheet, title_panels
 from daq_service.settings.tree import UltrasoundSettings
 
 GATE_S = 90e-6
@@ -50,7 +50,7 @@ def draw_equations(material: Material) -> Product:
             )
             axis.set(xlabel="hour of the test (h)", ylabel=label)
     axes[0].legend(markerscale=3)
-    name_panels(axes, ("travel time", "coefficient", "area"))
+    title_panels(axes, ("travel time", "coefficient", "area"))
     table = stack_columns(test, lambda pulses: {column: pulses.values[column] for column, *_ in _COLUMNS})
     return Product(drawing=figure, tables={"": table}, notes=tuple(_list_check_results(test)))
 

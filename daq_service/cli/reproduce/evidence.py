@@ -19,7 +19,7 @@ from daq_service.catalogue import Catalogue, open_catalogue
 from daq_service.catalogue.errors import NoDataYetError
 from daq_service.catalogue.rows import AlarmRow, AssessmentRow, BaselineRow, FeatureRow, SetRow, ThicknessRow
 from daq_service.errors import StorageError
-from daq_service.processes.lost_catalogue import loss_reason
+from daq_service.processes.lost_catalogue import describe_loss
 from daq_service.settings.stored import restore_settings
 from daq_service.settings.tree import PositionSettings, Settings
 from hardware_drivers.methods import PULSE_ECHO, SOLITARY_WAVE
@@ -158,7 +158,7 @@ def read_evidence(folder: Path, *, with_traces: bool = True) -> Evidence:
             counts = catalogue.counts()
     except NoDataYetError as error:
         raise StorageError(
-            loss_reason(folder)
+            describe_loss(folder)
             or f"{folder} holds no test that has begun; give --from the data folder of one (it has a file "
             "catalogue.sqlite), or leave --from out to run the paper's test on the twin"
         ) from error
@@ -169,7 +169,7 @@ def read_evidence(folder: Path, *, with_traces: bool = True) -> Evidence:
         ) from error
     if not counts["sets"]:
         raise StorageError(f"{folder} has no set yet; wait for the first one, or give another folder")
-    traces, trouble = _average_traces(FolderSetReader(folder), sets) if with_traces else ({}, ())
+    traces, trouble = _average_selected_sets(FolderSetReader(folder), sets) if with_traces else ({}, ())
     return Evidence(
         folder=folder,
         name=row.name,
@@ -217,7 +217,7 @@ def _to_float_array(values: Sequence[float | bool | None]) -> FloatArray:
     return np.array([np.nan if value is None else float(value) for value in values], dtype=np.float64)
 
 
-def _average_traces(
+def _average_selected_sets(
     archive: SetReader, sets: Sequence[SetRow]
 ) -> tuple[dict[str, list[Trace]], tuple[str, ...]]:
     """Average the records of up to `TRACES` sets evenly spread over the hours, first and last included.

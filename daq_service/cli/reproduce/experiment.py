@@ -8,7 +8,7 @@ from pathlib import Path
 
 from daq_service.cli.run import plan_children
 from daq_service.errors import BusyError, RigError, SolimonError, StorageError, UsageError
-from daq_service.processes.child import log_to
+from daq_service.processes.child import log_to_file
 from daq_service.processes.data_folder import prepare_data_folder, write_configuration
 from daq_service.processes.supervisor import Message, Supervisor
 from daq_service.settings.file import load_settings
@@ -29,7 +29,7 @@ def load_twin_settings(seed: int | None) -> Settings:
     return load_settings(None, overrides={**BY_SETS, **given})
 
 
-def run_test(
+def run_twin_test(
     settings: Settings, folder: Path, *, stop: threading.Event, progress: Callable[[int, int, float], None]
 ) -> bool:
     """Record until the end of the schedule, or until `stop`; do not change a complete folder.
@@ -53,7 +53,7 @@ def run_test(
     """
     prepare_data_folder(folder)
     config = write_configuration(settings, folder)
-    log_to(folder / "logs" / "supervisor.log")
+    log_to_file(folder / "logs" / "supervisor.log")
 
     def on_message(child: str, message: Message) -> None:
         """Pass a progress message of the recorder to the callback; ignore other messages."""

@@ -56,7 +56,7 @@ class Found:
     reason: str = ""
 
 
-def our_value(value: float | None, words: str = "", *, reason: str = "") -> Found:
+def make_value(value: float | None, words: str = "", *, reason: str = "") -> Found:
     """Create a computed value; None, NaN or infinity becomes a missing one with the reason."""
     if value is None or not math.isfinite(value):
         return Found(words=words, reason=reason or "not a finite number")

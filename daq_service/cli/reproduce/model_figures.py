@@ -53,7 +53,7 @@ def _draw_curves(
             axis.plot(columns[0], values, color=curve.colour, ls=curve.dash, label=label)
     axes[0].set_ylabel("time of flight (µs)")
     axes[1].set_ylabel("amplitude ratio (1)")
-    style.name_panels(axes, ("time of flight", "amplitude ratio"))
+    style.title_panels(axes, ("time of flight", "amplitude ratio"))
     return figure, axes
 
 
@@ -67,7 +67,7 @@ def _make_curve_table(curves: _Curves, varied: str) -> item.Table:
 # Figure 10 --------------------------------------------------------------------------------------
 
 
-def draw_fig10(material: item.Material) -> item.Product:
+def draw_impact_figure(material: item.Material) -> item.Product:
     """Draw the coefficient of restitution and the contact time over the inelasticity parameter lambda.
 
     Raises NotAvailableError if a job failed.
@@ -88,25 +88,25 @@ def draw_fig10(material: item.Material) -> item.Product:
         axis.legend()
     axes[0].set_ylabel("coefficient of restitution e (1)")
     axes[1].set_ylabel("contact time tau_c (1)")
-    style.name_panels(axes, ("restitution", "contact time"))
+    style.title_panels(axes, ("restitution", "contact time"))
     return item.Product(
         drawing=figure,
         tables={"": item.Table(columns=columns)},
         found={
-            "e_case_3": item.our_value(case_3["e_eq8"][0], "eq. 8"),
-            "tau_c_case_3": item.our_value(case_3["tau_c_eq8"][0], "eq. 8"),
+            "e_case_3": item.make_value(case_3["e_eq8"][0], "eq. 8"),
+            "tau_c_case_3": item.make_value(case_3["tau_c_eq8"][0], "eq. 8"),
         },
         notes=(
             (
                 "Largest distance of the closed forms from eq. 8: eq. 10 "
-                f"{_worst_percent(columns, 'e_eq10', 'e_eq8'):.1f} % up to lambda = 1, eq. 12 "
-                f"{_worst_percent(columns, 'tau_c_eq12', 'tau_c_eq8'):.2f} % up to 2."
+                f"{_max_deviation_percent(columns, 'e_eq10', 'e_eq8'):.1f} % up to lambda = 1, eq. 12 "
+                f"{_max_deviation_percent(columns, 'tau_c_eq12', 'tau_c_eq8'):.2f} % up to 2."
             ),
         ),
     )
 
 
-def _worst_percent(columns: Mapping[str, Sequence[float]], approximate: str, exact: str) -> float:
+def _max_deviation_percent(columns: Mapping[str, Sequence[float]], approximate: str, exact: str) -> float:
     """Compute the largest relative deviation of an approximation from the exact column, %, without NaN."""
     return 100.0 * float(np.nanmax(np.abs(np.divide(columns[approximate], columns[exact]) - 1.0)))
 
@@ -114,26 +114,24 @@ def _worst_percent(columns: Mapping[str, Sequence[float]], approximate: str, exa
 # Figure 12 --------------------------------------------------------------------------------------
 
 
-def _simulate_over_isw(chain: ChainParameters) -> item.Job:
+def _build_isw_job(chain: ChainParameters) -> item.Job:
     """Create the job that simulates a chain over the amplitude of the incident wave."""
     return item.Job(function=models.compute_pulses_over_isw, arguments=(chain, _PLATE, models.ISW_STEPS))
 
 
-def _compute_zener_over_isw(*, closed_form: bool) -> item.Job:
+def _build_zener_job(*, closed_form: bool) -> item.Job:
     """Create the job that computes Zener's model over the amplitude of the incident wave."""
     return item.Job(function=models.compute_zener_over_isw, arguments=(models.ISW_STEPS, closed_form))
 
 
 _ISW_CURVES = {
-    "disk": _Curve("coupled model, sensor two disks", style.BLUE, "-", _simulate_over_isw(_DISK)),
-    "sphere": _Curve("coupled model, sensor a sphere", style.SKY, "-", _simulate_over_isw(_SPHERE)),
+    "disk": _Curve("coupled model, sensor two disks", style.BLUE, "-", _build_isw_job(_DISK)),
+    "sphere": _Curve("coupled model, sensor a sphere", style.SKY, "-", _build_isw_job(_SPHERE)),
     "disk_gamma": _Curve(
-        "the same disks, gamma 1,000 N s/m at the plate", style.VERMILLION, "-", _simulate_over_isw(_STRONG)
+        "the same disks, gamma 1,000 N s/m at the plate", style.VERMILLION, "-", _build_isw_job(_STRONG)
     ),
-    "zener_eq8": _Curve("Zener, eq. 8", style.GREEN, "--", _compute_zener_over_isw(closed_form=False)),
-    "zener_closed": _Curve(
-        "Zener, eqs 10 and 12", style.ORANGE, ":", _compute_zener_over_isw(closed_form=True)
-    ),
+    "zener_eq8": _Curve("Zener, eq. 8", style.GREEN, "--", _build_zener_job(closed_form=False)),
+    "zener_closed": _Curve("Zener, eqs 10 and 12", style.ORANGE, ":", _build_zener_job(closed_form=True)),
 }
 _ISW_MARKS = (
     (0, "numerical", "tof", "center"),
@@ -145,7 +143,7 @@ _ISW_MARKS = (
 """Panel, label, quantity and vertical alignment of the paper's values, on the side without curves."""
 
 
-def draw_fig12(material: item.Material) -> item.Product:
+def draw_isw_figure(material: item.Material) -> item.Product:
     """Draw ToF and AR over the relative amplitude of the incident wave, with the paper's values.
 
     Raises NotAvailableError if a job failed.
@@ -166,11 +164,11 @@ def draw_fig12(material: item.Material) -> item.Product:
     axes[0].plot([], [], **style.PAPER_MARK, label="paper's values; dashed: its model's ± band")
     style.add_legend(figure, ncols=2)
     return item.Product(
-        drawing=figure, tables={"": _make_curve_table(curves, "isw_ratio")}, found=_fig12_values(curves)
+        drawing=figure, tables={"": _make_curve_table(curves, "isw_ratio")}, found=_compute_isw_values(curves)
     )
 
 
-def _fig12_values(curves: _Curves) -> dict[str, item.Found]:
+def _compute_isw_values(curves: _Curves) -> dict[str, item.Found]:
     """Return our values of figure 12: nominal ToF (us) and AR, and their changes at 0.8 and 1.2 ISW in %."""
     at = {name: {round(point[0], 6): point[1:] for point in points} for name, points in curves.items()}
     nominal, strong, zener = (at[name][1.0] for name in ("disk", "disk_gamma", "zener_eq8"))
@@ -178,19 +176,19 @@ def _fig12_values(curves: _Curves) -> dict[str, item.Found]:
     for kind, name in enumerate(("tof", "ar")):
         for ratio, sign in ((1.2, "plus"), (0.8, "minus")):
             change = 100.0 * (at["disk"][ratio][kind] / nominal[kind] - 1.0)
-            found[f"{name}_{sign}"] = item.our_value(abs(change), f"{change:+.2f} %")
-        found[name] = item.our_value(nominal[kind], "sensor two disks")
-        found[f"{name}_zener"] = item.our_value(zener[kind], "eq. 8")
+            found[f"{name}_{sign}"] = item.make_value(abs(change), f"{change:+.2f} %")
+        found[name] = item.make_value(nominal[kind], "sensor two disks")
+        found[f"{name}_zener"] = item.make_value(zener[kind], "eq. 8")
         shift = f"{100 * (strong[kind] / nominal[kind] - 1):+.{1 - kind}f} %"
-        found[f"gamma_{name}"] = item.our_value(strong[kind] - nominal[kind], shift)
-    found["ar_measured"] = item.our_value(nominal[1], "our model beside the paper's measurement")
+        found[f"gamma_{name}"] = item.make_value(strong[kind] - nominal[kind], shift)
+    found["ar_measured"] = item.make_value(nominal[1], "our model beside the paper's measurement")
     return found
 
 
 # Figure 13 --------------------------------------------------------------------------------------
 
 
-def _simulate_over_depth(
+def _build_depth_job(
     chain: ChainParameters, plate: PlateParameters, patch: CorrosionParameters, depths: tuple[float, ...]
 ) -> item.Job:
     """Create the job that simulates a chain over the relative depths of a patch."""
@@ -199,33 +197,33 @@ def _simulate_over_depth(
 
 _DEPTH_CURVES = {
     "mindlin_sphere": _Curve(
-        "plate theory, sensor a sphere", style.SKY, "-", _simulate_over_depth(_SPHERE, _PLATE, _PATCH, DEPTHS)
+        "plate theory, sensor a sphere", style.SKY, "-", _build_depth_job(_SPHERE, _PLATE, _PATCH, DEPTHS)
     ),
     "mindlin_disk": _Curve(
-        "plate theory, sensor two disks", style.BLUE, "-", _simulate_over_depth(_DISK, _PLATE, _PATCH, DEPTHS)
+        "plate theory, sensor two disks", style.BLUE, "-", _build_depth_job(_DISK, _PLATE, _PATCH, DEPTHS)
     ),
     "mindlin_disk_large": _Curve(
         "plate theory, disks, patch of 50.8 mm (C)",
         style.GREEN,
         "-.",
-        _simulate_over_depth(_DISK, _PLATE, _LARGE_PATCH, DEPTHS),
+        _build_depth_job(_DISK, _PLATE, _LARGE_PATCH, DEPTHS),
     ),
     "solid_sphere": _Curve(
         "solid, sensor a sphere",
         style.ORANGE,
         "--",
-        _simulate_over_depth(_SPHERE, _SOLID, _PATCH, SOLID_DEPTHS),
+        _build_depth_job(_SPHERE, _SOLID, _PATCH, SOLID_DEPTHS),
     ),
     "solid_disk": _Curve(
         "solid, sensor two disks",
         style.VERMILLION,
         "--",
-        _simulate_over_depth(_DISK, _SOLID, _PATCH, SOLID_DEPTHS),
+        _build_depth_job(_DISK, _SOLID, _PATCH, SOLID_DEPTHS),
     ),
 }
 
 
-def draw_fig13(material: item.Material) -> item.Product:
+def draw_depth_figure(material: item.Material) -> item.Product:
     """Draw ToF and AR over the relative depth of the patch, with the paper's end values.
 
     A curve whose job failed is left out and named in the notes.
@@ -249,7 +247,7 @@ def draw_fig13(material: item.Material) -> item.Product:
     return item.Product(
         drawing=figure,
         tables={"": _make_curve_table(curves, "depth_fraction")},
-        found=_fig13_values(curves, absent),
+        found=_compute_depth_values(curves, absent),
         notes=(
             *(_describe_minimum(name, points) for name, points in curves.items()),
             *(
@@ -260,7 +258,7 @@ def draw_fig13(material: item.Material) -> item.Product:
     )
 
 
-def _fig13_values(curves: _Curves, absent: Mapping[str, str]) -> dict[str, item.Found]:
+def _compute_depth_values(curves: _Curves, absent: Mapping[str, str]) -> dict[str, item.Found]:
     """Return ToF (us) and AR of each curve at depths 0 and 0.8; those of absent curves with the reason."""
     ends = [
         (f"{kind}_{ending}", k, depth)
@@ -270,7 +268,7 @@ def _fig13_values(curves: _Curves, absent: Mapping[str, str]) -> dict[str, item.
     found = {f"{name}_{key}": item.no_value(why) for name, why in absent.items() for key, *_ in ends}
     for name, points in curves.items():
         at = {round(point[0], 6): point for point in points}
-        found |= {f"{name}_{key}": item.our_value(at[depth][k]) for key, k, depth in ends}
+        found |= {f"{name}_{key}": item.make_value(at[depth][k]) for key, k, depth in ends}
     return found
 
 
@@ -285,7 +283,7 @@ def _describe_minimum(name: str, points: Sequence[models.Point]) -> str:
 
 FIG10 = item.Item(
     name="fig10",
-    make=draw_fig10,
+    make=draw_impact_figure,
     jobs={
         "curve": item.Job(function=models.compute_impact_over_inelasticity, arguments=(_GRID,)),
         "case_3": item.Job(function=models.compute_impact_over_inelasticity, arguments=((CASE_3,),)),
@@ -294,7 +292,7 @@ FIG10 = item.Item(
 FIG12, FIG13 = (
     item.Item(name=name, make=make, jobs={key: curve.job for key, curve in curves.items()})
     for name, make, curves in (
-        ("fig12", draw_fig12, _ISW_CURVES),
-        ("fig13", draw_fig13, _DEPTH_CURVES),
+        ("fig12", draw_isw_figure, _ISW_CURVES),
+        ("fig13", draw_depth_figure, _DEPTH_CURVES),
     )
 )

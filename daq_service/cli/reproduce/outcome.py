@@ -78,7 +78,7 @@ class Outcome:
         return [row for section in self.sections for row in section.rows]
 
 
-def describe_run() -> Facts:
+def collect_run_facts() -> Facts:
     """Return the facts of a reproduction before it has a test: package versions and machine."""
     return {
         "seed": None,

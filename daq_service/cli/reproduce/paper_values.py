@@ -67,6 +67,6 @@ def printed_number(item: str, quantity: str) -> float:
     return value
 
 
-def paper_values(item: str) -> tuple[PaperValue, ...]:
+def list_paper_values(item: str) -> tuple[PaperValue, ...]:
     """Return all values of the paper for an item, in the order of the file; empty for an unknown item."""
     return tuple(value for value in PAPER_VALUES if value.item == item)

@@ -23,14 +23,14 @@ import matplotlib as mpl
 from daq_service.catalogue import check_owner
 from daq_service.cli.reproduce.comparison import compare_item
 from daq_service.cli.reproduce.evidence import Evidence, read_evidence
-from daq_service.cli.reproduce.experiment import BY_SETS, load_twin_settings, run_test
+from daq_service.cli.reproduce.experiment import BY_SETS, load_twin_settings, run_twin_test
 from daq_service.cli.reproduce.item import Item, Job, Material, NotAvailableError, Product
 from daq_service.cli.reproduce.items import choose_items
 from daq_service.cli.reproduce.outcome import (
     Outcome,
     Section,
     add_test_facts,
-    describe_run,
+    collect_run_facts,
     print_result,
     write_outcome,
 )
@@ -38,9 +38,9 @@ from daq_service.cli.reproduce.output import DATA_FOLDER, format_csv, prepare_ou
 from daq_service.cli.reproduce.style import RULES, render_figure
 from daq_service.errors import EXIT_INTERRUPTED, EXIT_OK, UsageError
 from daq_service.processes.child import stop_on_signals
-from daq_service.processes.data_folder import new_folder_path
+from daq_service.processes.data_folder import build_new_folder_path
 from daq_service.processes.worker import start_one_worker
-from daq_service.settings.stored import settings_differences
+from daq_service.settings.stored import list_settings_differences
 from daq_service.settings.tree import Settings
 from daq_service.shared_file import write_output
 from simulator.errors import SimulatorError
@@ -75,13 +75,13 @@ def reproduce(
             "--seed is for a new test on the twin; the test of --from has been run: leave one out"
         )
     items = choose_items(only)
-    folder = (out or new_folder_path("reproduction")).absolute()
+    folder = (out or build_new_folder_path("reproduction")).absolute()
 
     report = partial(click.echo, err=True)
     with stop_on_signals() as stop, ExitStack() as stack:
         executor = stack.enter_context(start_one_worker())
         try:
-            result, finished = reproduce_into(
+            result, finished = compute_and_write_items(
                 folder, items, data_dir=data_dir, seed=seed, executor=executor, stop=stop, report=report
             )
         finally:
@@ -93,7 +93,7 @@ def reproduce(
     return EXIT_OK if finished else EXIT_INTERRUPTED
 
 
-def reproduce_into(
+def compute_and_write_items(
     out: Path,
     items: Sequence[Item],
     *,
@@ -132,13 +132,13 @@ def reproduce_into(
     elif settings is not None and (out / DATA_FOLDER).exists():
         check_owner(settings, out / DATA_FOLDER)
     prepare_output(out)
-    run = Outcome(out=out, started_s=time.monotonic(), facts=describe_run())
+    run = Outcome(out=out, started_s=time.monotonic(), facts=collect_run_facts())
     with ThreadPoolExecutor(max_workers=1, thread_name_prefix="test") as tests:
         evidence = None
         if data_dir is not None and (needed or any(item.name == SLIPS for item in items)):
             evidence = tests.submit(read_evidence, data_dir.absolute())
         elif settings is not None:
-            evidence = tests.submit(_run_and_read, settings, out / DATA_FOLDER, stop, report)
+            evidence = tests.submit(_run_and_read_test, settings, out / DATA_FOLDER, stop, report)
         jobs = dict.fromkeys(job for item in items for job in item.jobs.values())
         futures = {job: executor.submit(job.function, *job.arguments) for job in jobs}
         try:
@@ -157,7 +157,7 @@ def reproduce_into(
 # The test and the models ---------------------------------------------------------------------------
 
 
-def _run_and_read(settings: Settings, folder: Path, stop: threading.Event, report: Report) -> Evidence:
+def _run_and_read_test(settings: Settings, folder: Path, stop: threading.Event, report: Report) -> Evidence:
     """Run the test on the twin and read its results; raise `_StoppedError` if it was interrupted."""
     report(f"test on the twin (seed {settings.twin.seed}) in {folder}")
     last_tenth = -1
@@ -170,7 +170,7 @@ def _run_and_read(settings: Settings, folder: Path, stop: threading.Event, repor
             last_tenth = tenth
             report(f"test: hour {due_h:g}, set {done} of {planned}")
 
-    if not run_test(settings, folder, stop=stop, progress=progress):
+    if not run_twin_test(settings, folder, stop=stop, progress=progress):
         raise _StoppedError
     return read_evidence(folder)
 
@@ -261,4 +261,4 @@ def _describe_origin(test: Evidence | None) -> str:
     # What raises an alarm changes no measurement.
     alarms = {**test.settings.alarms.model_dump(mode="json"), **BY_SETS["alarms"]}
     stored = {**test.settings.model_dump(mode="json"), "alarms": alarms}
-    return "twin" if settings_differences(stored, load_twin_settings(test.seed)) else "shipped"
+    return "twin" if list_settings_differences(stored, load_twin_settings(test.seed)) else "shipped"

@@ -11,8 +11,8 @@ from matplotlib.patches import Rectangle
 
 from daq_service.cli.reproduce import models
 from daq_service.cli.reproduce.evidence import FloatArray
-from daq_service.cli.reproduce.item import Item, Job, Material, Product, Table, our_value
-from daq_service.cli.reproduce.style import BLUE, GREY, VERMILLION, create_sheet, name_panels
+from daq_service.cli.reproduce.item import Item, Job, Material, Product, Table, make_value
+from daq_service.cli.reproduce.style import BLUE, GREY, VERMILLION, create_sheet, title_panels
 from simulator.parameters.chain import ChainParameters
 from simulator.parameters.plate import PlateParameters
 
@@ -57,7 +57,7 @@ def _draw_patch(axis: Axes, from_mm: float, size_mm: float) -> None:
     axis.add_patch(Rectangle(corner, size_mm, size_mm, fill=False, ec=VERMILLION, lw=1.4, zorder=3))
 
 
-def draw_fig5(material: Material) -> Product:
+def draw_plate_mesh_figure(material: Material) -> Product:
     """Draw the mesh of the plate theory, and a wave in the chain: down, reflected, up.
 
     Raises NotAvailableError if a job failed.
@@ -88,7 +88,7 @@ def draw_fig5(material: Material) -> Product:
     wave.grid(visible=False)
     wave.annotate("", xy=(880.0, -6.1), xytext=(880.0, -7.1), arrowprops={"arrowstyle": "->", "lw": 0.8})
     wave.text(874.0, -6.65, f"{FORCE_STEP_N:g} N", ha="right", va="center", fontsize=7.5)
-    name_panels(
+    title_panels(
         (axes[0], axes[1], wave),
         (
             f"whole mesh; patch of {1e3 * mesh.patch_m:g} mm",
@@ -106,9 +106,9 @@ def draw_fig5(material: Material) -> Product:
             "mesh": Table(columns={"x_m": mesh.x_m, "y_m": mesh.y_m}),
         },
         found={
-            "elements": our_value(float(elements)),
-            "contact_element": our_value(1e3 * mesh.contact_element_m),
-            "spheres_below": our_value(float(ChainParameters().spheres_below)),
+            "elements": make_value(float(elements)),
+            "contact_element": make_value(1e3 * mesh.contact_element_m),
+            "spheres_below": make_value(float(ChainParameters().spheres_below)),
         },
         notes=(
             (
@@ -121,7 +121,7 @@ def draw_fig5(material: Material) -> Product:
     )
 
 
-def draw_fig6(material: Material) -> Product:
+def draw_solid_mesh_figure(material: Material) -> Product:
     """Draw the mesh of the solid plate in plan and section.
 
     Raises NotAvailableError if a job failed.
@@ -151,7 +151,7 @@ def draw_fig6(material: Material) -> Product:
     )
     section.set(xlim=(0, half_mm), ylim=(z_mm[-1] + 0.5, -2.4), xlabel="x (mm)", ylabel="z (mm)")
     section.grid(visible=False)
-    name_panels(
+    title_panels(
         axes,
         ("a quarter in plan; thin: nodes", f"section, {100 * mesh.depth_fraction:g} % thinned"),
     )
@@ -162,8 +162,8 @@ def draw_fig6(material: Material) -> Product:
             "z": Table(columns={"z_m": mesh.z_m}),
         },
         found={
-            "contact_element": our_value(1e3 * mesh.contact_element_m),
-            "impact_speed": our_value(speed_m_per_s),
+            "contact_element": make_value(1e3 * mesh.contact_element_m),
+            "impact_speed": make_value(speed_m_per_s),
         },
         notes=(
             (
@@ -178,7 +178,7 @@ def draw_fig6(material: Material) -> Product:
 
 FIG5 = Item(
     name="fig5",
-    make=draw_fig5,
+    make=draw_plate_mesh_figure,
     jobs={
         "mesh": Job(function=models.build_mindlin_mesh, arguments=(_PLATE,)),
         "chain": Job(function=models.compute_forces_along_chain, arguments=(_PLATE,)),
@@ -186,7 +186,7 @@ FIG5 = Item(
 )
 FIG6 = Item(
     name="fig6",
-    make=draw_fig6,
+    make=draw_solid_mesh_figure,
     jobs={
         "mesh": Job(function=models.build_solid_mesh, arguments=(_PLATE, SECTION_DEPTH)),
         "impact_speed": Job(function=models.compute_impact_speed, arguments=(ChainParameters(), _PLATE)),

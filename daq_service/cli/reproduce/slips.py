@@ -19,7 +19,7 @@ from simulator.materials import bending_stiffness_n_m, plane_modulus_pa, shear_m
 from simulator.parameters.chain import ChainParameters
 from simulator.parameters.plate import CorrosionParameters, LiquidParameters, PlateParameters
 from simulator.zener.model import amplitude_ratio, approximate_restitution
-from simulator.zener.table_2 import table_2
+from simulator.zener.table_2 import compute_table_2
 
 _SPHERE, _DISK = ChainParameters(sensor="sphere"), ChainParameters(sensor="disk")
 _PLATE, _PATCH = PlateParameters(), CorrosionParameters()
@@ -30,47 +30,47 @@ _WATER = LiquidParameters(depth_m=0.3)
 _Numbers = Mapping[str, object]
 
 
-def _undamped_chain(chain: ChainParameters) -> ChainParameters:
+def _remove_chain_damping(chain: ChainParameters) -> ChainParameters:
     """Return the parameters of the chain with both damping coefficients 0."""
     return replace(chain, damping_n_s_per_m=0.0, contact_damping_n_s_per_m=0.0)
 
 
-def _pristine_shot(chain: ChainParameters, plate: PlateParameters = _PLATE) -> Job:
+def _build_pristine_shot_job(chain: ChainParameters, plate: PlateParameters = _PLATE) -> Job:
     """Create the job that simulates one shot on the plate without corrosion."""
     return Job(function=models.compute_pulses_over_depth, arguments=(chain, plate, _PATCH, (0.0,)))
 
 
-def _shot_on_element(size_m: float) -> Job:
+def _build_element_shot_job(size_m: float) -> Job:
     """Create the job that simulates one shot with a contact element of this size, m."""
-    return _pristine_shot(_DISK, replace(_PLATE, contact_element_m=size_m))
+    return _build_pristine_shot_job(_DISK, replace(_PLATE, contact_element_m=size_m))
 
 
 _CANDIDATES: Mapping[str, tuple[str, Job]] = {
-    "sphere": ("sensor a sphere", _pristine_shot(_SPHERE)),
-    "disk": ("sensor two disks", _pristine_shot(_DISK)),
+    "sphere": ("sensor a sphere", _build_pristine_shot_job(_SPHERE)),
+    "disk": ("sensor two disks", _build_pristine_shot_job(_DISK)),
     "sphere_undamped": (
         "sphere, no dashpots (eq. 1 as printed)",
-        _pristine_shot(_undamped_chain(_SPHERE)),
+        _build_pristine_shot_job(_remove_chain_damping(_SPHERE)),
     ),
     "disk_undamped": (
         "disks, no dashpots (eq. 1 as printed)",
-        _pristine_shot(_undamped_chain(_DISK)),
+        _build_pristine_shot_job(_remove_chain_damping(_DISK)),
     ),
-    "sphere_wall": ("sphere, rigid wall", _pristine_shot(_SPHERE, _WALL)),
-    "disk_wall": ("disks, rigid wall", _pristine_shot(_DISK, _WALL)),
-    "sphere_thin": ("sphere, infinite thin plate", _pristine_shot(_SPHERE, _THIN)),
-    "disk_thin": ("disks, infinite thin plate", _pristine_shot(_DISK, _THIN)),
-    "disk_nu": ("disks, nu of the chain 0.28", _pristine_shot(replace(_DISK, poisson_ratio=0.28))),
-    "element_1_mm": ("disks, contact element 1 mm", _shot_on_element(1e-3)),
-    "element_10_um": ("disks, contact element 0.01 mm", _shot_on_element(1e-5)),
+    "sphere_wall": ("sphere, rigid wall", _build_pristine_shot_job(_SPHERE, _WALL)),
+    "disk_wall": ("disks, rigid wall", _build_pristine_shot_job(_DISK, _WALL)),
+    "sphere_thin": ("sphere, infinite thin plate", _build_pristine_shot_job(_SPHERE, _THIN)),
+    "disk_thin": ("disks, infinite thin plate", _build_pristine_shot_job(_DISK, _THIN)),
+    "disk_nu": ("disks, nu of the chain 0.28", _build_pristine_shot_job(replace(_DISK, poisson_ratio=0.28))),
+    "element_1_mm": ("disks, contact element 1 mm", _build_element_shot_job(1e-3)),
+    "element_10_um": ("disks, contact element 0.01 mm", _build_element_shot_job(1e-5)),
 }
 """Settings compatible with the paper, and limiting cases, compared with its 319 us and 0.837."""
 _JOBS = {
     **{name: job for name, (_, job) in _CANDIDATES.items()},
-    "element_100_um": _shot_on_element(1e-4),
-    "free_wall": _pristine_shot(_FREE, _WALL),
-    "disk_gamma": _pristine_shot(replace(_DISK, contact_damping_n_s_per_m=STRONG_GAMMA_N_S_PER_M)),
-    "disk_wet": _pristine_shot(_DISK, replace(_PLATE, liquid=_WATER)),
+    "element_100_um": _build_element_shot_job(1e-4),
+    "free_wall": _build_pristine_shot_job(_FREE, _WALL),
+    "disk_gamma": _build_pristine_shot_job(replace(_DISK, contact_damping_n_s_per_m=STRONG_GAMMA_N_S_PER_M)),
+    "disk_wet": _build_pristine_shot_job(_DISK, replace(_PLATE, liquid=_WATER)),
     "disk_depths": Job(function=models.compute_pulses_over_depth, arguments=(_DISK, _PLATE, _PATCH, DEPTHS)),
     "zener_wall": Job(function=models.compute_zener_on_thickness, arguments=(1.0,)),
 }
@@ -86,46 +86,46 @@ class _Values(dict[str, object]):
 
     def __missing__(self, name: str) -> models.Pulse:
         """Return the only shot of the simulation with this name."""
-        return _only_shot(self._material, name)
+        return _find_shot(self._material, name)
 
 
-def _only_shot(material: Material, name: str) -> models.Pulse:
+def _find_shot(material: Material, name: str) -> models.Pulse:
     """Return the first shot of the simulation job with this name; raise NotAvailableError if it failed."""
     shot: models.Pulse = material.result(name)[0]
     return shot
 
 
-def _format_percent(new: float, old: float) -> float:
+def _percent_change(new: float, old: float) -> float:
     """Compute the relative change from an old to a new value, %."""
     return 100.0 * (new / old - 1.0)
 
 
-def _check_dashpot(material: Material) -> _Numbers:
+def _compute_sphere_overlap(material: Material) -> _Numbers:
     """Compute the overlap of two spheres at the peak of the incident wave, in m and um."""
     overlap_m = indentation_m(
-        _only_shot(material, "sphere").isw_peak_n,
+        _find_shot(material, "sphere").isw_peak_n,
         sphere_on_sphere_stiffness(_SPHERE.radius_m, _SPHERE.youngs_modulus_pa, _SPHERE.poisson_ratio),
     )
     return {"overlap_m": overlap_m, "overlap_um": 1e6 * overlap_m}
 
 
-def _check_bracket(_: Material) -> _Numbers:
+def _compute_contact_stiffness(_: Material) -> _Numbers:
     """Compute the contact stiffness by the printed bracket and, in N/m^(3/2), by the correct one."""
     E, nu, radius = _PLATE.youngs_modulus_pa, _PLATE.poisson_ratio, _SPHERE.radius_m
     as_printed = 4.0 * math.sqrt(radius) / 3.0 * 2.0 / plane_modulus_pa(E, nu)
     return {"as_printed": as_printed, "right": sphere_on_flat_stiffness(radius, E, nu, E, nu)}
 
 
-def _check_shear_modulus(_: Material) -> _Numbers:
+def _compute_shear_moduli(_: Material) -> _Numbers:
     """Compute the plate's shear modulus in GPa as printed and with the factor 2 in the denominator."""
     E, nu = _PLATE.youngs_modulus_pa, _PLATE.poisson_ratio
     return {"printed_gpa": E / (1.0 + nu) / 1e9, "right_gpa": shear_modulus_pa(E, nu) / 1e9}
 
 
-def _check_locking(material: Material) -> _Numbers:
+def _find_nearest_candidate(material: Material) -> _Numbers:
     """Find the setting or limit whose ToF and AR together are nearest to the paper's."""
     tof_us, ar = printed_number("fig12", "tof"), printed_number("fig12", "ar")
-    candidates = {label: _only_shot(material, name) for name, (label, _) in _CANDIDATES.items()}
+    candidates = {label: _find_shot(material, name) for name, (label, _) in _CANDIDATES.items()}
 
     def distance_to_paper(shot: models.Pulse) -> float:
         """Compute the relative distance of a shot from the paper's ToF and AR."""
@@ -150,16 +150,16 @@ def _check_monotonicity(material: Material) -> _Numbers:
     }
 
 
-def _check_equation_13(material: Material) -> _Numbers:
+def _compare_equation_13(material: Material) -> _Numbers:
     """Compare the time of flight of eq. 13 in us with that of the simulated wall; the difference in %."""
     equation_us = 1e6 * material.result("zener_wall").tof_s
     return {
         "equation_us": equation_us,
-        "more": _format_percent(equation_us, _only_shot(material, "free_wall").tof_us),
+        "more": _percent_change(equation_us, _find_shot(material, "free_wall").tof_us),
     }
 
 
-def _check_thresholds(material: Material) -> _Numbers:
+def _compute_false_alarm_rates(material: Material) -> _Numbers:
     """Compute the false-alarm rate of the limit mean + 3 SD for each baseline, as sentences.
 
     Raises NotAvailableError if no baseline has such a limit.
@@ -184,48 +184,48 @@ def _check_thresholds(material: Material) -> _Numbers:
     return {"baselines": "; ".join(sentences)}
 
 
-def _check_row_5(_: Material) -> _Numbers:
+def _compute_row_5_ratios(_: Material) -> _Numbers:
     """Compute the amplitude ratio of row 5 of table 2 from the rounded and from the printed restitution."""
     rounded_e, inelasticity = (
         printed_number("table2", "restitution_5"),
         printed_number("table2", "inelasticity_5"),
     )
     return {
-        "row": table_2()[4],
+        "row": compute_table_2()[4],
         "rounded_e": rounded_e,
         "of_rounded": amplitude_ratio(rounded_e),
         "of_printed": amplitude_ratio(approximate_restitution(inelasticity)),
     }
 
 
-def _check_thinner_plate(_: Material) -> _Numbers:
+def _compute_wall_losses(_: Material) -> _Numbers:
     """Compare the wall losses of the ultrasonic reading and of the core, mm and %."""
     initial, read, core = (printed_number("fig15", name) for name in ("initial", "thickness_300", "core"))
     end_h = printed_number("table1", "end")
     return {
         "initial": initial,
         "read": read,
-        "read_percent": -_format_percent(read, initial),
-        "core_percent": -_format_percent(core, initial),
+        "read_percent": -_percent_change(read, initial),
+        "core_percent": -_percent_change(core, initial),
         "line": initial - (initial - read) / 300.0 * end_h,
         "end_h": end_h,
     }
 
 
-def _check_energy(_: Material) -> _Numbers:
+def _compute_energy_ratio(_: Material) -> _Numbers:
     """Compute the energy ratio that the measured amplitude ratio implies, AR^(5/3)."""
     ar = printed_number("fig12", "ar_measured")
     return {"ar": ar, "energy": ar ** (5.0 / 3.0)}
 
 
-def _check_gamma(material: Material) -> _Numbers:
+def _compute_dashpot_shift(material: Material) -> _Numbers:
     """Compute the shift of the time of flight that a strong dashpot causes, us and %."""
-    weak_us, strong_us = _only_shot(material, "disk").tof_us, _only_shot(material, "disk_gamma").tof_us
+    weak_us, strong_us = _find_shot(material, "disk").tof_us, _find_shot(material, "disk_gamma").tof_us
     gamma = STRONG_GAMMA_N_S_PER_M
-    return {"gamma": gamma, "shift_us": strong_us - weak_us, "shift": _format_percent(strong_us, weak_us)}
+    return {"gamma": gamma, "shift_us": strong_us - weak_us, "shift": _percent_change(strong_us, weak_us)}
 
 
-def _check_salt_water(_: Material) -> _Numbers:
+def _compute_added_mass_ratios(_: Material) -> _Numbers:
     """Compute the added mass of a half-space of liquid on a bending plate, rho_w / k per area.
 
     Returned as a text of percentages of the plate's mass per area at 5 and 10 kHz.
@@ -244,35 +244,35 @@ def _check_salt_water(_: Material) -> _Numbers:
 
 
 _FINDINGS: Mapping[str, Callable[[Material], _Numbers]] = {
-    "dashpot": _check_dashpot,
-    "bracket": _check_bracket,
-    "shear": _check_shear_modulus,
-    "locking": _check_locking,
+    "dashpot": _compute_sphere_overlap,
+    "bracket": _compute_contact_stiffness,
+    "shear": _compute_shear_moduli,
+    "locking": _find_nearest_candidate,
     "not_monotonic": _check_monotonicity,
-    "equation_13": _check_equation_13,
-    "thresholds": _check_thresholds,
-    "row_5": _check_row_5,
-    "thinner": _check_thinner_plate,
-    "energy": _check_energy,
-    "gamma": _check_gamma,
-    "salt_water": _check_salt_water,
+    "equation_13": _compare_equation_13,
+    "thresholds": _compute_false_alarm_rates,
+    "row_5": _compute_row_5_ratios,
+    "thinner": _compute_wall_losses,
+    "energy": _compute_energy_ratio,
+    "gamma": _compute_dashpot_shift,
+    "salt_water": _compute_added_mass_ratios,
 }
 """Numbers of the sentences that name more than pulses."""
 SLIPS = TEXTS.slips
 
 
-def make_slips(material: Material) -> Product:
+def build_slip_table(material: Material) -> Product:
     """Build the table of the paper's slips with our finding, or the reason why there is none here."""
     columns = {
         "where": [slip.where for slip in SLIPS],
         "printed": [slip.prints for slip in SLIPS],
         "right": [slip.right for slip in SLIPS],
-        "finding": [_finding_of(slip, material) for slip in SLIPS],
+        "finding": [_compose_finding(slip, material) for slip in SLIPS],
     }
     return Product(tables={"": Table(columns=columns)})
 
 
-def _finding_of(slip: Slip, material: Material) -> str:
+def _compose_finding(slip: Slip, material: Material) -> str:
     """Compose the sentence with our finding on a slip, or the reason why it is not available."""
     try:
         numbers = _FINDINGS[slip.finding](material) if slip.finding else {}
@@ -281,4 +281,4 @@ def _finding_of(slip: Slip, material: Material) -> str:
         return f"not available: {error}"
 
 
-SLIP_LIST = Item(name="slips", make=make_slips, jobs=_JOBS)
+SLIP_LIST = Item(name="slips", make=build_slip_table, jobs=_JOBS)

@@ -14,7 +14,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from daq_service.shared_file import load_table
+from daq_service.shared_file import load_module_toml
 from daq_service.web.report.figures import RULES as REPORT_RULES
 
 # Okabe and Ito (2008), Color Universal Design; yellow is left out, it vanishes on paper.
@@ -27,7 +27,7 @@ OF_POSITION = {"A": ORANGE, "B": BLUE, "C": VERMILLION, "D": GREEN}
 WIDTH_IN = 7.2
 DPI = 150
 
-RULES: Any = {**REPORT_RULES, **load_table(__file__)}
+RULES: Any = {**REPORT_RULES, **load_module_toml(__file__)}
 PAPER_LINE: Mapping[str, Any] = {"color": BLACK, "linestyle": (0, (5, 3)), "linewidth": 1.0}
 PAPER_MARK: Mapping[str, Any] = {
     "color": BLACK,
@@ -57,19 +57,19 @@ def choose_colour(position: str, positions: Sequence[str]) -> str:
     return COLOURS[list(positions).index(position) % len(COLOURS)]
 
 
-def name_panels(axes: Sequence[Axes], titles: Sequence[str]) -> None:
+def title_panels(axes: Sequence[Axes], titles: Sequence[str]) -> None:
     """Set the titles of the panels with the letters (a) to (j), as the paper does; at most ten."""
     for letter, axis, title in zip("abcdefghij", axes, titles, strict=False):
         axis.set_title(f"({letter}) {title}")
 
 
-def position_panels(positions: Sequence[str], label: str, *, height_in: float) -> tuple[Figure, list[Axes]]:
+def create_panels(positions: Sequence[str], label: str, *, height_in: float) -> tuple[Figure, list[Axes]]:
     """Create a figure with a panel over the hours of the test for each position, on common axes."""
     figure, axes = create_sheet(1, len(positions), height_in=height_in, sharex=True, sharey=True)
     for axis in axes:
         axis.set_xlabel("hour of the test (h)")
     axes[0].set_ylabel(label)
-    name_panels(axes, [f"position {name}" for name in positions])
+    title_panels(axes, [f"position {name}" for name in positions])
     return figure, axes
 
 

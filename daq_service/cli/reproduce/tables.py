@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from dataclasses import fields
 
-from daq_service.cli.reproduce.item import Found, Item, Job, Material, Product, Table, no_value, our_value
-from daq_service.cli.reproduce.paper_values import paper_values
-from simulator.zener.table_2 import Table2Row, table_2
+from daq_service.cli.reproduce.item import Found, Item, Job, Material, Product, Table, make_value, no_value
+from daq_service.cli.reproduce.paper_values import list_paper_values
+from simulator.zener.table_2 import Table2Row, compute_table_2
 
 
-def make_table1(material: Material) -> Product:
+def build_position_table(material: Material) -> Product:
     """Build table 1: measuring method, size of the corroded square and sets of each position.
 
     Raises NotAvailableError without a test.
@@ -27,10 +27,10 @@ def make_table1(material: Material) -> Product:
     )
     values = {f"patch_{name}": no_value(f"the test has no position {name}") for name in "ABC"}
     for name, place in places.items():
-        values[f"patch_{name}"] = our_value(1e3 * place.settings.corrosion.size_m, place.settings.method)
+        values[f"patch_{name}"] = make_value(1e3 * place.settings.corrosion.size_m, place.settings.method)
     values["loss_D"] = _compute_loss_at_d(material)
-    values["end"] = our_value(test.last_h)
-    values["sets"] = our_value(float(test.counts["sets"]), f"to hour {test.last_h:g}")
+    values["end"] = make_value(test.last_h)
+    values["sets"] = make_value(float(test.counts["sets"]), f"to hour {test.last_h:g}")
     return Product(tables={"": table}, found=values)
 
 
@@ -39,10 +39,10 @@ def _compute_loss_at_d(material: Material) -> Found:
     known = [trace for trace in material.test.traces.get("D", ()) if "depth_fraction" in trace.truth]
     if not known:
         return no_value("nobody measured the wall at D")
-    return our_value(100.0 * known[-1].truth["depth_fraction"], "the twin's truth")
+    return make_value(100.0 * known[-1].truth["depth_fraction"], "the twin's truth")
 
 
-def make_table2(material: Material) -> Product:
+def build_zener_table(material: Material) -> Product:
     """Build table 2: Zener's model over the drop height, rounded as in the paper.
 
     The note counts the printed numbers that agree. Raises NotAvailableError if the job failed.
@@ -50,17 +50,17 @@ def make_table2(material: Material) -> Product:
     rows: tuple[Table2Row, ...] = material.result("rows")
     columns = {field.name: [float(getattr(row, field.name)) for row in rows] for field in fields(Table2Row)}
     values = {
-        f"{name.partition('_m_per_s')[0].removesuffix('_us')}_{case}": our_value(value)
+        f"{name.partition('_m_per_s')[0].removesuffix('_us')}_{case}": make_value(value)
         for name, numbers in columns.items()
         for case, value in enumerate(numbers, 1)
     }
-    same = sum(value.value == values[value.quantity].value for value in paper_values("table2"))
+    same = sum(value.value == values[value.quantity].value for value in list_paper_values("table2"))
     return Product(
         tables={"": Table(columns={"case": list(range(1, len(rows) + 1)), **columns})},
         found=values,
-        notes=(f"{same} of {len(paper_values('table2'))} printed numbers agree digit for digit.",),
+        notes=(f"{same} of {len(list_paper_values('table2'))} printed numbers agree digit for digit.",),
     )
 
 
-TABLE1 = Item(name="table1", make=make_table1, needs_test=True)
-TABLE2 = Item(name="table2", make=make_table2, jobs={"rows": Job(function=table_2)})
+TABLE1 = Item(name="table1", make=build_position_table, needs_test=True)
+TABLE2 = Item(name="table2", make=build_zener_table, jobs={"rows": Job(function=compute_table_2)})

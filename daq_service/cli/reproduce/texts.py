@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from pydantic import TypeAdapter
 
-from daq_service.shared_file import load_table
+from daq_service.shared_file import load_module_toml
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,4 +66,4 @@ class Texts:
     trends: Sequence[Trended]
 
 
-TEXTS = TypeAdapter(Texts).validate_python(load_table(__file__))
+TEXTS = TypeAdapter(Texts).validate_python(load_module_toml(__file__))

@@ -13,8 +13,8 @@ from analysis.errors import AnalysisError
 from analysis.statistics.trend import Trend, fit_trend
 from daq_service.cli.reproduce import item
 from daq_service.cli.reproduce.evidence import FloatArray, Series
-from daq_service.cli.reproduce.paper_values import paper_values
-from daq_service.cli.reproduce.style import BLACK, PAPER_MARK, add_legend, choose_colour, position_panels
+from daq_service.cli.reproduce.paper_values import list_paper_values
+from daq_service.cli.reproduce.style import BLACK, PAPER_MARK, add_legend, choose_colour, create_panels
 from daq_service.cli.reproduce.texts import TEXTS, Trended
 
 POSITIONS = "BCD"
@@ -39,19 +39,19 @@ _Fits = Mapping[str, _Fit | str]
 """Fit of each position, or why there is none."""
 
 
-def draw_feature(material: item.Material, feature: Trended) -> item.Product:
+def draw_feature_trend(material: item.Material, feature: Trended) -> item.Product:
     """Draw a feature of all transducers over the test with second-order fits and the paper's values.
 
     Raises NotAvailableError if the test has no transducer.
     """
     test, names = material.test, material.transducers
     fits = {name: _fit_position(test.pulses[name], feature) for name in names}
-    figure, axes = position_panels(names, feature.label, height_in=3.3)
+    figure, axes = create_panels(names, feature.label, height_in=3.3)
     for axis, name in zip(axes, names, strict=True):
         _draw_feature_panel(axis, test.pulses[name], feature, fits[name], choose_colour(name, names))
     add_legend(figure, ncols=3)
 
-    def columns(pulses: Series) -> dict[str, FloatArray]:
+    def build_columns(pulses: Series) -> dict[str, FloatArray]:
         """Build the columns of a transducer: the feature and its fit, NaN without one; in SI units."""
         fit, hours = fits[pulses.position], pulses.hour_h
         fitted = fit.trend.at(hours) / feature.scale if isinstance(fit, _Fit) else np.full(hours.size, np.nan)
@@ -59,9 +59,9 @@ def draw_feature(material: item.Material, feature: Trended) -> item.Product:
 
     return item.Product(
         drawing=figure,
-        tables={"": item.stack_columns(test, columns), "fits": _make_fit_table(fits)},
+        tables={"": item.stack_columns(test, build_columns), "fits": _make_fit_table(fits)},
         found={
-            f"{name}_{position}": _value_of_fit(fits, position, what)
+            f"{name}_{position}": _select_fit_value(fits, position, what)
             for what, name in feature.quantities.items()
             for position in POSITIONS
         },
@@ -88,7 +88,7 @@ def _draw_feature_panel(axis: Axes, pulses: Series, feature: Trended, fit: _Fit 
         last_h = fit.last_h
         hours = np.linspace(0.0, last_h, 100)
         axis.plot(hours, fit.trend.at(hours), color=BLACK, lw=1.2, label="our fit, second order")
-    paper = {value.quantity: value.value for value in paper_values(feature.item)}
+    paper = {value.quantity: value.value for value in list_paper_values(feature.item)}
     start, end, change = (
         paper.get(f"{feature.quantities.get(what)}_{pulses.position}") for what in ("start", "end", "change")
     )
@@ -119,17 +119,17 @@ def _make_fit_table(fits: _Fits) -> item.Table:
     )
 
 
-def _value_of_fit(fits: _Fits, position: str, what: str) -> item.Found:
+def _select_fit_value(fits: _Fits, position: str, what: str) -> item.Found:
     """Return "start", "end" or "change" of a position's fit, or the reason why it is missing."""
     fit = fits.get(position)
     if fit is None:
         return item.no_value(f"the test has no solitary-wave position {position}")
     if isinstance(fit, str):
         return item.no_value(fit)
-    return item.our_value(fit.values[what], f"to hour {fit.last_h:g}")
+    return item.make_value(fit.values[what], f"to hour {fit.last_h:g}")
 
 
 FIG8, FIG9, FIG11 = (
-    item.Item(name=feature.item, make=partial(draw_feature, feature=feature), needs_test=True)
+    item.Item(name=feature.item, make=partial(draw_feature_trend, feature=feature), needs_test=True)
     for feature in TEXTS.trends
 )

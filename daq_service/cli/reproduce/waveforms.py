@@ -16,7 +16,7 @@ from daq_service.cli.reproduce.style import (
     add_legend,
     choose_colour,
     create_sheet,
-    name_panels,
+    title_panels,
 )
 
 WINDOW_US = (-60.0, 900.0)
@@ -26,7 +26,7 @@ ROOM = 1.8
 """Height of an incident wave in units of the distance between two traces."""
 
 
-def draw_fig7(material: item.Material) -> item.Product:
+def draw_waveform_figure(material: item.Material) -> item.Product:
     """Draw averaged waveforms of each transducer, later ones higher, with the times of the features.
 
     Raises NotAvailableError if no waveform can be read.
@@ -42,13 +42,13 @@ def draw_fig7(material: item.Material) -> item.Product:
         axis.set(xlabel="time after the trigger (µs)", xlim=WINDOW_US)
     axes[0].set_ylabel("hour of the test (h)")
     add_legend(figure, ncols=3)
-    name_panels(axes, [f"position {name}" for name in names])
+    title_panels(axes, [f"position {name}" for name in names])
     return item.Product(
         drawing=figure,
         tables={name: _make_trace_table(test.traces[name]) for name in names},
         found={
-            **_time_from_contact(test, names),
-            **{f"change_hour_{p}": _hour_of_first_alarm(test, p) for p in "BC"},
+            **_compute_time_from_contact(test, names),
+            **{f"change_hour_{p}": _find_first_alarm_hour(test, p) for p in "BC"},
         },
         notes=(
             (
@@ -66,7 +66,7 @@ def _draw_waterfall(axis: Axes, traces: Sequence[Trace], pulses: Series, last_h:
     height_v = max(float(np.ptp(trace.volts)) for trace in traces) or 1.0
     hours = np.array([trace.hour_h for trace in traces])
     for trace in traces:
-        every = _sample_step(trace)
+        every = _compute_sample_step(trace)
         time_us = 1e6 * trace.time_s
         shown = np.flatnonzero((time_us >= WINDOW_US[0]) & (time_us <= WINDOW_US[1]))[::every]
         quiet_v = float(np.median(trace.volts[: max(1, int(np.searchsorted(time_us, -20.0)))]))
@@ -90,7 +90,7 @@ def _draw_waterfall(axis: Axes, traces: Sequence[Trace], pulses: Series, last_h:
         )
 
 
-def _sample_step(trace: Trace) -> int:
+def _compute_sample_step(trace: Trace) -> int:
     """Compute the distance of drawn samples, in samples: about `STEP_S`, at least 1."""
     return max(1, round(STEP_S / float(trace.time_s[1] - trace.time_s[0])))
 
@@ -101,7 +101,7 @@ def _make_trace_table(traces: Sequence[Trace]) -> item.Table:
     Shorter traces are padded with None, longer ones cut.
     """
     first = traces[0].time_s
-    every = _sample_step(traces[0])
+    every = _compute_sample_step(traces[0])
     times_s = [round(float(t), 9) for t in first[::every]]
     columns: dict[str, Sequence[object]] = {"time_s": times_s}
     for trace in traces:
@@ -111,7 +111,7 @@ def _make_trace_table(traces: Sequence[Trace]) -> item.Table:
     return item.Table(columns=columns)
 
 
-def _time_from_contact(test: Evidence, names: Sequence[str]) -> dict[str, item.Found]:
+def _compute_time_from_contact(test: Evidence, names: Sequence[str]) -> dict[str, item.Found]:
     """Return the median time in us from the striker's contact to the ISW, which only the twin knows.
 
     A record's zero is its trigger instead: without the twin a reason is returned.
@@ -128,10 +128,10 @@ def _time_from_contact(test: Evidence, names: Sequence[str]) -> dict[str, item.F
                 "a record begins at its trigger; only the twin knows when the striker touched"
             )
         }
-    return {"isw_time": item.our_value(1e6 * float(np.median(times)), "after the striker's touch")}
+    return {"isw_time": item.make_value(1e6 * float(np.median(times)), "after the striker's touch")}
 
 
-def _hour_of_first_alarm(test: Evidence, position: str) -> item.Found:
+def _find_first_alarm_hour(test: Evidence, position: str) -> item.Found:
     """Return the hour of the first wall alarm at a position, or the reason why there is none."""
     if position not in test.pulses:
         return item.no_value(f"the test has no solitary-wave position {position}")
@@ -141,7 +141,7 @@ def _hour_of_first_alarm(test: Evidence, position: str) -> item.Found:
     rule = test.settings.alarms
     by_chart = rule.decides_by == "chart"
     rule_text = "the chart" if by_chart else f"{rule.k} of {rule.n} sets beyond the limit"
-    return item.our_value(hour, f"first alarm ({rule_text})")
+    return item.make_value(hour, f"first alarm ({rule_text})")
 
 
-FIG7 = item.Item(name="fig7", make=draw_fig7, needs_test=True)
+FIG7 = item.Item(name="fig7", make=draw_waveform_figure, needs_test=True)

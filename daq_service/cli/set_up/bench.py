@@ -15,7 +15,7 @@ from analysis.errors import AnalysisError
 from analysis.waves.coil_spike import HOLDOFF_DIGITS, HOLDOFF_PART
 from analysis.waves.features import extract_features
 from analysis.waves.first_settings import Proposal, StruckTransducer, cut_triggered_record, propose_settings
-from daq_service.cli.doctor.storage import hold_folder, refuse_while_owned
+from daq_service.cli.doctor.storage import lock_folder, refuse_if_owned
 from daq_service.cli.set_up.drawn import compute_envelope, prepare_shot_for_page
 from hardware_drivers.daqmx.parameters import DaqmxParameters, TransducerWiring, fall_s
 from hardware_drivers.errors import ConfigurationError
@@ -100,7 +100,7 @@ class Bench:
 
     def look(self, position: str) -> Waveform:
         """Record the input of a transducer at rest, store and return the record; raise as `wire`."""
-        self.quiet[position] = record = self._on_boards(position, lambda free: free.record_quiet_input())
+        self.quiet[position] = record = self._run_on_boards(position, lambda free: free.record_quiet_input())
         return record
 
     def watch(self) -> tuple[str | None, Waveform | None]:
@@ -116,7 +116,7 @@ class Bench:
         position = self.position
         if position is None:
             return None, None
-        return position, self._on_boards(position, lambda free: free.record_quiet_input())
+        return position, self._run_on_boards(position, lambda free: free.record_quiet_input())
 
     def strike(self, position: str) -> None:
         """Strike once and store the complete record; blocks up to `READ_TIMEOUT_S`.
@@ -128,22 +128,22 @@ class Bench:
         ConfigurationError
             The coil's counter cannot start the acquisition: neither a holdoff nor this record is possible.
         """
-        with hold_folder(self.data_folder) as owner:
-            refuse_while_owned("a strike", owner)
+        with lock_folder(self.data_folder) as owner:
+            refuse_if_owned("a strike", owner)
             try:
-                self.struck[position] = self._on_boards(position, lambda free: free.strike())
+                self.struck[position] = self._run_on_boards(position, lambda free: free.strike())
             except ConfigurationError:
                 # It could be looked at, so what the boards refuse is that the coil's counter starts them.
                 self.holds_off = False
                 raise
             self.strikes += 1
 
-    def take_range(self, position: str, range_v: float) -> None:
+    def change_range(self, position: str, range_v: float) -> None:
         """Set another input range in V for a transducer and record its input at rest; raise as `wire`."""
         self.transducers[position] = replace(self.transducers[position], range_v=range_v)
         self.look(position)
 
-    def proposal(self) -> Proposal | None:
+    def propose_values(self) -> Proposal | None:
         """Assess all strikes so far and return the proposed values; None before the first strike.
 
         Uses the newest record at rest and of a strike of each transducer.
@@ -174,7 +174,7 @@ class Bench:
             return {"strike": None, "shot": None}
         answer: dict[str, object] = {"strike": compute_envelope(strike), "shot": None, "off_s": self.pulse_s}
         try:
-            proposal = self.proposal()
+            proposal = self.propose_values()
         except AnalysisError as error:
             return answer | {"error": str(error)}
         assert proposal is not None, "it was struck"
@@ -238,7 +238,7 @@ class Bench:
             ringing_s=ringing_s,
         )
 
-    def choose(self, proposal: Proposal) -> None:
+    def accept_proposal(self, proposal: Proposal) -> None:
         """Store a proposal, with or without a person's changes, and set its input ranges.
 
         Raises
@@ -265,11 +265,11 @@ class Bench:
         self._thread.submit(self._close_input).result()
         self._thread.shutdown()
 
-    def _on_boards(self, position: str, work: Callable[[FreeInput], T]) -> T:
+    def _run_on_boards(self, position: str, work: Callable[[FreeInput], T]) -> T:
         """Run work in the thread of the boards, wait for it, and return its result or raise its error."""
-        return self._thread.submit(self._work_with_input, position, self.parameters(position), work).result()
+        return self._thread.submit(self._run_with_input, position, self.parameters(position), work).result()
 
-    def _work_with_input(
+    def _run_with_input(
         self, position: str, parameters: DaqmxParameters, work: Callable[[FreeInput], T]
     ) -> T:
         """Run work with the input of a position, opened again if position or parameters changed.

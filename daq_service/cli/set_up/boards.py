@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 
-from daq_service.cli.doctor.spike import describe_edge
+from daq_service.cli.doctor.spike import describe_spike
 from daq_service.cli.set_up.bench import Bench, compute_noise_rms_v
 from daq_service.cli.set_up.dialogue import Dialogue
-from daq_service.cli.set_up.init import format_head, read_laboratory
+from daq_service.cli.set_up.init import format_head_comment, read_lab_config
 from daq_service.cli.set_up.transducers import Contents, Flags, make_positions_table
-from daq_service.cli.set_up.values import REMEDIES, assess_strikes
+from daq_service.cli.set_up.values import REMEDIES, propose_and_store_values
 from daq_service.cli.set_up.wiring import (
-    default_pulse_terminal,
+    find_default_terminal,
     list_analog_inputs,
     list_coil_counters,
     parse_wiring,
@@ -36,7 +36,7 @@ class Boards:
         """Return the wiring of the transducers by position."""
         return self.bench.transducers
 
-    def introduce(self, flags: Flags, *, asks: bool) -> None:
+    def read_shared_values(self, flags: Flags, *, asks: bool) -> None:
         """Set drop height (m) and pulse (s) from the options; ask for a missing one if ``asks``."""
         for name, text, bounds in (
             ("drop_height_m", "Height from which the strikers fall, m", (0.0, 1.0)),
@@ -84,7 +84,7 @@ class Boards:
             ]
             counter = self._ask_choice(f"{position}.counter", f"Counter of the coil of {position}", counters)
             coil_board = boards[counter.rpartition("/")[0] or serial]
-            home = default_pulse_terminal(coil_board, counter.rpartition("/")[2])
+            home = find_default_terminal(coil_board, counter.rpartition("/")[2])
             text = "Terminal at which its pulse leaves the board"
             terminal = self.dialogue.ask(f"{position}.terminal", text, str, default=home)
             try:
@@ -104,20 +104,20 @@ class Boards:
         if the record cannot be assessed.
         """
         self.bench.strike(position)
-        proposal = self.bench.proposal()
+        proposal = self.bench.propose_values()
         assert proposal is not None, "it was struck"
         survey = proposal.surveys[position]
         wave = "no wave stands out"
         if survey.wave_v is not None and survey.wave_after_s is not None:
             wave = f"wave of {survey.wave_v:.3g} V {survey.wave_after_s * 1e3:.3g} ms after off"
         self.dialogue.report(
-            f"{position}      on: {describe_edge(survey.on)}; off: {describe_edge(survey.off)}; {wave}"
+            f"{position}      on: {describe_spike(survey.on)}; off: {describe_spike(survey.off)}; {wave}"
         )
         if position in proposal.troubles:
             self.dialogue.report(f"{position}      {REMEDIES[proposal.troubles[position]]}")
         if position in proposal.again:
             range_v = proposal.range_v[position]
-            self.bench.take_range(position, range_v)
+            self.bench.change_range(position, range_v)
             self.dialogue.report(f"{position}      clipped; strike again, now in +-{range_v:g} V")
 
     def strike_each(self, positions: Collection[str]) -> None:
@@ -127,21 +127,21 @@ class Boards:
         """
         for position in positions:
             self.bench.strike(position)
-        while (proposal := self.bench.proposal()) is not None and proposal.again:
+        while (proposal := self.bench.propose_values()) is not None and proposal.again:
             for position in proposal.again:
-                self.bench.take_range(position, proposal.range_v[position])
+                self.bench.change_range(position, proposal.range_v[position])
                 self.bench.strike(position)
 
-    def conclude(self, *, asks: bool) -> None:
+    def propose_from_strikes(self, *, asks: bool) -> None:
         """Propose values of the configuration from the strikes, and ask to accept them if ``asks``."""
-        assess_strikes(self.dialogue, self.bench, asks=asks)
+        propose_and_store_values(self.dialogue, self.bench, asks=asks)
 
     def contents(self, others: Tables, off: set[KeyPath]) -> Contents:
         """Return the values, the switched-off tables and the head of the configuration file.
 
         Raises UsageError if a position is both a transducer and a probe.
         """
-        values, _ = read_laboratory()
+        values, _ = read_lab_config()
         methods = dict.fromkeys(others.get("niscope", {}).get("probes", {}), PULSE_ECHO)
         if clash := set(methods) & set(self.wired):
             raise UsageError(f"position {', '.join(clash)} is a transducer and a probe; rename one of them")
@@ -149,7 +149,7 @@ class Boards:
         watchdog = values["rig"]["daqmx"]["watchdog"]
         values["rig"] |= {**others, "daqmx": {**self.bench.table(), "watchdog": watchdog}}
         boards = {self.bench.boards[one.board_serial].product for one in self.wired.values()}
-        head = format_head(boards, self.bench.struck if self.bench.chosen else ())
+        head = format_head_comment(boards, self.bench.struck if self.bench.chosen else ())
         return values, {*off, ("rig", "daqmx", "watchdog")}, head
 
     def result(self) -> Mapping[str, object]:
@@ -157,7 +157,7 @@ class Boards:
 
         The proposal is None before the first strike.
         """
-        proposal = self.bench.proposal()
+        proposal = self.bench.propose_values()
         return {
             "boards": {serial: board.product for serial, board in self.bench.boards.items()},
             "transducers": {name: asdict(wiring) for name, wiring in self.wired.items()},

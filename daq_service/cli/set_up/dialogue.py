@@ -108,9 +108,9 @@ class Dialogue:
                 with self._lock:
                     self.number += 1
                     self._waiting = question
-                self._read_terminal()
+                self._start_terminal_reader()
                 click.echo(f"{text}{listed}{usual}: ", nl=False, err=True)
-                answer = self._next_answer(question) or default
+                answer = self._wait_for_next_answer(question) or default
                 try:
                     if choices and answer not in choices:
                         raise ValueError(f"{answer!r} is none of {', '.join(choices)}")
@@ -143,7 +143,7 @@ class Dialogue:
         question = None if waiting is None else {"number": number, **asdict(waiting)}
         return {"question": question, "lines": self.lines}
 
-    def _next_answer(self, question: Question) -> str:
+    def _wait_for_next_answer(self, question: Question) -> str:
         """Wait without limit for the next answer to this question and return it without outer spaces.
 
         Answers to earlier questions are dropped. Raises UsageError at the end of the terminal's input.
@@ -165,7 +165,7 @@ class Dialogue:
                 click.echo(f"{answer.text} (on the page)", err=True)
             return answer.text.strip()
 
-    def _read_terminal(self) -> None:
+    def _start_terminal_reader(self) -> None:
         """Start the daemon thread that reads standard input, once only."""
         if not self._reads:
             self._reads = True

@@ -14,7 +14,7 @@ import tomlkit
 from pydantic import ValidationError
 from tomlkit.exceptions import TOMLKitError
 
-from daq_service.catalogue.experiment_file import read_experiment
+from daq_service.catalogue.experiment_file import read_experiment_file
 from daq_service.clock import format_utc
 from daq_service.errors import UsageError
 from daq_service.processes.printing import print_result
@@ -52,7 +52,7 @@ def write_configuration(
     if (source is not None) != (kind == "playback"):
         raise UsageError("--source names the recording of `init playback`, and belongs to it alone")
     values, off = (
-        read_laboratory()
+        read_lab_config()
         if kind == "rig"
         else (_read_twin_values() if source is None else _make_playback_values(source), set())
     )
@@ -64,7 +64,7 @@ def write_configuration(
     if not missing:
         validate_new_file(values, off, file)
     schema = refuse_to_overwrite(file)
-    write_file(file, values, head=_read_head(kind), off=off)
+    write_config(file, values, head=_read_head_comment(kind), off=off)
     keys = [".".join(key) for key in missing]
     result = {"kind": kind, "file": str(file), "schema": str(schema), "placeholders": keys}
     fill_in = [f"to fill in: {key}" for key in keys]
@@ -80,7 +80,7 @@ def format_schema() -> str:
 # What is written -------------------------------------------------------------------------------------
 
 
-def read_laboratory() -> tuple[Tables, set[KeyPath]]:
+def read_lab_config() -> tuple[Tables, set[KeyPath]]:
     """Read all values of the shipped laboratory.toml, and the paths of the tables that it switches off."""
     text = find_config_file("laboratory.toml").read_text(encoding="utf-8")
     values, active = tomllib.loads(uncomment_tables(text)), flatten(tomllib.loads(text))
@@ -101,7 +101,7 @@ def _make_playback_values(source: Path) -> Tables:
     if not source.exists():
         raise UsageError(f"{source} is not there; give the folder or file of the recording")
     playback: Tables = {"source": str(source.absolute()), "format": "archive"}
-    experiment = read_experiment(source) if source.is_dir() else None
+    experiment = read_experiment_file(source) if source.is_dir() else None
     values = _read_twin_values()
     if experiment is not None:
         try:
@@ -134,7 +134,7 @@ def _assign_values(values: Tables, assignments: Sequence[str]) -> Tables:
         pattern, equals, text = assignment.partition("=")
         matching = [path for name, path in keys.items() if fnmatchcase(name, pattern.strip())]
         if not equals or not matching:
-            raise _unknown_name_error(pattern, keys, "--set KEY=VALUE")
+            raise _create_name_error(pattern, keys, "--set KEY=VALUE")
         for path in matching:
             filled[path] = _parse_value_like(text.strip(), like=filled[path])
     return nest_tables(filled)
@@ -154,11 +154,11 @@ def _find_table(values: Tables, name: str) -> KeyPath:
     """Return the path of a table from its dotted name; raise UsageError, with a near name, if none."""
     tables = {".".join(key[:depth]): key[:depth] for key in flatten(values) for depth in range(1, len(key))}
     if name not in tables:
-        raise _unknown_name_error(name, tables, "--with or --without TABLE")
+        raise _create_name_error(name, tables, "--with or --without TABLE")
     return tables[name]
 
 
-def _unknown_name_error(name: str, known: Collection[str], option: str) -> UsageError:
+def _create_name_error(name: str, known: Collection[str], option: str) -> UsageError:
     """Create the UsageError for an unknown name of an option, with the nearest known one."""
     near = difflib.get_close_matches(name, known, n=1, cutoff=0.6)
     return UsageError(f"{option}: there is no {name!r} here" + (f"; did you mean {near[0]}?" if near else ""))
@@ -177,19 +177,19 @@ def _is_in_tables(key: KeyPath, tables: Collection[KeyPath]) -> bool:
 # Files -----------------------------------------------------------------------------------------------
 
 
-def _read_head(name: str) -> str:
+def _read_head_comment(name: str) -> str:
     """Read the comment at the top of a kind of configuration file, which a person reads first."""
     return (Path(__file__).parent / "heads" / f"{name}.txt").read_text(encoding="utf-8").rstrip()
 
 
-def format_head(instruments: Collection[str], struck: Collection[str]) -> str:
+def format_head_comment(instruments: Collection[str], struck: Collection[str]) -> str:
     """Format the comment at the top of a file of `solimon setup`: instruments, and positions struck."""
     sentence = (
         f"From strikes of {', '.join(struck)}."
         if struck
         else "Nothing was struck: range, level and holdoff are a guess."
     )
-    return _read_head("setup").format(instruments=", ".join(sorted(instruments)), struck=sentence)
+    return _read_head_comment("setup").format(instruments=", ".join(sorted(instruments)), struck=sentence)
 
 
 def refuse_to_overwrite(file: Path) -> Path:
@@ -218,7 +218,7 @@ def validate_new_file(values: Tables, off: Collection[KeyPath], file: Path) -> S
     return validate_settings(_remove_tables(values, off), file.absolute())
 
 
-def write_file(file: Path, values: Tables, *, head: str, off: Collection[KeyPath]) -> None:
+def write_config(file: Path, values: Tables, *, head: str, off: Collection[KeyPath]) -> None:
     """Write a commented configuration, and its schema into the same folder.
 
     Tables in ``off`` are written as comments. Raises UsageError if a file exists or cannot be written; the

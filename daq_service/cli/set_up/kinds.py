@@ -13,21 +13,21 @@ from tomlkit.exceptions import TOMLKitError
 
 from daq_service.cli.doctor.check import Check
 from daq_service.cli.doctor.command import run_rig_checks
-from daq_service.cli.doctor.storage import hold_folder, refuse_while_owned
+from daq_service.cli.doctor.storage import lock_folder, refuse_if_owned
 from daq_service.cli.doctor.trial import Trial, strike_transducer
 from daq_service.cli.set_up.dialogue import Dialogue
 from daq_service.cli.set_up.drawn import prepare_shot_for_page
-from daq_service.cli.set_up.init import format_head, read_laboratory, validate_new_file
+from daq_service.cli.set_up.init import format_head_comment, read_lab_config, validate_new_file
 from daq_service.cli.set_up.transducers import Contents, Flags, make_positions_table
 from daq_service.errors import RigError, UsageError
-from daq_service.settings.instruments import list_instruments, to_plain_parameters
+from daq_service.settings.instruments import dump_parameters, list_instruments
 from daq_service.settings.tables import KeyPath, Tables
 from daq_service.settings.tree import Settings
 from hardware_drivers.errors import ConfigurationError
 from hardware_drivers.kinds import Role
 from hardware_drivers.measurement import Waveform
 from hardware_drivers.methods import SOLITARY_WAVE
-from hardware_drivers.plug_ins import Offer, find_kind, offers
+from hardware_drivers.plug_ins import Offer, find_kind, find_offers
 
 ROLES_OF_A_TRANSDUCER: tuple[Role, ...] = ("digitizer", "striker")
 LEVEL = "trigger_level_v"
@@ -39,7 +39,7 @@ def list_other_kinds() -> dict[str, Offer]:
     excluded = NOT_INSTRUMENTS | {"daqmx"}
     return {
         name: offer
-        for name, offer in offers().items()
+        for name, offer in find_offers().items()
         if name not in excluded and set(offer.roles) & set(ROLES_OF_A_TRANSDUCER)
     }
 
@@ -88,12 +88,12 @@ class Kinds:
 
     # For the dialogue --------------------------------------------------------------------------------
 
-    def introduce(self, flags: Flags, *, asks: bool) -> None:
+    def read_shared_values(self, flags: Flags, *, asks: bool) -> None:
         """Print the roles and parameters of each instrument if ``asks``; nothing otherwise."""
         for name, offer in self.offers.items() if asks else ():
             texts = [
                 f"{key} = {schema['default']}" if "default" in schema else f"{key} (needed)"
-                for key, schema in _known_parameters(name).items()
+                for key, schema in _read_parameter_schemas(name).items()
             ]
             self.dialogue.report(
                 f"{name}: {' and '.join(offer.roles)}; {', '.join(texts) or 'no parameters'}"
@@ -137,7 +137,7 @@ class Kinds:
             if self._strike_and_check(position).record is None:
                 raise RigError(f"{position} gave no record; fix what is reported above, then run it again")
 
-    def conclude(self, *, asks: bool) -> None:
+    def propose_from_strikes(self, *, asks: bool) -> None:
         """Do nothing, since each strike is assessed by itself."""
 
     def contents(self, others: Tables, off: set[KeyPath]) -> Contents:
@@ -145,13 +145,13 @@ class Kinds:
 
         Raises UsageError if the values are invalid.
         """
-        values = self._values_of_file(others)
+        values = self._build_file_values(others)
         for item in list_instruments(validate_new_file(values, off, self.file)):
             if item.name in self.offers:
-                filled = {key: value for key, value in to_plain_parameters(item).items() if value is not None}
+                filled = {key: value for key, value in dump_parameters(item).items() if value is not None}
                 values["rig"]["instruments"][item.name] |= filled
         struck = [name for name, trial in self.trials.items() if trial.record is not None]
-        return values, off, format_head(self.offers, struck)
+        return values, off, format_head_comment(self.offers, struck)
 
     def result(self) -> Mapping[str, object]:
         """Return the instruments, their roles and the strikes as an object for ``--json``."""
@@ -161,7 +161,7 @@ class Kinds:
             "struck": [trial.as_row() for trial in self.trials.values()],
         }
 
-    def give(self, text: str) -> None:
+    def set_parameter(self, text: str) -> None:
         """Set a parameter ``INSTRUMENT.KEY=VALUE``; without VALUE restore its default.
 
         The value is parsed as TOML, or is text if that fails; its range is checked later.
@@ -179,7 +179,7 @@ class Kinds:
             )
         if instrument not in self.offers:
             raise ValueError(f"there is no {instrument}; there are: {', '.join(self.offers)}")
-        if keys[0] not in (known := _known_parameters(instrument)):
+        if keys[0] not in (known := _read_parameter_schemas(instrument)):
             raise ValueError(f"{instrument} has no {keys[0]}; it has: {', '.join(known) or 'no parameters'}")
         table = self.parameters[instrument]
         for key in keys[:-1]:
@@ -191,14 +191,14 @@ class Kinds:
 
     def settings(self) -> Settings:
         """Build the settings so far; raise UsageError that describes a missing or invalid value."""
-        return validate_new_file(self._values_of_file({}), set(), self.file)
+        return validate_new_file(self._build_file_values({}), set(), self.file)
 
-    def _values_of_file(self, others: Tables) -> Tables:
+    def _build_file_values(self, others: Tables) -> Tables:
         """Build the values of the new file; `others` are further tables of [rig].
 
         Instruments without a position are left out.
         """
-        values, _ = read_laboratory()
+        values, _ = read_lab_config()
         rig = {name: value for name, value in values["rig"].items() if not isinstance(value, Mapping)}
         used = {name for roles in self.wired.values() for name in roles.values()}
         instruments = {
@@ -222,8 +222,8 @@ class Kinds:
         UsageError
             The settings so far are invalid.
         """
-        with hold_folder(self.data_folder) as owner:
-            refuse_while_owned("a strike", owner)
+        with lock_folder(self.data_folder) as owner:
+            refuse_if_owned("a strike", owner)
             trial = strike_transducer(self.settings(), position, report=self.dialogue.report)
         self.position, self.trials[position] = position, trial
         self.strikes += 1
@@ -242,10 +242,10 @@ class Kinds:
     def _ask_parameters(self) -> None:
         """Ask for parameters until they are valid and no further change is requested."""
 
-        def parse(text: str) -> bool:
+        def parse_assignment(text: str) -> bool:
             """Set a parameter from a text; return True for "-", which ends the questions."""
             if text != "-":
-                self.give(text)
+                self.set_parameter(text)
             return text == "-"
 
         ends = good = False
@@ -257,7 +257,7 @@ class Kinds:
                 self.dialogue.report(str(error))
                 good = False
             text = "A parameter to change, INSTRUMENT.KEY=VALUE" + (", - to go on" if good else "")
-            ends = self.dialogue.ask("parameter", text, parse, default="-" if good else "")
+            ends = self.dialogue.ask("parameter", text, parse_assignment, default="-" if good else "")
 
     def _propose_level(self, position: str, trial: Trial) -> None:
         """Propose a tenth of the incident wave as trigger level (V), and set it if the person agrees.
@@ -266,7 +266,7 @@ class Kinds:
         """
         digitizer = self.wired[position]["digitizer"]
         unfit = [check.values for check in trial.checks if check.state == "warn" and LEVEL in check.values]
-        if not unfit or LEVEL not in _known_parameters(digitizer):
+        if not unfit or LEVEL not in _read_parameter_schemas(digitizer):
             return
         level_v, incident_v = (float(str(unfit[0][name])) for name in (LEVEL, "isw_amplitude_v"))
         proposed_v = float(f"{math.copysign(0.1 * incident_v, level_v):.2g}")
@@ -281,7 +281,7 @@ class Kinds:
             self.dialogue.report(f"{check.state:<6} {check.name}: {check.found}{remedy}")
 
 
-def parse_named_kinds(
+def build_named_kinds(
     dialogue: Dialogue, names: Sequence[str], assignments: Sequence[str], file: Path, folder: Path
 ) -> Kinds:
     """Build the named instruments with parameters given as ``INSTRUMENT.KEY=VALUE``.
@@ -319,13 +319,13 @@ def parse_named_kinds(
     )
     try:
         for assignment in assignments:
-            kinds.give(assignment)
+            kinds.set_parameter(assignment)
     except ValueError as error:
         raise UsageError(f"--set: {error}") from error
     return kinds
 
 
-def _known_parameters(instrument: str) -> Tables:
+def _read_parameter_schemas(instrument: str) -> Tables:
     """Return the parameters of an installed kind as JSON Schema by name; empty if it has none."""
     kind, _ = find_kind(instrument)
     properties: Tables = TypeAdapter[object](kind.parameters).json_schema().get("properties", {})

@@ -10,7 +10,7 @@ import click
 
 from daq_service.commands.send import user_name
 from daq_service.errors import EXIT_NOT_MET, EXIT_OK, UsageError
-from daq_service.processes.data_folder import settings_and_folder
+from daq_service.processes.data_folder import load_settings_and_folder
 from daq_service.processes.notifications.addresses import read_address
 from daq_service.processes.notifications.by_apprise import deliver_by_apprise
 from daq_service.processes.notifications.messages import Test, build_test_message
@@ -27,7 +27,7 @@ def run_test(*, config: Path | None, receiver: str | None, as_json: bool) -> int
     UsageError
         There is no such receiver, or its address or secret is missing.
     """
-    settings, _ = settings_and_folder(config, None)
+    settings, _ = load_settings_and_folder(config, None)
     receivers = settings.notifications.receivers
     if not receivers or (receiver is not None and receiver not in receivers):
         wanted = "receivers are configured" if receiver is None else f"receiver {receiver!r} is configured"

@@ -10,7 +10,7 @@ from typing import TypeVar
 
 from daq_service.cli.doctor.check import read_time_stamp
 from daq_service.cli.set_up.dialogue import Dialogue
-from daq_service.cli.set_up.init import read_laboratory
+from daq_service.cli.set_up.init import read_lab_config
 from daq_service.settings.tables import KeyPath, Tables
 from hardware_drivers.errors import InstrumentError
 from hardware_drivers.niscope.parameters import NiscopeParameters, ProbeWiring
@@ -19,7 +19,7 @@ from hardware_drivers.serial_port.parameters import ClimateParameters, SerialLin
 T = TypeVar("T")
 
 
-def ask_for_others(
+def ask_for_other_instruments(
     dialogue: Dialogue, probes: Mapping[str, str] | None, supply: str, climate: str, *, asks: bool
 ) -> tuple[Tables, set[KeyPath]]:
     """Connect probes, supply and climate probe; return tables of [rig] and the tables to switch off.
@@ -41,12 +41,12 @@ def ask_for_others(
         The answers at the terminal end.
     """
     tables: Tables = {}
-    known = _find_probes(probes or {})
+    known = _identify_probes(probes or {})
     if asks and probes is not None:
         text = "NI-SCOPE board of an ultrasonic probe at A, as NI MAX names it"
-        known |= _ask_for_address(dialogue, "probe", text, lambda address: _find_probes({"A": address}))
+        known |= _ask_for_address(dialogue, "probe", text, lambda address: _identify_probes({"A": address}))
     if known:
-        usual = read_laboratory()[0]["rig"]["niscope"]
+        usual = read_lab_config()[0]["rig"]["niscope"]
         tables["niscope"] = {
             **usual,
             "probes": {name: _to_parameter_table(wiring) for name, wiring in known.items()},
@@ -75,17 +75,17 @@ def _ask_for_address(
 ) -> dict[str, T]:
     """Ask for an address until an instrument responds there; return its table, empty for "-"."""
 
-    def parse(address: str) -> dict[str, T]:
+    def connect_to_address(address: str) -> dict[str, T]:
         """Connect to an address; raise ValueError with the instrument's error. "-" gives an empty table."""
         try:
             return {} if address == "-" else connect(address)
         except InstrumentError as error:
             raise ValueError(str(error)) from error
 
-    return dialogue.ask(name, f"{text}, - for none", parse, default="-")
+    return dialogue.ask(name, f"{text}, - for none", connect_to_address, default="-")
 
 
-def _find_probes(addresses: Mapping[str, str]) -> dict[str, ProbeWiring]:
+def _identify_probes(addresses: Mapping[str, str]) -> dict[str, ProbeWiring]:
     """Connect to each probe's board and return its wiring with the serial number, by position.
 
     Raises InstrumentError if a board does not respond.
@@ -114,7 +114,7 @@ def _identify_supply(port: str) -> Tables:
     with closing(
         ScpiPowerSupply(SupplyParameters(line=line, identity=".+"), stamp=read_time_stamp)
     ) as supply:
-        return _to_parameter_table(SupplyParameters(line=line, identity=_identity_pattern(supply.identity())))
+        return _to_parameter_table(SupplyParameters(line=line, identity=_build_pattern(supply.identity())))
 
 
 def _identify_climate_probe(port: str) -> Tables:
@@ -128,10 +128,10 @@ def _identify_climate_probe(port: str) -> Tables:
     with closing(
         ScpiClimateProbe(ClimateParameters(line=line, identity=".+"), stamp=read_time_stamp)
     ) as probe:
-        return _to_parameter_table(ClimateParameters(line=line, identity=_identity_pattern(probe.identity())))
+        return _to_parameter_table(ClimateParameters(line=line, identity=_build_pattern(probe.identity())))
 
 
-def _identity_pattern(identity: Mapping[str, str]) -> str:
+def _build_pattern(identity: Mapping[str, str]) -> str:
     """Build a regular expression of maker, model and serial number; any firmware version matches."""
     parts = [identity[name] for name in ("maker", "model", "serial_number") if identity[name]]
     return ",".join(re.escape(part) for part in parts)

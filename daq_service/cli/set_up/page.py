@@ -118,12 +118,12 @@ def build_page_app(dialogue: Dialogue, scope: Scope, audience: Audience) -> Fast
     @app.get("/")
     async def get_page(request: Request) -> Response:
         """Return the HTML of the page, which needs no login."""
-        return assets.answer_asset("setup.html", request)
+        return assets.build_asset_response("setup.html", request)
 
     @app.get("/static/{name:path}")
     async def get_asset(name: str, request: Request) -> Response:
         """Return a file of the page, such as a script or a style sheet; 404 if there is none."""
-        return assets.answer_asset(name, request)
+        return assets.build_asset_response(name, request)
 
     @app.get("/api/state")
     async def get_state() -> JsonAnswer:

@@ -19,7 +19,7 @@ from xml.sax.saxutils import escape
 from daq_service.corrosion_drive.remote import longest_answer_time_s
 from daq_service.errors import EXIT_INTERRUPTED, UsageError
 from daq_service.processes.child import PROGRAM
-from daq_service.processes.data_folder import settings_and_folder
+from daq_service.processes.data_folder import load_settings_and_folder
 from daq_service.processes.heartbeat import WEB_DEADLINE_S
 from daq_service.processes.printing import print_result
 from daq_service.processes.supervisor import STARTING_GRACE_S
@@ -47,8 +47,8 @@ def write_services(
     UsageError
         The configuration is invalid, or the folder cannot be written.
     """
-    settings, folder = settings_and_folder(config, data_dir)
-    user = user or os.environ.get("SUDO_USER") or _current_user_name()
+    settings, folder = load_settings_and_folder(config, data_dir)
+    user = user or os.environ.get("SUDO_USER") or _read_user_name()
     describe = build_systemd_units if manager == "systemd" else build_windows_tasks
     texts = describe(settings, config.absolute(), folder, user=user, name=name)
     files = [out.absolute() / file for file in texts]
@@ -59,19 +59,19 @@ def write_services(
             file.write_text(text, encoding="utf-8" if manager == "systemd" else "utf-16", newline="\n")
     except OSError as error:
         raise UsageError(f"cannot write to {out}: {error.strerror}; choose another --out") from error
-    install = _installation_commands(manager, files)
+    install = _build_install_commands(manager, files)
     result = {"manager": manager, "files": list(map(str, files)), "install": install}
     lines = [*(f"written: {file}" for file in files), "install with:", *install]
     print_result(result, lines, as_json=as_json)
 
 
-def _current_user_name() -> str:
+def _read_user_name() -> str:
     r"""Return the name of the present user, as ``DOMAIN\user`` on Windows."""
     domain = os.environ.get("USERDOMAIN")
     return f"{domain}\\{getpass.getuser()}" if domain else getpass.getuser()
 
 
-def _installation_commands(manager: str, files: Sequence[PurePath]) -> list[str]:
+def _build_install_commands(manager: str, files: Sequence[PurePath]) -> list[str]:
     """Return the shell commands that install the service files: one for systemd, one per Windows task."""
     if manager == "systemd":
         names = " ".join(file.name for file in files)
@@ -111,7 +111,7 @@ def build_systemd_units(
     }
     return {
         f"{name}-{command}.service": _read_template(f"{command}.service").format(
-            command=" ".join(map(_quote_word, _service_command_line(command, config, folder))), **values
+            command=" ".join(map(_quote_word, _build_command_line(command, config, folder))), **values
         )
         for command in ("record", "serve", *(() if supply is None else ("supply-process",)))
     }
@@ -122,7 +122,7 @@ def _read_template(file: str) -> str:
     return (Path(__file__).parent / "services" / file).read_text(encoding="utf-8")
 
 
-def _service_command_line(command: str, config: PurePath, folder: PurePath) -> list[str]:
+def _build_command_line(command: str, config: PurePath, folder: PurePath) -> list[str]:
     """Build the argument list of a service; a recorder stays after its last set for commands."""
     linger = ["--linger"] if command == "record" else []
     return [*PROGRAM, command, str(config), "--data-dir", str(folder), *linger]
@@ -156,7 +156,7 @@ def build_windows_tasks(
             title=escape(f"solimon {command}: {settings.name}"),
             user=escape(user),
             program=escape(sys.executable),
-            arguments=escape(subprocess.list2cmdline(_service_command_line(command, config, folder)[1:])),
+            arguments=escape(subprocess.list2cmdline(_build_command_line(command, config, folder)[1:])),
             at=escape(str(config.parent)),
         )
         for task, command in commands.items()

@@ -11,13 +11,13 @@ from typing import TYPE_CHECKING, Literal
 import click
 
 from analysis.errors import AnalysisError
-from daq_service.cli.doctor.storage import read_lock_owner, refuse_while_owned
+from daq_service.cli.doctor.storage import read_lock_owner, refuse_if_owned
 from daq_service.cli.set_up.bench import Bench
 from daq_service.cli.set_up.boards import Boards
 from daq_service.cli.set_up.dialogue import Dialogue
-from daq_service.cli.set_up.init import read_laboratory, refuse_to_overwrite, validate_new_file, write_file
-from daq_service.cli.set_up.kinds import list_other_kinds, parse_named_kinds
-from daq_service.cli.set_up.other_instruments import ask_for_others
+from daq_service.cli.set_up.init import read_lab_config, refuse_to_overwrite, validate_new_file, write_config
+from daq_service.cli.set_up.kinds import build_named_kinds, list_other_kinds
+from daq_service.cli.set_up.other_instruments import ask_for_other_instruments
 from daq_service.cli.set_up.page import Scope, serve_page
 from daq_service.cli.set_up.transducers import Flags, Instruments, set_up_transducers
 from daq_service.cli.set_up.wiring import describe_board
@@ -84,13 +84,13 @@ def run_setup(
     if assignments and not kinds:
         raise UsageError("--set is for --kind; NI boards are set up by questions, or by --transducer")
     dialogue = Dialogue()
-    folder = data_dir or file.absolute().parent / read_laboratory()[0]["storage"]["folder"]
-    refuse_while_owned("setup", read_lock_owner(folder))
+    folder = data_dir or file.absolute().parent / read_lab_config()[0]["storage"]["folder"]
+    refuse_if_owned("setup", read_lock_owner(folder))
     with ExitStack() as stack:
         instruments: Instruments
         scope: Scope
         if kinds:
-            scope = instruments = parse_named_kinds(dialogue, kinds, assignments, file, folder)
+            scope = instruments = build_named_kinds(dialogue, kinds, assignments, file, folder)
         else:
             scope = stack.enter_context(closing(find_boards(dialogue, folder, transport, grpc_address)))
             instruments = Boards(dialogue, scope)
@@ -101,8 +101,8 @@ def run_setup(
         stack.enter_context(_translate_driver_errors())
         set_up_transducers(dialogue, instruments, flags)
         probes_of = None if kinds else flags.probes
-        others, off = ask_for_others(dialogue, probes_of, flags.supply, flags.climate, asks=asks)
-        result = write_and_validate(dialogue, instruments, file, others, off)
+        others, off = ask_for_other_instruments(dialogue, probes_of, flags.supply, flags.climate, asks=asks)
+        result = validate_and_write(dialogue, instruments, file, others, off)
     if as_json:
         click.echo(json.dumps(result))
 
@@ -184,7 +184,7 @@ def _describe_boards(survey: Survey) -> str:
 # The file --------------------------------------------------------------------------------------------
 
 
-def write_and_validate(
+def validate_and_write(
     dialogue: Dialogue, instruments: Instruments, file: Path, others: Tables, off: set[KeyPath]
 ) -> dict[str, object]:
     """Validate the configuration, write it with its schema, and print the next steps.
@@ -193,7 +193,7 @@ def write_and_validate(
     """
     values, off, head = instruments.contents(others, off)
     settings = validate_new_file(values, off, file)
-    write_file(file, values, head=head, off=off)
+    write_config(file, values, head=head, off=off)
     dialogue.report(f"{file} is written with its schema ({settings.configuration_hash()[:12]})")
     dialogue.report(f"next: solimon check-config {file}, then docs/how-to/day-one.md")
     return {

@@ -10,7 +10,7 @@ import click
 
 from daq_service.commands.audit import TERMINAL, Audit
 from daq_service.commands.send import user_name
-from daq_service.processes.data_folder import prepare_data_folder, settings_of_folder
+from daq_service.processes.data_folder import load_settings_for_reading, prepare_data_folder
 from daq_service.web.auth.roles import CLAIMED, Role
 from daq_service.web.auth.tokens import Token, create_token, find_tokens_file, read_tokens, revoke_token
 
@@ -29,7 +29,7 @@ def run_create(
     StorageError
         The folder cannot be written.
     """
-    path, audit = _token_files(config, data_dir)
+    path, audit = _find_token_files(config, data_dir)
     token, text = create_token(path, name, role, days=days)
     _add_audit_entry(audit, "create_token", name=name, role=role, days=days)
     if as_json:
@@ -42,7 +42,7 @@ def run_create(
 
 def run_list(*, config: Path | None, data_dir: Path | None, as_json: bool) -> None:
     """Run `solimon token list`: print name, role, state and end of all access tokens, not their secrets."""
-    path, _ = _token_files(config, data_dir)
+    path, _ = _find_token_files(config, data_dir)
     tokens = [_describe_token(token) for token in read_tokens(path)]
     if as_json:
         click.echo(json.dumps({"file": str(path), "tokens": tokens}))
@@ -59,7 +59,7 @@ def run_revoke(*, name: str, config: Path | None, data_dir: Path | None, as_json
 
     Raises UsageError if there is no such token.
     """
-    path, audit = _token_files(config, data_dir)
+    path, audit = _find_token_files(config, data_dir)
     token = revoke_token(path, name)
     _add_audit_entry(audit, "revoke_token", name=name)
     click.echo(
@@ -67,9 +67,9 @@ def run_revoke(*, name: str, config: Path | None, data_dir: Path | None, as_json
     )
 
 
-def _token_files(config: Path | None, data_dir: Path | None) -> tuple[Path, Audit]:
+def _find_token_files(config: Path | None, data_dir: Path | None) -> tuple[Path, Audit]:
     """Return the path of the token file and the audit log of a test; create the data folder if missing."""
-    settings, folder = settings_of_folder(config, data_dir)
+    settings, folder = load_settings_for_reading(config, data_dir)
     prepare_data_folder(folder)
     return find_tokens_file(settings.web, folder), Audit(folder)
 

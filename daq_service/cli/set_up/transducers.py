@@ -8,7 +8,7 @@ from typing import Protocol
 
 from analysis.errors import AnalysisError
 from daq_service.cli.set_up.dialogue import Dialogue
-from daq_service.cli.set_up.init import read_laboratory
+from daq_service.cli.set_up.init import read_lab_config
 from daq_service.errors import BusyError, UsageError
 from daq_service.settings.tables import KeyPath, Tables
 from hardware_drivers.errors import InstrumentError
@@ -38,7 +38,7 @@ class Instruments(Protocol):
         """Return the wiring of the transducers by position; empty before the first."""
         ...
 
-    def introduce(self, flags: Flags, *, asks: bool) -> None:
+    def read_shared_values(self, flags: Flags, *, asks: bool) -> None:
         """Print the instruments, and read or (if ``asks``) ask for the values that all transducers share."""
 
     def wire(self, position: str, text: str) -> None:
@@ -63,7 +63,7 @@ class Instruments(Protocol):
     def strike_each(self, positions: Collection[str]) -> None:
         """Strike each transducer without a question; raise the errors of `strike`."""
 
-    def conclude(self, *, asks: bool) -> None:
+    def propose_from_strikes(self, *, asks: bool) -> None:
         """Propose values of the configuration from the strikes, and ask to accept them if ``asks``."""
 
     def contents(self, others: Tables, off: set[KeyPath]) -> Contents:
@@ -89,7 +89,7 @@ def set_up_transducers(dialogue: Dialogue, instruments: Instruments, flags: Flag
         A strike of the options fails.
     """
     asks = not flags.transducers
-    instruments.introduce(flags, asks=asks)
+    instruments.read_shared_values(flags, asks=asks)
     if asks:
         _ask_for_transducers(dialogue, instruments)
     for position, text in flags.transducers.items():
@@ -102,7 +102,7 @@ def set_up_transducers(dialogue: Dialogue, instruments: Instruments, flags: Flag
     if flags.strike:
         instruments.strike_each(flags.transducers)
     if asks or flags.strike:
-        instruments.conclude(asks=asks)
+        instruments.propose_from_strikes(asks=asks)
 
 
 def _ask_for_transducers(dialogue: Dialogue, instruments: Instruments) -> None:
@@ -121,7 +121,7 @@ def make_positions_table(methods: Mapping[str, str]) -> dict[str, dict[str, str]
 
     Other positions have an empty label.
     """
-    labels = {name: place["label"] for name, place in read_laboratory()[0]["positions"].items()}
+    labels = {name: place["label"] for name, place in read_lab_config()[0]["positions"].items()}
     return {
         name: {"method": method, "label": labels.get(name, ""), "serial_number": ""}
         for name, method in sorted(methods.items())
@@ -132,7 +132,7 @@ def _ask_position(dialogue: Dialogue, taken: Mapping[str, object]) -> str | None
     """Ask for the name of one more transducer; None if the person ends, possible after the first."""
     text_of_question = "Position of a solitary-wave transducer" + (", - to end" if taken else "")
 
-    def parse(text: str) -> str | None:
+    def parse_position(text: str) -> str | None:
         """Parse a new position; None for "-"; raise ValueError for an invalid or used name."""
         if text == "-" and taken:
             return None
@@ -142,7 +142,7 @@ def _ask_position(dialogue: Dialogue, taken: Mapping[str, object]) -> str | None
             )
         return text
 
-    return dialogue.ask("position", text_of_question, parse, default="-" if taken else "B")
+    return dialogue.ask("position", text_of_question, parse_position, default="-" if taken else "B")
 
 
 def _ask_whether_to_strike(dialogue: Dialogue, position: str) -> bool:

@@ -12,21 +12,21 @@ from daq_service.cli.doctor.spike import HARDWARE_CURE
 from daq_service.cli.set_up.bench import Bench
 from daq_service.cli.set_up.dialogue import Dialogue
 from daq_service.errors import RigError
-from daq_service.shared_file import load_table
+from daq_service.shared_file import load_module_toml
 
 REMEDIES: Mapping[Trouble, str] = {
     trouble: remedy.format(cure=HARDWARE_CURE)
-    for trouble, remedy in TypeAdapter(dict[Trouble, str]).validate_python(load_table(__file__)).items()
+    for trouble, remedy in TypeAdapter(dict[Trouble, str]).validate_python(load_module_toml(__file__)).items()
 }
 
 
-def assess_strikes(dialogue: Dialogue, bench: Bench, *, asks: bool) -> None:
+def propose_and_store_values(dialogue: Dialogue, bench: Bench, *, asks: bool) -> None:
     """Propose values from the strikes and store the accepted or entered ones in ``bench``.
 
     Only prints if nothing was struck or no trigger level can be proposed. Raises RigError if, without
     questions, the values do not go together.
     """
-    proposal = bench.proposal()
+    proposal = bench.propose_values()
     if proposal is None:
         dialogue.report("nothing was struck: level, slope, ranges and holdoff are not yet your rig's own")
         return
@@ -34,14 +34,14 @@ def assess_strikes(dialogue: Dialogue, bench: Bench, *, asks: bool) -> None:
         dialogue.report(f"{position}      {REMEDIES[trouble]}")
     if proposal.trigger_level_v is None:
         return
-    for line in format_values(proposal):
+    for line in format_proposal(proposal):
         dialogue.report(f"take   {line}")
     taken = not asks or dialogue.ask_yes_or_no("accept", "Take these values", default="yes")
     while True:
         if not taken:
             proposal = _ask_for_values(dialogue, bench, proposal)
         try:
-            bench.choose(proposal)
+            bench.accept_proposal(proposal)
         except ValueError as error:
             if not asks:
                 raise RigError(f"what the strikes propose does not go together: {error}") from error
@@ -54,7 +54,7 @@ def assess_strikes(dialogue: Dialogue, bench: Bench, *, asks: bool) -> None:
 def _ask_for_values(dialogue: Dialogue, bench: Bench, proposal: Proposal) -> Proposal:
     """Ask for each value, with the proposed one as the default; return the changed proposal."""
 
-    def number(name: str, text: str, default: float | None) -> float | None:
+    def ask_number(name: str, text: str, default: float | None) -> float | None:
         """Ask for a number; "-" gives None."""
         shown = "-" if default is None else f"{default:g}"
         return dialogue.ask(
@@ -66,11 +66,11 @@ def _ask_for_values(dialogue: Dialogue, bench: Bench, proposal: Proposal) -> Pro
         choices = [f"{one:g}" for one in bench.ranges_v(bench.transducers[name])]
         usual, text = f"{range_v:g}", f"Range of {name}, +-V"
         ranges[name] = dialogue.ask(f"{name}.range_v", text, float, default=usual, choices=choices)
-    level_v = number("trigger_level_v", "Trigger level, V", proposal.trigger_level_v)
+    level_v = ask_number("trigger_level_v", "Trigger level, V", proposal.trigger_level_v)
     slopes, text = ("rising", "falling"), "Direction in which it is passed"
     slope = dialogue.ask("trigger_slope", text, str, default=slopes[not proposal.rising], choices=slopes)
-    pretrigger_s = number("pretrigger_s", "Time recorded before it, s", proposal.pretrigger_s)
-    holdoff_s = number("holdoff_s", "Holdoff after the coil's pulse, s (- for none)", proposal.holdoff_s)
+    pretrigger_s = ask_number("pretrigger_s", "Time recorded before it, s", proposal.pretrigger_s)
+    holdoff_s = ask_number("holdoff_s", "Holdoff after the coil's pulse, s (- for none)", proposal.holdoff_s)
     return replace(
         proposal,
         range_v=ranges,
@@ -82,7 +82,7 @@ def _ask_for_values(dialogue: Dialogue, bench: Bench, proposal: Proposal) -> Pro
     )
 
 
-def format_values(proposal: Proposal) -> list[str]:
+def format_proposal(proposal: Proposal) -> list[str]:
     """Format ranges (V), trigger, pre-trigger (us) and holdoff (ms) of a proposal, one per line.
 
     The proposal must have a trigger level.

@@ -29,7 +29,7 @@ def list_coil_counters(board: BoardFacts) -> list[str]:
     return [name for name in (path.rpartition("/")[2] for path in board.counters) if name.startswith("ctr")]
 
 
-def default_pulse_terminal(board: BoardFacts, counter: str) -> str:
+def find_default_terminal(board: BoardFacts, counter: str) -> str:
     """Return the default output terminal of a counter: ``CtrNOut`` if the board has it, otherwise a PFI."""
     number = int(counter[3:])
     counter_output = f"Ctr{number}Out"
@@ -66,7 +66,7 @@ def parse_wiring(boards: Mapping[str, BoardFacts], text: str) -> TransducerWirin
         striker_serial="" if coil_serial == serial else coil_serial,
         input=channel,
         counter=counter,
-        output_terminal=ends[2] if len(ends) == 3 else default_pulse_terminal(boards[coil_serial], counter),
+        output_terminal=ends[2] if len(ends) == 3 else find_default_terminal(boards[coil_serial], counter),
     )
 
 

@@ -12,8 +12,8 @@ from daq_service.cli.status.facts import describe_status
 from daq_service.cli.terminal import create_console
 from daq_service.errors import EXIT_INTERRUPTED, EXIT_OK, SolimonError, UsageError
 from daq_service.processes.child import stop_on_signals
-from daq_service.processes.data_folder import refuse_other_folders, settings_of_folder
-from daq_service.settings.foreign_text import to_one_line
+from daq_service.processes.data_folder import load_settings_for_reading, require_data_folder
+from daq_service.settings.foreign_text import escape_to_one_line
 
 if TYPE_CHECKING:
     from rich.console import Console, RenderableType
@@ -62,8 +62,8 @@ def run_status(*, config: Path | None, data_dir: Path | None, as_json: bool, wat
 
 def _read_status(config: Path | None, data_dir: Path | None) -> tuple[Path, dict[str, object]]:
     """Return the data folder and its status for JSON; raise UsageError for a foreign folder."""
-    settings, folder = settings_of_folder(config, data_dir)
-    refuse_other_folders(folder)
+    settings, folder = load_settings_for_reading(config, data_dir)
+    require_data_folder(folder)
     return folder, describe_status(folder, settings)
 
 
@@ -75,19 +75,19 @@ def _watch_status(console: Console, config: Path | None, data_dir: Path | None) 
     # Not as an exception: one that comes within a callback of a library is lost.
     with stop_on_signals() as stop, Live(console=console, screen=True, auto_refresh=False) as live:
         while not stop.is_set():
-            last = _status_table_or_error(config, data_dir)
+            last = _compose_status_or_error(config, data_dir)
             live.update(last, refresh=True)
             stop.wait(WATCH_EVERY_S)
     console.print(last)
     return EXIT_INTERRUPTED
 
 
-def _status_table_or_error(config: Path | None, data_dir: Path | None) -> RenderableType:
+def _compose_status_or_error(config: Path | None, data_dir: Path | None) -> RenderableType:
     """Return the table of the status, or the message of a solimon error that prevents reading it."""
     from daq_service.cli.status.table import compose_status
 
     try:
         folder, facts = _read_status(config, data_dir)
     except SolimonError as error:
-        return f"cannot be read now, and is looked at again: {to_one_line(str(error))}"
+        return f"cannot be read now, and is looked at again: {escape_to_one_line(str(error))}"
     return compose_status(facts, str(folder))

@@ -10,14 +10,14 @@ from pathlib import Path
 
 from daq_service.acquisition.schedule import list_due_hours
 from daq_service.alarms.evidence import describe_baseline_anomalies
-from daq_service.assessment.confirmation import count_recent, read_confirmations, summarize_confirmation
-from daq_service.assessment.position_status import find_data_age_h, find_limit, find_status, is_stale
-from daq_service.assessment.stored_limits import find_chart
+from daq_service.assessment.confirmation import count_requests, read_confirmations, summarize_confirmation
+from daq_service.assessment.position_status import find_data_age_h, find_limit, find_status, is_data_stale
+from daq_service.assessment.stored_limits import find_chart_statistic
 from daq_service.catalogue import Catalogue, open_catalogue
 from daq_service.catalogue.connection import FILE_NAME
 from daq_service.catalogue.errors import NoDataYetError
 from daq_service.catalogue.experiment_file import HISTORY_FILE
-from daq_service.catalogue.history import describe_missing_event, read_history
+from daq_service.catalogue.history import describe_lost_newest_event, read_history
 from daq_service.catalogue.reader import LatestRows
 from daq_service.catalogue.rows import (
     AlarmRow,
@@ -28,13 +28,13 @@ from daq_service.catalogue.rows import (
     SetRow,
     as_dict,
 )
-from daq_service.commands.deadline import apply_expiry, remaining_now_s
+from daq_service.commands.deadline import mark_if_expired, remaining_now_s
 from daq_service.corrosion_drive.supply_state import describe_supply, read_supply_status
 from daq_service.errors import StorageError
-from daq_service.processes.disk_policy import outlook
+from daq_service.processes.disk_policy import forecast_disk
 from daq_service.processes.freshness import Freshness
 from daq_service.processes.heartbeat import compute_test_time_ns
-from daq_service.processes.lost_catalogue import loss_reason
+from daq_service.processes.lost_catalogue import describe_loss
 from daq_service.processes.lost_sets import find_lost_sets
 from daq_service.processes.recorder_state import read_recorder_state
 from daq_service.settings.tree import Settings
@@ -76,39 +76,39 @@ def describe_status(folder: Path, settings: Settings) -> dict[str, object]:
                 "wall_age_s": fresh.wall_age_s,
                 "system_ahead_s": fresh.system_ahead_s,
                 "supply": supply,
-                "climate": _newest_climate(catalogue.read_last_environment()),
+                "climate": _describe_newest_climate(catalogue.read_last_environment()),
                 "paused": catalogue.paused(),
-                "orders": _open_commands(catalogue),
+                "orders": _list_open_commands(catalogue),
                 "counts": counts,
                 "next_due_h": next(iter(hours[counts["sets"] + counts["missed_sets"] :]), None),
-                "gaps": _newest_gaps(catalogue) if counts["missed_sets"] + counts["partial_sets"] else [],
-                "lost": _lost_rows_error(folder, catalogue)
+                "gaps": _list_gaps(catalogue) if counts["missed_sets"] + counts["partial_sets"] else [],
+                "lost": _describe_lost_events(folder, catalogue)
                 | find_lost_sets(folder, catalogue, newest_rows=LOOKED_AT),
-                "confirmations": _count_confirmations(
+                "confirmations": _summarize_confirmations(
                     catalogue,
                     settings.list_positions(SOLITARY_WAVE),
                     settings.alarms.confirmation_sets_a_day,
                     fresh,
                 ),
-                "disk": asdict(outlook(folder, settings.storage, settings.schedule, catalogue)),
+                "disk": asdict(forecast_disk(folder, settings.storage, settings.schedule, catalogue)),
                 "positions": {
                     name: {
-                        **_newest_rows(latest),
-                        **_present_state(settings, fresh, latest),
-                        "baseline": _design_rate_of(baselines.get(name)),
+                        **_convert_newest_rows(latest),
+                        **_compute_present_state(settings, fresh, latest),
+                        "baseline": _describe_baseline(baselines.get(name)),
                     }
                     for name, latest in (
-                        (name, fresh.with_present_alarms(found))
+                        (name, fresh.expire_shelves(found))
                         for name, found in catalogue.read_latest_rows().items()
                     )
                 },
                 "alarms": [
-                    {**as_dict(fresh.with_present_state(row)), "age_h": fresh.age_h(row.raised_h)}
+                    {**as_dict(fresh.expire_shelf(row)), "age_h": fresh.age_h(row.raised_h)}
                     for row in catalogue.rows(AlarmRow, active=True)
                 ],
             }
     except NoDataYetError:
-        if reason := loss_reason(folder):
+        if reason := describe_loss(folder):
             raise StorageError(reason) from None
         recorder = read_recorder_state(folder, [])
         recorder_ns = compute_test_time_ns(recorder.beat)
@@ -129,7 +129,7 @@ def describe_status(folder: Path, settings: Settings) -> dict[str, object]:
         }
 
 
-def _newest_climate(row: EnvironmentRow | None) -> dict[str, object] | None:
+def _describe_newest_climate(row: EnvironmentRow | None) -> dict[str, object] | None:
     """Return quality, age (s), temperature (°C) and humidity of the newest set; None without a probe."""
     if row is None or row.climate_quality == "absent":
         return None
@@ -137,19 +137,19 @@ def _newest_climate(row: EnvironmentRow | None) -> dict[str, object] | None:
     return {name: getattr(row, name) for name in names}
 
 
-def _lost_rows_error(folder: Path, catalogue: Catalogue) -> dict[str, str]:
+def _describe_lost_events(folder: Path, catalogue: Catalogue) -> dict[str, str]:
     """Return a description by file if the catalogue lacks events of the history; empty if it has all.
 
     Also if the history cannot be read. Only its last `END_BYTES` are read.
     """
     try:
-        lacking = describe_missing_event(read_history(folder, tail_bytes=END_BYTES), catalogue)
+        lacking = describe_lost_newest_event(read_history(folder, tail_bytes=END_BYTES), catalogue)
     except OSError as error:
         return {HISTORY_FILE: f"cannot be read: {error}"}
     return {FILE_NAME: lacking} if lacking else {}
 
 
-def _newest_rows(latest: LatestRows) -> dict[str, object]:
+def _convert_newest_rows(latest: LatestRows) -> dict[str, object]:
     """Convert the newest rows and active alarms of a position to objects for JSON; None for missing."""
     names = ("last_set", "last_feature", "last_assessment", "last_thickness")
     rows_by_name = {name: None if (row := getattr(latest, name)) is None else as_dict(row) for name in names}
@@ -161,20 +161,20 @@ def _newest_rows(latest: LatestRows) -> dict[str, object]:
     }
 
 
-def _present_state(settings: Settings, fresh: Freshness, last: LatestRows) -> dict[str, object]:
+def _compute_present_state(settings: Settings, fresh: Freshness, last: LatestRows) -> dict[str, object]:
     """Compute the values that change with time: state, data age (h), staleness, limit, control chart."""
     age_h = find_data_age_h(last, fresh)
-    chart = find_chart(last.last_assessment, settings.alarms)
+    chart = find_chart_statistic(last.last_assessment, settings.alarms)
     return {
         "state": find_status(last),
         "age_h": age_h,
-        "stale": is_stale(settings.schedule, fresh, age_h),
+        "stale": is_data_stale(settings.schedule, fresh, age_h),
         "limit": find_limit(last, settings.thinnest_m),
         "chart": None if chart is None else dict(zip(("statistic", "limit"), chart, strict=True)),
     }
 
 
-def _design_rate_of(row: BaselineRow | None) -> dict[str, object] | None:
+def _describe_baseline(row: BaselineRow | None) -> dict[str, object] | None:
     """Return size, state, design false-alarm rate and doubts of a baseline; None without a baseline."""
     if row is None:
         return None
@@ -189,7 +189,7 @@ def _design_rate_of(row: BaselineRow | None) -> dict[str, object] | None:
     }
 
 
-def _count_confirmations(
+def _summarize_confirmations(
     catalogue: Catalogue, transducers: Sequence[str], maximum_a_day: int, fresh: Freshness
 ) -> dict[str, object]:
     """Return the number of confirmation sets, the newest result, and how many are left today by position."""
@@ -205,12 +205,12 @@ def _count_confirmations(
         "sets": len(rows),
         "last": last,
         "left_today": {
-            name: max(0, maximum_a_day - count_recent(name, requested, fresh.now_h)) for name in transducers
+            name: max(0, maximum_a_day - count_requests(name, requested, fresh.now_h)) for name in transducers
         },
     }
 
 
-def _open_commands(catalogue: Catalogue) -> list[dict[str, object]]:
+def _list_open_commands(catalogue: Catalogue) -> list[dict[str, object]]:
     """List the commands that are pending or started, without expired ones; remaining time in s."""
     waiting = catalogue.rows(CommandRow, states={"pending", "started"})
     commands_with_time = [(row, remaining_now_s(row)) for row in waiting]
@@ -218,11 +218,11 @@ def _open_commands(catalogue: Catalogue) -> list[dict[str, object]]:
     return [
         {**{name: getattr(row, name) for name in names}, "expires_in_s": left_s}
         for row, left_s in commands_with_time
-        if apply_expiry(row, left_s).state in ("pending", "started")
+        if mark_if_expired(row, left_s).state in ("pending", "started")
     ]
 
 
-def _newest_gaps(catalogue: Catalogue) -> list[dict[str, object]]:
+def _list_gaps(catalogue: Catalogue) -> list[dict[str, object]]:
     """List the newest incomplete sets, at most `GAPS_A_POSITION`, oldest first, with positions and reason."""
     found: dict[tuple[int, str, str | None, float], list[str]] = {}
     for row in catalogue.read_newest_gaps(GAPS_A_POSITION):

@@ -18,7 +18,7 @@ from daq_service.assessment.diagnosis_texts import format_diagnosis
 from daq_service.cli.terminal import format_duration
 from daq_service.clock import format_utc
 from daq_service.processes.disk_policy import LEVELS
-from daq_service.settings.foreign_text import escape_all_to_one_line, to_one_line
+from daq_service.settings.foreign_text import escape_all_to_one_line, escape_to_one_line
 
 Facts = Mapping[str, Any]
 """Part of the status as JSON (`facts.describe_status`)."""
@@ -44,7 +44,7 @@ def compose_status(facts: Facts, folder: str) -> RenderableType:
 
     Control characters are escaped.
     """
-    facts, folder = escape_all_to_one_line(facts), to_one_line(folder)
+    facts, folder = escape_all_to_one_line(facts), escape_to_one_line(folder)
     head = Table.grid(padding=(0, 2, 0, 0))
     for name, text, style in _yield_head_lines(facts, folder):
         head.add_row(f"{name:<8}", Text(text, style=style))

@@ -11,14 +11,14 @@ from pathlib import Path
 import click
 
 from daq_service.cli.sweep.keys import SECTIONS
-from daq_service.cli.sweep.plan import Model, make_plan
+from daq_service.cli.sweep.plan import Model, build_plan
 from daq_service.cli.sweep.run import SweepOptions, run_sweep
 from daq_service.cli.sweep.shot import OK, Specimen
 from daq_service.cli.sweep.specification import Axis, parse_axis, read_sweep_file
 from daq_service.cli.sweep.table import SweepTable
 from daq_service.errors import UsageError
 from daq_service.processes.child import stop_on_signals
-from daq_service.processes.executors import check_executor_name, count_usable_cores
+from daq_service.processes.executors import count_usable_cores, validate_executor_name
 
 ROWS_FOR_PROCESSES = {"coupled": 1000, "zener": 150}
 """Fewer rows are done by threads before processes have started (`python benchmarks/sweep_speed.py`)."""
@@ -58,7 +58,7 @@ class SweepRequest:
     overwrite: bool
 
 
-def sweep(request: SweepRequest, columns: Columns, *, as_json: bool) -> None:
+def print_sweep(request: SweepRequest, columns: Columns, *, as_json: bool) -> None:
     """Run a sweep of the model and print its table, or the path to which it was written.
 
     Raises
@@ -74,7 +74,7 @@ def sweep(request: SweepRequest, columns: Columns, *, as_json: bool) -> None:
     """
     if request.waveforms and request.model == "zener":
         raise UsageError("--waveforms: Zener's model has none; leave it out")
-    plan = make_plan(
+    plan = build_plan(
         request.model,
         request.specimen,
         _read_axes(request),
@@ -83,7 +83,7 @@ def sweep(request: SweepRequest, columns: Columns, *, as_json: bool) -> None:
         waveforms=request.waveforms,
     )
     if request.executor is not None:
-        check_executor_name(request.executor, request.workers)
+        validate_executor_name(request.executor, request.workers)
     workers = count_usable_cores() if request.workers is None else request.workers
     long = len(plan.rows) >= ROWS_FOR_PROCESSES[request.model]
     options = SweepOptions(

@@ -12,7 +12,7 @@ from dataclasses import replace
 from daq_service.cli.sweep.plan import Plan, Row
 from daq_service.cli.sweep.shot import Outcome, compute_rows
 from daq_service.errors import SolimonError
-from daq_service.processes.executors import worker_lost_errors
+from daq_service.processes.executors import list_worker_lost_errors
 
 ROWS_PER_TASK = 8
 """Maximum: small enough for fast stop and progress, large enough that sending costs little."""
@@ -54,7 +54,7 @@ def compute_plan(
     SolimonError
         Workers died again and again.
     """
-    tasks = iter(group_tasks(rows, workers))
+    tasks = iter(group_rows_into_tasks(rows, workers))
     running: set[Future[list[Outcome]]] = set()
     try:
         while True:
@@ -70,14 +70,14 @@ def compute_plan(
             done, running = wait(running, timeout=STOP_SEEN_WITHIN_S, return_when=FIRST_COMPLETED)
             for future in done:
                 keep(future.result())
-    except worker_lost_errors() as error:
+    except list_worker_lost_errors() as error:
         raise SolimonError(
             "workers ended by themselves again and again (killed, or out of memory); finished rows are kept: "
             "give the same command again, with fewer --workers if memory is short"
         ) from error
 
 
-def group_tasks(rows: Sequence[Row], workers: int) -> list[Task]:
+def group_rows_into_tasks(rows: Sequence[Row], workers: int) -> list[Task]:
     """Group rows by plate, then by chain; the first task of each plate comes first.
 
     So every plate is reduced once, by the worker of its first task, and read from the cache afterwards. A

@@ -15,7 +15,7 @@ from typing import Annotated, Any, Union, get_args, get_origin, get_type_hints
 from pydantic import TypeAdapter, ValidationError
 
 from daq_service.errors import UsageError
-from daq_service.shared_file import load_table
+from daq_service.shared_file import load_module_toml
 from simulator.parameters.chain import ChainParameters
 from simulator.parameters.plate import CorrosionParameters, PlateParameters
 
@@ -25,7 +25,7 @@ SECTIONS: Mapping[str, type] = {
     "corrosion": CorrosionParameters,
 }
 
-ZENER_KEYS = TypeAdapter(dict[str, tuple[str, ...]]).validate_python(load_table(__file__))["zener"]
+ZENER_KEYS = TypeAdapter(dict[str, tuple[str, ...]]).validate_python(load_module_toml(__file__))["zener"]
 """What counts in Zener's model; the other keys do not change its numbers."""
 
 
@@ -58,7 +58,7 @@ def _list_tables(hint: object) -> list[type]:
     return [hint] if isinstance(hint, type) and is_dataclass(hint) else []
 
 
-def check_key(key: str, model: str) -> None:
+def check_sweep_key(key: str, model: str) -> None:
     """Raise an error for a key that does not exist or has no effect in `model`.
 
     Raises
@@ -77,7 +77,7 @@ def check_key(key: str, model: str) -> None:
     raise UsageError(f"{key!r} is no key that can be swept; {hint}All keys: {', '.join(known)}")
 
 
-def change_section(section: Any, changes: Mapping[tuple[str, ...], object]) -> Any:
+def replace_section_values(section: Any, changes: Mapping[tuple[str, ...], object]) -> Any:
     """Copy a section with changed values, validated like a configuration file.
 
     Parameters

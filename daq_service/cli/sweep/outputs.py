@@ -54,10 +54,10 @@ def check_outputs(paths: Sequence[Path], *, waveforms: bool) -> None:
 
 def list_output_files(path: Path) -> tuple[Path, ...]:
     """Return all files of an output: a CSV file has one of facts, too, which comes first."""
-    return (facts_path_of_csv(path), path) if path.suffix.lower() == ".csv" else (path,)
+    return (build_facts_path(path), path) if path.suffix.lower() == ".csv" else (path,)
 
 
-def facts_path_of_csv(path: Path) -> Path:
+def build_facts_path(path: Path) -> Path:
     """Return the path of the facts for a CSV file: its name with ``.json`` appended."""
     return path.with_name(path.name + ".json")
 
@@ -72,7 +72,7 @@ def write_output(path: Path, table: SweepTable) -> None:
     """
     suffix = path.suffix.lower()
     if suffix == ".csv":
-        _write_file(facts_path_of_csv(path), format_facts(table).encode())
+        _write_file(build_facts_path(path), format_facts(table).encode())
         _write_file(path, format_csv(table).encode())
     elif suffix == ".parquet":
         _write_file(path, format_parquet(table))

@@ -12,7 +12,7 @@ from functools import cache
 from importlib.metadata import version
 from typing import Any, Literal
 
-from daq_service.cli.sweep.keys import SECTIONS, change_section, check_key, read_value_at
+from daq_service.cli.sweep.keys import SECTIONS, check_sweep_key, read_value_at, replace_section_values
 from daq_service.cli.sweep.specification import Axis
 from daq_service.errors import UsageError
 from simulator.parameters.chain import ChainParameters
@@ -69,7 +69,7 @@ class Plan:
         return _hash_json([self.model, self.keys, self.waveforms, rows, compute_code_version()])
 
 
-def make_plan(
+def build_plan(
     model: Model,
     base: Specimen,
     axes: Sequence[Axis],
@@ -96,12 +96,12 @@ def make_plan(
     """
     keys = tuple(axis.key for axis in axes)
     for key in keys:
-        check_key(key, model)
+        check_sweep_key(key, model)
         if keys.count(key) > 1:
             raise UsageError(f"{key} is swept twice; name it once")
         if other := [name for name in keys if name.startswith(f"{key}.")]:
             raise UsageError(f"{key} is swept and {other[0]} in it; leave one out")
-    _check_size(axes, element_wise, waveforms)
+    _check_plan_size(axes, element_wise, waveforms)
     values = [axis.values for axis in axes]
     combined = zip(*values, strict=True) if element_wise else itertools.product(*values)
     rows = tuple(_yield_rows(model, base, keys, combined))
@@ -120,7 +120,7 @@ def describe_row(keys: Sequence[str], row: Row) -> str:
     return f"row {row.index + 1} ({values})"
 
 
-def _check_size(axes: Sequence[Axis], element_wise: bool, waveforms: bool) -> None:
+def _check_plan_size(axes: Sequence[Axis], element_wise: bool, waveforms: bool) -> None:
     """Raise UsageError for element-wise axes of different lengths or too many rows."""
     lengths = [len(axis.values) for axis in axes]
     if element_wise and len(set(lengths)) > 1:
@@ -149,7 +149,7 @@ def _yield_rows(
         values = json.loads(given)
         changes = {paths[k][1:]: value for k, value in zip(places[name], values, strict=True)}
         try:
-            section_made = change_section(bases[name], changes)
+            section_made = replace_section_values(bases[name], changes)
         except ValueError as error:
             return None, "", f"{name}: {error}"
         return section_made, _hash_json(asdict(section_made)), ""

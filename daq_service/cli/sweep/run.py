@@ -16,8 +16,8 @@ from daq_service.cli.sweep.outputs import check_outputs, list_output_files, writ
 from daq_service.cli.sweep.plan import Plan, Row, describe_row
 from daq_service.cli.sweep.progress import Progress
 from daq_service.cli.sweep.shot import INVALID, RESULTS, Outcome
-from daq_service.cli.sweep.table import SweepTable, make_table
-from daq_service.cli.sweep.work_file import WorkFile, is_work_file_of, open_work_file, work_file_path
+from daq_service.cli.sweep.table import SweepTable, build_sweep_table
+from daq_service.cli.sweep.work_file import WorkFile, build_work_file_path, is_work_file_of, open_work_file
 from daq_service.errors import StorageError, UsageError
 from daq_service.processes.executors import count_workers, open_executor
 from daq_service.shared_file import retry
@@ -53,12 +53,12 @@ def run_sweep(
         `stop` was set before the end; finished rows are kept in the work file.
     """
     check_outputs(options.outputs, waveforms=plan.waveforms)
-    path = work_file_path(options.outputs[0]) if options.outputs else None
+    path = build_work_file_path(options.outputs[0]) if options.outputs else None
     _refuse_to_overwrite(plan, options, path)
     with contextlib.ExitStack() as stack:
         work = None if path is None else stack.enter_context(open_work_file(path, plan))
         outcomes = _compute_outcomes(plan, options, work, stop)
-        table = make_table(plan, outcomes, origin)
+        table = build_sweep_table(plan, outcomes, origin)
         for output in options.outputs:
             write_output(output, table)
     if path is not None:
@@ -83,10 +83,10 @@ def _compute_outcomes(
 
     New outcomes are stored at once. Raises UsageError for an invalid row, KeyboardInterrupt if stopped.
     """
-    outcomes = {row.index: _refused_outcome(plan, row) for row in plan.rows if row.specimen is None}
+    outcomes = {row.index: _build_refused_outcome(plan, row) for row in plan.rows if row.specimen is None}
     if work is not None:
         outcomes |= work.finished
-    _refuse_invalid(plan, options, list(outcomes.values()))
+    _refuse_invalid_outcomes(plan, options, list(outcomes.values()))
     progress = Progress(len(plan.rows), len(outcomes))
 
     def keep_outcome(new: Sequence[Outcome]) -> None:
@@ -95,7 +95,7 @@ def _compute_outcomes(
             work.keep(new)
         outcomes.update((outcome.index, outcome) for outcome in new)
         progress.advance(len(new))
-        _refuse_invalid(plan, options, new)
+        _refuse_invalid_outcomes(plan, options, new)
 
     missing = [row for row in plan.rows if row.index not in outcomes]
     if missing:
@@ -113,7 +113,7 @@ def _compute_outcomes(
     return [outcomes[row.index] for row in plan.rows]
 
 
-def _refused_outcome(plan: Plan, row: Row) -> Outcome:
+def _build_refused_outcome(plan: Plan, row: Row) -> Outcome:
     """Create the outcome of a row whose parameters are invalid: NaN and the reason."""
     return Outcome(
         index=row.index,
@@ -122,7 +122,7 @@ def _refused_outcome(plan: Plan, row: Row) -> Outcome:
     )
 
 
-def _refuse_invalid(plan: Plan, options: SweepOptions, outcomes: Sequence[Outcome]) -> None:
+def _refuse_invalid_outcomes(plan: Plan, options: SweepOptions, outcomes: Sequence[Outcome]) -> None:
     """Raise UsageError for the first invalid outcome, unless invalid rows are to be skipped."""
     if options.skip_invalid:
         return

@@ -102,7 +102,7 @@ def _compute_outcome(model: str, index: int, specimen: Specimen, waveforms: bool
         if model == "zener":
             found, force = compute_zener_impact(*specimen), None
         else:
-            force = coupled_shot(*specimen)
+            force = compute_shot(*specimen)
             found = summarise_coupled_shot(force)
     except SpecimenError as error:
         return Outcome(index=index, numbers=no_numbers, status=f"{INVALID}{error}")
@@ -118,7 +118,7 @@ def _compute_outcome(model: str, index: int, specimen: Specimen, waveforms: bool
     )
 
 
-def coupled_shot(chain: ChainParameters, plate: PlateParameters, corrosion: CorrosionParameters) -> ShotForce:
+def compute_shot(chain: ChainParameters, plate: PlateParameters, corrosion: CorrosionParameters) -> ShotForce:
     """Integrate chain and plate together and return the sensor's force; prepared models are cached.
 
     Raises SimulatorError if parameters do not go together or the integration fails.
@@ -132,7 +132,7 @@ def coupled_shot(chain: ChainParameters, plate: PlateParameters, corrosion: Corr
 def _build_model(chain: ChainParameters, plate: PlateParameters, outline: CorrosionParameters) -> ShotModel:
     """Build the shot model of a chain on an uncorroded plate; `PREPARED_KEPT` models are cached."""
     # One for each chain: step and length of a shot follow from its drop height and tilt, too.
-    return ShotModel(chain, plate, outline, prepared_plate=_cached_plate_modes(plate, outline))
+    return ShotModel(chain, plate, outline, prepared_plate=_prepare_cached_plate(plate, outline))
 
 
 class _CachedPlate:
@@ -144,7 +144,7 @@ class _CachedPlate:
 
 
 @lru_cache(maxsize=PREPARED_KEPT)
-def _cached_plate_modes(plate: PlateParameters, outline: CorrosionParameters) -> _CachedPlate | None:
+def _prepare_cached_plate(plate: PlateParameters, outline: CorrosionParameters) -> _CachedPlate | None:
     """Return a plate that caches its modes by depth, itself cached; None for a model without modes."""
     modal = prepare_modal_plate(plate, outline, DEFAULT_CACHE_FOLDER)
     return None if modal is None else _CachedPlate(modal)

@@ -49,7 +49,7 @@ def parse_axis(text: str) -> Axis:
             raise UsageError(f"--sweep is {text!r}: an item of its list is empty; {GRAMMAR}")
         values += _parse_item_values(item, text)
         if len(values) > LARGEST_COUNT:
-            raise UsageError(_too_many_values_message(text))
+            raise UsageError(_format_too_many_values(text))
     return Axis(key=key.strip(), values=tuple(values))
 
 
@@ -120,7 +120,7 @@ def _parse_item_values(item: str, text: str) -> Sequence[object]:
         raise UsageError(f"--sweep is {text!r}: {item!r} has an end that is not finite")
     if not 1 <= count <= LARGEST_COUNT:
         raise UsageError(
-            _too_many_values_message(text)
+            _format_too_many_values(text)
             if count > 1
             else f"--sweep is {text!r}: a range has at least 1 value"
         )
@@ -158,6 +158,6 @@ def _parse_value(text: str) -> object:
         return text
 
 
-def _too_many_values_message(text: str) -> str:
+def _format_too_many_values(text: str) -> str:
     """Format the error message for a sweep ``text`` with more than `LARGEST_COUNT` values."""
     return f"--sweep is {text!r}: more than {LARGEST_COUNT} values; make it coarser or split the sweep"

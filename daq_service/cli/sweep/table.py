@@ -55,7 +55,7 @@ class SweepTable:
         return [dict(zip(columns, cells, strict=True)) for cells in zip(*columns.values(), strict=True)]
 
 
-def make_table(plan: Plan, outcomes: Sequence[Outcome], origin: Mapping[str, object]) -> SweepTable:
+def build_sweep_table(plan: Plan, outcomes: Sequence[Outcome], origin: Mapping[str, object]) -> SweepTable:
     """Arrange the outcomes of a plan, given in the order of its rows, as a table with its provenance.
 
     Parameters
@@ -80,7 +80,7 @@ def make_table(plan: Plan, outcomes: Sequence[Outcome], origin: Mapping[str, obj
             **{name: version(name) for name in VERSIONS_THAT_COUNT},
         },
         "code_sha256": compute_code_version(),
-        "content_hash": hash_table(plan, outcomes),
+        "content_hash": compute_table_hash(plan, outcomes),
     }
     forces = None
     if plan.waveforms:
@@ -92,7 +92,7 @@ def make_table(plan: Plan, outcomes: Sequence[Outcome], origin: Mapping[str, obj
     return SweepTable(swept=swept, results=results, status=status, forces=forces, facts=facts)
 
 
-def hash_table(plan: Plan, outcomes: Sequence[Outcome]) -> str:
+def compute_table_hash(plan: Plan, outcomes: Sequence[Outcome]) -> str:
     """Compute the SHA-256, in hexadecimal, of a line of JSON for the column names, then one per row.
 
     Numbers are written with the digits that give them back exactly, so the hash is that of their bits.

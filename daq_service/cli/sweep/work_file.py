@@ -31,7 +31,7 @@ WORK_SUFFIX = ".work"
 FORMAT = 1
 
 
-def work_file_path(output: Path) -> Path:
+def build_work_file_path(output: Path) -> Path:
     """Return the path of the work file for the (first) output of a sweep: ``.work`` is appended."""
     return output.with_name(output.name + WORK_SUFFIX)
 
@@ -97,10 +97,10 @@ def open_work_file(path: Path, plan: Plan) -> Iterator[WorkFile]:
             try_lock(file)
         except OSError as error:
             raise BusyError(f"{path} is in use: the same sweep is running; wait for its end") from error
-        yield _read_or_start(path, file, plan)
+        yield _read_or_create_work_file(path, file, plan)
 
 
-def _read_or_start(path: Path, file: IO[bytes], plan: Plan) -> WorkFile:
+def _read_or_create_work_file(path: Path, file: IO[bytes], plan: Plan) -> WorkFile:
     """Read the finished rows of a work file and remove a truncated last line, or write its header.
 
     Corrupt lines are counted and logged. Raises StorageError if it belongs to another sweep or cannot be

@@ -12,7 +12,7 @@ from urllib.parse import urlsplit
 
 from daq_service.alarms.guidance import GUIDANCE
 from daq_service.errors import UsageError
-from daq_service.settings.notifications import NotificationSettings, ReceiverSettings, find_address_refusal
+from daq_service.settings.notifications import NotificationSettings, ReceiverSettings, find_webhook_url_error
 from daq_service.shared_file import read_shared
 
 SHORTEST_SECRET = 16
@@ -43,15 +43,15 @@ def read_address(
     url = receiver.url or _read_configured_text(name, "url", receiver.url_file, receiver.url_env, environment)
     if receiver.kind == "apprise":
         if find_spec("apprise") is None:
-            raise _receiver_error(name, 'e-mail and chat need the extra: pip install "solimon[notify]"')
+            raise _build_receiver_error(name, 'e-mail and chat need the extra: pip install "solimon[notify]"')
         if not _SCHEME.match(url.lower()):
-            raise _receiver_error(name, "the address is none of apprise; give one like mailtos://...")
+            raise _build_receiver_error(name, "the address is none of apprise; give one like mailtos://...")
         return Address(url, b"")
-    if refusal := find_address_refusal(url, plain_http=receiver.plain_http):
-        raise _receiver_error(name, f"the address is refused: {refusal}")
+    if refusal := find_webhook_url_error(url, plain_http=receiver.plain_http):
+        raise _build_receiver_error(name, f"the address is refused: {refusal}")
     secret = _read_configured_text(name, "secret", receiver.secret_file, receiver.secret_env, environment)
     if len(secret) < SHORTEST_SECRET:
-        raise _receiver_error(
+        raise _build_receiver_error(
             name, f"the secret has {len(secret)} characters; give one of {SHORTEST_SECRET} or more"
         )
     return Address(url, secret.encode())
@@ -69,7 +69,7 @@ def hide_address_secrets(receiver: ReceiverSettings) -> str:
     )
 
 
-def check_receivers(settings: NotificationSettings) -> None:
+def validate_receivers(settings: NotificationSettings) -> None:
     """Read every receiver's address and secret, and check the alarm kinds of the rules.
 
     Raises
@@ -98,19 +98,19 @@ def _read_configured_text(
         text = environment.get(variable, "").strip()
         if not text:
             problem = f"the variable {variable} of {key}_env is not set; set it for the web service"
-            raise _receiver_error(name, problem)
+            raise _build_receiver_error(name, problem)
         return text
     try:
         text = read_shared(Path(file)).decode().strip()
     except OSError as error:
-        raise _receiver_error(name, f"{key}_file {file} cannot be read: {error.strerror}") from error
+        raise _build_receiver_error(name, f"{key}_file {file} cannot be read: {error.strerror}") from error
     except UnicodeDecodeError:
-        raise _receiver_error(name, f"{key}_file {file} is not UTF-8 text; save it as such") from None
+        raise _build_receiver_error(name, f"{key}_file {file} is not UTF-8 text; save it as such") from None
     if not text or len(text.splitlines()) != 1:
-        raise _receiver_error(name, f"{key}_file {file} must hold exactly one line")
+        raise _build_receiver_error(name, f"{key}_file {file} must hold exactly one line")
     return text
 
 
-def _receiver_error(name: str, problem: str) -> UsageError:
+def _build_receiver_error(name: str, problem: str) -> UsageError:
     """Create, without raising it, the UsageError for an invalid receiver."""
     return UsageError(f"notifications.receivers.{name}: {problem}")

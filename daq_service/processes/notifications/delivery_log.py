@@ -108,9 +108,9 @@ class DeliveryLog:
             The file cannot be read.
         """
         lines, previous_end = read_newest_lines(self.path, limit=limit, end=end)
-        return [(number, _delivery_of(row)) for number, row in lines], previous_end
+        return [(number, _parse_delivery(row)) for number, row in lines], previous_end
 
-    def last_heartbeat_ns(self, receiver: str) -> int | None:
+    def find_last_heartbeat_ns(self, receiver: str) -> int | None:
         """Find when the newest logged heartbeat message was attempted, ns of UTC; None without one.
 
         Withheld heartbeats are ignored. Only the newest 20,000 lines are searched.
@@ -149,7 +149,7 @@ class DeliveryLog:
         return progress
 
 
-def _delivery_of(row: object) -> Delivery:
+def _parse_delivery(row: object) -> Delivery:
     """Convert the row of a line, also of an earlier version, to a delivery.
 
     Raises KeyError or TypeError if the row has other fields.

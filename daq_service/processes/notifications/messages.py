@@ -71,7 +71,7 @@ class AlarmChange:
         return None if self.set_index is None else SetKey(self.set_index, self.unscheduled_index)
 
 
-def alarm_change_of(event: EventRow) -> AlarmChange | None:
+def parse_alarm_change(event: EventRow) -> AlarmChange | None:
     """Convert an event to a change of an alarm.
 
     Returns None for other events, suppressed or acknowledged alarms that do not end, and very old events.
@@ -133,13 +133,13 @@ class Message:
     text: str
     facts: Mapping[str, object]
 
-    def encoded(self) -> bytes:
+    def encode_body(self) -> bytes:
         """Encode the message as the JSON body of a webhook."""
         header = {"version": FORMAT_VERSION, "key": self.key, "kind": self.kind}
         return orjson.dumps({**header, "title": self.title, "text": self.text, **self.facts})
 
 
-def message_key(test: Test, receiver: str, event_ids: Sequence[int]) -> str:
+def derive_key(test: Test, receiver: str, event_ids: Sequence[int]) -> str:
     """Compute the key of a message from test, receiver and one or more event ids.
 
     A repeated message has the same key.
@@ -176,7 +176,7 @@ def build_alarm_message(
         else f"{len(changes)} changes of alarms: {_format_counts(changes)}"
     )
     return Message(
-        key=message_key(test, receiver, [item.event_id for item in changes]),
+        key=derive_key(test, receiver, [item.event_id for item in changes]),
         kind="alarm",
         title=f"{title} - {test.name}",
         text="\n\n".join(paragraphs),

@@ -105,7 +105,7 @@ class ReceiverQueue:
         if progress is not None and self._source.written_ns(progress.cursor) == progress.cursor_wall_utc_ns:
             self._last_read_id, self._settled = progress.cursor, set(progress.settled)
             self.state.began = f"went on behind event {progress.cursor}"
-            self._resume(progress.sending)
+            self._resume_message(progress.sending)
         elif progress is None and not self._source.has_started():
             self._report_start("begins with the test's first event")
         else:
@@ -133,7 +133,7 @@ class ReceiverQueue:
         self._send_heartbeat()
         self._deliver()
         self.state.waiting = len(self._waiting) + (len(self._current.changes) if self._current else 0)
-        return self._pause_s()
+        return self._compute_pause_s()
 
     def test(self, author: str) -> Outcome:
         """Send a test message once; return its outcome, or raise BusyError if another one is in progress."""
@@ -142,7 +142,7 @@ class ReceiverQueue:
         try:
             now_ns = self._machine.utc_ns()
             message = messages.build_test_message(self._source.test(), self.name, author, now_ns=now_ns)
-            outcome = self._attempt(self._send_test, message)
+            outcome = self._try_delivery(self._send_test, message)
             kind: DeliveryKind = "tested" if outcome.ok else "test_failed"
             attempt = _OpenMessage(changes=(), key=message.key, attempts=1)
             self._log_delivery(kind, outcome.description, message=attempt, with_progress=False)
@@ -164,7 +164,7 @@ class ReceiverQueue:
             assert row.id is not None, "it is stored"
             self._last_read_id = row.id
             try:
-                change = messages.alarm_change_of(row)
+                change = messages.parse_alarm_change(row)
             except (KeyError, TypeError, ValueError, AttributeError):
                 log.exception("event %s cannot be read and is not sent", row.id)
                 change = None
@@ -201,15 +201,15 @@ class ReceiverQueue:
             if not changes:
                 return
             self._waiting.remove(changes)
-            self._current = self._new_message(changes)
+            self._current = self._build_open_message(changes)
             self._log_delivery("sending", "", message=self._current)
         current = self._current
         if self._machine.mono_s() < current.next_s:
             return
-        test, qualities = self._source.test(), self._source.qualities(current.changes)
+        test, qualities = self._source.test(), self._source.read_qualities(current.changes)
         now_ns = self._machine.utc_ns()
         message = messages.build_alarm_message(test, self.name, current.changes, qualities, now_ns=now_ns)
-        outcome = self._attempt(self._send, message)
+        outcome = self._try_delivery(self._send, message)
         current.attempts += 1
         if outcome.ok:
             self._close(current)
@@ -218,7 +218,7 @@ class ReceiverQueue:
             self.state.failing_since_utc_ns = None
             self._log_delivery("sent", outcome.description, message=current)
             return
-        self._count_failure(outcome)
+        self._record_failure(outcome)
         if outcome.refused and current.attempts >= MOST_REFUSALS:
             self._close(current)
             self._give_up(current.event_ids, f"refused {current.attempts} times: {outcome.description}")
@@ -234,7 +234,7 @@ class ReceiverQueue:
             current.next_s = self._machine.mono_s() + pause_s
             self.state.next_attempt_utc_ns = self._machine.utc_ns() + round(pause_s * NS_PER_S)
 
-    def _count_failure(self, outcome: Outcome) -> None:
+    def _record_failure(self, outcome: Outcome) -> None:
         """Add a failed attempt to the state; log a warning at the first one since a success."""
         self.state.failed += 1
         self.state.last_failure, self.state.last_failure_utc_ns = outcome.description, self._machine.utc_ns()
@@ -254,12 +254,12 @@ class ReceiverQueue:
         log.error("notifications for %s are given up: %s", self.name, description)
         self._log_delivery("gave_up", description, event_ids)
 
-    def _new_message(self, changes: Sequence[messages.AlarmChange]) -> _OpenMessage:
+    def _build_open_message(self, changes: Sequence[messages.AlarmChange]) -> _OpenMessage:
         """Build the message in progress for these changes, with its key and no attempt yet."""
-        key = messages.message_key(self._source.test(), self.name, [change.event_id for change in changes])
+        key = messages.derive_key(self._source.test(), self.name, [change.event_id for change in changes])
         return _OpenMessage(changes=changes, key=key)
 
-    def _attempt(self, send: Send, message: messages.Message) -> Outcome:
+    def _try_delivery(self, send: Send, message: messages.Message) -> Outcome:
         """Try once to deliver a message; return every exception as a failed outcome."""
         try:
             return send(message)
@@ -283,7 +283,7 @@ class ReceiverQueue:
             self._report_heartbeat("withheld", f"the recorder is {facts['recorder']}: {facts['doing']}")
             return
         message = messages.build_heartbeat_message(self._source.test(), self.name, facts, now_ns=now_ns)
-        outcome = self._attempt(self._send, message)
+        outcome = self._try_delivery(self._send, message)
         if outcome.ok:
             self.state.last_heartbeat_utc_ns = now_ns
         self._report_heartbeat("ok" if outcome.ok else "failing", outcome.description)
@@ -297,7 +297,7 @@ class ReceiverQueue:
         """Set when the next heartbeat is due from the last logged one, if each is logged."""
         every_s = self._receiver.heartbeat_s
         if every_s is not None and self._logs_each_heartbeat:
-            last_ns = self._delivery_log.last_heartbeat_ns(self.name)
+            last_ns = self._delivery_log.find_last_heartbeat_ns(self.name)
             past_s = every_s if last_ns is None else (self._machine.utc_ns() - last_ns) / NS_PER_S
             self._heartbeat_due_s = self._machine.mono_s() + min(every_s, max(0.0, every_s - past_s))
 
@@ -309,15 +309,15 @@ class ReceiverQueue:
 
     # Progress
 
-    def _resume(self, event_ids: list[int]) -> None:
+    def _resume_message(self, event_ids: list[int]) -> None:
         """Make these events the message in progress, without those that the catalogue does not have."""
-        found = map(messages.alarm_change_of, self._source.events(event_ids))
+        found = map(messages.parse_alarm_change, self._source.events(event_ids))
         changes = [change for change in found if change is not None]
         if changes:
-            self._current = self._new_message(changes)
+            self._current = self._build_open_message(changes)
             self._settled |= set(event_ids)  # not read a second time
 
-    def _progress(self) -> Progress:
+    def _build_progress(self) -> Progress:
         """Return the present progress; settled ids up to the cursor are forgotten."""
         ids_in_progress = self._current.event_ids if self._current else []
         unsettled = [*self._waiting.event_ids(), *ids_in_progress]
@@ -355,12 +355,12 @@ class ReceiverQueue:
                 event_ids=list(event_ids) if message is None else message.event_ids,
                 key="" if message is None else message.key,
                 attempts=0 if message is None else message.attempts,
-                place=self._progress() if with_progress else None,
+                place=self._build_progress() if with_progress else None,
                 utc_ns=self._machine.utc_ns(),
             )
         )
 
-    def _pause_s(self) -> float:
+    def _compute_pause_s(self) -> float:
         """Return the time until something can be due, s: at most 0.5, at least 0."""
         now_s = self._machine.mono_s()
         due = [LOOK_EVERY_S + now_s]
@@ -373,7 +373,7 @@ class ReceiverQueue:
         return max(0.0, min(due) - now_s)
 
 
-def is_dead(state: State, now_ns: int) -> bool:
+def is_receiver_dead(state: State, now_ns: int) -> bool:
     """Return whether every attempt has failed for more than 600 s; ``now_ns`` is the present UTC in ns."""
     since = state.failing_since_utc_ns
     return since is not None and now_ns - since > DEAD_AFTER_S * NS_PER_S

@@ -89,14 +89,14 @@ class WaitingChanges:
         They form one message and stay in the queue; empty if none is due.
         """
         for rule in range(len(self._rules)):
-            if (group_end_s := self._group_end_s(rule)) is not None and group_end_s <= now_s:
+            if (group_end_s := self._compute_group_end_s(rule)) is not None and group_end_s <= now_s:
                 changes = [i.change for i in self._items.values() if i.rule == rule and i.due_s <= now_s]
                 return sorted(changes, key=lambda change: change.event_id)
         return []
 
     def next_s(self) -> float | None:
         """Return the monotonic time at which the next message is due, s; None if nothing waits."""
-        group_ends_s = [self._group_end_s(rule) for rule in range(len(self._rules))]
+        group_ends_s = [self._compute_group_end_s(rule) for rule in range(len(self._rules))]
         return min((at_s for at_s in group_ends_s if at_s is not None), default=None)
 
     def remove(self, changes: Sequence[AlarmChange]) -> list[int]:
@@ -105,7 +105,7 @@ class WaitingChanges:
             del self._items[item.event_id]
         return [item.event_id for item in changes]
 
-    def _group_end_s(self, rule: int) -> float | None:
+    def _compute_group_end_s(self, rule: int) -> float | None:
         """Return when the waiting changes of a rule are sent, s of monotonic time; None without any."""
         first_s = min((item.due_s for item in self._items.values() if item.rule == rule), default=None)
         return None if first_s is None else first_s + self._rules[rule].group_s

@@ -18,7 +18,7 @@ from typing import IO
 from daq_service.catalogue.access import CatalogueAccess
 from daq_service.catalogue.reader import Catalogue
 from daq_service.errors import BusyError, SolimonError
-from daq_service.processes.data_folder import BACKUP_FILE, hold_lock, lock_text
+from daq_service.processes.data_folder import BACKUP_FILE, hold_lock, read_lock_owner
 from daq_service.processes.heartbeat import WEB_FILE, read_heartbeat, read_web_state
 from daq_service.processes.notifications.addresses import read_address
 from daq_service.processes.notifications.by_apprise import deliver_by_apprise
@@ -116,12 +116,12 @@ class Notifications:
         parts, queues = (self.settings, self._source, self.deliveries), dict[str, ReceiverQueue]()
         for name, receiver in self.settings.receivers.items():
             send, send_test = (
-                partial(self._send_message, name, receiver, self._create_cut()) for _ in range(2)
+                partial(self._send_message, name, receiver, self._create_abort_switch()) for _ in range(2)
             )
             queues[name] = ReceiverQueue(name, *parts, send, send_test)
         return queues
 
-    def _create_cut(self) -> Cut:
+    def _create_abort_switch(self) -> Cut:
         """Create a switch with which `close` aborts a delivery."""
         self._cuts.append(Cut())
         return self._cuts[-1]
@@ -139,7 +139,7 @@ class Notifications:
         Problems are logged and tried again after 1 s or 5 s.
         """
         while not self._stop.is_set():
-            if self._another_service_notifies():
+            if self._is_web_service_sending():
                 self._stop.wait(LOOK_EVERY_S)
                 continue
             text = f"process {os.getpid()}"
@@ -148,7 +148,7 @@ class Notifications:
                     self._send_until_released(lock)
             except BusyError:
                 self._report_problem("another process of this test sends")
-                self._take_from_stalled()
+                self._remove_stalled_lock()
                 self._stop.wait(LOOK_EVERY_S)
             except SolimonError as error:
                 self._report_problem(str(error))
@@ -165,7 +165,7 @@ class Notifications:
             self._start_thread(partial(self._run_queue, queue, lock, released), f"notify-{queue.name}")
             for queue in self.queues.values()
         ]
-        while not self._stop.is_set() and self._still_owns(lock) and not self._another_service_notifies():
+        while not self._stop.is_set() and self._is_lock_held(lock) and not self._is_web_service_sending():
             try:
                 if self._watch is not None:
                     self._watch.check()
@@ -176,24 +176,24 @@ class Notifications:
         for sender in senders:
             sender.join()
 
-    def _another_service_notifies(self) -> bool:
+    def _is_web_service_sending(self) -> bool:
         """Return whether this process is on standby and a web service of this test responds."""
         return self._is_standby and read_web_state(self._folder) == "responding"
 
-    def _still_owns(self, lock: IO[bytes]) -> bool:
+    def _is_lock_held(self, lock: IO[bytes]) -> bool:
         """Return whether the lock file still has its name, which is removed for a stalled process."""
         try:
             return os.path.samestat(os.fstat(lock.fileno()), (self._folder / LOCK_FILE).stat())
         except OSError:
             return False
 
-    def _take_from_stalled(self) -> None:
+    def _remove_stalled_lock(self) -> None:
         """Delete the lock file of a suspended web service, which does not release it; only on standby.
 
         Windows keeps the name of an open file: there the end of the service is awaited.
         """
         if self._is_standby and read_web_state(self._folder) == "not_responding":
-            beat, owner = read_heartbeat(self._folder, WEB_FILE), lock_text(self._folder, LOCK_FILE)
+            beat, owner = read_heartbeat(self._folder, WEB_FILE), read_lock_owner(self._folder, LOCK_FILE)
             if beat is not None and owner == f"process {beat.process}":
                 remove_quietly(self._folder / LOCK_FILE)
 
@@ -202,7 +202,7 @@ class Notifications:
 
         Every error is logged and tried again after 5 s.
         """
-        while not released.is_set() and self._still_owns(lock):
+        while not released.is_set() and self._is_lock_held(lock):
             try:
                 pause_s = queue.step()
                 self.silent_reason = ""

@@ -69,7 +69,7 @@ class Source:
         read = partial(self._catalogue().read_events_after, limit=1)
         return [row for event_id in event_ids for row in read(event_id - 1) if row.id == event_id]
 
-    def qualities(self, changes: Sequence[AlarmChange]) -> dict[int, str]:
+    def read_qualities(self, changes: Sequence[AlarmChange]) -> dict[int, str]:
         """Read the quality of the set with which each alarm was raised, by event id.
 
         Alarms without a position or set, and unmeasured sets, are left out.

@@ -112,7 +112,7 @@ def post_message(
     cut = cut or Cut()
     parts = urlsplit(address.url)
     assert parts.hostname is not None, "the address was checked"
-    body = message.encoded()
+    body = message.encode_body()
     headers = {
         "Content-Type": "application/json",
         "User-Agent": f"solimon/{version('solimon')}",
@@ -137,7 +137,7 @@ def post_message(
         connection.sock = _connect_to_receiver(parts.scheme, connection.host, connection.port, cut)
         connection.request("POST", target, body, headers)
         response = connection.getresponse()
-        return _outcome_of_response(
+        return _convert_response(
             response.status, response.headers.get("Retry-After"), machine.utc_ns() / NS_PER_S
         )
     except (OSError, http.client.HTTPException, ValueError) as error:
@@ -171,7 +171,7 @@ def _connect_to_receiver(scheme: str, host: str, port: int, cut: Cut) -> socket.
     return connection
 
 
-def _outcome_of_response(status: int, retry_after: str | None, now_s: float) -> Outcome:
+def _convert_response(status: int, retry_after: str | None, now_s: float) -> Outcome:
     """Convert status and Retry-After header to an outcome: 2xx is delivered, 400, 413 and 422 are refused."""
     if 200 <= status < 300:
         return Outcome(ok=True, description=f"taken ({status})", status=status)

@@ -134,7 +134,7 @@ def _group_by_position(found: Iterable[Onset]) -> dict[tuple[str, str], dict[int
     return by_place
 
 
-def differences(
+def compare_rows(
     kinds: Iterable[type[Row]],
     stored: Catalogue,
     again: Catalogue,
@@ -190,13 +190,13 @@ def _collect_rows(
         key = baselines[row.position] if kind is BaselineRow else set_index
         baselines[row.position] += 1
         columns = {
-            name: value for name, value in select_columns(as_dict(row)).items() if name not in left_out
+            name: value for name, value in drop_diagnosis_state(as_dict(row)).items() if name not in left_out
         }
         found[row.position, key] = set_index, columns
     return found
 
 
-def select_columns(columns: Mapping[str, Any]) -> dict[str, Any]:
+def drop_diagnosis_state(columns: Mapping[str, Any]) -> dict[str, Any]:
     """Return columns without the state of the diagnosis, which an earlier version kept with the averages."""
     averages = columns.get("averages")
     if averages is None:

@@ -29,14 +29,14 @@ from daq_service.catalogue.rows import (
     ThicknessRow,
 )
 from daq_service.errors import UsageError
-from daq_service.processes.data_folder import refuse_other_folders
+from daq_service.processes.data_folder import require_data_folder
 from daq_service.recording.reassessment.changes import (
     ASSESSED,
     EXTRACTED,
     NOT_COMPARED,
     Difference,
     Onset,
-    differences,
+    compare_rows,
     find_differing_columns,
     list_onsets,
 )
@@ -123,7 +123,7 @@ def explain_alarm(folder: Path, alarm_id: int, progress: Progress = lambda done,
     StorageError
         There is no test, or a set that counts cannot be read.
     """
-    refuse_other_folders(folder)
+    require_data_folder(folder)
     with open_catalogue(folder) as stored:
         alarm = stored.alarm(alarm_id)
         if alarm is None:
@@ -178,7 +178,7 @@ def _recompute_alarm(
     """
     position, up_to_set = alarm.position, alarm.raised_set_index
     assert position is not None and up_to_set is not None, "it follows from records"  # noqa: PT018
-    _refuse_other_extractor(stored, settings.positions[position].method, position, up_to_set)
+    _raise_if_other_extractor(stored, settings.positions[position].method, position, up_to_set)
     archive = FolderSetReader(folder)
     read_set = partial(_read_position_records, position, archive)
     with ExitStack() as stack:
@@ -199,7 +199,7 @@ def _recompute_alarm(
         method = METHODS[settings.positions[position].method]
         found = [
             *_compare_alarm(alarm, history, again),
-            *differences((*EXTRACTED, *ASSESSED), stored, again, position=position, up_to_set=up_to_set),
+            *compare_rows((*EXTRACTED, *ASSESSED), stored, again, position=position, up_to_set=up_to_set),
         ]
         pulses = None
         if settings.positions[position].method == SOLITARY_WAVE and not settings.rig.dry_run:
@@ -211,14 +211,14 @@ def _recompute_alarm(
             differences=found,
             baseline=baseline,
             assessments=again.rows(AssessmentRow, position=position),
-            measured=_collect_set_results(again, method, position),
+            measured=_read_set_results(again, method, position),
             sets=again.rows(SetRow, position=position),
             silent=_count_silent_shots(shots),
             pulses=pulses,
         )
 
 
-def _refuse_other_extractor(stored: Catalogue, method: Method, position: str, up_to_set: int) -> None:
+def _raise_if_other_extractor(stored: Catalogue, method: Method, position: str, up_to_set: int) -> None:
     """Raise UsageError if results of the position up to the set are of another version's extractor."""
     kind = METHODS[method].row
     columns = stored.columns(kind, ("extractor_version",), position=position, last_set=up_to_set)
@@ -291,7 +291,7 @@ _SUPPRESSION = frozenset(name for name in AlarmRow.__slots__ if name.startswith(
 """Columns that a person filled for an earlier alarm of this kind."""
 
 
-def _collect_set_results(
+def _read_set_results(
     catalogue: Catalogue, method: MeasuringMethod, position: str
 ) -> Sequence[FeatureRow | ThicknessRow]:
     """Read the results of the sets of a position, of features those of complete sets."""

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from analysis.waves.features import ShotFeatures
 from daq_service.archive import SetRecord, SetReference
 from daq_service.errors import SolimonError
-from daq_service.processes.executors import worker_lost_errors
+from daq_service.processes.executors import list_worker_lost_errors
 from daq_service.recording.reassessment.reassess import extract_set_features
 from hardware_drivers.measurement import SetKey, Shot, ShotKey, Stamp, Waveform
 
@@ -69,7 +69,7 @@ class ExtractedAhead:
         """
         try:
             return self._of_set.pop(record.set_key).result()
-        except worker_lost_errors() as error:
+        except list_worker_lost_errors() as error:
             raise SolimonError(
                 "workers ended by themselves again and again (killed, or out of memory); choose fewer "
                 "--workers, or --executor threads"

@@ -35,7 +35,7 @@ def list_assessment_keys() -> list[str]:
     ]
 
 
-def parse_assignment(texts: Sequence[str]) -> dict[KeyPath, Any]:
+def parse_assignments(texts: Sequence[str]) -> dict[KeyPath, Any]:
     """Parse texts ``KEY=VALUE`` to key paths and values: a value is JSON, or else text.
 
     Raises
@@ -63,7 +63,7 @@ def parse_assignment(texts: Sequence[str]) -> dict[KeyPath, Any]:
     return found
 
 
-def changed(configuration: Mapping[str, Any], given: Mapping[KeyPath, Any]) -> Settings:
+def apply_setting_changes(configuration: Mapping[str, Any], given: Mapping[KeyPath, Any]) -> Settings:
     """Return the settings of a stored configuration with the given values in place of its own.
 
     Raises

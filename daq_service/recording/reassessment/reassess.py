@@ -64,7 +64,7 @@ def read_stored_features(catalogue: Catalogue, record: SetRecord) -> dict[int, S
         for row in catalogue.rows(ShotRow, position=place, **record.set_key._asdict())
     }
     found = {
-        row.sequence: _to_extracted_form(row, flags.get(row.sequence, ()))
+        row.sequence: _to_shot_features(row, flags.get(row.sequence, ()))
         for row in catalogue.rows(FeatureRow, **record.set_key._asdict(), scope="shot")
         if row.sequence is not None
     }
@@ -80,7 +80,7 @@ def extract_set_features(rehearsal: bool, shots: Sequence[Shot]) -> dict[int, Sh
     return {shot.sequence: extract(shot) for shot in shots}
 
 
-def _to_extracted_form(row: FeatureRow, flags: tuple[str, ...]) -> ShotFeatures:
+def _to_shot_features(row: FeatureRow, flags: tuple[str, ...]) -> ShotFeatures:
     """Convert a row of stored features to the form of extracted ones; a missing value becomes NaN."""
     known = {name: getattr(row, name) for name in ALL_FEATURE_NAMES}
     values: dict[str, Any] = {name: math.nan if value is None else value for name, value in known.items()}

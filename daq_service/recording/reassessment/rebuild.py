@@ -18,16 +18,16 @@ from daq_service.assessment.results_in_file import read_set_results
 from daq_service.background.tiles import rebuild_tiles
 from daq_service.catalogue import open_catalogue
 from daq_service.catalogue.connection import FILE_NAME
-from daq_service.catalogue.corruption import refuse_corruption
+from daq_service.catalogue.corruption import raise_if_corrupt
 from daq_service.catalogue.errors import (
     CatalogueError,
     CatalogueWriteError,
     NoDataYetError,
     SchemaVersionError,
 )
-from daq_service.catalogue.experiment_file import ensure_experiment_file, refuse_other_record
+from daq_service.catalogue.experiment_file import ensure_experiment_file, raise_if_other_record
 from daq_service.catalogue.history import History, HistoryFollower
-from daq_service.catalogue.owner import build_experiment_identity, refuse_other_experiment
+from daq_service.catalogue.owner import build_experiment_identity, raise_if_other_configuration
 from daq_service.catalogue.salvage import Salvaged, read_sound_rows
 from daq_service.catalogue.store import open_temporary
 from daq_service.processes.lost_catalogue import read_folder_history
@@ -96,14 +96,14 @@ def rebuild_folder_catalogue(
     experiment = find_stored_experiment(folder, history, archive)
     if kept.experiment is not None:
         if experiment is not None:
-            refuse_other_record(kept.experiment, experiment, "its catalogue", "what lies beside it", folder)
+            raise_if_other_record(kept.experiment, experiment, "its catalogue", "what lies beside it", folder)
         experiment = kept.experiment
     if experiment is None:
         raise NoDataYetError(
             f"{folder} holds neither catalogue nor sets of solimon; choose it with --data-dir"
         )
     if settings is not None:
-        refuse_other_experiment(experiment, folder, settings)
+        raise_if_other_configuration(experiment, folder, settings)
     stored = StoredHistory(
         events={**history.events, **kept.events}, digests={**history.digests, **kept.digests}
     )
@@ -119,7 +119,7 @@ def rebuild_folder_catalogue(
             refuse_foreign_sets(found.foreign, str(folder))
             catalogue.recompute_counts()
             n_events = catalogue.counts()["events"]
-        refuse_corruption(place)
+        raise_if_corrupt(place)
         name = _replace_catalogue(folder, place)
     except OSError as error:
         raise CatalogueWriteError(
@@ -190,7 +190,7 @@ def _update_copies(folder: Path, progress: Progress | None) -> list[str]:
 def _collect_warnings(history: History, kept: Salvaged, found: Restored, not_tiled: list[str]) -> list[str]:
     """Format warnings about history, old catalogue, sets and tiles, at most ten of each."""
 
-    def some(lines: Iterable[str], what: str) -> list[str]:
+    def prefix_lines(lines: Iterable[str], what: str) -> list[str]:
         """Prefix lines with their subject; of more than ten, give the number of the others."""
         listed = list(lines)
         return [f"{what}: {line}" for line in listed[:10]] + (
@@ -198,9 +198,9 @@ def _collect_warnings(history: History, kept: Salvaged, found: Restored, not_til
         )
 
     return [
-        *some(history.damage, "history"),
-        *some(kept.damage, "old catalogue"),
-        *some(found.damaged, "set"),
-        *some(found.differing, "not what it was"),
-        *some(not_tiled, "not in the waterfall's tiles"),
+        *prefix_lines(history.damage, "history"),
+        *prefix_lines(kept.damage, "old catalogue"),
+        *prefix_lines(found.damaged, "set"),
+        *prefix_lines(found.differing, "not what it was"),
+        *prefix_lines(not_tiled, "not in the waterfall's tiles"),
     ]

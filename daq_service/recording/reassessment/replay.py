@@ -15,7 +15,7 @@ from daq_service.assessment.baseline_lifecycle import baseline_range
 from daq_service.catalogue import Catalogue, open_catalogue
 from daq_service.catalogue.rows import AssessmentRow, FeatureRow
 from daq_service.errors import UsageError
-from daq_service.processes.data_folder import refuse_other_folders
+from daq_service.processes.data_folder import require_data_folder
 from daq_service.processes.executors import count_workers, open_executor
 from daq_service.recording.reassessment.changes import (
     ASSESSED,
@@ -23,11 +23,11 @@ from daq_service.recording.reassessment.changes import (
     AlarmChanges,
     Difference,
     compare_alarm_onsets,
-    differences,
+    compare_rows,
     list_onsets,
 )
 from daq_service.recording.reassessment.features_ahead import ExtractedAhead
-from daq_service.recording.reassessment.other_settings import changed, parse_assignment
+from daq_service.recording.reassessment.other_settings import apply_setting_changes, parse_assignments
 from daq_service.recording.reassessment.reassess import read_stored_features, reassess, temporary_catalogue
 from daq_service.recording.reassessment.stored_runs import Progress
 from daq_service.settings.tree import Settings
@@ -98,17 +98,17 @@ def replay_test(
     StorageError
         There is no test, or a set of it cannot be read.
     """
-    settings_given = parse_assignment(tuple(given))
-    refuse_other_folders(folder)
+    settings_given = parse_assignments(tuple(given))
+    require_data_folder(folder)
     with ExitStack() as stack:
         stored = stack.enter_context(open_catalogue(folder))
         experiment = stored.read_experiment()
-        settings = changed(experiment.configuration, settings_given)
+        settings = apply_setting_changes(experiment.configuration, settings_given)
         again = stack.enter_context(temporary_catalogue(experiment))
         assess_set = partial(reassess, stored, again, folder, settings, progress=progress)
         if extract_by is None:
             versions = stored.columns(FeatureRow, ("extractor_version",))["extractor_version"]
-            extractor = _require_one_extractor(versions)
+            extractor = _find_common_extractor(versions)
             sets = assess_set(partial(read_stored_features, stored))
         else:
             extractor, (name, workers) = EXTRACTOR_VERSION, extract_by
@@ -136,7 +136,7 @@ def replay_test(
                 for one in _describe_unassessed(name, again, settings)
             ],
             alarms=compare_alarm_onsets(list_onsets(stored, last), list_onsets(again, last)),
-            differences=differences(
+            differences=compare_rows(
                 (*EXTRACTED, *ASSESSED) if extract_by else ASSESSED, stored, again, up_to_set=last
             ),
         )
@@ -165,7 +165,7 @@ def _describe_unassessed(position: str, recomputed: Catalogue, settings: Setting
     )
 
 
-def _require_one_extractor(versions: Iterable[str]) -> str:
+def _find_common_extractor(versions: Iterable[str]) -> str:
     """Return the one extractor version of the features, this version's own for none.
 
     Raises UsageError for different extractors, whose features are different quantities.

@@ -30,11 +30,11 @@ from daq_service.archive import (
 from daq_service.assessment.assessor import StoredResult
 from daq_service.assessment.baseline_lifecycle import STEPS
 from daq_service.assessment.confirmation import CONFIRMATION_ASKED
-from daq_service.assessment.follow_rows import follow_rows
+from daq_service.assessment.follow_rows import replay_stored_set
 from daq_service.assessment.restore_state import is_assessed, read_first_waveform
 from daq_service.assessment.results_in_file import build_result_tables, find_differences
 from daq_service.catalogue import RecorderCatalogue, SetCommit
-from daq_service.catalogue.reported_rows import ROW_OF_EVENT, join_rows, strip_rows, to_payloads
+from daq_service.catalogue.reported_rows import ROW_OF_EVENT, join_rows, strip_payloads, to_payloads
 from daq_service.catalogue.rows import (
     MEASURED,
     AlarmRow,
@@ -51,7 +51,7 @@ from daq_service.catalogue.rows import (
     ThicknessRow,
 )
 from daq_service.recording.experiment import find_foreign_reason
-from daq_service.recording.reassessment.changes import select_columns
+from daq_service.recording.reassessment.changes import drop_diagnosis_state
 from daq_service.recording.reassessment.stored_runs import Progress, Run, full_row, group_sets, repeat_action
 from daq_service.recording.set_assessor import SetAssessor
 from daq_service.settings.tree import Settings
@@ -153,11 +153,11 @@ class _Restoration:
         without_events = sorted(files.keys() - {key for key, _ in runs})
         for number, (set_key, events) in enumerate(runs):
             if set_key is None:
-                self._apply_event(events)
+                self._apply_events(events)
                 continue
             # A set without any event is assessed before the next one.
             while without_events and without_events[0] < set_key:
-                self._assess(files.pop(without_events.pop(0)), [], range(0))
+                self._assess_file(files.pop(without_events.pop(0)), [], range(0))
             free = _find_free_ids(
                 events, runs[number - 1][1] if number else [], runs[number + 1 : number + 2]
             )
@@ -165,17 +165,17 @@ class _Restoration:
             if reference is None:
                 self._restore_rows(SetCommit(), events)
             elif free or not self._restore_from_tables(reference, events):
-                self._assess(reference, events, free)
+                self._assess_file(reference, events, free)
             progress(total - len(files), total)
         for reference in files.values():
-            self._assess(reference, [], range(0))
+            self._assess_file(reference, [], range(0))
             progress(total, total)
         self._pending.events += self._late
         self._store_pending()
         self._catalogue.restore_rows(self._alarms.values())
         return self._result
 
-    def _apply_event(self, events: Sequence[EventRow]) -> None:
+    def _apply_events(self, events: Sequence[EventRow]) -> None:
         """Apply events without a set, such as a command that changes later assessments."""
         self._pending.events += events
         for event in events:
@@ -208,7 +208,7 @@ class _Restoration:
         tables = None if digest is None or averaged else self._archive.read_tables(reference, digest)
         if tables is None:
             return False
-        rows = build_rows(tables, due_h=float(_collect_rows(SetRow, events)[0].due_h))
+        rows = build_shot_rows(tables, due_h=float(_collect_rows(SetRow, events)[0].due_h))
         if rows is None:
             return False
         shots, features = rows
@@ -221,21 +221,21 @@ class _Restoration:
         transaction = _replace_computed_rows(transaction, events, all_rows=True)
         # The events of a set with all its records are complete: a position without one was left out.
         left_out = dict.fromkeys(self._settings.positions, "disabled") if transaction.shots else {}
-        transaction.sets = self._complete_set_rows(transaction.sets, left_out | self._set_assessor.disabled())
+        transaction.sets = self._add_disabled_rows(transaction.sets, left_out | self._set_assessor.disabled())
         places = list(self._settings.positions)  # as a recorder orders them
         transaction.features.sort(key=lambda row: (places.index(row.position), row.shot_index is None))
         if any(row.n_taken for row in transaction.sets) and not transaction.shots:
             self._result.damaged.append(f"set {transaction.sets[0].set_key}: its file is gone")
-        self._follow(transaction)
-        self._commit(transaction, events)
+        self._update_states(transaction)
+        self._queue_rows(transaction, events)
 
-    def _follow(self, transaction: SetCommit) -> None:
+    def _update_states(self, transaction: SetCommit) -> None:
         """Update the states with the rows of a set; add the assessments of a baseline that it completes."""
         results: dict[str, FeatureRow | ThicknessRow] = {row.position: row for row in transaction.thickness}
         results |= {row.position: row for row in transaction.features if row.shot_index is None}
         completed: list[AssessmentRow] = []
         for row in filter(is_assessed, transaction.sets):
-            followed = follow_rows(
+            followed = replay_stored_set(
                 self._set_assessor.assessors[row.position],
                 StoredResult(
                     its_set=row,
@@ -253,7 +253,7 @@ class _Restoration:
             completed += [*(item for item in followed if item.set_key not in known), *own]
         transaction.assessments = completed
 
-    def _complete_set_rows(self, stored: Sequence[SetRow], left_out: Mapping[str, str]) -> list[SetRow]:
+    def _add_disabled_rows(self, stored: Sequence[SetRow], left_out: Mapping[str, str]) -> list[SetRow]:
         """Add to a set's rows the disabled positions and the SHA-256 of its file, in the order of positions.
 
         Each position in ``left_out`` without a row gets a disabled one, unless the set is unscheduled or has
@@ -272,7 +272,7 @@ class _Restoration:
 
     # Sets that are assessed -----------------------------------------------------------------------
 
-    def _assess(self, reference: SetReference, events: Sequence[EventRow], free: Sequence[int]) -> None:
+    def _assess_file(self, reference: SetReference, events: Sequence[EventRow], free: Sequence[int]) -> None:
         """Restore the rows of a set from its file, and compute those that the history lacks.
 
         Of a corrupt file the readable records and the stored rows are used; a foreign set is listed and left
@@ -310,8 +310,8 @@ class _Restoration:
             _replace_computed_rows(transaction, events, all_rows=bool(damage))
             if damage:  # the state follows the stored rows, which are of all records
                 self._set_assessor.assessors.states = states
-                self._follow(transaction)
-        self._commit(transaction, self._place_events(computed, events, free), computed_alarms=not events)
+                self._update_states(transaction)
+        self._queue_rows(transaction, self._number_events(computed, events, free), computed_alarms=not events)
         self._result.sets += 1
         self._result.computed += 1
 
@@ -331,7 +331,7 @@ class _Restoration:
             row = EnvironmentRow(set_index=record.set_index, due_h=record.due_h, **record.environment)  # type: ignore[arg-type] # its columns
             transaction.environment.append(row)
 
-    def _commit(
+    def _queue_rows(
         self, transaction: SetCommit, events: Sequence[EventRow], *, computed_alarms: bool = False
     ) -> None:
         """Queue the rows and events of a set; store them after 64 sets, or at once with a new baseline.
@@ -342,7 +342,7 @@ class _Restoration:
             # This set has no events: its alarms follow from its assessment.
             self._store_pending()
             self._catalogue.restore_rows(self._alarms.values())
-            transaction.events = strip_rows(events, _collect_reported_rows(transaction))
+            transaction.events = strip_payloads(events, _collect_reported_rows(transaction))
             self._set_assessor.commit(transaction)
             self._alarms |= {row.id or 0: row for row in self._set_assessor.alarms.values()}
             return
@@ -361,11 +361,11 @@ class _Restoration:
     def _store_pending(self) -> None:
         """Store the rows of the last sets in one commit, with the states after them."""
         self._pending.states = self._set_assessor.assessors.collect_changed_states()
-        self._pending.events = strip_rows(self._pending.events, _collect_reported_rows(self._pending))
+        self._pending.events = strip_payloads(self._pending.events, _collect_reported_rows(self._pending))
         self._catalogue.commit_set(self._pending)
         self._pending, self._n_pending = SetCommit(), 0
 
-    def _place_events(
+    def _number_events(
         self, computed: Sequence[EventRow], stored: Sequence[EventRow], free: Sequence[int]
     ) -> list[EventRow]:
         """Return the stored events with lost ones in between, if their old ids can be derived.
@@ -405,7 +405,7 @@ def _identify(event: EventRow) -> tuple[str, str, str | None]:
     return event.topic, event.kind, event.position
 
 
-def build_rows(tables: SetTables, *, due_h: float) -> tuple[list[ShotRow], list[FeatureRow]] | None:
+def build_shot_rows(tables: SetTables, *, due_h: float) -> tuple[list[ShotRow], list[FeatureRow]] | None:
     """Build the rows of a set's shots, and their features, from the tables of its file.
 
     None if a shot has no result there. ``due_h`` is the hour at which the set was due.
@@ -456,7 +456,7 @@ def _replace_computed_rows(
     all_rows
         Those that follow from the records, too: the records are not there, or not all.
     """
-    transaction.sets = _merge_rows(transaction.sets, _collect_rows(SetRow, events))
+    transaction.sets = _merge_set_rows(transaction.sets, _collect_rows(SetRow, events))
     transaction.environment = _collect_rows(EnvironmentRow, events) or transaction.environment
     if all_rows or not transaction.shots:
         single = [row for row in transaction.features if row.shot_index is not None]
@@ -478,7 +478,7 @@ def _collect_reported_rows(transaction: SetCommit) -> list[Row]:
     return list(itertools.chain(*rows))
 
 
-def _merge_rows(computed: Sequence[SetRow], stored: Sequence[SetRow]) -> list[SetRow]:
+def _merge_set_rows(computed: Sequence[SetRow], stored: Sequence[SetRow]) -> list[SetRow]:
     """Return the stored rows of a set, with computed SHA-256, and computed rows of other positions."""
     digests = {row.position: row.file_sha256 for row in computed}
     rows = {row.position: row for row in computed}
@@ -498,15 +498,16 @@ def _find_differences(computed: Sequence[EventRow], stored: Sequence[EventRow]) 
         f"set {event.set_key}, {event.position}: {event.kind}"
         for event in stored
         if _identify(event) in found
-        and _select_stored_columns(event, found[_identify(event)]) != _encode(select_columns(event.payload))
+        and _select_stored_columns(event, found[_identify(event)])
+        != _encode_sorted(drop_diagnosis_state(event.payload))
     ]
 
 
 def _select_stored_columns(stored: EventRow, computed: EventRow) -> bytes:
     """Encode the computed payload with the stored columns only: an earlier version had fewer."""
-    return _encode({name: value for name, value in computed.payload.items() if name in stored.payload})
+    return _encode_sorted({name: value for name, value in computed.payload.items() if name in stored.payload})
 
 
-def _encode(payload: Mapping[str, Any]) -> bytes:
+def _encode_sorted(payload: Mapping[str, Any]) -> bytes:
     """Encode a payload as JSON with sorted keys, to compare it; NaN becomes null."""
     return orjson.dumps(payload, option=orjson.OPT_SORT_KEYS | orjson.OPT_SERIALIZE_NUMPY)

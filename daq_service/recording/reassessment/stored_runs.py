@@ -31,7 +31,7 @@ def group_sets(events: Iterable[EventRow]) -> Iterator[Run]:
 def repeat_action(event: EventRow, assessors: PositionAssessors, positions: Container[str | None]) -> None:
     """Repeat the effect of a person's action on the state: a renewed baseline, an enabled transducer."""
     if event.kind in STEPS:
-        assessors.renew(str(event.position))
+        assessors.discard_state(str(event.position))
     elif event.kind == "alarm_reset" and event.payload["kind"] in RETIRING and event.position in positions:
         assessors.enable(str(event.position))
 

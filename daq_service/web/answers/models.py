@@ -46,7 +46,7 @@ def build_problem_schemas() -> dict[str, object]:
     return {**schema.pop("$defs"), "ProblemDetails": schema}
 
 
-def list_errors(*statuses: int) -> dict[int | str, dict[str, object]]:
+def describe_errors(*statuses: int) -> dict[int | str, dict[str, object]]:
     """Return the OpenAPI descriptions of error answers by HTTP status; raise KeyError for an unknown one."""
     return {status: PROBLEMS[status] for status in statuses}
 
@@ -68,7 +68,7 @@ class Answer(BaseModel):
     model_config = ConfigDict(extra="forbid")
 
 
-def _fields_of(kind: type[object], *without: str) -> Callable[[type[A]], type[A]]:
+def _copy_fields_of(kind: type[object], *without: str) -> Callable[[type[A]], type[A]]:
     """Return a class decorator that adds the fields of a dataclass, such as a catalogue row, to an answer.
 
     ``*_utc_ns`` leaves as RFC 3339 text ``*_utc``; the hour ``due_h`` brings its ``due_utc``, and an hour of
@@ -115,34 +115,34 @@ class Dated(Answer):
     as_of: AsOf
 
 
-@_fields_of(rows.SetRow)
+@_copy_fields_of(rows.SetRow)
 class SetRow(Answer):
     """One set of one position."""
 
 
-@_fields_of(rows.ShotRow)
+@_copy_fields_of(rows.ShotRow)
 class ShotRow(Answer):
     """One stored shot."""
 
 
-@_fields_of(rows.FeatureRow)
+@_copy_fields_of(rows.FeatureRow)
 class FeatureRow(Answer):
     """Features of a shot, or of a set (shot_index null): mean of its valid shots."""
 
 
-@_fields_of(rows.ThicknessRow)
+@_copy_fields_of(rows.ThicknessRow)
 class ThicknessRow(Answer):
     """Pulse-echo result of a set."""
 
 
-@_fields_of(rows.AssessmentRow)
+@_copy_fields_of(rows.AssessmentRow)
 class AssessmentRow(Answer):
     """Result of the novelty detection of a set."""
 
     quality: Quality | None
 
 
-@_fields_of(rows.BaselineRow)
+@_copy_fields_of(rows.BaselineRow)
 class BaselineRow(Answer):
     """Baseline; the first, still collecting one of a position has its future id."""
 
@@ -213,7 +213,7 @@ class AlarmEvidence(BaseModel):
     extractor_version: str | None = None
 
 
-@_fields_of(rows.AlarmRow)
+@_copy_fields_of(rows.AlarmRow)
 class AlarmRow(Answer):
     """Alarm with its evidence."""
 
@@ -221,7 +221,7 @@ class AlarmRow(Answer):
     evidence_sentences: list[str]
 
 
-@_fields_of(rows.CommandRow)
+@_copy_fields_of(rows.CommandRow)
 class CommandRow(Answer):
     """Command of an operator and its result."""
 
@@ -280,7 +280,7 @@ class AlarmHistory(Dated):
     items: list[AlarmTransition]
 
 
-@_fields_of(guidance.Guidance)
+@_copy_fields_of(guidance.Guidance)
 class Guidance(Answer):
     """Guidance for a kind of alarm."""
 
@@ -293,7 +293,7 @@ class GuidanceList(Answer):
     items: list[Guidance]
 
 
-@_fields_of(rows.AnnotationRow)
+@_copy_fields_of(rows.AnnotationRow)
 class AnnotationRow(Answer):
     """Annotation of an hour of the test, or of a range."""
 
@@ -305,7 +305,7 @@ class AnnotationPage(Page[AnnotationRow]):
     """Annotations in order."""
 
 
-@_fields_of(rows.EnvironmentRow)
+@_copy_fields_of(rows.EnvironmentRow)
 class EnvironmentRow(Answer):
     """Supply and climate around a set; null where there was no reading."""
 
@@ -314,7 +314,7 @@ class EnvironmentPage(Page[EnvironmentRow]):
     """Supply and climate in order."""
 
 
-@_fields_of(SupplyStatus)
+@_copy_fields_of(SupplyStatus)
 class SupplyNow(Answer):
     """Present status of the supply, from the supply process, also without a recorder."""
 
@@ -326,7 +326,7 @@ class EnvironmentNow(Dated):
     supply_now: SupplyNow | None
 
 
-@_fields_of(PublishedColumn, "nullable")
+@_copy_fields_of(PublishedColumn, "nullable")
 class TableColumn(Answer):
     """A column of an exported table."""
 
@@ -510,7 +510,7 @@ class RecorderHealth(Answer):
     deadline_s: float | None
 
 
-@_fields_of(Outlook)
+@_copy_fields_of(Outlook)
 class DiskOutlook(Answer):
     """Forecast of the disk space; null: unknown before the first set file."""
 
@@ -687,7 +687,7 @@ class TokenList(Answer):
     items: list[TokenEntry]
 
 
-@_fields_of(audit.AuditEntry)
+@_copy_fields_of(audit.AuditEntry)
 class AuditEntry(Answer):
     """Entry of the audit log."""
 
@@ -712,7 +712,7 @@ class HeartbeatState(Answer):
     next_utc: str | None
 
 
-@_fields_of(State, "heartbeat_result", "last_heartbeat_utc_ns", "next_heartbeat_utc_ns")
+@_copy_fields_of(State, "heartbeat_result", "last_heartbeat_utc_ns", "next_heartbeat_utc_ns")
 class ReceiverState(Answer):
     """State of a receiver of notifications; counts are since the start of the service."""
 
@@ -743,7 +743,7 @@ class TrialResult(Answer):
     took_s: float
 
 
-@_fields_of(Delivery, "place")
+@_copy_fields_of(Delivery, "place")
 class DeliveryEntry(Answer):
     """Line of the delivery log."""
 

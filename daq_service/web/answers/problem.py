@@ -86,7 +86,7 @@ def create_no_data() -> Problem:
     return Problem("no-data-yet", "No record has been stored in this data folder so far.")
 
 
-def create_lost(detail: str) -> Problem:
+def create_catalogue_lost(detail: str) -> Problem:
     """Create, without raising it, the error that the catalogue is lost and must be rebuilt (503)."""
     return Problem("catalogue-lost", f"{detail[0].upper()}{detail[1:]}.")
 

@@ -12,7 +12,7 @@ from pydantic import BaseModel
 
 from daq_service.catalogue.rows import list_columns
 from daq_service.catalogue.tables import TABLES
-from daq_service.shared_file import load_table
+from daq_service.shared_file import load_module_toml
 
 T = TypeVar("T")
 RATIOS = ("_ratio", "_coefficient", "_fraction", "_probability", "_squared")
@@ -32,7 +32,7 @@ class Vocabulary(BaseModel, frozen=True):
     schemes: dict[str, dict[str, str]]
 
 
-VOCABULARY = Vocabulary.model_validate(load_table(__file__))
+VOCABULARY = Vocabulary.model_validate(load_module_toml(__file__))
 
 
 MEANINGS: Mapping[str, str] = {

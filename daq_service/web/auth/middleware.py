@@ -82,7 +82,7 @@ class AccessPolicy:
         if self.is_open:
             return Person(name="", role=CLAIMED)
         text = self._read_token_text(scope, headers)
-        return None if text is None else self.authenticate_token(text, find_address(scope))
+        return None if text is None else self.authenticate_token(text, find_client_address(scope))
 
     def authenticate_token(self, text: str, address: str) -> Person:
         """Return the person of a token; a wrong one counts against the limit of its address.
@@ -120,7 +120,7 @@ class AccessPolicy:
             self.audit.add,
             author=person.name if person else "",
             role=person.role if person else "",
-            source=find_address(scope),
+            source=find_client_address(scope),
             what=what,
             arguments={"request_id": read_request_id(scope)},
             result="rejected",
@@ -146,11 +146,11 @@ class AccessPolicy:
         if not self._web.is_reachable or is_encrypted(scope):
             return
         host = urlsplit(f"//{headers.get('host', '')}").hostname
-        if host not in LOOPBACK or not _is_loopback(find_address(scope)):
+        if host not in LOOPBACK or not _is_loopback(find_client_address(scope)):
             raise Problem(
                 "not-encrypted",
-                f"A request to {host} from {find_address(scope)} was neither TLS nor handed on by web.proxy "
-                f"({self._web.proxy or 'none'}) with X-Forwarded-Proto: https.",
+                f"A request to {host} from {find_client_address(scope)} was neither TLS nor handed on by "
+                f"web.proxy ({self._web.proxy or 'none'}) with X-Forwarded-Proto: https.",
             )
 
     def _find_allowance(self, address: str) -> Allowance:
@@ -189,7 +189,7 @@ class AuthenticationMiddleware:
             # Page, health checks and login are public, but not without encryption.
             problem = problem if problem is not None and problem.status == 403 else None
         elif person is None and problem is None:
-            problem = create_token_required()
+            problem = create_token_required_error()
         scope.setdefault("state", {})["person"] = person
         if problem is None:
             await self._forward_request(scope, receive, send)
@@ -221,7 +221,7 @@ def _is_write_request(scope: Scope) -> bool:
     return scope["type"] == "http" and scope["method"] not in {"GET", "HEAD", "OPTIONS"}
 
 
-def create_token_required() -> Problem:
+def create_token_required_error() -> Problem:
     """Create, without raising it, the error that a request needs a token (401)."""
     return Problem("no-token", "This service asks for an access token.")
 
@@ -236,7 +236,7 @@ def read_request_person(connection: HTTPConnection) -> Person:
     """
     person: object = getattr(connection.state, "person", None)
     if person is None:
-        raise create_token_required()
+        raise create_token_required_error()
     assert isinstance(person, Person)
     return person
 
@@ -246,7 +246,7 @@ def is_encrypted(scope: Scope) -> bool:
     return scope["scheme"] in {"https", "wss"}
 
 
-def find_address(scope: Scope) -> str:
+def find_client_address(scope: Scope) -> str:
     """Return the network address of a client, from a trusted proxy's header if any; else ``unknown``."""
     client = scope.get("client")
     return str(client[0]) if client else "unknown"

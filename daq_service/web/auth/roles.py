@@ -12,7 +12,7 @@ from typing import Literal, get_args
 
 from pydantic import BaseModel
 
-from daq_service.shared_file import load_table
+from daq_service.shared_file import load_module_toml
 
 Role = Literal["viewer", "operator", "engineer", "admin"]
 ROLES: tuple[Role, ...] = get_args(Role)
@@ -25,7 +25,7 @@ class _Table(BaseModel, frozen=True, extra="forbid"):
     commands: Mapping[str, Role]
 
 
-_TABLE = _Table.model_validate(load_table(__file__))
+_TABLE = _Table.model_validate(load_module_toml(__file__))
 OPERATIONS: Mapping[str, Role | None] = {
     name: None if role == "public" else role for name, role in _TABLE.operations.items()
 }

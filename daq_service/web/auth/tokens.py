@@ -23,7 +23,7 @@ from pydantic import TypeAdapter, ValidationError
 
 from daq_service.clock import MACHINE, MachineClock, format_utc, parse_utc
 from daq_service.errors import StorageError, StorageUnavailableError, UsageError
-from daq_service.processes.data_folder import one_at_a_time
+from daq_service.processes.data_folder import lock_for_change
 from daq_service.settings.web import WebSettings
 from daq_service.shared_file import read_shared, write_durably
 from daq_service.web.auth.roles import Role
@@ -149,7 +149,7 @@ def _edit_tokens(path: Path) -> Iterator[list[Token]]:
     Nothing is written if the context raises. Raises StorageError if the file cannot be read or written.
     """
     try:
-        with one_at_a_time(path):
+        with lock_for_change(path):
             tokens = list(read_tokens(path))
             yield tokens
             content = _FILE.dump_json(tuple(tokens), indent=1)

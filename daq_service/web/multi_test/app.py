@@ -68,7 +68,7 @@ class TestDispatcher:
             await self._application(scope, receive, send)
 
 
-def create_app_of_many(paths: Sequence[Path], settings: Settings, folder: Path) -> FastAPI:
+def create_multi_test_app(paths: Sequence[Path], settings: Settings, folder: Path) -> FastAPI:
     """Create the application of several tests; no test is opened yet.
 
     Parameters

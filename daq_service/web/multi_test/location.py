@@ -10,14 +10,14 @@ from typing import Literal
 from pydantic import TypeAdapter, ValidationError
 
 from daq_service.catalogue.errors import CatalogueDamagedError, NoDataYetError, SchemaVersionError
-from daq_service.catalogue.experiment_file import read_experiment
+from daq_service.catalogue.experiment_file import read_experiment_file
 from daq_service.catalogue.rows import ExperimentRow
 from daq_service.catalogue.store import open_catalogue
 from daq_service.errors import SolimonError, UsageError
-from daq_service.processes.data_folder import refuse_other_folders, settings_and_folder
+from daq_service.processes.data_folder import load_settings_and_folder, require_data_folder
 from daq_service.settings.stored import restore_settings
 from daq_service.settings.tree import Settings
-from daq_service.shared_file import load_table
+from daq_service.shared_file import load_module_toml
 from daq_service.web.auth.middleware import AccessPolicy
 from daq_service.web.auth.tokens import find_tokens_file, read_tokens
 
@@ -25,7 +25,7 @@ Absence = Literal[
     "no_data", "missing", "foreign", "misconfigured", "damaged", "other_version", "locked", "unreadable"
 ]
 
-REMEDIES = TypeAdapter(dict[Absence, str]).validate_python(load_table(__file__))
+REMEDIES = TypeAdapter(dict[Absence, str]).validate_python(load_module_toml(__file__))
 
 
 class AbsentError(SolimonError):
@@ -51,7 +51,7 @@ def find_folder(path: Path) -> Path:
     if not is_configuration(path):
         return path.absolute()
     try:
-        return settings_and_folder(path, None)[1]
+        return load_settings_and_folder(path, None)[1]
     except UsageError:
         return path.absolute()
 
@@ -95,7 +95,7 @@ def _read_settings_and_folder(path: Path) -> tuple[Settings, Path]:
     """
     if is_configuration(path):
         try:
-            return settings_and_folder(path, None)
+            return load_settings_and_folder(path, None)
         except UsageError as error:
             state: Absence = "misconfigured" if path.is_file() else "missing"
             raise AbsentError(state, f"{error}") from error
@@ -103,7 +103,7 @@ def _read_settings_and_folder(path: Path) -> tuple[Settings, Path]:
     if not folder.is_dir():
         raise AbsentError("missing", f"There is no data folder {folder}.")
     try:
-        refuse_other_folders(folder)
+        require_data_folder(folder)
     except UsageError as error:
         raise AbsentError("foreign", f"{error}") from error
     try:
@@ -121,7 +121,7 @@ def _read_experiment(folder: Path) -> ExperimentRow:
         with open_catalogue(folder) as catalogue:
             return catalogue.read_experiment()
     except NoDataYetError:
-        stored = read_experiment(folder)  # where the catalogue is lost
+        stored = read_experiment_file(folder)  # where the catalogue is lost
         if stored is None:
             raise
         return stored

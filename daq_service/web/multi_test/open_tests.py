@@ -108,7 +108,7 @@ class ServedTests:
         try:
             settings, folder = await asyncio.to_thread(locate_test, test.path, self.access_policy)
         except AbsentError as error:
-            raise create_unavailable(error) from None
+            raise create_test_unavailable(error) from None
         context = Context(settings, folder, access_policy=self.access_policy, open_streams=self.count_streams)
         await test.resources.enter_async_context(context.run_background_tasks())
         test.context = context
@@ -164,7 +164,7 @@ class ServedTests:
                 await self._close_test(test)
 
 
-def create_unavailable(error: AbsentError) -> Problem:
+def create_test_unavailable(error: AbsentError) -> Problem:
     """Create, without raising it, the error that a test cannot be shown, with the remedy (503)."""
     return Problem(
         "no-data-yet" if error.state == "no_data" else "test-unavailable",

@@ -9,9 +9,9 @@ from prometheus_client.metrics_core import GaugeMetricFamily, Metric
 from starlette.responses import Response
 
 from daq_service.web.answers.json_answer import JsonAnswer
-from daq_service.web.answers.models import list_errors
+from daq_service.web.answers.models import describe_errors
 from daq_service.web.answers.problem import Problem, not_found
-from daq_service.web.assets import answer_asset, get_asset
+from daq_service.web.assets import build_asset_response, get_asset
 from daq_service.web.context import Context
 from daq_service.web.multi_test.answers import ListedTests, ServiceLiveness
 from daq_service.web.multi_test.listing import Listing
@@ -53,7 +53,7 @@ async def get_liveness(request: Request) -> JsonAnswer:
     return JsonAnswer(_build_liveness(request))
 
 
-@probes.get("/readyz", response_model=ServiceLiveness, responses=list_errors(503))
+@probes.get("/readyz", response_model=ServiceLiveness, responses=describe_errors(503))
 def get_readiness(request: Request) -> JsonAnswer:
     """Return the numbers of all tests and of those that can be shown; 503 if none can."""
     entries = _find_listing(request).read_entries()
@@ -113,11 +113,11 @@ def _collect_test_metrics(tests: ServedTests, name: str) -> Iterator[Metric]:
 @pages.get("/")
 async def get_list_page(request: Request) -> Response:
     """Serve the HTML page with the list of tests, or 304 if the browser has it."""
-    return answer_asset("tests.html", request)
+    return build_asset_response("tests.html", request)
 
 
 @pages.get("/api/v1/{rest:path}")
-async def get_elsewhere(rest: str) -> Response:
+async def raise_unknown_resource(rest: str) -> Response:
     """Raise 404 with a reference to the list, for clients that expect the service of a single test."""
     raise not_found(
         f"There is no /api/v1/{rest[:80]} of all tests together.",

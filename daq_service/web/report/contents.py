@@ -14,10 +14,10 @@ from typing import Any
 
 from daq_service.assessment.position_status import (
     find_data_age_h,
-    find_data_hour,
     find_limit,
+    find_newest_data_hour,
     find_status,
-    is_stale,
+    is_data_stale,
     read_latest_rows,
 )
 from daq_service.catalogue import Catalogue, open_catalogue
@@ -35,7 +35,7 @@ from daq_service.catalogue.rows import (
     ThicknessRow,
 )
 from daq_service.commands.audit import AuditEntry, read_audit
-from daq_service.commands.deadline import apply_expiry, remaining_now_s
+from daq_service.commands.deadline import mark_if_expired, remaining_now_s
 from daq_service.errors import UsageError
 from daq_service.processes.freshness import Freshness
 from daq_service.settings.stored import restore_settings
@@ -188,7 +188,7 @@ def read_report_contents(
         files = {row.file: row.file_sha256 or "" for rows in sets.values() for row in rows if row.file}
         file_list = "".join(f"{file} {sha256}\n" for file, sha256 in sorted(files.items()))
         alarms = [
-            fresh.with_present_state(row)
+            fresh.expire_shelf(row)
             for row in catalogue.rows(AlarmRow)
             if _was_active(row, experiment, begin_h, end_h)
         ]
@@ -215,7 +215,7 @@ def read_report_contents(
             history=_read_alarm_history(catalogue, {row.id for row in alarms[-MOST_LINES:]}),
             annotations=catalogue.rows(AnnotationRow, **filters)[-MOST_LINES:],
             orders=[
-                apply_expiry(row, remaining_now_s(row)) for row in catalogue.rows(CommandRow)[-MOST_LINES:]
+                mark_if_expired(row, remaining_now_s(row)) for row in catalogue.rows(CommandRow)[-MOST_LINES:]
             ],
             audit=[entry for _, entry in read_audit(folder, limit=MOST_LINES)[0]] if audited else None,
         )
@@ -256,9 +256,9 @@ def _build_position_report(
         serial_number=position_settings.serial_number,
         last=last,
         state=find_status(last),
-        data_h=find_data_hour(last),
+        data_h=find_newest_data_hour(last),
         age_h=age_h,
-        stale=is_stale(settings.schedule, fresh, age_h),
+        stale=is_data_stale(settings.schedule, fresh, age_h),
         limit=find_limit(last, settings.thinnest_m),
         values=catalogue.columns(kind, columns, **set_filters),
         assessments=None

@@ -15,7 +15,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogFormatter
 
-from daq_service.shared_file import load_table
+from daq_service.shared_file import load_module_toml
 from daq_service.web.report.contents import Columns, Contents, PositionReport
 from hardware_drivers.methods import PULSE_ECHO
 
@@ -27,7 +27,7 @@ MARGIN = 0.01
 POOR = "suspect or bad"
 ABOVE: Any = {"loc": "lower left", "bbox_to_anchor": (0.0, 0.98), "ncols": 4}
 """Position of a legend above the axes."""
-RULES: Any = load_table(__file__)
+RULES: Any = load_module_toml(__file__)
 _NO_METADATA = {"Date": None, "Creator": None, "Format": None, "Type": None}
 
 

@@ -6,10 +6,10 @@ import json
 import math
 from collections.abc import Iterator, Mapping, Sequence
 
-from daq_service.alarms.evidence import evidence_sentences
+from daq_service.alarms.evidence import build_evidence_sentences
 from daq_service.alarms.states import NOT_ASSESSED
 from daq_service.alarms.transitions import build_transition
-from daq_service.assessment.stored_limits import find_chart
+from daq_service.assessment.stored_limits import find_chart_statistic
 from daq_service.catalogue.rows import AlarmRow, EventRow
 from daq_service.settings.tree import AlarmSettings, NoveltySettings
 from daq_service.web.report.contents import MOST_LINES, Columns, Contents, PositionReport
@@ -27,7 +27,7 @@ def render_report_page(contents: Contents, figures: Mapping[str, str]) -> bytes:
 
     def explain_alarm(alarm: AlarmRow) -> list[str]:
         """Return the evidence of an alarm as sentences."""
-        return evidence_sentences(alarm, contents.baselines)
+        return build_evidence_sentences(alarm, contents.baselines)
 
     def format_hour(utc_ns: int) -> str:
         """Format a UTC time in ns as hour of the test with two decimals."""
@@ -97,7 +97,7 @@ def _build_newest_row(position: PositionReport, alarms: AlarmSettings) -> Row:
     if position.state == NOT_ASSESSED and assessment is not None and assessment.reason:
         value = f"not judged: {assessment.reason}"
     limit = format_significant(position.limit)
-    if (chart := find_chart(assessment, alarms)) is None:
+    if (chart := find_chart_statistic(assessment, alarms)) is None:
         return value, limit
     return f"{value}; chart {format_significant(chart[0])}", f"{limit}; chart {format_significant(chart[1])}"
 

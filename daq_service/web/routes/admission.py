@@ -11,7 +11,7 @@ from starlette.requests import HTTPConnection
 
 from daq_service.commands.audit import Result
 from daq_service.web.answers.problem import Problem
-from daq_service.web.auth.middleware import find_address, read_request_person
+from daq_service.web.auth.middleware import find_client_address, read_request_person
 from daq_service.web.auth.roles import OPERATIONS, Person, Role
 from daq_service.web.context import find_request_context
 
@@ -27,7 +27,7 @@ async def _provide_person(connection: HTTPConnection) -> Person:
 PersonOf = Annotated[Person, Depends(_provide_person)]
 
 
-async def check_role(connection: HTTPConnection) -> None:
+async def require_role(connection: HTTPConnection) -> None:
     """Raise a problem if the role does not allow the operation; a dependency of every route of the API.
 
     A role that is too low is written to the audit log. An operation without an entry requires admin.
@@ -76,7 +76,7 @@ def write_audit_entry(
     audit.add(
         author=person.name or claimed,
         role=person.role,
-        source=find_address(connection.scope),
+        source=find_client_address(connection.scope),
         what=operation,
         arguments=dict(arguments or {}),
         result=result,

@@ -16,7 +16,7 @@ from daq_service.web.context import Context, ContextOf
 from daq_service.web.routes.listing import RowId
 
 router = APIRouter(tags=["alarms"])
-ERRORS = models.list_errors(404, 503)
+ERRORS = models.describe_errors(404, 503)
 
 
 @router.get("/alarms/{alarm_id}", response_model=models.AlarmRow, responses=ERRORS)

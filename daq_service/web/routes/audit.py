@@ -15,7 +15,7 @@ from daq_service.commands.deadline import read_command_state
 from daq_service.errors import SolimonError, StorageUnavailableError
 from daq_service.web.answers import cursors
 from daq_service.web.answers.json_answer import JsonAnswer, add_utc
-from daq_service.web.answers.models import AuditPage, list_errors
+from daq_service.web.answers.models import AuditPage, describe_errors
 from daq_service.web.answers.problem import invalid
 from daq_service.web.auth.roles import OPERATIONS, ORDERS
 from daq_service.web.context import Context, ContextOf
@@ -45,7 +45,7 @@ FromUtc = Annotated[Moment | None, Query(description="First moment, included")]
 ToUtc = Annotated[Moment | None, Query(description="Last moment, excluded")]
 
 
-@router.get("/audit", response_model=AuditPage, responses=list_errors(503))
+@router.get("/audit", response_model=AuditPage, responses=describe_errors(503))
 def list_audit(
     context: ContextOf,
     author: Author = None,
@@ -62,7 +62,7 @@ def list_audit(
     for earlier ones. An unknown operation or a reversed range is answered with 422.
     """
     kinds = _parse_operations(what)
-    first_ns, end_ns = _to_utc_ns(from_utc), _to_utc_ns(to_utc)
+    first_ns, end_ns = _convert_to_utc_ns(from_utc), _convert_to_utc_ns(to_utc)
     _check_range(first_ns, end_ns)
 
     def is_selected(entry: AuditEntry) -> bool:
@@ -82,7 +82,7 @@ def list_audit(
         )
     except OSError as error:
         raise StorageUnavailableError(f"{AUDIT_FILE} cannot be read: {error.strerror}") from error
-    items = [_build_item(context, number, entry) for number, entry in entries]
+    items = [_build_audit_item(context, number, entry) for number, entry in entries]
     next_cursor = None if previous_end is None else cursors.encode_cursor(listing, previous_end)
     return JsonAnswer({"next_cursor": next_cursor, "items": items})
 
@@ -110,7 +110,7 @@ def _check_range(first_ns: int | None, end_ns: int | None) -> None:
         )
 
 
-def _to_utc_ns(moment: datetime | None) -> int | None:
+def _convert_to_utc_ns(moment: datetime | None) -> int | None:
     """Convert a time to nanoseconds since 1970 (UTC), to the microsecond; None stays None.
 
     By subtraction, since conversion to UTC fails in year 1.
@@ -118,7 +118,7 @@ def _to_utc_ns(moment: datetime | None) -> int | None:
     return None if moment is None else (moment - EPOCH) // timedelta(microseconds=1) * 1000
 
 
-def _build_item(context: Context, number: int, entry: AuditEntry) -> dict[str, object]:
+def _build_audit_item(context: Context, number: int, entry: AuditEntry) -> dict[str, object]:
     """Convert an audit entry for an answer, with its number and the outcome of its command."""
     outcome = None if entry.command_id is None else _read_outcome(context, entry.command_id)
     return add_utc({"id": number, **asdict(entry), "outcome": outcome}, 0)

@@ -18,11 +18,11 @@ from daq_service.commands import kinds
 from daq_service.commands.audit import Result
 from daq_service.commands.deadline import read_command_state
 from daq_service.commands.registry import AnyCommand
-from daq_service.commands.without_recorder import carry_out_unattended
+from daq_service.commands.without_recorder import execute_without_recorder
 from daq_service.errors import BusyError, StorageError
-from daq_service.processes.data_folder import is_owned
+from daq_service.processes.data_folder import is_held
 from daq_service.web.answers.json_answer import JsonAnswer, add_utc
-from daq_service.web.answers.models import CommandRow, list_errors
+from daq_service.web.answers.models import CommandRow, describe_errors
 from daq_service.web.answers.problem import Problem, conflict, not_found
 from daq_service.web.auth.roles import ORDERS, Person
 from daq_service.web.context import Context, ContextOf
@@ -54,7 +54,7 @@ _accepts = partial(
     router.post,
     status_code=202,
     response_model=CommandRow,
-    responses=list_errors(400, 403, 404, 409, 413, 503),
+    responses=describe_errors(400, 403, 404, 409, 413, 503),
 )
 
 
@@ -75,10 +75,10 @@ def acknowledge_alarm(alarm_id: RowId, body: Acknowledgement, execute: ExecuteOf
     return execute(kinds.AcknowledgeAlarm(kind="acknowledge_alarm", author=body.author, arguments=arguments))
 
 
-@router.get("/commands/{command_id}", response_model=CommandRow, responses=list_errors(404, 503))
+@router.get("/commands/{command_id}", response_model=CommandRow, responses=describe_errors(404, 503))
 def get_command(command_id: RowId, context: ContextOf) -> JsonAnswer:
     """Return a command with its state, its result and, while pending, the time in s until it expires."""
-    return JsonAnswer(_read_row(context, command_id))
+    return JsonAnswer(_read_command_row(context, command_id))
 
 
 def _execute_audited(context: Context, request: Request, person: Person, command: kinds.Command) -> Response:
@@ -99,36 +99,36 @@ def _execute_audited(context: Context, request: Request, person: Person, command
         if not person.may(ORDERS.get(command.kind, "admin")):
             raise create_role_too_low(person, command.kind, ORDERS.get(command.kind, "admin"))
         command = command.model_copy(update={"author": person.name or command.author})
-        command_id, result = _write_or_execute(context, command)
+        command_id, result = _store_or_execute(context, command)
     except (Problem, StorageError) as refusal:
         audit("rejected", str(refusal))
         raise
     audit(result, command_id=command_id)
     return JsonAnswer(
-        _read_row(context, command_id),
+        _read_command_row(context, command_id),
         status_code=202,
         headers={"Location": f"/api/v1/commands/{command_id}"},
     )
 
 
-def _write_or_execute(context: Context, command: kinds.Command) -> tuple[int, Result]:
+def _store_or_execute(context: Context, command: kinds.Command) -> tuple[int, Result]:
     """Store a command for the recorder, or execute one that only changes data if no recorder runs.
 
     Returns its id, and ``accepted`` or ``done``. Raises a Problem (404, 409) if it is not possible now.
     """
     catalogue = context.catalogue()
     try:
-        if isinstance(command, kinds.StoredCommand) and is_owned(context.data_folder) is False:
+        if isinstance(command, kinds.StoredCommand) and is_held(context.data_folder) is False:
             with suppress(BusyError):  # a recorder has started meanwhile: it gets the command
-                return _execute_here(context, command), "done"
-        command.refuse_forbidden(_collect_facts(context, catalogue))
+                return _execute_without_recorder(context, command), "done"
+        command.require_allowed(_collect_facts(context, catalogue))
     except kinds.CommandRejectedError as error:
         refusal = error.refusal
         raise (not_found if refusal.missing else conflict)(refusal.detail, refusal.hint) from None
     return catalogue.add_command(command.author, command.kind, command.arguments.model_dump()), "accepted"
 
 
-def _execute_here(context: Context, command: kinds.StoredCommand) -> int:
+def _execute_without_recorder(context: Context, command: kinds.StoredCommand) -> int:
     """Execute a command in the web service, without a recorder; return its id.
 
     Raises BusyError if a recorder has started meanwhile.
@@ -140,26 +140,26 @@ def _execute_here(context: Context, command: kinds.StoredCommand) -> int:
         return Moment(utc_ns=now.now_utc_ns, due_h=now.now_h, set_index=None)
 
     facts = partial(_collect_facts, context)
-    return carry_out_unattended(context.data_folder, command, facts=facts, moment=read_moment)
+    return execute_without_recorder(context.data_folder, command, facts=facts, moment=read_moment)
 
 
 def _collect_facts(context: Context, catalogue: Catalogue) -> kinds.Facts:
     """Read the state of test, recorder, alarms and baselines that decides whether a command is possible."""
     return kinds.Facts(
         recorder=context.read_freshness().recorder.status,
-        recorded=is_owned(context.data_folder) is not False,
+        recorded=is_held(context.data_folder) is not False,
         can_skip_time=context.settings.clock.is_paced,
         paused=catalogue.paused() or "",
         positions=context.settings.list_positions(SOLITARY_WAVE),
         has_supply=context.settings.rig.driven is not None,
-        alarms=list(map(context.read_freshness().with_present_state, catalogue.rows(AlarmRow))),
+        alarms=list(map(context.read_freshness().expire_shelf, catalogue.rows(AlarmRow))),
         places=catalogue.list_position_names(),
         annotations=catalogue.rows(AnnotationRow),
         baselines=catalogue.read_newest_baselines(),
     )
 
 
-def _read_row(context: Context, command_id: int) -> dict[str, object]:
+def _read_command_row(context: Context, command_id: int) -> dict[str, object]:
     """Read a command with the time in s until it expires (None unless pending).
 
     Raises a Problem (404) if it does not exist.

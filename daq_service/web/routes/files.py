@@ -9,7 +9,7 @@ from fastapi import APIRouter, Path, Request
 from starlette.responses import FileResponse, Response
 
 from daq_service.catalogue.rows import SetRow
-from daq_service.web.answers.models import describe_files, list_errors
+from daq_service.web.answers.models import describe_errors, describe_files
 from daq_service.web.answers.problem import Problem, not_found
 from daq_service.web.answers.unchanged import check_etag
 from daq_service.web.context import Context, ContextOf
@@ -28,7 +28,7 @@ RANGE = re.compile(r"bytes=(\d{0,18})-(\d{0,18})", re.ASCII)
     responses=describe_files(HDF5)
     | {206: describe_files(HDF5)[200] | {"description": "The range that was asked for."}}
     | {304: {"description": "The client's copy, named by If-None-Match, is the file."}}
-    | list_errors(404, 416, 503),
+    | describe_errors(404, 416, 503),
 )
 def get_file(
     request: Request,

@@ -6,9 +6,9 @@ from dataclasses import asdict
 
 from fastapi import APIRouter
 
-from daq_service.processes.disk_policy import outlook
+from daq_service.processes.disk_policy import forecast_disk
 from daq_service.web.answers.json_answer import JsonAnswer
-from daq_service.web.answers.models import Liveness, ServiceHealth, list_errors
+from daq_service.web.answers.models import Liveness, ServiceHealth, describe_errors
 from daq_service.web.context import ContextOf
 
 probes = APIRouter(tags=["health"])
@@ -21,14 +21,14 @@ def get_liveness(context: ContextOf) -> JsonAnswer:
     return JsonAnswer({"status": "ok", "data": context.has_data()})
 
 
-@probes.get("/readyz", response_model=Liveness, responses=list_errors(503))
+@probes.get("/readyz", response_model=Liveness, responses=describe_errors(503))
 def get_readiness(context: ContextOf) -> JsonAnswer:
     """Return 200 if data are stored and readable, else 503."""
     context.catalogue().last_event_id()
     return JsonAnswer({"status": "ok", "data": True})
 
 
-@router.get("/health", response_model=ServiceHealth, responses=list_errors(503))
+@router.get("/health", response_model=ServiceHealth, responses=describe_errors(503))
 def get_health(context: ContextOf) -> JsonAnswer:
     """Return status and heartbeat of the recorder, counts of stored data, open streams, and disk space.
 
@@ -37,7 +37,7 @@ def get_health(context: ContextOf) -> JsonAnswer:
     fresh = context.read_freshness()
     beat = fresh.recorder.beat
     settings, catalogue = context.settings, context.catalogue()
-    disk = outlook(context.data_folder, settings.storage, settings.schedule, catalogue)
+    disk = forecast_disk(context.data_folder, settings.storage, settings.schedule, catalogue)
     return JsonAnswer(
         {
             "as_of": fresh.as_of(),

@@ -7,7 +7,7 @@ from fastapi import APIRouter
 from daq_service.acquisition import schedule
 from daq_service.catalogue import Catalogue
 from daq_service.web.answers.json_answer import JsonAnswer, format_rfc3339
-from daq_service.web.answers.models import Info, SupplyInfo, list_errors
+from daq_service.web.answers.models import Info, SupplyInfo, describe_errors
 from daq_service.web.answers.version import read_installed_version
 from daq_service.web.context import ContextOf, Freshness
 from hardware_drivers.nanoseconds import NS_PER_S
@@ -21,7 +21,7 @@ RIG_LABELS = {
 }
 
 
-@router.get("/info", response_model=Info, responses=list_errors(503))
+@router.get("/info", response_model=Info, responses=describe_errors(503))
 def get_info(context: ContextOf) -> JsonAnswer:
     """Return identity, rig, clock, schedule, limits and positions of the test, and any pause or request."""
     settings = context.settings

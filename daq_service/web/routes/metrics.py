@@ -20,28 +20,28 @@ from daq_service.assessment.position_status import (
     find_data_age_h,
     find_limit,
     find_status,
-    is_stale,
+    is_data_stale,
     read_latest_rows,
 )
 from daq_service.catalogue.reader import LatestRows
 from daq_service.catalogue.rows import AlarmRow, CommandRow, Quality
-from daq_service.processes.disk_policy import LEVELS, outlook
+from daq_service.processes.disk_policy import LEVELS, forecast_disk
 from daq_service.processes.recorder_state import RecorderStatus, read_recorder_state
 from daq_service.settings.tree import ScheduleSettings
-from daq_service.shared_file import load_table
-from daq_service.web.answers.models import list_errors
+from daq_service.shared_file import load_module_toml
+from daq_service.web.answers.models import describe_errors
 from daq_service.web.answers.version import read_installed_version
 from daq_service.web.context import Context, ContextOf, Freshness
 from hardware_drivers.nanoseconds import NS_PER_S
 
 probes = APIRouter(tags=["health"])
-DESCRIPTIONS = TypeAdapter(dict[str, str]).validate_python(load_table(__file__))
+DESCRIPTIONS = TypeAdapter(dict[str, str]).validate_python(load_module_toml(__file__))
 S_PER_H = 3600.0
 
 Labels = tuple[str, ...]
 OPENMETRICS: dict[int | str, dict[str, object]] = {
     200: {"content": {"application/openmetrics-text": {"schema": {"type": "string"}}}},
-    **list_errors(503),
+    **describe_errors(503),
 }
 
 
@@ -109,7 +109,7 @@ def _collect_receiver_metrics(context: Context) -> Iterator[Metric]:
     yield sent
     yield failed
     waiting: dict[Labels, int] = {(queue.name,): queue.state.waiting for queue in queues}
-    yield _build_gauges("notifications_waiting", waiting, "receiver")
+    yield _build_labeled_gauge("notifications_waiting", waiting, "receiver")
 
 
 COUNTS = ("sets", "missed_sets", "partial_sets", "shots", "pulse_echo_records")
@@ -128,17 +128,17 @@ def _collect_data_metrics(context: Context, fresh: Freshness) -> Iterator[Metric
         yield _build_counter(name, counts[name])
     yield _build_counter("alarms", catalogue.find_newest_id(AlarmRow))
     yield _build_counter("orders", catalogue.find_newest_id(CommandRow))
-    disk = outlook(context.data_folder, context.settings.storage, context.settings.schedule, catalogue)
+    disk = forecast_disk(context.data_folder, context.settings.storage, context.settings.schedule, catalogue)
     yield _build_gauge("disk_free_bytes", disk.free_bytes)
     yield _build_gauge("disk_size_bytes", disk.total_bytes)
     yield _build_gauge("disk_needed_bytes", disk.needed_bytes)
-    yield _build_states("disk_level", {(): disk.level}, LEVELS)
-    active = map(fresh.with_present_state, catalogue.rows(AlarmRow, active=True))
+    yield _build_state_gauge("disk_level", {(): disk.level}, LEVELS)
+    active = map(fresh.expire_shelf, catalogue.rows(AlarmRow, active=True))
     numbers: Counter[Labels] = Counter(
         (row.kind, row.priority, row.state, row.position or "", row.suppressed or "") for row in active
     )
     labels = ("kind", "priority", "state", "position", "suppressed")
-    yield _build_gauges("alarms_active", numbers, *labels)
+    yield _build_labeled_gauge("alarms_active", numbers, *labels)
     latest = read_latest_rows(catalogue, fresh, context.settings.positions)
     yield from _collect_positions(context.settings.schedule, context.settings.thinnest_m, fresh, latest)
 
@@ -167,12 +167,12 @@ def _collect_positions(
     def build_gauge(name: str, value: Callable[[LatestRows], float | None]) -> Metric:
         """Build a gauge with one sample per position."""
         samples: dict[Labels, float | None] = {(place,): value(last) for place, last in summaries.items()}
-        return _build_gauges(name, samples, "position")
+        return _build_labeled_gauge(name, samples, "position")
 
     def build_states(name: str, state: Callable[[LatestRows], str | None], known: object) -> Metric:
         """Build a state metric with one sample per position and state."""
         present: dict[Labels, str | None] = {(place,): state(last) for place, last in summaries.items()}
-        return _build_states(name, present, get_args(known), "position")
+        return _build_state_gauge(name, present, get_args(known), "position")
 
     def compute_age_s(last: LatestRows) -> float | None:
         """Return the age of the newest data of a position in s; None without data."""
@@ -191,7 +191,7 @@ def _collect_positions(
     yield build_states("quality", _read_quality, Quality)
     yield build_gauge(
         "stale",
-        lambda last: is_stale(schedule, fresh, find_data_age_h(last, fresh)),
+        lambda last: is_data_stale(schedule, fresh, find_data_age_h(last, fresh)),
     )
     yield build_gauge("data_age_seconds", compute_age_s)
     for name, row, column in VALUES:
@@ -217,7 +217,7 @@ def _compute_delay_s(summary: LatestRows) -> float | None:
 
 def _build_recorder_metric(status: str) -> Metric:
     """Build the state metric of the recorder: 1 for its status, 0 for the others."""
-    return _build_states("recorder_state", {(): status}, get_args(RecorderStatus))
+    return _build_state_gauge("recorder_state", {(): status}, get_args(RecorderStatus))
 
 
 def _build_counter(name: str, number: int) -> Metric:
@@ -227,10 +227,10 @@ def _build_counter(name: str, number: int) -> Metric:
 
 def _build_gauge(name: str, number: float | None) -> Metric:
     """Build a gauge without labels, named ``solimon_NAME``; without a value it has no sample."""
-    return _build_gauges(name, {(): number})
+    return _build_labeled_gauge(name, {(): number})
 
 
-def _build_gauges(name: str, samples: Mapping[Labels, float | None], *labels: str) -> Metric:
+def _build_labeled_gauge(name: str, samples: Mapping[Labels, float | None], *labels: str) -> Metric:
     """Build a gauge with a sample for each combination of labels; None values are left out.
 
     Raises KeyError if the name has no description.
@@ -242,7 +242,7 @@ def _build_gauges(name: str, samples: Mapping[Labels, float | None], *labels: st
     return family
 
 
-def _build_states(
+def _build_state_gauge(
     name: str, present: Mapping[Labels, str | None], known: Iterable[str], *labels: str
 ) -> Metric:
     """Build a state metric: one sample per known state, 1 for the present one and 0 for the others.
@@ -255,4 +255,4 @@ def _build_states(
         for state in known
         if status
     }
-    return _build_gauges(name, samples, *labels, "state")
+    return _build_labeled_gauge(name, samples, *labels, "state")

@@ -11,11 +11,11 @@ from fastapi import APIRouter, Path, Request
 from daq_service.errors import BusyError, StorageUnavailableError
 from daq_service.processes.notifications.addresses import hide_address_secrets
 from daq_service.processes.notifications.delivery_log import LOG_FILE
-from daq_service.processes.notifications.receiver import ReceiverQueue, State, is_dead
+from daq_service.processes.notifications.receiver import ReceiverQueue, State, is_receiver_dead
 from daq_service.settings.notifications import ReceiverSettings
 from daq_service.web.answers import cursors
 from daq_service.web.answers.json_answer import JsonAnswer, add_utc
-from daq_service.web.answers.models import DeliveryPage, NotificationsState, TrialResult, list_errors
+from daq_service.web.answers.models import DeliveryPage, NotificationsState, TrialResult, describe_errors
 from daq_service.web.answers.problem import conflict, not_found
 from daq_service.web.context import Context, ContextOf
 from daq_service.web.routes.admission import PersonOf, write_audit_entry
@@ -42,7 +42,7 @@ def get_notifications(context: ContextOf) -> JsonAnswer:
     )
 
 
-@router.get("/notifications/log", response_model=DeliveryPage, responses=list_errors(503))
+@router.get("/notifications/log", response_model=DeliveryPage, responses=describe_errors(503))
 def list_deliveries(context: ContextOf, cursor: CursorText = None, limit: Limit = 100) -> JsonAnswer:
     """List the delivery log (sent, failed and given-up messages), the newest first, in pages."""
     end = cursors.decode_cursor("deliveries", cursor)
@@ -60,7 +60,9 @@ def list_deliveries(context: ContextOf, cursor: CursorText = None, limit: Limit 
 
 
 @router.post(
-    "/notifications/{receiver}/test", response_model=TrialResult, responses=list_errors(403, 404, 409, 413)
+    "/notifications/{receiver}/test",
+    response_model=TrialResult,
+    responses=describe_errors(403, 404, 409, 413),
 )
 def test_receiver(
     receiver: Annotated[str, Path(max_length=32)], request: Request, person: PersonOf, context: ContextOf
@@ -105,7 +107,7 @@ def _build_receiver_state(context: Context, queue: ReceiverQueue) -> dict[str, o
             "kind": settings.kind,
             "address": hide_address_secrets(settings),
             "rules": [number for number, rule in rules if not rule.receivers or queue.name in rule.receivers],
-            "state": _name_state(state, now_ns),
+            "state": _name_delivery_state(state, now_ns),
             **{name: value for name, value in asdict(state).items() if "heartbeat" not in name},
             "last_sent_age_s": None if sent_ns is None else max(0.0, (now_ns - sent_ns) / NS_PER_S),
             "heartbeat": _build_heartbeat_state(settings, state),
@@ -114,10 +116,10 @@ def _build_receiver_state(context: Context, queue: ReceiverQueue) -> dict[str, o
     )
 
 
-def _name_state(state: State, now_ns: int) -> str:
+def _name_delivery_state(state: State, now_ns: int) -> str:
     """Return the state of deliveries: ``dead`` or ``failing``, else ``waiting`` or ``idle``."""
     if state.failing_since_utc_ns is not None:
-        return "dead" if is_dead(state, now_ns) else "failing"
+        return "dead" if is_receiver_dead(state, now_ns) else "failing"
     return "waiting" if state.waiting else "idle"
 
 

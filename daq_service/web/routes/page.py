@@ -29,7 +29,7 @@ async def get_dashboard(request: Request) -> Response:
     """Serve the page with the session embedded, and for a logged-in person the first answers."""
     answers = {b"/api/v1/session": bytes((await get_session(request)).body)}
     if request.state.person is not None and _has_test(request):
-        answers |= await _load_first_answers(find_request_context(request))
+        answers |= await _get_embedded_answers(find_request_context(request))
     # "<" is escaped, as it could end the script element; in JSON it occurs only within strings.
     embedded = b",".join(b'"%b":%b' % answer for answer in answers.items()).replace(b"<", rb"\u003c")
     page = load_assets()[PAGE].content.replace(ANSWERS, ANSWERS + embedded)
@@ -41,16 +41,16 @@ def _has_test(request: Request) -> bool:
     return hasattr(request.state, "test") or hasattr(request.app.state, "context")
 
 
-async def _load_first_answers(context: Context) -> Mapping[bytes, bytes]:
+async def _get_embedded_answers(context: Context) -> Mapping[bytes, bytes]:
     """Return the embedded answers by path, at most `KEPT_S` (0.5 s) old; read in a thread if necessary."""
     read_s, answers = context.first_answers
     if time.monotonic() - read_s > KEPT_S:
-        answers = await to_thread(_read_answers, context)
+        answers = await to_thread(_read_embedded_answers, context)
         context.first_answers = time.monotonic(), answers
     return answers
 
 
-def _read_answers(context: Context) -> dict[bytes, bytes]:
+def _read_embedded_answers(context: Context) -> dict[bytes, bytes]:
     """Read the embedded answers as JSON by path; empty if any of them fails.
 
     Info is read before the transducers, as pages follow events after its last id.

@@ -9,7 +9,7 @@ from starlette.responses import Response
 
 from daq_service.errors import UsageError
 from daq_service.processes.worker import start_one_worker
-from daq_service.web.answers.models import list_errors
+from daq_service.web.answers.models import describe_errors
 from daq_service.web.answers.problem import Problem, invalid
 from daq_service.web.context import ContextOf
 from daq_service.web.report.make import build_report_page
@@ -25,7 +25,7 @@ _making = threading.Lock()
     response_class=Response,
     responses={
         200: {"content": {"text/html": {"schema": {"type": "string"}}}},
-        **list_errors(503),
+        **describe_errors(503),
     },
 )
 def get_report(

@@ -13,7 +13,7 @@ from daq_service.catalogue import rows
 from daq_service.catalogue.reader import Filters
 from daq_service.web.answers import cursors, models
 from daq_service.web.answers.json_answer import JsonAnswer
-from daq_service.web.answers.models import list_errors
+from daq_service.web.answers.models import describe_errors
 from daq_service.web.answers.problem import not_found
 from daq_service.web.answers.vocabulary import VOCABULARY
 from daq_service.web.context import Context, ContextOf, Freshness
@@ -32,7 +32,7 @@ SET_INDEX: Parameters = {"set_index": (Annotated[str | None, SET_QUERY], None)}
 PURPOSE: Parameters = {"purpose": (listing.PurposeFilter, "planned")}
 
 
-def add_listing(
+def add_listing_route(
     resource: str,
     kind: type[rows.Row],
     page: type[BaseModel],
@@ -94,7 +94,7 @@ def add_listing(
         tags=[resource],
         name=f"list_{resource}",
         response_model=page,
-        responses=list_errors(404, 503) if "position" in filters else list_errors(503),
+        responses=describe_errors(404, 503) if "position" in filters else describe_errors(503),
     )(answer_page)
 
 
@@ -120,20 +120,20 @@ OF_ALARMS: Parameters = {
 }
 WITHDRAWN = Query(description="true: those withdrawn; false: the others; absent: all")
 OF_ANNOTATIONS: Parameters = {"withdrawn": (Annotated[bool | None, WITHDRAWN], None)}
-add_listing("sets", rows.SetRow, models.SetPage, POSITION | STATE | BY_SET)
-add_listing("features", rows.FeatureRow, models.FeaturePage, POSITION | SCOPE | BY_SET)
-add_listing("thickness", rows.ThicknessRow, models.ThicknessPage, POSITION | SET_INDEX | HOURS)
-add_listing("assessments", rows.AssessmentRow, models.AssessmentPage, POSITION | BY_SET, add_quality)
-add_listing("environment", rows.EnvironmentRow, models.EnvironmentPage, HOURS)
-add_listing("alarms", rows.AlarmRow, models.AlarmPage, POSITION | HOURS | OF_ALARMS)
-add_listing("annotations", rows.AnnotationRow, models.AnnotationPage, POSITION | HOURS | OF_ANNOTATIONS)
+add_listing_route("sets", rows.SetRow, models.SetPage, POSITION | STATE | BY_SET)
+add_listing_route("features", rows.FeatureRow, models.FeaturePage, POSITION | SCOPE | BY_SET)
+add_listing_route("thickness", rows.ThicknessRow, models.ThicknessPage, POSITION | SET_INDEX | HOURS)
+add_listing_route("assessments", rows.AssessmentRow, models.AssessmentPage, POSITION | BY_SET, add_quality)
+add_listing_route("environment", rows.EnvironmentRow, models.EnvironmentPage, HOURS)
+add_listing_route("alarms", rows.AlarmRow, models.AlarmPage, POSITION | HOURS | OF_ALARMS)
+add_listing_route("annotations", rows.AnnotationRow, models.AnnotationPage, POSITION | HOURS | OF_ANNOTATIONS)
 
 
 @router.get(
     "/sets/{position}/{set_index}/shots",
     tags=["sets"],
     response_model=models.ShotPage,
-    responses=list_errors(404, 503),
+    responses=describe_errors(404, 503),
 )
 def list_shots(context: ContextOf, position: str, set_index: listing.SetOfPath) -> JsonAnswer:
     """List the stored shots of one set, in one page; 404 if none is stored."""
@@ -149,7 +149,10 @@ def list_shots(context: ContextOf, position: str, set_index: listing.SetOfPath) 
 
 
 @router.get(
-    "/baselines", tags=["assessments"], response_model=models.BaselineList, responses=list_errors(404, 503)
+    "/baselines",
+    tags=["assessments"],
+    response_model=models.BaselineList,
+    responses=describe_errors(404, 503),
 )
 def list_baselines(context: ContextOf, position: listing.PositionFilter = None) -> JsonAnswer:
     """List all baselines of each position, the newest last: lifecycle, statistics, limits, provenance.

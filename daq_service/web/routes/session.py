@@ -10,9 +10,9 @@ from starlette.responses import Response
 
 from daq_service.commands.kinds import Strict
 from daq_service.web.answers.json_answer import JsonAnswer
-from daq_service.web.answers.models import Session, list_errors
+from daq_service.web.answers.models import Session, describe_errors
 from daq_service.web.answers.problem import Problem
-from daq_service.web.auth.middleware import LONGEST_TOKEN, find_address, is_encrypted
+from daq_service.web.auth.middleware import LONGEST_TOKEN, find_client_address, is_encrypted
 from daq_service.web.auth.roles import CLAIMED, Person
 from daq_service.web.context import ContextOf
 from daq_service.web.routes.admission import write_audit_entry
@@ -34,14 +34,14 @@ async def get_session(request: Request) -> JsonAnswer:
     return JsonAnswer(_build_session(request.state.person))
 
 
-@router.post("/session", response_model=Session, responses=list_errors(400, 403, 413))
+@router.post("/session", response_model=Session, responses=describe_errors(400, 403, 413))
 async def log_in(body: LogIn, request: Request, context: ContextOf) -> Response:
     """Log the page in: sets a cookie (HttpOnly, SameSite=Strict, over TLS Secure) for 30 days.
 
     A wrong token is answered with 401, too many wrong ones with 429.
     """
     try:
-        person = context.access_policy.authenticate_token(body.token, find_address(request.scope))
+        person = context.access_policy.authenticate_token(body.token, find_client_address(request.scope))
     except Problem as problem:
         if problem.status == 429:
             context.access_policy.audit.count_omitted_rejection()
@@ -63,7 +63,7 @@ async def log_in(body: LogIn, request: Request, context: ContextOf) -> Response:
     return response
 
 
-@router.delete("/session", response_model=Session, responses=list_errors(403))
+@router.delete("/session", response_model=Session, responses=describe_errors(403))
 async def log_out(request: Request, context: ContextOf) -> Response:
     """Log the page out by deleting its cookie; the token stays valid until it is revoked."""
     person = request.state.person

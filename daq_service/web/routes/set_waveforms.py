@@ -14,7 +14,7 @@ from daq_service.assessment.methods import METHODS
 from daq_service.catalogue.reader import Filters
 from daq_service.catalogue.rows import FeatureRow, SetRow, ShotRow, ThicknessRow
 from daq_service.web.answers.json_answer import build_framed_body
-from daq_service.web.answers.models import UNCHANGED, describe_files, list_errors
+from daq_service.web.answers.models import UNCHANGED, describe_errors, describe_files
 from daq_service.web.answers.problem import not_found
 from daq_service.web.answers.unchanged import check_etag
 from daq_service.web.context import Context, ContextOf
@@ -29,7 +29,7 @@ router = APIRouter(tags=["waveforms"])
 @router.get(
     "/sets/{position}/{set_index}/waveforms",
     response_class=Response,
-    responses=describe_files(OCTET_STREAM) | UNCHANGED | list_errors(404, 503),
+    responses=describe_files(OCTET_STREAM) | UNCHANGED | describe_errors(404, 503),
 )
 def get_set_waveforms(request: Request, context: ContextOf, position: str, set_index: SetOfPath) -> Response:
     """Return the accepted waveforms of a set: u32 header length, JSON header, then all samples.
@@ -53,7 +53,7 @@ def get_set_waveforms(request: Request, context: ContextOf, position: str, set_i
         if not_modified is not None:
             return not_modified
     try:
-        taken = context.archive.read_position(SetReference(set_row.file), position)
+        taken = context.archive.read_position_records(SetReference(set_row.file), position)
     except SetNotFoundError as error:
         raise not_found(str(error), "Look whether the file was moved out of the data folder.") from error
     records = [record for record in taken if record.sequence in accepted]

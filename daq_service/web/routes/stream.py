@@ -17,7 +17,7 @@ import orjson
 from fastapi import APIRouter, Header, Query
 from starlette.responses import StreamingResponse
 
-from daq_service.web.answers.models import list_errors
+from daq_service.web.answers.models import describe_errors
 from daq_service.web.answers.problem import Problem, invalid
 from daq_service.web.answers.vocabulary import VOCABULARY
 from daq_service.web.context import Context, ContextOf
@@ -36,7 +36,10 @@ RETRY_MS = 1000
     "/stream",
     summary="Events as they are committed (server-sent events)",
     response_class=StreamingResponse,
-    responses={200: {"content": {"text/event-stream": {"schema": {"type": "string"}}}}, **list_errors(503)},
+    responses={
+        200: {"content": {"text/event-stream": {"schema": {"type": "string"}}}},
+        **describe_errors(503),
+    },
 )
 async def stream_events(
     context: ContextOf,
@@ -61,7 +64,7 @@ async def stream_events(
         # Now, before the client is connected: all later events are new to it.
         start_after = context.hub.last_id
     return StreamingResponse(
-        send_frames(
+        generate_frames(
             context, context.hub, selected, start_after, partial(context.access_policy.has_access, person)
         ),
         media_type="text/event-stream",
@@ -98,7 +101,7 @@ def _parse_event_id(text: str) -> int:
     return int(text)
 
 
-def encode_gap(after: int, until: int, reason: str) -> bytes:
+def encode_gap_frame(after: int, until: int, reason: str) -> bytes:
     """Encode a frame that reports skipped events: those after ``after`` up to ``until``.
 
     It moves the cursor of the client to ``until``.
@@ -107,7 +110,7 @@ def encode_gap(after: int, until: int, reason: str) -> bytes:
     return b"id: %d\nevent: gap\ndata: %s\n\n" % (until, data)
 
 
-async def send_frames(
+async def generate_frames(
     context: Context,
     hub: EventHub,
     topics: frozenset[str] | None,
@@ -130,7 +133,7 @@ async def send_frames(
         cursor = hub.last_id if start_after is None else start_after
         if cursor > hub.last_id and cursor > (await asyncio.to_thread(context.events.last_id) or 0):
             # The id is not merely newer than the hub: it belongs to another data folder.
-            yield encode_gap(cursor, hub.last_id, "this event id is not known here")
+            yield encode_gap_frame(cursor, hub.last_id, "this event id is not known here")
             cursor = hub.last_id
         reason = "it is too long ago"
         loop = asyncio.get_running_loop()
@@ -139,7 +142,7 @@ async def send_frames(
             chunk = b""
             start = hub.complete_after or 0
             if cursor < start:
-                chunk = encode_gap(cursor, start, reason)
+                chunk = encode_gap_frame(cursor, start, reason)
                 cursor = start
             events = hub.after(cursor, LARGEST_CHUNK_EVENTS)
             if events:

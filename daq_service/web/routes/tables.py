@@ -12,7 +12,7 @@ from starlette.responses import Response, StreamingResponse
 
 from daq_service.errors import UsageError
 from daq_service.web.answers.json_answer import JsonAnswer
-from daq_service.web.answers.models import TableList, describe_files, list_errors
+from daq_service.web.answers.models import TableList, describe_errors, describe_files
 from daq_service.web.answers.problem import Problem, invalid, not_found
 from daq_service.web.context import ContextOf
 from daq_service.web.routes.listing import (
@@ -36,7 +36,7 @@ MOST_RECORD_BYTES = 32_000_000
 """Limit of records in volts; creating their file needs some three times as much memory."""
 AT_ONCE = 2
 _making = threading.BoundedSemaphore(AT_ONCE)
-EXPORTS = describe_files(*(kind.media_type for kind in FORMATS.values())) | list_errors(404, 503)
+EXPORTS = describe_files(*(kind.media_type for kind in FORMATS.values())) | describe_errors(404, 503)
 """Exported files for OpenAPI."""
 Form = Annotated[
     Literal["csv", "parquet", "arrow", "npz", "mat", "h5"] | None,
@@ -91,7 +91,7 @@ def get_table(
         parts = encode_table(catalogue, fresh, choice, name, most_rows=MOST_ROWS)
         if FORMATS[name].whole:
             return Response(
-                run_in_turn(lambda: b"".join(parts)), media_type=FORMATS[name].media_type, headers=headers
+                run_unless_busy(lambda: b"".join(parts)), media_type=FORMATS[name].media_type, headers=headers
             )
         first = next(parts, b"")  # errors occur before the response starts
     except UsageError as error:
@@ -138,7 +138,7 @@ def get_waveforms(
     # Compression of such a response would block the event loop.
     headers = {"Vary": "Accept", "Content-Encoding": "identity"}
     try:
-        content = run_in_turn(export_selected)
+        content = run_unless_busy(export_selected)
     except NoRecordError as error:
         raise not_found(str(error), "/api/v1/sets lists the sets, and why one is missed.") from error
     except UsageError as error:
@@ -163,7 +163,7 @@ def choose_format(accept: str) -> str:
     return best[1] if best[0] > 0.0 else "csv"
 
 
-def run_in_turn(make: Callable[[], bytes]) -> bytes:
+def run_unless_busy(make: Callable[[], bytes]) -> bytes:
     """Call ``make`` and return its file, unless two calls run already: each holds all rows in memory.
 
     Does not wait.

@@ -11,7 +11,7 @@ from starlette.responses import Response
 from daq_service.commands.kinds import Strict
 from daq_service.errors import UsageError
 from daq_service.web.answers.json_answer import JsonAnswer
-from daq_service.web.answers.models import NewToken, TokenEntry, TokenList, list_errors
+from daq_service.web.answers.models import NewToken, TokenEntry, TokenList, describe_errors
 from daq_service.web.answers.problem import conflict
 from daq_service.web.auth.roles import CLAIMED, Role
 from daq_service.web.auth.tokens import Token, create_token, read_tokens, revoke_token
@@ -29,7 +29,7 @@ class TokenRequest(Strict):
     days: float | None = Field(default=None, gt=0.0, le=36_500.0, description="Until it expires; null: never")
 
 
-@router.get("/tokens", response_model=TokenList, responses=list_errors(503))
+@router.get("/tokens", response_model=TokenList, responses=describe_errors(503))
 def list_tokens(context: ContextOf) -> JsonAnswer:
     """List all tokens in the order of creation, also revoked and expired ones, without their secret text."""
     return JsonAnswer(
@@ -42,7 +42,7 @@ def list_tokens(context: ContextOf) -> JsonAnswer:
     name="create_token",
     status_code=201,
     response_model=NewToken,
-    responses=list_errors(400, 403, 409, 413, 503),
+    responses=describe_errors(400, 403, 409, 413, 503),
 )
 def create_access_token(
     token_request: TokenRequest, request: Request, person: PersonOf, context: ContextOf
@@ -70,7 +70,7 @@ def create_access_token(
 
 
 @router.delete(
-    "/tokens/{name}", name="revoke_token", response_model=TokenEntry, responses=list_errors(403, 409, 503)
+    "/tokens/{name}", name="revoke_token", response_model=TokenEntry, responses=describe_errors(403, 409, 503)
 )
 def revoke_access_token(
     name: Annotated[str, Path(max_length=40)], request: Request, person: PersonOf, context: ContextOf

@@ -9,9 +9,9 @@ from fastapi import APIRouter
 from daq_service.alarms.states import PRIORITIES, find_disabled
 from daq_service.assessment.position_status import (
     find_data_age_h,
-    find_data_hour,
+    find_newest_data_hour,
     find_status,
-    is_stale,
+    is_data_stale,
     read_latest_rows,
 )
 from daq_service.catalogue.reader import LatestRows
@@ -25,7 +25,7 @@ from daq_service.web.answers.models import (
     PositionList,
     PositionStanding,
     PositionState,
-    list_errors,
+    describe_errors,
 )
 from daq_service.web.context import Context, ContextOf, Freshness
 from daq_service.web.routes.row_listings import add_quality
@@ -33,7 +33,7 @@ from daq_service.web.routes.row_listings import add_quality
 router = APIRouter()
 
 
-@router.get("/transducers", tags=["transducers"], response_model=PositionList, responses=list_errors(503))
+@router.get("/transducers", tags=["transducers"], response_model=PositionList, responses=describe_errors(503))
 def list_transducers(context: ContextOf) -> JsonAnswer:
     """Return state, newest values, quality and age of every position, in the order of the configuration."""
     fresh = context.read_freshness()
@@ -46,7 +46,7 @@ def list_transducers(context: ContextOf) -> JsonAnswer:
     "/transducers/{position}",
     tags=["transducers"],
     response_model=PositionState,
-    responses=list_errors(404, 503),
+    responses=describe_errors(404, 503),
 )
 def get_transducer(position: str, context: ContextOf) -> JsonAnswer:
     """Return state, newest values, quality and age of one position; 404 if the test does not have it."""
@@ -57,7 +57,7 @@ def get_transducer(position: str, context: ContextOf) -> JsonAnswer:
 
 
 @router.get(
-    "/environment/latest", tags=["environment"], response_model=EnvironmentNow, responses=list_errors(503)
+    "/environment/latest", tags=["environment"], response_model=EnvironmentNow, responses=describe_errors(503)
 )
 def get_latest_environment(context: ContextOf) -> JsonAnswer:
     """Return the newest row of supply and climate, and the present status of the supply.
@@ -111,8 +111,8 @@ def assess_position(
         label=place.label,
         method=place.method,
         state=find_status(last),
-        stale=is_stale(schedule, fresh, age_h),
-        data_h=find_data_hour(last),
+        stale=is_data_stale(schedule, fresh, age_h),
+        data_h=find_newest_data_hour(last),
         age_h=age_h,
     )
 

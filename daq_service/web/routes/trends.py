@@ -13,11 +13,11 @@ from pydantic import StringConstraints, WithJsonSchema
 
 from daq_service.assessment.methods import METHODS
 from daq_service.catalogue.reader import Filters
-from daq_service.catalogue.rollups import QUALITIES, Kind, list_bin_values
+from daq_service.catalogue.rollups import QUALITIES, Kind, list_bin_value_names
 from daq_service.catalogue.rows import AssessmentRow
 from daq_service.catalogue.trends import compute_trend_part, read_trend_bins
 from daq_service.web.answers.json_answer import JsonAnswer, format_hours_as_rfc3339
-from daq_service.web.answers.models import TREND_ASSESSMENTS, TREND_FIELDS, Fit, Trend, list_errors
+from daq_service.web.answers.models import TREND_ASSESSMENTS, TREND_FIELDS, Fit, Trend, describe_errors
 from daq_service.web.answers.problem import invalid
 from daq_service.web.context import Context, ContextOf
 from daq_service.web.routes.listing import FromHour, ToHour, find_last_hour
@@ -71,7 +71,7 @@ def parse_fields(method: str, fields: str | None, *, known: Sequence[str]) -> li
     return chosen
 
 
-@router.get("/trends/{position}", response_model=Trend, responses=list_errors(404, 503))
+@router.get("/trends/{position}", response_model=Trend, responses=describe_errors(404, 503))
 def get_trend(
     context: ContextOf,
     position: str,
@@ -103,7 +103,7 @@ def get_trend(
     )
     bin_sets, bins_json = 1, None
     if binned is None:
-        columns = read_columns(context, position, chosen, from_h, last_h)
+        columns = read_trend_columns(context, position, chosen, from_h, last_h)
     else:
         bin_sets, bins = binned
         columns, bins_json = build_bin_columns(kind, bins, chosen), build_published_bins(kind, bins, chosen)
@@ -143,7 +143,7 @@ def read_measured_columns(
     return context.catalogue().columns(method.row, names, **filters)
 
 
-def read_columns(
+def read_trend_columns(
     context: Context, position: str, fields: Sequence[str], from_h: float | None, last_h: float | None
 ) -> Columns:
     """Read `COMMON` and the selected columns, one entry per measured set; both hours are included.
@@ -182,7 +182,7 @@ _SETS_IN_A_BIN = {
 
 
 def build_bin_columns(kind: Kind, bins: NDArray[np.void], fields: Sequence[str]) -> Columns:
-    """Build the columns of `read_columns` from bins, with one entry per bin.
+    """Build the columns of `read_trend_columns` from bins, with one entry per bin.
 
     Values are means, quality is the worst one, flags are true if any set has them, ``reason`` is None.
     """
@@ -202,7 +202,7 @@ def build_bin_columns(kind: Kind, bins: NDArray[np.void], fields: Sequence[str])
                 bool(n) if known else None for known, n in zip(known_counts, true_counts, strict=True)
             ]
         else:
-            column = list_bin_values(kind).index(name) if name in list_bin_values(kind) else None
+            column = list_bin_value_names(kind).index(name) if name in list_bin_value_names(kind) else None
             columns[name] = [None] * bins.size if column is None else _compute_means(bins, column)
     return columns
 
@@ -217,8 +217,8 @@ def _compute_means(bins: NDArray[np.void], column: int) -> list[float]:
 
 def build_published_bins(kind: Kind, bins: NDArray[np.void], fields: Sequence[str]) -> dict[str, object]:
     """Build the extremes, counts, first outliers and alarms of bins for an answer; None without a value."""
-    names = [name for name in list_bin_values(kind) if name in fields]
-    column_of = {name: list_bin_values(kind).index(name) for name in names}
+    names = [name for name in list_bin_value_names(kind) if name in fields]
+    column_of = {name: list_bin_value_names(kind).index(name) for name in names}
     return {
         "minimum": {name: _nan_to_none(bins["minimum"][:, column]) for name, column in column_of.items()},
         "maximum": {name: _nan_to_none(bins["maximum"][:, column]) for name, column in column_of.items()},
@@ -237,7 +237,7 @@ def _nan_to_none(column: NDArray[np.float64]) -> list[float | None]:
     return [value if math.isfinite(value) else None for value in column.tolist()]
 
 
-@router.get("/fits/{position}", response_model=Fit, responses=list_errors(404, 503))
+@router.get("/fits/{position}", response_model=Fit, responses=describe_errors(404, 503))
 def get_fit(
     context: ContextOf,
     position: str,

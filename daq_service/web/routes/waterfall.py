@@ -21,7 +21,7 @@ from daq_service.catalogue import Catalogue
 from daq_service.catalogue.owner import build_experiment_identity
 from daq_service.catalogue.rows import AssessmentRow, SetRow
 from daq_service.web.answers.json_answer import JsonAnswer, build_framed_body
-from daq_service.web.answers.models import UNCHANGED, Waterfall, describe_files, list_errors
+from daq_service.web.answers.models import UNCHANGED, Waterfall, describe_errors, describe_files
 from daq_service.web.answers.problem import invalid, not_found
 from daq_service.web.answers.unchanged import check_etag
 from daq_service.web.context import Context, ContextOf
@@ -52,7 +52,7 @@ Seconds = Annotated[
     responses=describe_files(OCTET_STREAM)
     | {204: {"description": "No record of the position is stored; /api/v1/sets tells why"}}
     | UNCHANGED
-    | list_errors(404, 503),
+    | describe_errors(404, 503),
 )
 def get_waterfall(
     request: Request,

@@ -19,7 +19,7 @@ from daq_service.assessment.methods import METHODS
 from daq_service.catalogue.rows import FeatureRow, SetRow, ShotRow, ThicknessRow
 from daq_service.shared_file import read_shared
 from daq_service.web.answers.json_answer import JsonAnswer, add_utc, format_rfc3339
-from daq_service.web.answers.models import UNCHANGED, WaveformAnswer, describe_files, list_errors
+from daq_service.web.answers.models import UNCHANGED, WaveformAnswer, describe_errors, describe_files
 from daq_service.web.answers.problem import not_found
 from daq_service.web.answers.unchanged import check_etag
 from daq_service.web.context import Context, ContextOf
@@ -34,7 +34,7 @@ NPY = "application/x-npy"
 MOST_POINTS = 100_000
 LOOK_AT_TOKEN_S = 5.0
 """Interval of checks of the token, also without a new figure."""
-ERRORS = list_errors(404, 503)
+ERRORS = describe_errors(404, 503)
 
 
 @router.get(
@@ -210,7 +210,7 @@ async def live_waveforms(
     await websocket.accept()
     live = context.live
     live.clients += 1
-    left = asyncio.create_task(_wait_until_left(websocket))
+    left = asyncio.create_task(_wait_for_disconnect(websocket))
     seen = dict.fromkeys(chosen, 0)
     beat_s, sent_s = context.hub.heartbeat_interval_s, time.monotonic()
     try:
@@ -239,7 +239,7 @@ async def live_waveforms(
         left.cancel()
 
 
-async def _wait_until_left(websocket: WebSocket) -> None:
+async def _wait_for_disconnect(websocket: WebSocket) -> None:
     """Discard the messages of a client; return when it disconnects."""
     while (await websocket.receive())["type"] != "websocket.disconnect":
         pass

@@ -62,7 +62,7 @@ class Followed:
         """Follow the source in this thread until `_stop` is set; subclasses implement it."""
         raise NotImplementedError
 
-    def _pass_on(self, function: Callable[..., None], *arguments: object) -> None:
+    def _call_on_event_loop(self, function: Callable[..., None], *arguments: object) -> None:
         """Schedule a call on the event loop from the thread; stop the thread if the loop is closed."""
         try:
             self._loop.call_soon_threadsafe(function, *arguments)

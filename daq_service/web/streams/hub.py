@@ -117,7 +117,7 @@ class EventHub(Followed):
         self._wake_clients()
         self._heartbeat = self._loop.call_later(self.heartbeat_interval_s, self._send_heartbeat)
 
-    def _start_ring(self, event_id: int, events: list[EncodedEvent]) -> None:
+    def _fill_ring(self, event_id: int, events: list[EncodedEvent]) -> None:
         """Set the events of the ring, complete after ``event_id``, and wake the clients."""
         self._complete_after, self._events = event_id, events
         self._wake_clients()
@@ -154,20 +154,20 @@ class EventHub(Followed):
                     last = self._source.last_id()
                     if last is None:
                         # No catalogue yet: whoever waits now sees the experiment from its first event.
-                        self._pass_on(self._start_ring, 0, []) if not began else None
+                        self._call_on_event_loop(self._fill_ring, 0, []) if not began else None
                         began, pause_s = True, UNREADABLE_INTERVAL_S
                     elif began:
                         last = 0
                     else:
                         first = max(0, last - self._ring_events)
                         stored = self._read_stored_events(first, last)
-                        self._pass_on(self._start_ring, first, stored)
+                        self._call_on_event_loop(self._fill_ring, first, stored)
                         last = stored[-1].id if stored else last
                 else:
                     rows = self._source.after(last, PAGE_EVENTS)
                     if rows:
                         last = rows[-1]["id"]
-                        self._pass_on(self._append_events, [encode_event(row) for row in rows])
+                        self._call_on_event_loop(self._append_events, [encode_event(row) for row in rows])
                         pause_s = 0.0 if len(rows) == PAGE_EVENTS else pause_s
                 last_error = ""
             except Exception as error:  # noqa: BLE001 - without this thread no page has news

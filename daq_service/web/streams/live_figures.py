@@ -75,7 +75,7 @@ class LiveFigures(Followed):
                     continue
                 seen[position] = mark
                 version += 1
-                self._pass_on(self._update_figure, position, Picture(version, content))
+                self._call_on_event_loop(self._update_figure, position, Picture(version, content))
             self._stop.wait(self._poll_interval_s)
 
 

@@ -8,9 +8,9 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from daq_service.alarms.evidence import evidence_sentences
+from daq_service.alarms.evidence import build_evidence_sentences
 from daq_service.catalogue import Catalogue, rows
-from daq_service.catalogue.published_columns import PublishedColumn, Purposes, add_parts, describe_columns
+from daq_service.catalogue.published_columns import PublishedColumn, Purposes, add_nested, list_shown_columns
 from daq_service.catalogue.reader import Filters
 from daq_service.errors import UsageError
 from daq_service.processes.freshness import Freshness
@@ -43,7 +43,7 @@ class TableKind:
     @property
     def columns(self) -> tuple[PublishedColumn, ...]:
         """Return all columns of the table, in order."""
-        return describe_columns(self.row)
+        return list_shown_columns(self.row)
 
 
 TABLES: Mapping[str, TableKind] = {
@@ -126,15 +126,15 @@ def read_pages(catalogue: Catalogue, fresh: Freshness, choice: Choice) -> Iterat
     if kind.row is rows.BaselineRow:
         settings = restore_settings(experiment.configuration)
         rows_json = [
-            add_parts(
+            add_nested(
                 rows.BaselineRow, add_utc({**rows.as_dict(row), **extra_columns}, experiment.epoch_utc_ns)
             )
             for row, extra_columns in list_published_baselines(
                 catalogue, settings, experiment.epoch_utc_ns, choice.position
             )
-            if _is_inside(choice, extra_columns["from_h"], extra_columns["to_h"])
+            if _is_in_selected_hours(choice, extra_columns["from_h"], extra_columns["to_h"])
         ]
-        yield _to_columns(rows_json, names)
+        yield _convert_to_columns(rows_json, names)
         return
     filters: Filters = {**kind.fixed, "position": choice.position}
     if kind.unscheduled_set:
@@ -147,10 +147,10 @@ def read_pages(catalogue: Catalogue, fresh: Freshness, choice: Choice) -> Iterat
         stored: Sequence[Any] = catalogue.rows(kind.row, limit=PAGE_ROWS, **filters)
         if stored or is_first:
             selected: list[Any] = [
-                row for row in stored if by_set or _is_inside(choice, row.raised_h, row.raised_h)
+                row for row in stored if by_set or _is_in_selected_hours(choice, row.raised_h, row.raised_h)
             ]
             if not by_set:
-                selected = list(map(fresh.with_present_state, selected))
+                selected = list(map(fresh.expire_shelf, selected))
             rows_json = [add_utc(rows.as_dict(row), experiment.epoch_utc_ns) for row in selected]
             if kind.row is rows.AssessmentRow:
                 methods = {
@@ -163,8 +163,8 @@ def read_pages(catalogue: Catalogue, fresh: Freshness, choice: Choice) -> Iterat
             if kind.row is rows.AlarmRow:
                 baselines = catalogue.read_baselines_by_id()
                 for row, alarm in zip(rows_json, selected, strict=True):
-                    row["evidence_sentences"] = evidence_sentences(alarm, baselines)
-            yield _to_columns([add_parts(kind.row, row) for row in rows_json], names)
+                    row["evidence_sentences"] = build_evidence_sentences(alarm, baselines)
+            yield _convert_to_columns([add_nested(kind.row, row) for row in rows_json], names)
         if len(stored) < PAGE_ROWS:
             return
         filters["after_id"] = stored[-1].id
@@ -176,18 +176,18 @@ def find_last_hour_inside(to_h: float | None) -> float | None:
     return None if to_h is None else math.nextafter(to_h, -math.inf)
 
 
-def _is_inside(choice: Choice, first_h: float, last_h: float) -> bool:
+def _is_in_selected_hours(choice: Choice, first_h: float, last_h: float) -> bool:
     """Return whether the hours ``first_h`` to ``last_h`` overlap the selected hours."""
     return (choice.from_h is None or last_h >= choice.from_h) and (
         choice.to_h is None or first_h < choice.to_h
     )
 
 
-def _to_columns(rows_json: Sequence[Mapping[str, object]], names: Sequence[str]) -> Columns:
+def _convert_to_columns(rows_json: Sequence[Mapping[str, object]], names: Sequence[str]) -> Columns:
     """Convert rows to columns of plain values; raise KeyError for a column that a row lacks."""
-    return {name: [_to_plain_value(row[name]) for row in rows_json] for name in names}
+    return {name: [_convert_to_plain_value(row[name]) for row in rows_json] for name in names}
 
 
-def _to_plain_value(value: object) -> object:
+def _convert_to_plain_value(value: object) -> object:
     """Return a value as a file can hold it: dictionaries and lists become JSON text, others stay."""
     return json.dumps(value) if isinstance(value, dict | list) else value

@@ -113,7 +113,7 @@ class _Drain(io.RawIOBase):
         return content
 
 
-def _make_writer(kind: str) -> Write:
+def _create_arrow_writer(kind: str) -> Write:
     """Return the function that writes tables as ``parquet`` or ``arrow``."""
 
     def write_arrow(choice: Choice, facts: Facts, pages: Iterable[Columns]) -> Iterator[bytes]:
@@ -202,7 +202,7 @@ def to_array(form: Form, values: list[object]) -> Array:
     return np.array(["" if value is None else value for value in values], dtype=np.str_)
 
 
-def to_h5py_texts(array: Array) -> Array | list[str]:
+def convert_texts_for_h5py(array: Array) -> Array | list[str]:
     """Convert an array of texts to a list, as h5py needs it; return other arrays unchanged."""
     return [str(text) for text in array] if array.dtype.kind == "U" else array
 
@@ -259,7 +259,7 @@ def _write_hdf5(choice: Choice, facts: Facts, pages: Iterable[Columns]) -> Itera
     hours = next(name for name in ("due_h", "raised_h", "from_h") if name in arrays)
     yield build_table_image(
         choice.table,
-        {name: to_h5py_texts(array) for name, array in arrays.items()},
+        {name: convert_texts_for_h5py(array) for name, array in arrays.items()},
         signal=numbers[0] if numbers else None,
         axis=hours,
         facts_text=format_facts(facts),
@@ -269,10 +269,10 @@ def _write_hdf5(choice: Choice, facts: Facts, pages: Iterable[Columns]) -> Itera
 FORMATS: Mapping[str, Format] = {
     "csv": Format(media_type="text/csv", whole=False, write=_write_csv),
     "parquet": Format(
-        media_type="application/vnd.apache.parquet", whole=False, write=_make_writer("parquet")
+        media_type="application/vnd.apache.parquet", whole=False, write=_create_arrow_writer("parquet")
     ),
     "arrow": Format(
-        media_type="application/vnd.apache.arrow.stream", whole=False, write=_make_writer("arrow")
+        media_type="application/vnd.apache.arrow.stream", whole=False, write=_create_arrow_writer("arrow")
     ),
     "npz": Format(media_type="application/x-npz", whole=True, write=_write_npz),
     "mat": Format(media_type="application/x-matlab-data", whole=True, write=_write_mat),

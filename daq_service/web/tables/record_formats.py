@@ -59,7 +59,7 @@ def encode_records(
         return formats.build_npz(arrays, facts)
     if form == "mat":
         return formats.build_mat(NAME, arrays, UNITS, facts)
-    columns = {column.name: formats.to_h5py_texts(arrays[column.name]) for column in OF_RECORD}
+    columns = {column.name: formats.convert_texts_for_h5py(arrays[column.name]) for column in OF_RECORD}
     return build_records_image(
         NAME,
         columns,

@@ -139,7 +139,7 @@ def read_record_slice(
     readable = [False] * len(shots)
     for sequence, waveform in chain([read_first], waveforms):
         if sequence in row_of:
-            _check_same_sampling(choice.position, first, waveform)
+            _require_same_sampling(choice.position, first, waveform)
             voltage_v[row_of[sequence]] = waveform.volts()
             readable[row_of[sequence]] = True
     method = METHODS[next(iter(sets.values())).method]
@@ -176,13 +176,13 @@ def _read_waveforms(
     for row in sets.values():
         assert row.file is not None, "only such sets are asked for"
         try:
-            records = archive.read_position(SetReference(row.file), position)
+            records = archive.read_position_records(SetReference(row.file), position)
         except ArchiveError:
             continue  # its records stay in the slice as not readable
         yield from ((record.sequence, record.waveform) for record in records)
 
 
-def _check_same_sampling(position: str, first: Waveform, other: Waveform) -> None:
+def _require_same_sampling(position: str, first: Waveform, other: Waveform) -> None:
     """Raise UsageError if two records differ in length, rate or pretrigger: one file has one time axis."""
     if (first.counts.size, first.sample_rate_hz, first.pretrigger_samples) != (
         *(other.counts.size, other.sample_rate_hz, other.pretrigger_samples),

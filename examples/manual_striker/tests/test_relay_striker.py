@@ -12,7 +12,7 @@ from hardware_drivers.conformance.bench import MachineClock
 from hardware_drivers.errors import BusyError, ConnectionLostError
 from hardware_drivers.kinds import Opening
 from hardware_drivers.measurement import ShotKey
-from simulator.doubles.serial.link import Framing, SerialLink, pseudo_terminals_missing
+from simulator.doubles.serial.link import Framing, SerialLink, find_missing_terminal_reason
 
 KEY = ShotKey(position="C", set_index=0, shot_index=0)
 OPENING = Opening(clock=MachineClock(), serves={"striker": ("B", "C")})
@@ -129,7 +129,7 @@ def test_a_position_without_a_relay_is_refused_when_the_configuration_is_read():
         KIND.require(PARAMETERS, {"striker": ("D",)})
 
 
-@pytest.mark.skipif(bool(pseudo_terminals_missing()), reason=pseudo_terminals_missing())
+@pytest.mark.skipif(bool(find_missing_terminal_reason()), reason=find_missing_terminal_reason())
 def test_the_same_over_a_real_port(board, tmp_path):
     def answer(line):
         return f"{line}\n\r{board.answer(line)}\n\r"

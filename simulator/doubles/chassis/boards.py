@@ -80,7 +80,7 @@ BOARD_TYPES: Mapping[str, BoardType] = {
 """By product name."""
 
 
-def terminal_of_line(line: str) -> str:
+def find_line_terminal(line: str) -> str:
     """Return the terminal of a digital line.
 
     Ports 1 and 2 are PFI0 to PFI15; another line is its own terminal.
@@ -88,7 +88,7 @@ def terminal_of_line(line: str) -> str:
     return _PFI_OF_LINE.get(line, line)
 
 
-def terminals(kind: BoardType, name: str) -> tuple[str, ...]:
+def list_terminals(kind: BoardType, name: str) -> tuple[str, ...]:
     """Return the full names of all terminals of a board, as `Dev.Terminals` lists them."""
     counters = [
         f"Ctr{index}{part}"

@@ -79,21 +79,21 @@ class Crosstalk:
             for edge_ns, height_v in ((on_ns, self.on_v), (off_ns, self.off_v)):
                 for bounce in range(self.bounces + 1 if height_v else 0):
                     since_s = (edge_ns - first_ns) / NS_PER_S + bounce * self.bounce_s
-                    self._add(volts, since_s, rate_hz, height_v * 0.5**bounce)
+                    self._add_spike(volts, since_s, rate_hz, height_v * 0.5**bounce)
             if self.flyback_v:
-                after, t = _after(volts, (off_ns - first_ns) / NS_PER_S, self.flyback_s, rate_hz)
+                after, t = _select_after_edge(volts, (off_ns - first_ns) / NS_PER_S, self.flyback_s, rate_hz)
                 after += self.flyback_v * np.maximum(1.0 - t / self.flyback_s, 0.0)
         return volts
 
-    def _add(self, volts: FloatArray, since_s: float, rate_hz: float, height_v: float) -> None:
+    def _add_spike(self, volts: FloatArray, since_s: float, rate_hz: float, height_v: float) -> None:
         """Add the decaying spike of one edge to ``volts`` in place, ``since_s`` after the first sample."""
         fading_s = self.decay_s * math.log(max(abs(height_v) / FADED_V, 1.0))
-        after, t = _after(volts, since_s, fading_s, rate_hz)
+        after, t = _select_after_edge(volts, since_s, fading_s, rate_hz)
         spike = height_v * np.exp(-t / self.decay_s)
         after += spike * np.cos(2.0 * math.pi * self.ringing_hz * t) if self.ringing_hz else spike
 
 
-def _after(
+def _select_after_edge(
     volts: FloatArray, since_s: float, length_s: float, rate_hz: float
 ) -> tuple[FloatArray, FloatArray]:
     """Return a view of the samples within ``length_s`` after an edge, and the time of each since the edge, s.

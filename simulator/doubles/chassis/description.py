@@ -239,7 +239,7 @@ def _footprint(size_m: float) -> CorrosionParameters:
     return CorrosionParameters(size_m=size_m)
 
 
-def default_description(twin: TwinParameters | None = None) -> Description:
+def build_default_description(twin: TwinParameters | None = None) -> Description:
     """Return the description of a chassis with four boards of different kinds.
 
     The paper's transducers B, C and D each have another board; probe A has a digitizer.

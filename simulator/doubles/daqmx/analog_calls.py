@@ -17,8 +17,8 @@ from simulator.doubles.daqmx.analog_input import (
     SAMPLE_CLOCK,
     Acquisition,
     InputChannel,
+    get_recorded_codes,
     record_samples,
-    recorded_codes,
 )
 from simulator.doubles.daqmx.routing import short_name
 from simulator.doubles.daqmx.tasks import Answer, Arguments, Bench, Task, TaskHandler, TaskState
@@ -42,7 +42,7 @@ def create_voltage_channel(bench: Bench, task: Task, arguments: Arguments) -> No
     if configuration not in (DEFAULT_CONFIGURATION, device.kind.terminal_configuration):
         detail = f"You Can Select: {device.kind.terminal_configuration}"
         raise statuses.rejected_property(task.name, "AI.TermCfg", detail, requested=configuration)
-    task.take_channel(
+    task.set_channel(
         "ai",
         InputChannel(
             name=arguments["name_to_assign_to_channel"] or f"{device.name}/ai{number}",
@@ -55,13 +55,13 @@ def create_voltage_channel(bench: Bench, task: Task, arguments: Arguments) -> No
     bench.last_channel[task.client] = task.channel.name
 
 
-def _change(task: Task, settings: Mapping[str, Any]) -> None:
+def _change_settings(task: Task, settings: Mapping[str, Any]) -> None:
     """Change settings of an input task; raise Status if it is no input task, or runs."""
     if task.kind != "ai":
         raise Status(
             statuses.NO_CHANNELS if not task.kind else statuses.ATTRIBUTE_NOT_IN_THIS_TASK, task=task.name
         )
-    tasks.changed(task)
+    tasks.mark_changed(task)
     task.settings |= settings
 
 
@@ -73,7 +73,7 @@ def configure_sample_clock(bench: Bench, task: Task, arguments: Arguments) -> No
     if short_name(arguments["source"]) not in ("", "onboardclock"):
         detail = "The double samples by the board's own clock only."
         raise statuses.rejected_property(task.name, "SampClk.Src", detail, requested=arguments["source"])
-    _change(
+    _change_settings(
         task,
         {
             "SampTimingType": SAMPLE_CLOCK,
@@ -89,7 +89,7 @@ def configure_reference_trigger(bench: Bench, task: Task, arguments: Arguments) 
 
     The settings are checked at verification.
     """
-    _change(
+    _change_settings(
         task,
         {
             "RefTrig.Type": ANALOG_EDGE,
@@ -103,17 +103,17 @@ def configure_reference_trigger(bench: Bench, task: Task, arguments: Arguments) 
 
 def disable_reference_trigger(bench: Bench, task: Task, arguments: Arguments) -> None:
     """Answer `DAQmxDisableRefTrig`: record without an analog trigger."""
-    _change(task, {"RefTrig.Type": NO_TRIGGER})
+    _change_settings(task, {"RefTrig.Type": NO_TRIGGER})
 
 
-def _samples(bench: Bench, task: Task, count: int, room: int, timeout_s: float) -> NDArray[Any]:
+def _wait_for_samples(bench: Bench, task: Task, count: int, room: int, timeout_s: float) -> NDArray[Any]:
     """Wait for raw samples and return the next ``count`` of them, shape (count,); a negative count means all.
 
     A task that does not run is started. Raise Status if the record has fewer left, the caller's buffer
     (``room``) is too small, or they are not there within ``timeout_s`` (negative: no limit).
     """
     if task.state is not TaskState.RUNNING:
-        tasks.start(bench, task)
+        tasks.start_task(bench, task)
     run: Acquisition = task.run
     left = record_samples(task) - run.read_samples
     wanted = left if count < 0 else count
@@ -133,8 +133,8 @@ def _samples(bench: Bench, task: Task, count: int, room: int, timeout_s: float) 
         task=task.name,
         values={"samps_per_chan_read": 0},
     )
-    tasks.wait(bench, task, timeout_s, late)
-    codes = None if run.ended else recorded_codes(bench, task)
+    tasks.wait_until_done(bench, task, timeout_s, late)
+    codes = None if run.ended else get_recorded_codes(bench, task)
     if codes is None:
         raise late
     first = run.read_samples
@@ -142,7 +142,7 @@ def _samples(bench: Bench, task: Task, count: int, room: int, timeout_s: float) 
     return codes[first : first + wanted]
 
 
-def _read(dtype: type[np.integer[Any]], bench: Bench, task: Task, arguments: Arguments) -> Answer:
+def _read_raw_codes(dtype: type[np.integer[Any]], bench: Bench, task: Task, arguments: Arguments) -> Answer:
     """Answer `DAQmxReadBinary..` with raw codes of type ``dtype``, as `_samples` returns them.
 
     Raise Status if the task is no input task, or the type is too narrow for the board's codes.
@@ -157,7 +157,7 @@ def _read(dtype: type[np.integer[Any]], bench: Bench, task: Task, arguments: Arg
             task=task.name,
             values={"samps_per_chan_read": 0},
         )
-    codes = _samples(
+    codes = _wait_for_samples(
         bench, task, arguments["num_samps_per_chan"], arguments["array_size_in_samps"], arguments["timeout"]
     )
     return {"read_array": codes.astype(dtype), "samps_per_chan_read": codes.size}
@@ -168,6 +168,6 @@ TASK_HANDLERS: Mapping[str, TaskHandler] = {
     "DAQmxCfgSampClkTiming": configure_sample_clock,
     "DAQmxCfgAnlgEdgeRefTrig": configure_reference_trigger,
     "DAQmxDisableRefTrig": disable_reference_trigger,
-    "DAQmxReadBinaryI16": partial(_read, np.int16),
-    "DAQmxReadBinaryI32": partial(_read, np.int32),
+    "DAQmxReadBinaryI16": partial(_read_raw_codes, np.int16),
+    "DAQmxReadBinaryI32": partial(_read_raw_codes, np.int32),
 }

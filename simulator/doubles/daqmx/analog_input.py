@@ -11,7 +11,7 @@ from hardware_drivers.measurement import Calibration, Counts, ShotKey
 from hardware_drivers.nanoseconds import NS_PER_S
 from simulator.doubles.daqmx.devices import Device
 from simulator.doubles.daqmx.lines import Pulse
-from simulator.doubles.daqmx.reservations import resource
+from simulator.doubles.daqmx.reservations import format_resource
 from simulator.doubles.daqmx.routing import (
     FALLING,
     fire_edge,
@@ -128,7 +128,7 @@ class AnalogInput:
 
     def resources(self, bench: Bench, task: Task) -> tuple[str, ...]:
         """Return the resource that the task needs: the analog input of its board, for one task at a time."""
-        return (resource(task.device.serial_number, "ai"),)
+        return (format_resource(task.device.serial_number, "ai"),)
 
     def commit(self, bench: Bench, task: Task) -> None:
         """Do nothing, because analog input drives no line."""
@@ -137,7 +137,7 @@ class AnalogInput:
         """Start sampling now, or at the start trigger; a simulated board has its record at once."""
         task.n_starts += 1
         if task.device.parameters.simulated:
-            codes = quantise_volts(_simulated_volts(task), task.channel.calibration)
+            codes = quantise_volts(_simulate_sine_volts(task), task.channel.calibration)
             task.run = Acquisition(begin_ns=now_ns, done_ns=now_ns, codes=codes)
             return
         task.run = Acquisition(begin_ns=None if start_trigger_of(task) else now_ns)
@@ -162,14 +162,14 @@ class AnalogInput:
         run: Acquisition = task.run
         if run.done_ns is None and run.begin_ns is not None:
             if _has_reference_trigger(task):
-                _look_for_trigger(bench, task, run)
+                _find_trigger(bench, task, run)
             else:
                 length_s = record_samples(task) / rate_hz(task)
                 run.done_ns = run.begin_ns + round(length_s * NS_PER_S)
         return run.done_ns
 
 
-def _simulated_volts(task: Task) -> FloatArray:
+def _simulate_sine_volts(task: Task) -> FloatArray:
     """Create the full-scale sine wave with 3 % noise that NI's driver returns for a simulated device.
 
     How fast it is NI does not say: a hundred samples a period are an assumption.
@@ -269,7 +269,7 @@ def _verify_record(task: Task) -> None:
         raise statuses.rejected_property(task.name, name, detail, requested=level_v, maximum=channel.range_v)
 
 
-def _adc(task: Task, pretrigger_samples: int, trigger_level_v: float) -> AdcParameters:
+def _build_adc(task: Task, pretrigger_samples: int, trigger_level_v: float) -> AdcParameters:
     """Return the parameters of the converter as a task has configured it."""
     record = AdcParameters(
         range_v=task.channel.range_v,
@@ -281,35 +281,35 @@ def _adc(task: Task, pretrigger_samples: int, trigger_level_v: float) -> AdcPara
     return task.device.parameters.adc(record)
 
 
-def _look_for_trigger(bench: Bench, task: Task, run: Acquisition) -> None:
+def _find_trigger(bench: Bench, task: Task, run: Acquisition) -> None:
     """Find the first trigger of a record, and store its codes and end in ``run``.
 
     Edges in the pre-trigger are ignored. Without one nothing is stored.
     """
     assert run.begin_ns is not None
-    filled_ns = run.begin_ns + round(_pretrigger(task) / rate_hz(task) * NS_PER_S)
-    found = _first_wave(bench, task, run, filled_ns)
-    position = _position(bench, task.channel)
+    filled_ns = run.begin_ns + round(_pretrigger_samples(task) / rate_hz(task) * NS_PER_S)
+    found = _find_first_wave(bench, task, run, filled_ns)
+    position = _find_position(bench, task.channel)
     wave_ns = None if found is None else found[2]
     if position is not None and _false_trigger(bench, task, run, position, wave_ns):
         return
     if found is not None:
         run.strike, acquired, trigger_ns = found
         run.codes = acquired.waveform.counts
-        run.done_ns = trigger_ns + _after_trigger_ns(task)
+        run.done_ns = trigger_ns + _post_trigger_ns(task)
 
 
-def _pretrigger(task: Task) -> int:
+def _pretrigger_samples(task: Task) -> int:
     """Return the configured number of samples before the trigger."""
     return int(task.settings["RefTrig.PretrigSamples"])
 
 
-def _after_trigger_ns(task: Task) -> int:
+def _post_trigger_ns(task: Task) -> int:
     """Return the time from the trigger to the end of the record, ns."""
-    return round((record_samples(task) - _pretrigger(task)) / rate_hz(task) * NS_PER_S)
+    return round((record_samples(task) - _pretrigger_samples(task)) / rate_hz(task) * NS_PER_S)
 
 
-def _first_wave(
+def _find_first_wave(
     bench: Bench, task: Task, run: Acquisition, filled_ns: int
 ) -> tuple[Strike, Acquired, int] | None:
     """Find the first strike whose wave crosses the level after ``filled_ns``; None if there is none.
@@ -317,13 +317,13 @@ def _first_wave(
     Return the strike, its record and the time of the crossing in ns. Raise Status if the twin cannot compute
     it.
     """
-    position = _position(bench, task.channel)
+    position = _find_position(bench, task.channel)
     for strike in bench.strikes.planned:
         if strike.key.position != position or strike in run.seen:
             continue
         if strike.contact_ns < filled_ns - LONGEST_TRAVEL_NS:
             continue
-        adc = _adc(task, _pretrigger(task), float(task.settings["AnlgEdge.RefTrig.Lvl"]))
+        adc = _build_adc(task, _pretrigger_samples(task), float(task.settings["AnlgEdge.RefTrig.Lvl"]))
         try:
             acquired = bench.strikes.record(strike, adc, task.channel.calibration)
         except (SimulatorError, ValueError) as error:
@@ -350,8 +350,8 @@ def _false_trigger(bench: Bench, task: Task, run: Acquisition, position: str, wa
         Time of the wave's trigger; None: there is no wave.
     """
     assert run.begin_ns is not None
-    crosstalk, pulses = bench.strikes.crosstalk(position), bench.strikes.coil_pulses(position)
-    rate, pretrigger = rate_hz(task), _pretrigger(task)
+    crosstalk, pulses = bench.strikes.crosstalk(position), bench.strikes.list_coil_pulses(position)
+    rate, pretrigger = rate_hz(task), _pretrigger_samples(task)
     level_v = float(task.settings["AnlgEdge.RefTrig.Lvl"])
     filling_ns = round(pretrigger / rate * NS_PER_S)
     reach_ns = round(crosstalk.reach_s * NS_PER_S)
@@ -369,20 +369,21 @@ def _false_trigger(bench: Bench, task: Task, run: Acquisition, position: str, wa
     if looked_at <= pretrigger:
         return False
     adc = replace(
-        _adc(task, SMALLEST_RECORD, level_v), record_samples=looked_at + record_samples(task) - pretrigger
+        _build_adc(task, SMALLEST_RECORD, level_v),
+        record_samples=looked_at + record_samples(task) - pretrigger,
     )
     key = ShotKey(position=position, set_index=0, shot_index=task.n_starts)
-    volts = bench.strikes.free_volts(key, first_ns, adc, task.channel.calibration)
+    volts = bench.strikes.simulate_free_volts(key, first_ns, adc, task.channel.calibration)
     at: int = find_rising_edge(volts, level_v, pretrigger, looked_at - pretrigger)
     if at < 0:
         return False
     run.codes = quantise_volts(volts[at - pretrigger :][: record_samples(task)], task.channel.calibration)
-    run.done_ns = first_ns + round(at / rate * NS_PER_S) + _after_trigger_ns(task)
+    run.done_ns = first_ns + round(at / rate * NS_PER_S) + _post_trigger_ns(task)
     run.strike = bench.strikes.planned[-1] if bench.strikes.planned else None
     return True
 
 
-def recorded_codes(bench: Bench, task: Task) -> Counts | None:
+def get_recorded_codes(bench: Bench, task: Task) -> Counts | None:
     """Return the raw codes of a record, shape (samples,); None while its reference trigger is missing.
 
     Without a reference trigger they are simulated at the first call, from the start of sampling.
@@ -391,15 +392,15 @@ def recorded_codes(bench: Bench, task: Task) -> Counts | None:
     if run.codes is not None or run.begin_ns is None or _has_reference_trigger(task):
         return run.codes
     channel: InputChannel = task.channel
-    place = _position(bench, channel) or channel.physical_name
+    place = _find_position(bench, channel) or channel.physical_name
     key = ShotKey(position=place, set_index=0, shot_index=task.n_starts)
-    adc = _adc(task, SMALLEST_RECORD, 0.5 * channel.range_v)
-    volts = bench.strikes.free_volts(key, run.begin_ns, adc, channel.calibration)
+    adc = _build_adc(task, SMALLEST_RECORD, 0.5 * channel.range_v)
+    volts = bench.strikes.simulate_free_volts(key, run.begin_ns, adc, channel.calibration)
     run.codes = quantise_volts(volts, channel.calibration)
     return run.codes
 
 
-def _position(bench: Bench, channel: InputChannel) -> str | None:
+def _find_position(bench: Bench, channel: InputChannel) -> str | None:
     """Return the position whose sensor is wired to an input; None if none is."""
     wanted = (channel.device.serial_number, channel.number)
     for position, wiring in bench.description.transducers.items():
@@ -408,7 +409,7 @@ def _position(bench: Bench, channel: InputChannel) -> str | None:
     return None
 
 
-def search_again(bench: Bench, strike: Strike, now_ns: int) -> None:
+def discard_strike_records(bench: Bench, strike: Strike, now_ns: int) -> None:
     """Discard the trigger of unfinished records whose strike was cut short or cancelled, to find another."""
     for task in bench.tasks.values():
         run = task.run

@@ -13,7 +13,7 @@ from simulator.doubles.vendor_api.statuses import Status
 Subject = TypeVar("Subject")
 
 
-def _attribute_of(arguments: Arguments, family: str) -> Attribute:
+def _find_attribute(arguments: Arguments, family: str) -> Attribute:
     """Return the attribute that a call names; raise Status if its family has no such attribute."""
     found = ATTRIBUTES.get(arguments["attribute"])
     if found is None or found.family != family:
@@ -23,7 +23,7 @@ def _attribute_of(arguments: Arguments, family: str) -> Attribute:
     return found
 
 
-def look_up(
+def answer_attribute(
     values: Mapping[str, Callable[[Subject], object]], arguments: Arguments, family: str, subject: Subject
 ) -> Answer:
     """Answer a call with the value of an attribute; raise Status if the family or the subject lacks it.
@@ -33,23 +33,23 @@ def look_up(
     values
         Attribute name to the function that returns its value.
     """
-    name = _attribute_of(arguments, family).name
+    name = _find_attribute(arguments, family).name
     if name not in values:
         raise Status(statuses.ATTRIBUTE_NOT_SUPPORTED, f"Property: {name}")
     return {"value": values[name](subject)}
 
 
-def listed(items: Iterable[str]) -> str:
+def join_names(items: Iterable[str]) -> str:
     """Join names with commas, as NI's driver does."""
     return ", ".join(items)
 
 
-def settable(task: Task, arguments: Arguments, family: str) -> str:
+def require_settable(task: Task, arguments: Arguments, family: str) -> str:
     """Return the name of the attribute that a call sets.
 
     Raise Status if it is unknown or read-only, or the task runs.
     """
-    attribute = _attribute_of(arguments, family)
+    attribute = _find_attribute(arguments, family)
     if not attribute.settable:
         raise Status(statuses.ATTRIBUTE_NOT_SETTABLE, f"Property: {attribute.name}", task=task.name)
     if task.state is TaskState.RUNNING:

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 
-from simulator.doubles.chassis.boards import terminals
+from simulator.doubles.chassis.boards import list_terminals
 from simulator.doubles.daqmx import tasks
 from simulator.doubles.daqmx.analog_input import InputChannel
-from simulator.doubles.daqmx.attribute_lookup import look_up, settable
+from simulator.doubles.daqmx.attribute_lookup import answer_attribute, require_settable
 from simulator.doubles.daqmx.counter_output import LOW, TIMEBASE_HZ, PulseChannel
 from simulator.doubles.daqmx.devices import Device
 from simulator.doubles.daqmx.routing import short_name
@@ -36,7 +36,7 @@ _PULSE_CHANNEL: Mapping[str, Callable[[PulseChannel], object]] = {
 }
 
 
-def _named_channel(task: Task, name: str) -> InputChannel | PulseChannel:
+def _require_channel(task: Task, name: str) -> InputChannel | PulseChannel:
     """Return the task's channel if ``name`` is its virtual or physical name, or empty; else raise Status."""
     channel = task.channel
     if not isinstance(channel, InputChannel | PulseChannel):
@@ -47,47 +47,47 @@ def _named_channel(task: Task, name: str) -> InputChannel | PulseChannel:
     return channel
 
 
-def _terminal(device: Device, name: str) -> str:
+def _find_terminal(device: Device, name: str) -> str:
     """Return a terminal of a board by its name, with or without the board's in front.
 
     Empty if there is none.
     """
-    known = {short_name(end): end.split("/", 2)[2] for end in terminals(device.kind, device.name)}
+    known = {short_name(end): end.split("/", 2)[2] for end in list_terminals(device.kind, device.name)}
     return known.get(short_name(name if "/" in name.strip("/") else f"{device.name}/{name}"), "")
 
 
-def get_channel(bench: Bench, task: Task, arguments: Arguments) -> Answer:
+def get_channel_attribute(bench: Bench, task: Task, arguments: Arguments) -> Answer:
     """Answer `DAQmxGetChanAttribute` with an attribute of an input or pulse channel.
 
     Raise Status for another channel, or an attribute that it lacks.
     """
-    channel = _named_channel(task, arguments["channel"])
+    channel = _require_channel(task, arguments["channel"])
     if isinstance(channel, InputChannel):
-        return look_up(_INPUT_CHANNEL, arguments, "Chan", channel)
-    return look_up(_PULSE_CHANNEL, arguments, "Chan", channel)
+        return answer_attribute(_INPUT_CHANNEL, arguments, "Chan", channel)
+    return answer_attribute(_PULSE_CHANNEL, arguments, "Chan", channel)
 
 
-def set_channel(bench: Bench, task: Task, arguments: Arguments) -> None:
+def set_channel_attribute(bench: Bench, task: Task, arguments: Arguments) -> None:
     """Answer `DAQmxSetChanAttribute` for an input's coupling (DC only) or a pulse's output terminal.
 
     Raise Status for other attributes or values, or while the task runs.
     """
-    name, value = settable(task, arguments, "Chan"), arguments["value"]
-    channel = _named_channel(task, arguments["channel"])
+    name, value = require_settable(task, arguments, "Chan"), arguments["value"]
+    channel = _require_channel(task, arguments["channel"])
     if (name == "AI.Coupling") != isinstance(channel, InputChannel):
         raise Status(statuses.ATTRIBUTE_NOT_IN_THIS_TASK, f"Property: {name}", task=task.name)
     if isinstance(channel, PulseChannel):
-        terminal = _terminal(channel.device, value)
+        terminal = _find_terminal(channel.device, value)
         taken = bool(terminal)
         channel.terminal = terminal or channel.terminal
     else:
         taken = value == DC_COUPLING
     if not taken:
         raise Status(statuses.INVALID_VALUE, f"Property: {name}\nRequested Value: {value}", task=task.name)
-    tasks.changed(task)
+    tasks.mark_changed(task)
 
 
 TASK_HANDLERS: Mapping[str, TaskHandler] = {
-    "DAQmxGetChanAttribute": get_channel,
-    "DAQmxSetChanAttribute": set_channel,
+    "DAQmxGetChanAttribute": get_channel_attribute,
+    "DAQmxSetChanAttribute": set_channel_attribute,
 }

@@ -6,10 +6,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 from hardware_drivers.nanoseconds import NS_PER_S
-from simulator.doubles.daqmx.analog_input import correct_started_tasks, search_again
+from simulator.doubles.daqmx.analog_input import correct_started_tasks, discard_strike_records
 from simulator.doubles.daqmx.devices import Device
 from simulator.doubles.daqmx.lines import Pulse
-from simulator.doubles.daqmx.reservations import resource
+from simulator.doubles.daqmx.reservations import format_resource
 from simulator.doubles.daqmx.routing import FALLING, RISING, fire_edge, start_trigger_of
 from simulator.doubles.daqmx.strikes import Strike
 from simulator.doubles.daqmx.tasks import Arguments, Bench, Task, TaskHandler
@@ -82,7 +82,7 @@ class CounterOutput:
         """Return the resources that the task needs: the counter and the pin that it drives."""
         channel: PulseChannel = task.channel
         parts = (f"ctr{channel.number}", channel.pin)
-        return tuple(resource(channel.device.serial_number, part) for part in parts)
+        return tuple(format_resource(channel.device.serial_number, part) for part in parts)
 
     def commit(self, bench: Bench, task: Task) -> None:
         """Drive the pin low from now on."""
@@ -112,9 +112,9 @@ class CounterOutput:
         if channel.device.parameters.simulated:  # done at once, and no line moves
             run.begin_ns, run.pulse = at_ns, Pulse(line=channel.line, start_ns=at_ns, end_ns=at_ns)
             return
-        start_ns = at_ns + _ns(channel.initial_delay_s)
-        pulse = Pulse(line=channel.line, start_ns=start_ns, end_ns=start_ns + _ns(channel.high_s))
-        run.begin_ns, run.pulse, run.strike = at_ns, pulse, _strike(bench, channel, pulse)
+        start_ns = at_ns + _round_to_ns(channel.initial_delay_s)
+        pulse = Pulse(line=channel.line, start_ns=start_ns, end_ns=start_ns + _round_to_ns(channel.high_s))
+        run.begin_ns, run.pulse, run.strike = at_ns, pulse, _plan_strike(bench, channel, pulse)
         bench.lines.start(pulse)
         for terminal in (channel.pin, channel.internal_output):
             for edge, edge_ns in ((RISING, pulse.start_ns), (FALLING, pulse.end_ns)):
@@ -129,7 +129,7 @@ class CounterOutput:
         run: Generation | None = task.run
         if run is None:
             return
-        cut(bench, task, 0, now_ns, cause)
+        disconnect_pin(bench, task, 0, now_ns, cause)
         if run.pulse is not None and run.pulse.end_ns > now_ns:
             for name in (task.channel.pin, task.channel.internal_output):
                 correct_started_tasks(bench, f"/{task.channel.device.name}/{name}", run.pulse, now_ns)
@@ -140,7 +140,7 @@ class CounterOutput:
         return None if task.run.pulse is None else int(task.run.pulse.end_ns)
 
 
-def cut(bench: Bench, task: Task, level: int, now_ns: int, cause: str) -> None:
+def disconnect_pin(bench: Bench, task: Task, level: int, now_ns: int, cause: str) -> None:
     """Disconnect a pin from its counter, which continues to count, and drive it to a level.
 
     A lifted striker falls now.
@@ -151,16 +151,16 @@ def cut(bench: Bench, task: Task, level: int, now_ns: int, cause: str) -> None:
     if strike is not None and strike.released_ns > now_ns:
         # It still hangs: now it falls.
         bench.strikes.cut(strike, now_ns)
-        search_again(bench, strike, now_ns)
+        discard_strike_records(bench, strike, now_ns)
     bench.changed.notify_all()
 
 
-def _ns(time_s: float) -> int:
+def _round_to_ns(time_s: float) -> int:
     """Round a time in s to whole ticks of the counter's timebase, in ns."""
     return round(time_s * TIMEBASE_HZ) * round(NS_PER_S / TIMEBASE_HZ)
 
 
-def _strike(bench: Bench, channel: PulseChannel, pulse: Pulse) -> Strike | None:
+def _plan_strike(bench: Bench, channel: PulseChannel, pulse: Pulse) -> Strike | None:
     """Plan the strike of a coil's pulse; None if no coil is wired to the pin, or the pulse is too short."""
     if channel.pin != channel.device.kind.counter_terminals[channel.number]:
         # The coil hangs at the counter's own pin; a pulse sent elsewhere moves nothing.
@@ -181,7 +181,7 @@ def create_pulse_channel(bench: Bench, task: Task, arguments: Arguments) -> None
     if arguments["idle_state"] != LOW:
         detail = "The double's pins are low between pulses."
         raise rejected_property(task.name, "CO.Pulse.IdleState", detail, requested=arguments["idle_state"])
-    task.take_channel(
+    task.set_channel(
         "co",
         PulseChannel(
             name=arguments["name_to_assign_to_channel"] or f"{device.name}/ctr{number}",

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from datetime import UTC, datetime
 
-from simulator.doubles.chassis.boards import terminal_of_line
+from simulator.doubles.chassis.boards import find_line_terminal
 from simulator.doubles.daqmx import tasks
 from simulator.doubles.daqmx.devices import Device
 from simulator.doubles.daqmx.tasks import Answer, Arguments, Bench, Handler
@@ -32,15 +32,15 @@ def _take_from_tasks(bench: Bench, device: Device, status: int, cause: str) -> N
     """
     for task in tuple(bench.tasks.values()):
         if task.is_on(device.serial_number) and not task.lost:
-            tasks.lose(bench, task, status, cause)
+            tasks.lose_board(bench, task, status, cause)
     bench.reservations.release_board(device.serial_number)
     now_ns = bench.settle()
-    pins = (*device.kind.counter_terminals, *map(terminal_of_line, device.kind.digital_lines))
+    pins = (*device.kind.counter_terminals, *map(find_line_terminal, device.kind.digital_lines))
     for terminal in dict.fromkeys(pins):
         bench.lines.cut(f"{device.serial_number}/{terminal}", 0, now_ns, cause)
 
 
-def reset(bench: Bench, client: str, arguments: Arguments) -> None:
+def reset_board(bench: Bench, client: str, arguments: Arguments) -> None:
     """Answer `DAQmxResetDevice`: its tasks are lost, its lines go low, its routes are removed."""
     device = _require_present(bench, arguments["device_name"])
     _take_from_tasks(bench, device, statuses.DEVICE_ABORTED, "reset")
@@ -48,7 +48,7 @@ def reset(bench: Bench, client: str, arguments: Arguments) -> None:
     bench.routes = {end: start for end, start in bench.routes.items() if not end.startswith(own)}
 
 
-def self_calibrate(bench: Bench, client: str, arguments: Arguments) -> None:
+def self_calibrate_board(bench: Bench, client: str, arguments: Arguments) -> None:
     """Answer `DAQmxSelfCal`: shift the board's offset; raise Status while a task holds part of the board."""
     device = _require_present(bench, arguments["device_name"])
     for holder in bench.reservations.holders_of_board(device.serial_number):
@@ -59,7 +59,7 @@ def self_calibrate(bench: Bench, client: str, arguments: Arguments) -> None:
     device.self_calibrate(datetime.now(UTC))
 
 
-def last_self_calibration(bench: Bench, client: str, arguments: Arguments) -> Answer:
+def get_last_self_calibration(bench: Bench, client: str, arguments: Arguments) -> Answer:
     """Answer `DAQmxGetSelfCalLastDateAndTime`, to the minute.
 
     Raise Status for a simulated device, as NI does.
@@ -71,7 +71,7 @@ def last_self_calibration(bench: Bench, client: str, arguments: Arguments) -> An
     return {part: getattr(when, part) for part in ("year", "month", "day", "hour", "minute")}
 
 
-def _power_up_lines(bench: Bench, device: Device, names: str) -> list[str]:
+def _find_power_up_lines(bench: Bench, device: Device, names: str) -> list[str]:
     """Return a board's digital lines by their names in a call; raise Status for an unknown one."""
     known = {f"{device.name}/{line}".casefold(): line for line in device.kind.digital_lines}
     found = []
@@ -85,7 +85,7 @@ def _power_up_lines(bench: Bench, device: Device, names: str) -> list[str]:
 def set_power_up_states(bench: Bench, client: str, arguments: Arguments) -> None:
     """Answer `DAQmxSetDigitalPowerUpStates`; raise Status, and set none, for an unknown line or state."""
     device = bench.devices.find(arguments["device_name"])
-    lines = _power_up_lines(bench, device, arguments["channel_names"])
+    lines = _find_power_up_lines(bench, device, arguments["channel_names"])
     states = [int(state) for state in arguments["state"]]
     for state in states:
         if state not in (POWER_UP_HIGH, POWER_UP_LOW, POWER_UP_TRISTATE):
@@ -96,24 +96,24 @@ def set_power_up_states(bench: Bench, client: str, arguments: Arguments) -> None
 def get_power_up_states(bench: Bench, client: str, arguments: Arguments) -> Answer:
     """Answer `DAQmxGetDigitalPowerUpStates`; a line without a stored state is tristate."""
     device = bench.devices.find(arguments["device_name"])
-    lines = _power_up_lines(bench, device, arguments["channel_names"])
+    lines = _find_power_up_lines(bench, device, arguments["channel_names"])
     return {"state": [device.power_up_states.get(line, POWER_UP_TRISTATE) for line in lines]}
 
 
-def unplug(bench: Bench, serial_number: int) -> None:
+def unplug_board(bench: Bench, serial_number: int) -> None:
     """Remove a board from the chassis: its tasks are lost, its lines go low.
 
     Raise KeyError if there is none.
     """
-    _take_from_tasks(bench, bench.devices.by_serial(serial_number), statuses.DEVICE_REMOVED, "unplug")
+    _take_from_tasks(bench, bench.devices.get_by_serial(serial_number), statuses.DEVICE_REMOVED, "unplug")
     bench.devices.unplug(serial_number)
     bench.changed.notify_all()
 
 
 HANDLERS: Mapping[str, Handler] = {
-    "DAQmxResetDevice": reset,
-    "DAQmxSelfCal": self_calibrate,
-    "DAQmxGetSelfCalLastDateAndTime": last_self_calibration,
+    "DAQmxResetDevice": reset_board,
+    "DAQmxSelfCal": self_calibrate_board,
+    "DAQmxGetSelfCalLastDateAndTime": get_last_self_calibration,
     "DAQmxSetDigitalPowerUpStates": set_power_up_states,
     "DAQmxGetDigitalPowerUpStates": get_power_up_states,
 }

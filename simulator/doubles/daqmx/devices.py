@@ -71,7 +71,7 @@ class Devices:
         """Return the boards that are plugged in, in the order of the description."""
         return tuple(device for device in self if device.plugged)
 
-    def by_serial(self, serial_number: int) -> Device:
+    def get_by_serial(self, serial_number: int) -> Device:
         """Return a board by serial number; raise KeyError if there is none."""
         return self._devices[serial_number]
 
@@ -93,11 +93,11 @@ class Devices:
 
     def unplug(self, serial_number: int) -> None:
         """Mark a board as removed; its name stays in NI MAX. Raise KeyError if there is none."""
-        self.by_serial(serial_number).plugged = False
+        self.get_by_serial(serial_number).plugged = False
 
     def plug(self, serial_number: int, name: str = "") -> None:
         """Plug a board in again, under another name if one is given; raise KeyError if there is none."""
-        device = self.by_serial(serial_number)
+        device = self.get_by_serial(serial_number)
         self._former_names.add(device.name.casefold())
         device.name = name or device.name
         device.plugged = True
@@ -138,7 +138,7 @@ class Devices:
             device = self.find(piece.strip().strip("/").partition("/")[0])
             named: list[str] = []
             if match is not None:
-                numbers = _numbers(int(match["first"]), int(match["last"] or match["first"]))
+                numbers = _build_inclusive_range(int(match["first"]), int(match["last"] or match["first"]))
                 named = [f"{match['port'].casefold()}/line{number}" for number in numbers]
             if not named or not set(named) <= set(device.kind.digital_lines):
                 lines = device.kind.digital_lines
@@ -151,7 +151,7 @@ class Devices:
         return found
 
 
-def _numbers(first: int, last: int) -> range:
+def _build_inclusive_range(first: int, last: int) -> range:
     """Return the numbers from first to last, rising or falling, both included."""
     step = 1 if last >= first else -1
     return range(first, last + step, step)

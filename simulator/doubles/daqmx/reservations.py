@@ -61,19 +61,19 @@ class Reservations:
     def release_board(self, serial_number: int) -> None:
         """Release all resources of one board, as its reset does."""
         held = self._held.items()
-        self._held = {name: holder for name, holder in held if board_of(name) != serial_number}
+        self._held = {name: holder for name, holder in held if parse_serial(name) != serial_number}
 
     def holders_of_board(self, serial_number: int) -> tuple[Holder, ...]:
         """Return the holder of each reserved resource of one board; one holder may occur more than once."""
-        return tuple(holder for name, holder in self._held.items() if board_of(name) == serial_number)
+        return tuple(holder for name, holder in self._held.items() if parse_serial(name) == serial_number)
 
 
-def resource(serial_number: int, part: str) -> str:
+def format_resource(serial_number: int, part: str) -> str:
     """Format the name of one part of a board, ``<serial number>/<part>``."""
     return f"{serial_number}/{part}"
 
 
-def board_of(name: str) -> int:
+def parse_serial(name: str) -> int:
     """Parse the board's serial number from the name of a resource or line, ``<serial number>/<part>``.
 
     Raises

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from simulator.doubles.chassis.boards import terminals
+from simulator.doubles.chassis.boards import list_terminals
 from simulator.doubles.daqmx import tasks
 from simulator.doubles.daqmx.tasks import Arguments, Bench, Handler, Task, TaskHandler, TaskState
 from simulator.doubles.vendor_api import statuses
@@ -41,7 +41,7 @@ def fire_edge(bench: Bench, terminal: str, at_ns: int, edge: int = RISING) -> No
     """
     reached = {short_name(terminal)}
     while True:
-        onward = {destination for destination, source in bench.routes.items() if _same(source, reached)}
+        onward = {destination for destination, source in bench.routes.items() if _is_reached(source, reached)}
         if onward <= reached:
             break
         reached |= onward
@@ -49,13 +49,13 @@ def fire_edge(bench: Bench, terminal: str, at_ns: int, edge: int = RISING) -> No
         waiting = task.state is TaskState.RUNNING and task.run.begin_ns is None
         if (
             waiting
-            and _same(start_trigger_of(task), reached)
+            and _is_reached(start_trigger_of(task), reached)
             and task.settings["DigEdge.StartTrig.Edge"] == edge
         ):
             bench.kinds[task.kind].triggered(bench, task, at_ns)
 
 
-def _same(terminal: str, reached: set[str]) -> bool:
+def _is_reached(terminal: str, reached: set[str]) -> bool:
     """Return whether a terminal is among those reached; a backplane line is the same at all boards."""
     if terminal in reached:
         return True
@@ -64,13 +64,13 @@ def _same(terminal: str, reached: set[str]) -> bool:
     return line.startswith(BACKPLANE) and any(name.rpartition("/")[2] == line for name in reached)
 
 
-def _known(bench: Bench, terminal: str) -> bool:
+def _has_terminal(bench: Bench, terminal: str) -> bool:
     """Return whether any board that is plugged in has the terminal."""
     name = short_name(terminal)
     return any(
         name == short_name(known)
         for device in bench.devices.present()
-        for known in terminals(device.kind, device.name)
+        for known in list_terminals(device.kind, device.name)
     )
 
 
@@ -79,12 +79,12 @@ def configure_start_trigger(bench: Bench, task: Task, arguments: Arguments) -> N
 
     Raise Status for an unknown board or terminal, or while the task runs.
     """
-    tasks.changed(task)
+    tasks.mark_changed(task)
     source = arguments["trigger_source"]
     device = source.strip().lstrip("/").partition("/")[0]
     if "/" in source.strip("/"):
         bench.devices.find(device)
-    if not _known(bench, source):
+    if not _has_terminal(bench, source):
         raise Status(
             statuses.INVALID_VALUE,
             f"Property: DigEdge.StartTrig.Src\nRequested Value: {source}",
@@ -114,31 +114,31 @@ def require_start_route(bench: Bench, task: Task) -> None:
             raise Status(
                 statuses.ROUTE_NOT_SUPPORTED, f"Source Terminal: {start_trigger_of(task)}", task=task.name
             )
-    elif "slot" not in name or _chassis(name) != _chassis(device.name):
+    elif "slot" not in name or _parse_chassis_name(name) != _parse_chassis_name(device.name):
         between = f"Source Device: {source.name}\nDestination Device: {device.name}"
         raise Status(statuses.NO_TRIGGER_LINE, between, task=task.name)
 
 
-def _chassis(name: str) -> str:
+def _parse_chassis_name(name: str) -> str:
     """Return the chassis in a board's usual name, `pxi1` for `PXI1Slot3`; a name without slot as it is."""
     return name.casefold().partition("slot")[0]
 
 
 def disable_start_trigger(bench: Bench, task: Task, arguments: Arguments) -> None:
     """Answer `DAQmxDisableStartTrig`: start the task at once; raise Status while it runs."""
-    tasks.changed(task)
+    tasks.mark_changed(task)
     task.settings["StartTrig.Type"] = NO_TRIGGER
 
 
-def connect(bench: Bench, client: str, arguments: Arguments) -> None:
+def connect_terminals(bench: Bench, client: str, arguments: Arguments) -> None:
     """Answer `DAQmxConnectTerms`: add a route between two terminals.
 
     Raise Status if one is unknown, or another route ends at the destination.
     """
     source, destination = arguments["source_terminal"], arguments["destination_terminal"]
-    if not _known(bench, source):
+    if not _has_terminal(bench, source):
         raise Status(statuses.INVALID_SOURCE_TERMINAL, f"Source Terminal: {source}")
-    if not _known(bench, destination):
+    if not _has_terminal(bench, destination):
         raise Status(statuses.INVALID_DESTINATION_TERMINAL, f"Destination Terminal: {destination}")
     other = bench.routes.get(short_name(destination))
     if other not in (None, short_name(source)):
@@ -148,20 +148,20 @@ def connect(bench: Bench, client: str, arguments: Arguments) -> None:
     bench.routes[short_name(destination)] = short_name(source)
 
 
-def disconnect(bench: Bench, client: str, arguments: Arguments) -> None:
+def disconnect_terminals(bench: Bench, client: str, arguments: Arguments) -> None:
     """Answer `DAQmxDisconnectTerms`: remove the route between two terminals; do nothing if there is none."""
     destination = short_name(arguments["destination_terminal"])
     if bench.routes.get(destination) == short_name(arguments["source_terminal"]):
         del bench.routes[destination]
 
 
-def tristate(bench: Bench, client: str, arguments: Arguments) -> None:
+def tristate_terminal(bench: Bench, client: str, arguments: Arguments) -> None:
     """Answer `DAQmxTristateOutputTerm`: stop driving a terminal, which goes low.
 
     Raise Status if it is unknown, or a route uses it.
     """
     terminal = short_name(arguments["output_terminal"])
-    if not _known(bench, terminal):
+    if not _has_terminal(bench, terminal):
         raise Status(statuses.INVALID_DESTINATION_TERMINAL, f"Terminal: {arguments['output_terminal']}")
     if terminal in bench.routes:
         raise Status(statuses.TERMINAL_IN_USE, f"Terminal: {arguments['output_terminal']}")
@@ -172,20 +172,20 @@ def tristate(bench: Bench, client: str, arguments: Arguments) -> None:
             bench.lines.drive(f"{device.serial_number}/{output}", 0, bench.settle(), "tristate")
 
 
-def export(bench: Bench, task: Task, arguments: Arguments) -> None:
+def export_signal(bench: Bench, task: Task, arguments: Arguments) -> None:
     """Answer `DAQmxExportSignal`: connect an input task's start or reference trigger to a terminal.
 
     An earlier route to the terminal is replaced. Raise Status for another signal, task or terminal, or while
     the task runs.
     """
-    tasks.changed(task)
+    tasks.mark_changed(task)
     ends = {START_TRIGGER_SIGNAL: "StartTrigger", REFERENCE_TRIGGER_SIGNAL: "ReferenceTrigger"}
     signal = arguments["signal_id"]
     if signal not in ends or task.kind != "ai":
         raise Status(
             statuses.INVALID_VALUE, f"Signal: {signal}\nYou Can Select: {sorted(ends)}", task=task.name
         )
-    if not _known(bench, arguments["output_terminal"]):
+    if not _has_terminal(bench, arguments["output_terminal"]):
         raise Status(
             statuses.INVALID_DESTINATION_TERMINAL, f"Terminal: {arguments['output_terminal']}", task=task.name
         )
@@ -194,12 +194,12 @@ def export(bench: Bench, task: Task, arguments: Arguments) -> None:
 
 
 HANDLERS: Mapping[str, Handler] = {
-    "DAQmxConnectTerms": connect,
-    "DAQmxDisconnectTerms": disconnect,
-    "DAQmxTristateOutputTerm": tristate,
+    "DAQmxConnectTerms": connect_terminals,
+    "DAQmxDisconnectTerms": disconnect_terminals,
+    "DAQmxTristateOutputTerm": tristate_terminal,
 }
 TASK_HANDLERS: Mapping[str, TaskHandler] = {
     "DAQmxCfgDigEdgeStartTrig": configure_start_trigger,
     "DAQmxDisableStartTrig": disable_start_trigger,
-    "DAQmxExportSignal": export,
+    "DAQmxExportSignal": export_signal,
 }

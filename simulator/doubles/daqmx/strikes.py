@@ -62,7 +62,7 @@ class Strikes:
 
     def __init__(self, description: Description) -> None:
         self._description = description
-        self.specimen = _specimen(description)
+        self.specimen = _build_specimen(description)
         self._announced: dict[str, tuple[ShotKey, float]] = {}
         self._counted: dict[str, int] = {}
         self._hour_h = description.hour_h
@@ -88,7 +88,7 @@ class Strikes:
         self._announced[key.position] = (key, hour_h)
         self._hour_h = hour_h
 
-    def next_echo(self, position: str) -> tuple[ShotKey, float]:
+    def take_next_echo(self, position: str) -> tuple[ShotKey, float]:
         """Return key and hour of the next pulse-echo record at a position, and use them up.
 
         They are the announced ones, or the next in the count of sets.
@@ -122,14 +122,14 @@ class Strikes:
             )
             return None
         announced = self._announced.pop(position, None)
-        key, hour_h = announced or (self._counted_key(position), self._hour_h)
+        key, hour_h = announced or (self._count_next_key(position), self._hour_h)
         strike = Strike(
             key=key,
             hour_h=hour_h,
             announced=announced is not None,
             lifted_ns=lifted_ns,
             released_ns=released_ns,
-            contact_ns=released_ns + self._fall_ns(key, hour_h),
+            contact_ns=released_ns + self._fall_time_ns(key, hour_h),
         )
         self._planned.append(strike)
         return strike
@@ -153,14 +153,14 @@ class Strikes:
         else:
             self._counted[position] -= 1
 
-    def _counted_key(self, position: str) -> ShotKey:
+    def _count_next_key(self, position: str) -> ShotKey:
         """Return the key of the next strike at a position that was not announced, and increase the count."""
         index = self._counted.get(position, 0)
         self._counted[position] = index + 1
         set_index, shot_index = divmod(index, self._description.shots_per_set)
         return ShotKey(position=position, set_index=set_index, shot_index=shot_index)
 
-    def _fall_ns(self, key: ShotKey, hour_h: float) -> int:
+    def _fall_time_ns(self, key: ShotKey, hour_h: float) -> int:
         """Return how long the striker of a shot falls freely from its drop height, ns."""
         height_m = self.specimen.strike(key, hour_h).drop_height_m
         return round(math.sqrt(2.0 * height_m / FALL_ACCELERATION_M_PER_S2) * NS_PER_S)
@@ -173,24 +173,24 @@ class Strikes:
         SimulatorError, ValueError
             The twin cannot compute this shot or this record.
         """
-        crosstalk, pulses = self.crosstalk(strike.key.position), self.coil_pulses(strike.key.position)
+        crosstalk, pulses = self.crosstalk(strike.key.position), self.list_coil_pulses(strike.key.position)
 
         def stray(first_s: float, rate_hz: float, samples: int) -> FloatArray:
             """Compute the crosstalk in V, shape (samples,); ``first_s`` counts from the striker's contact."""
             return crosstalk.volts(pulses, strike.contact_ns + first_s * NS_PER_S, rate_hz, samples)
 
         disturbed = replace(self.specimen, stray=None if crosstalk.silent else stray)
-        return self._through_board(disturbed, strike, adc, calibration)
+        return self._simulate_board_record(disturbed, strike, adc, calibration)
 
-    def _through_board(
+    def _simulate_board_record(
         self, specimen: Specimen, strike: Strike, adc: AdcParameters, calibration: Calibration
     ) -> Acquired | None:
         """Simulate a strike's record with the converter of a board; None if the wave does not trigger it."""
         twin = replace(specimen.twin, adc=adc)
         through_board = replace(specimen, twin=twin, adc_calibration=calibration)
-        return through_board.solitary_wave(strike.key, strike.hour_h)
+        return through_board.simulate_wave(strike.key, strike.hour_h)
 
-    def free_volts(
+    def simulate_free_volts(
         self, key: ShotKey, first_ns: int, adc: AdcParameters, calibration: Calibration
     ) -> FloatArray:
         """Simulate the untriggered voltage at a sensor's input in V, shape (record_samples,).
@@ -220,13 +220,13 @@ class Strikes:
             begins = (strike.contact_ns - first_ns) / NS_PER_S * rate_hz
             if strike.key.position != key.position or not -wave_adc.record_samples < begins < volts.size:
                 continue
-            wave = self._through_board(self.specimen, strike, wave_adc, calibration)
+            wave = self._simulate_board_record(self.specimen, strike, wave_adc, calibration)
             if wave is not None:
                 begins += wave.truth["trigger_time_s"] * rate_hz
                 _insert_wave(volts, wave.waveform.volts(), round(begins) - wave_adc.pretrigger_samples)
         crosstalk = self.crosstalk(key.position)
         if not crosstalk.silent:
-            volts += crosstalk.volts(self.coil_pulses(key.position), first_ns, rate_hz, volts.size)
+            volts += crosstalk.volts(self.list_coil_pulses(key.position), first_ns, rate_hz, volts.size)
         return volts
 
     def crosstalk(self, position: str) -> Crosstalk:
@@ -237,7 +237,7 @@ class Strikes:
         """Set the crosstalk from the coil at a position into its sensor from now on."""
         self._crosstalk[position] = crosstalk
 
-    def coil_pulses(self, position: str) -> list[tuple[int, int]]:
+    def list_coil_pulses(self, position: str) -> list[tuple[int, int]]:
         """Return when the coil at a position was switched on and off, ns; only the newest pulses are kept."""
         return [
             (strike.lifted_ns, strike.released_ns)
@@ -253,7 +253,7 @@ class Strikes:
         for position in self.specimen.transducers:
             key = ShotKey(position=position, set_index=0, shot_index=0)
             try:
-                self.specimen.solitary_wave(key, self._hour_h)
+                self.specimen.simulate_wave(key, self._hour_h)
             except (SimulatorError, ValueError) as error:
                 # The same error answers the record that needs this position.
                 log.warning("the twin cannot compute position %s: %s", position, error)
@@ -266,7 +266,7 @@ def _insert_wave(volts: FloatArray, wave: FloatArray, at: int) -> None:
         volts[first:last] = wave[first - at : last - at]
 
 
-def _specimen(description: Description) -> Specimen:
+def _build_specimen(description: Description) -> Specimen:
     """Build the specimen of a described chassis: one model per transducer, one wall per probe."""
     transducers = {
         position: Transducer(

@@ -14,7 +14,7 @@ def _set_runtime_environment(bench: Bench, client: str, arguments: Arguments) ->
     """Accept `DAQmxSetRuntimeEnvironment` without effect: the caller's language does not matter."""
 
 
-def _error_string(bench: Bench, client: str, arguments: Arguments) -> Answer:
+def _get_error_string(bench: Bench, client: str, arguments: Arguments) -> Answer:
     """Answer `DAQmxGetErrorString` with the text of a status code; an unknown code has a text, too."""
     code = arguments["error_code"]
     return {"error_string": statuses.TEXTS.get(code, f"Status {code} is not one of the double's own.")}
@@ -25,7 +25,7 @@ def _create_task(bench: Bench, client: str, arguments: Arguments) -> Answer:
 
     Raise Status if the client has one of that name.
     """
-    return {"task": tasks.create(bench, client, arguments["session_name"]).handle}
+    return {"task": tasks.create_task(bench, client, arguments["session_name"]).handle}
 
 
 def _clear_task(bench: Bench, client: str, arguments: Arguments) -> None:
@@ -38,49 +38,49 @@ def _clear_task(bench: Bench, client: str, arguments: Arguments) -> None:
         # Clearing is how a lost task is got rid of: it never fails for the loss.
         del bench.tasks[task.handle]
     else:
-        tasks.clear(bench, tasks.find(bench, client, arguments["task"]))
+        tasks.clear_task(bench, tasks.find_task(bench, client, arguments["task"]))
 
 
-def _last_created_channel(bench: Bench, client: str, arguments: Arguments) -> Answer:
+def _get_last_created_channel(bench: Bench, client: str, arguments: Arguments) -> Answer:
     """Answer with the name of the channel that the client created last; empty if there is none."""
     return {"value": bench.last_channel.get(client, "")}
 
 
-def _control(bench: Bench, task: Task, arguments: Arguments) -> None:
+def _control_task(bench: Bench, task: Task, arguments: Arguments) -> None:
     """Answer `DAQmxTaskControl`: move a task to the requested state.
 
     Raise Status if that fails (`tasks.control`).
     """
-    tasks.control(bench, task, arguments["action"])
+    tasks.control_task(bench, task, arguments["action"])
 
 
-def _start(bench: Bench, task: Task, arguments: Arguments) -> None:
+def _start_task(bench: Bench, task: Task, arguments: Arguments) -> None:
     """Answer `DAQmxStartTask`; raise Status if the task does not fit the board or the board is reserved."""
-    tasks.start(bench, task)
+    tasks.start_task(bench, task)
 
 
-def _stop(bench: Bench, task: Task, arguments: Arguments) -> None:
+def _stop_task(bench: Bench, task: Task, arguments: Arguments) -> None:
     """Answer `DAQmxStopTask`; a task that was not done raises the warning 200010."""
-    tasks.stop(bench, task)
+    tasks.stop_task(bench, task)
 
 
 def _wait_until_done(bench: Bench, task: Task, arguments: Arguments) -> None:
     """Answer `DAQmxWaitUntilTaskDone`; raise Status after the timeout in s (negative: no limit)."""
     timeout_s = arguments["time_to_wait"]
     late = Status(statuses.NOT_DONE_IN_TIME, f"Time to wait: {timeout_s} s", task=task.name)
-    tasks.wait(bench, task, timeout_s, late)
+    tasks.wait_until_done(bench, task, timeout_s, late)
 
 
 HANDLERS: Mapping[str, Handler] = {
     "DAQmxSetRuntimeEnvironment": _set_runtime_environment,
-    "DAQmxGetErrorString": _error_string,
+    "DAQmxGetErrorString": _get_error_string,
     "DAQmxCreateTask": _create_task,
     "DAQmxClearTask": _clear_task,
-    "DAQmxInternalGetLastCreatedChan": _last_created_channel,
+    "DAQmxInternalGetLastCreatedChan": _get_last_created_channel,
 }
 TASK_HANDLERS: Mapping[str, TaskHandler] = {
-    "DAQmxTaskControl": _control,
-    "DAQmxStartTask": _start,
-    "DAQmxStopTask": _stop,
+    "DAQmxTaskControl": _control_task,
+    "DAQmxStartTask": _start_task,
+    "DAQmxStopTask": _stop_task,
     "DAQmxWaitUntilTaskDone": _wait_until_done,
 }

@@ -132,7 +132,7 @@ class Task:
                 task=self.name,
             )
 
-    def take_channel(self, kind: str, channel: Any) -> None:
+    def set_channel(self, kind: str, channel: Any) -> None:
         """Set kind and channel of the task; it becomes unverified."""
         self.kind, self.channel, self.state, self.verified = kind, channel, TaskState.UNVERIFIED, False
 
@@ -211,7 +211,7 @@ TaskHandler = Callable[[Bench, Task, Arguments], Answer]
 """Answers an entry point that is about one task."""
 
 
-def create(bench: Bench, client: str, name: str) -> Task:
+def create_task(bench: Bench, client: str, name: str) -> Task:
     """Create a task of a client, with a generated name for an empty one.
 
     Raise Status if the client has a task of that name.
@@ -226,7 +226,7 @@ def create(bench: Bench, client: str, name: str) -> Task:
     return task
 
 
-def find(bench: Bench, client: str, handle: int) -> Task:
+def find_task(bench: Bench, client: str, handle: int) -> Task:
     """Return a client's task by its handle.
 
     Raises
@@ -238,18 +238,18 @@ def find(bench: Bench, client: str, handle: int) -> Task:
     if task is None or task.client != client:
         raise Status(statuses.INVALID_TASK, f"Task handle: {handle:#x}")
     if task.lost:
-        raise_lost(task)
+        raise_lost_status(task)
     return task
 
 
-def raise_lost(task: Task) -> None:
+def raise_lost_status(task: Task) -> None:
     """Raise the status of a task that lost its board: the first time with the cause, then -88709."""
     code = task.lost
     task.lost = -88709
     raise Status(code, task=task.name)
 
 
-def lose(bench: Bench, task: Task, code: int, cause: str) -> None:
+def lose_board(bench: Bench, task: Task, code: int, cause: str) -> None:
     """Stop a task whose board is gone, release its resources, and let later calls fail with ``code``.
 
     Parameters
@@ -265,7 +265,7 @@ def lose(bench: Bench, task: Task, code: int, cause: str) -> None:
     bench.changed.notify_all()
 
 
-def advance(bench: Bench, task: Task, target: TaskState) -> None:
+def advance_task(bench: Bench, task: Task, target: TaskState) -> None:
     """Move a task forward to a state below running: verify, reserve and commit as needed.
 
     Raise Status if it has no channel or one of the steps fails.
@@ -285,7 +285,7 @@ def advance(bench: Bench, task: Task, target: TaskState) -> None:
         task.state = TaskState.COMMITTED
 
 
-def changed(task: Task) -> None:
+def mark_changed(task: Task) -> None:
     """Mark a task as changed, so that its next start verifies and programs it again.
 
     Raise Status -200479 if it runs.
@@ -296,7 +296,7 @@ def changed(task: Task) -> None:
     task.verified = False
 
 
-def start(bench: Bench, task: Task) -> None:
+def start_task(bench: Bench, task: Task) -> None:
     """Start a task, through the states that are missing.
 
     Raise Status if it runs already or a step fails; then what was reserved for this start is released.
@@ -305,18 +305,18 @@ def start(bench: Bench, task: Task) -> None:
     task.resume = max(task.state, TaskState.VERIFIED)
     before = task.state
     try:
-        advance(bench, task, TaskState.COMMITTED)
+        advance_task(bench, task, TaskState.COMMITTED)
         bench.kinds[task.kind].start(bench, task, bench.settle())
     except Status:
         # What was only reserved for this start is given back.
         if before < TaskState.RESERVED <= task.state:
-            _unreserve(bench, task)
+            _release_resources(bench, task)
         raise
     task.state = TaskState.RUNNING
     bench.changed.notify_all()
 
 
-def is_done(bench: Bench, task: Task) -> bool:
+def is_task_done(bench: Bench, task: Task) -> bool:
     """Return whether a task is not running, or its record or pulse is complete."""
     if task.state is not TaskState.RUNNING:
         return True
@@ -325,7 +325,7 @@ def is_done(bench: Bench, task: Task) -> bool:
     return done_ns is not None and done_ns <= now_ns
 
 
-def stop(bench: Bench, task: Task) -> None:
+def stop_task(bench: Bench, task: Task) -> None:
     """Stop a task; do nothing if it is not running.
 
     Raises
@@ -336,16 +336,16 @@ def stop(bench: Bench, task: Task) -> None:
     if task.state is not TaskState.RUNNING:
         return
     try:
-        done = is_done(bench, task)
+        done = is_task_done(bench, task)
     except Status:
         # A record that the twin cannot compute must not keep its task from stopping.
         done = False
-    _halt(bench, task)
+    _stop_hardware(bench, task)
     if not done and task.kind != "watchdog":
         raise Status(statuses.STOPPED_BEFORE_DONE, task=task.name)
 
 
-def _halt(bench: Bench, task: Task) -> None:
+def _stop_hardware(bench: Bench, task: Task) -> None:
     """Stop the hardware of a task and restore the state before its start, with its reservations."""
     bench.kinds[task.kind].stop(bench, task, bench.settle(), "stop")
     task.state = task.resume
@@ -354,7 +354,7 @@ def _halt(bench: Bench, task: Task) -> None:
     bench.changed.notify_all()
 
 
-def control(bench: Bench, task: Task, action: int) -> None:
+def control_task(bench: Bench, task: Task, action: int) -> None:
     """Execute an action of `DAQmxTaskControl` on a task.
 
     Verifying, reserving and committing a running task do nothing. Raise Status for an unknown action, or if
@@ -362,9 +362,9 @@ def control(bench: Bench, task: Task, action: int) -> None:
     """
     match action:
         case Action.START:
-            start(bench, task)
+            start_task(bench, task)
         case Action.STOP:
-            stop(bench, task)
+            stop_task(bench, task)
         case Action.VERIFY | Action.COMMIT | Action.RESERVE:
             if task.state is TaskState.RUNNING:
                 return
@@ -373,19 +373,19 @@ def control(bench: Bench, task: Task, action: int) -> None:
                 Action.RESERVE: TaskState.RESERVED,
                 Action.COMMIT: TaskState.COMMITTED,
             }
-            advance(bench, task, targets[Action(action)])
+            advance_task(bench, task, targets[Action(action)])
         case Action.UNRESERVE:
             task.require_not_running()
-            _unreserve(bench, task)
+            _release_resources(bench, task)
         case Action.ABORT:
             if task.state is TaskState.RUNNING:
-                _halt(bench, task)
-            _unreserve(bench, task)
+                _stop_hardware(bench, task)
+            _release_resources(bench, task)
         case _:
             raise Status(statuses.INVALID_VALUE, f"Task action {action}.", task=task.name)
 
 
-def _unreserve(bench: Bench, task: Task) -> None:
+def _release_resources(bench: Bench, task: Task) -> None:
     """Release the resources of a task and set it to verified; do nothing if it has none."""
     if task.state >= TaskState.RESERVED:
         bench.reservations.release(task.holder)
@@ -393,16 +393,16 @@ def _unreserve(bench: Bench, task: Task) -> None:
         bench.changed.notify_all()
 
 
-def clear(bench: Bench, task: Task) -> None:
+def clear_task(bench: Bench, task: Task) -> None:
     """Stop a task without a warning, release its resources and remove it."""
     if task.state is TaskState.RUNNING:
-        _halt(bench, task)
-    _unreserve(bench, task)
+        _stop_hardware(bench, task)
+    _release_resources(bench, task)
     del bench.tasks[task.handle]
     bench.changed.notify_all()
 
 
-def wait(bench: Bench, task: Task, timeout_s: float, expired: Status) -> None:
+def wait_until_done(bench: Bench, task: Task, timeout_s: float, expired: Status) -> None:
     """Wait until a task is done, stopped, or the timeout is over; a negative timeout waits for ever.
 
     Raises
@@ -412,7 +412,7 @@ def wait(bench: Bench, task: Task, timeout_s: float, expired: Status) -> None:
     """
     deadline_ns = None if timeout_s < 0.0 else bench.clock.now_ns() + round(timeout_s * NS_PER_S)
     n_starts = task.n_starts
-    while not is_done(bench, task):
+    while not is_task_done(bench, task):
         now_ns = bench.clock.now_ns()
         if deadline_ns is not None and now_ns >= deadline_ns:
             raise expired
@@ -420,6 +420,6 @@ def wait(bench: Bench, task: Task, timeout_s: float, expired: Status) -> None:
         moments = [moment for moment in (deadline_ns, done_ns) if moment is not None]
         bench.clock.wait(bench.changed, min(moments) if moments else None)
         if task.lost:
-            raise_lost(task)
+            raise_lost_status(task)
         if task.handle not in bench.tasks or task.n_starts != n_starts:
             raise Status(statuses.DEVICE_REMOVED, "The task was cleared meanwhile.", task=task.name)

@@ -9,11 +9,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from hardware_drivers.nanoseconds import NS_PER_S
-from simulator.doubles.chassis.boards import terminal_of_line
+from simulator.doubles.chassis.boards import find_line_terminal
 from simulator.doubles.daqmx import tasks
-from simulator.doubles.daqmx.counter_output import HIGH, LOW, cut
+from simulator.doubles.daqmx.counter_output import HIGH, LOW, disconnect_pin
 from simulator.doubles.daqmx.devices import Device
-from simulator.doubles.daqmx.reservations import resource
+from simulator.doubles.daqmx.reservations import format_resource
 from simulator.doubles.daqmx.tasks import Answer, Arguments, Bench, Handler, Task, TaskHandler, TaskState
 from simulator.doubles.vendor_api import statuses
 from simulator.doubles.vendor_api.statuses import Status
@@ -58,13 +58,13 @@ class Countdown:
         self.expired_ns = deadline_ns
         device, states = task.device, task.settings["expiration"]
         levels = {
-            f"{device.serial_number}/{terminal_of_line(line)}": int(state == HIGH)
+            f"{device.serial_number}/{find_line_terminal(line)}": int(state == HIGH)
             for line, state in states.items()
             if state != NO_CHANGE
         }
         for other in tuple(bench.tasks.values()):
             if other.kind == "co" and other.run is not None and other.channel.line in levels:
-                cut(bench, other, levels[other.channel.line], deadline_ns, "watchdog")
+                disconnect_pin(bench, other, levels[other.channel.line], deadline_ns, "watchdog")
         for line, level in levels.items():
             bench.lines.drive(line, level, deadline_ns, "watchdog")
 
@@ -77,7 +77,7 @@ class Watchdog:
 
     def resources(self, bench: Bench, task: Task) -> tuple[str, ...]:
         """Return the resource that the task needs: the one watchdog timer of its board."""
-        return (resource(task.device.serial_number, "watchdog"),)
+        return (format_resource(task.device.serial_number, "watchdog"),)
 
     def commit(self, bench: Bench, task: Task) -> None:
         """Do nothing: no line is driven before the timer expires."""
@@ -115,8 +115,8 @@ def create_watchdog(bench: Bench, client: str, arguments: Arguments) -> Answer:
         raise statuses.rejected_property(
             session, name, code=code, requested=timeout_s, maximum=LONGEST_TIMEOUT_S
         )
-    task = tasks.create(bench, client, arguments["session_name"])
-    task.take_channel("watchdog", WatchedBoard(name=device.name, device=device))
+    task = tasks.create_task(bench, client, arguments["session_name"])
+    task.set_channel("watchdog", WatchedBoard(name=device.name, device=device))
     task.settings |= {"Watchdog.Timeout": timeout_s, "expiration": {}}
     return {"task": task.handle}
 
@@ -134,7 +134,7 @@ def configure_expiration(bench: Bench, task: Task, arguments: Arguments) -> None
     or unknown states, or while the watchdog runs.
     """
     _require_watchdog(task)
-    tasks.changed(task)
+    tasks.mark_changed(task)
     lines = bench.devices.lines(arguments["channel_names"])
     states = [int(state) for state in arguments["expir_state_array"]]
     if len(states) != len(lines):

@@ -71,7 +71,7 @@ class NiscopeBrain:
 
     # What a test or the control channel asks for
 
-    def has(self, serial_number: int) -> bool:
+    def has_board(self, serial_number: int) -> bool:
         """Return whether a board with this serial number is described, plugged in or not."""
         known = {board.serial_number for board in self._boards.values()}
         return serial_number in known | set(self._unplugged)
@@ -113,12 +113,12 @@ class NiscopeBrain:
             owners = self._foreign_owners.items()
             self._foreign_owners = {name: other for name, other in owners if other != owner}
 
-    def open_sessions(self) -> list[tuple[str, str]]:
+    def list_open_sessions(self) -> list[tuple[str, str]]:
         """Return client and resource name of each open session, in the order of opening."""
         with self._changed:
             return [(session.client, session.board.name) for session in self._sessions.values()]
 
-    def client_gone(self, client: str) -> list[str]:
+    def close_client_sessions(self, client: str) -> list[str]:
         """Close the sessions of a client that has died, as the driver does; return their resource names."""
         with self._changed:
             left = [session for session in self._sessions.values() if session.client == client]
@@ -141,7 +141,7 @@ class NiscopeBrain:
         if name == "SetRuntimeEnvironment":
             return {}
         if name == "InitWithOptions":
-            return self._open(client, arguments["resource_name"])
+            return self._open_session(client, arguments["resource_name"])
         if name == "error_message":
             code = arguments["error_code"]
             return {"error_message": statuses.TEXTS.get(code, f"Unknown status {code}.")}
@@ -160,7 +160,7 @@ class NiscopeBrain:
             session.last_error = (status.code, status.message)
             raise
 
-    def _open(self, client: str, resource: str) -> Answer:
+    def _open_session(self, client: str, resource: str) -> Answer:
         """Open a session on a board and answer with its handle.
 
         Raise ScopeStatus if the board is unknown, or open in another session or process.
@@ -178,16 +178,16 @@ class NiscopeBrain:
             self._sessions[handle] = Session(handle=handle, client=client, board=board, channels=channels)
             return {"vi": handle}
 
-    def _close(self, session: Session, _: Arguments) -> None:
+    def _close_session(self, session: Session, _: Arguments) -> None:
         """Close a session; its acquisition ends, and a fetch that waits fails."""
         with self._changed:
             del self._sessions[session.handle]
             self._changed.notify_all()
 
-    def _lock(self, session: Session, _: Arguments) -> None:
+    def _accept_lock(self, session: Session, _: Arguments) -> None:
         """Accept a lock without effect, because it concerns the caller's own threads."""
 
-    def _commit(self, session: Session, _: Arguments) -> None:
+    def _commit_session(self, session: Session, _: Arguments) -> None:
         """Check that the session can commit; raise ScopeStatus while it acquires, or without its board."""
         require_idle(session)
         self._require_present(session)
@@ -208,7 +208,7 @@ class NiscopeBrain:
 
     # Acquisition
 
-    def _initiate(self, session: Session, _: Arguments) -> None:
+    def _start_acquisition(self, session: Session, _: Arguments) -> None:
         """Start an acquisition; raise ScopeStatus if one runs, no channel is enabled or the board is gone."""
         require_idle(session)
         self._require_present(session)
@@ -216,7 +216,7 @@ class NiscopeBrain:
             raise ScopeStatus(statuses.SCOPE_CHANNEL_NOT_ENABLED)
         session.acquisition = self._pulsers.begin(session, self._monotonic_s())
 
-    def _abort(self, session: Session, _: Arguments) -> None:
+    def _abort_acquisition(self, session: Session, _: Arguments) -> None:
         """Abort the acquisition of a session, if there is one.
 
         Then raise ScopeStatus if its board is gone.
@@ -226,14 +226,14 @@ class NiscopeBrain:
             self._changed.notify_all()
         self._require_present(session)
 
-    def _waveform_count(self, session: Session, arguments: Arguments) -> Answer:
+    def _count_waveforms(self, session: Session, arguments: Arguments) -> Answer:
         """Answer with the number of waveforms that a fetch would return: remaining records times channels."""
         requested = session.fetch[FETCH_RECORDS]
         left = max(session.records - session.fetch[FETCH_RECORD], 0)
         records = left if requested < 0 else min(requested, left)
         return {"num_wfms": records * len(channels_of(session, arguments))}
 
-    def _fetch(self, session: Session, arguments: Arguments) -> Answer:
+    def _fetch_waveforms(self, session: Session, arguments: Arguments) -> Answer:
         """Wait for the records and answer with their codes, record by record, one channel after the other.
 
         ``waveform`` has ``num_samples`` codes per waveform, a shorter record is filled with 0. ScopeStatus is
@@ -247,7 +247,7 @@ class NiscopeBrain:
         channels = channels_of(session, arguments)
         if not all(channel.enabled for _, channel in channels):
             raise ScopeStatus(statuses.SCOPE_CHANNEL_NOT_ENABLED)
-        wanted, count = arguments["num_samples"], self._waveform_count(session, arguments)["num_wfms"]
+        wanted, count = arguments["num_samples"], self._count_waveforms(session, arguments)["num_wfms"]
         if wanted < 0 or session.fetch[FETCH_RELATIVE_TO] != PRETRIGGER or session.fetch[FETCH_OFFSET] != 0:
             raise ScopeStatus(statuses.SCOPE_INVALID_FETCH_PARAMETERS)
         first = session.fetch[FETCH_RECORD] * len(channels)
@@ -292,14 +292,14 @@ class NiscopeBrain:
 
     # Calibration
 
-    def _calibration_date(self, session: Session, arguments: Arguments) -> Answer:
+    def _get_calibration_date(self, session: Session, arguments: Arguments) -> Answer:
         """Answer with year, month and day of the board's external or self-calibration."""
         day = datetime.date.fromisoformat(session.board.calibration_date)
         if arguments["which_one"] == SELF_CALIBRATION:
             day = self._self_calibrated.get(session.board.serial_number, day)
         return {"year": day.year, "month": day.month, "day": day.day}
 
-    def _calibration_temperature(self, session: Session, _: Arguments) -> Answer:
+    def _get_calibration_temperature(self, session: Session, _: Arguments) -> Answer:
         """Answer with the temperature of the board at its calibration, °C."""
         return {"temperature": session.board.calibration_temperature_c}
 
@@ -322,17 +322,17 @@ class NiscopeBrain:
 
 
 _ENTRIES: Mapping[str, Callable[[NiscopeBrain, Session, Arguments], Answer | None]] = {
-    "close": NiscopeBrain._close,
-    "LockSession": NiscopeBrain._lock,
-    "UnlockSession": NiscopeBrain._lock,
-    "Commit": NiscopeBrain._commit,
+    "close": NiscopeBrain._close_session,
+    "LockSession": NiscopeBrain._accept_lock,
+    "UnlockSession": NiscopeBrain._accept_lock,
+    "Commit": NiscopeBrain._commit_session,
     "ResetDevice": NiscopeBrain._restore_defaults,
-    "InitiateAcquisition": NiscopeBrain._initiate,
-    "Abort": NiscopeBrain._abort,
-    "ActualNumWfms": NiscopeBrain._waveform_count,
-    "FetchBinary16": NiscopeBrain._fetch,
-    "CalFetchDate": NiscopeBrain._calibration_date,
-    "CalFetchTemperature": NiscopeBrain._calibration_temperature,
+    "InitiateAcquisition": NiscopeBrain._start_acquisition,
+    "Abort": NiscopeBrain._abort_acquisition,
+    "ActualNumWfms": NiscopeBrain._count_waveforms,
+    "FetchBinary16": NiscopeBrain._fetch_waveforms,
+    "CalFetchDate": NiscopeBrain._get_calibration_date,
+    "CalFetchTemperature": NiscopeBrain._get_calibration_temperature,
     "CalSelfCalibrate": NiscopeBrain._self_calibrate,
 }
 

@@ -74,7 +74,7 @@ class Pulsers:
             records=session.records,
             trigger_delay_s=session.trigger_delay_s,
         )
-        position = self._triggering_position(session)
+        position = self._find_triggering_position(session)
         if not position:
             return Acquisition(done_s=math.inf, position="", shape=shape, first_firing_s=math.inf)
         period_s = 1.0 / self._probes[position].repetition_hz
@@ -88,7 +88,7 @@ class Pulsers:
             first_firing_s=first_s,
         )
 
-    def _triggering_position(self, session: Session) -> str:
+    def _find_triggering_position(self, session: Session) -> str:
         """Return the position of the probe whose sync signal triggers the session; empty if none does."""
         enabled = [name for name, channel in session.channels.items() if channel.enabled]
         for position, probe in self._probes.items():
@@ -113,7 +113,7 @@ class Pulsers:
         """
         name, settings = channel
         calibration = session.board.calibration(0.5 * settings.range_pp_v, settings.offset_v)
-        codes = self._codes(running, name, calibration)[record, :wanted]
+        codes = self._get_codes(running, name, calibration)[record, :wanted]
         low, high = calibration.full_scale_counts
         offset_v, gain_v = calibration.coefficients_v
         padding, shape = session.board.padding, running.shape
@@ -134,7 +134,7 @@ class Pulsers:
             overloaded=bool(codes.min(initial=0) <= low or codes.max(initial=0) >= high),
         )
 
-    def _codes(self, running: Acquisition, channel: str, calibration: Calibration) -> NDArray[np.int32]:
+    def _get_codes(self, running: Acquisition, channel: str, calibration: Calibration) -> NDArray[np.int32]:
         """Return the unpadded codes of all records of a channel, shape (records, samples).
 
         They are simulated once per acquisition. A channel without a probe is a grounded input.

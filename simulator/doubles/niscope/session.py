@@ -138,7 +138,7 @@ def channels_of(session: Session, arguments: Arguments) -> list[tuple[str, Chann
     return [(name, session.channels[name]) for name in wanted or session.channels]
 
 
-def channel_names(session: Session, arguments: Arguments) -> Answer:
+def list_channel_names(session: Session, arguments: Arguments) -> Answer:
     """Answer with the comma-separated names of channels by their indices.
 
     Raise ScopeStatus for a wrong index.
@@ -209,7 +209,7 @@ CONFIGURATION: Mapping[str, Callable[[Session, Arguments], Answer | None]] = {
     "GetAttributeViString": get_attribute,
     "SetAttributeViBoolean": set_attribute,
     "SetAttributeViInt32": set_attribute,
-    "GetChannelNameFromString": channel_names,
+    "GetChannelNameFromString": list_channel_names,
     "ConfigureVertical": configure_vertical,
     "ConfigureChanCharacteristics": configure_input,
     "ConfigureHorizontalTiming": configure_horizontal_timing,

@@ -24,9 +24,9 @@ class AimTtiSupply(Supply):
     IDENTITY = "THURLBY THANDAR, PL303-P, 279730, 4.06-4.06"
     _EXECUTION_ERRORS: ClassVar = {OUT_OF_RANGE: "100", CONFLICT: "104"}
 
-    def _power_on_state(self) -> None:
+    def _set_power_on_state(self) -> None:
         """Restore the state after power-on, and clear the limit event register."""
-        super()._power_on_state()
+        super()._set_power_on_state()
         self._events = 0
 
     def trip(self, protection: str = "CURR") -> None:
@@ -51,14 +51,14 @@ class AimTtiSupply(Supply):
         if found := re.fullmatch(r"([VI])1(O?)\?", question):
             quantity = QUANTITY[found[1]]
             if found[2]:
-                measured = self._measured()[quantity == "CURR"] + self._scatter(UNIT[quantity])
+                measured = self._compute_output()[quantity == "CURR"] + self._draw_noise(UNIT[quantity])
                 return f"{measured:.3f}{UNIT[quantity]}" if quantity == "VOLT" else f"{measured:.4f}A"
             return f"{found[1]}1 {self._set[quantity]:.{3 if quantity == 'VOLT' else 4}f}"
         if found := re.fullmatch(r"O([VC])P1\?", question):
             return f"{found[1]}P1 {self._protection['VOLT' if found[1] == 'V' else 'CURR']:.2f}"
         return None
 
-    def _obey(self, header: str, argument: str) -> str | None:
+    def _execute_command(self, header: str, argument: str) -> str | None:
         """Execute a command in Aim-TTi's syntax.
 
         Return its execution error, None if there is none or it is unknown.
@@ -71,7 +71,7 @@ class AimTtiSupply(Supply):
         if header in {"V1", "I1"}:
             return self._set_level(QUANTITY[header[0]], argument)
         if header in {"OVP1", "OCP1"}:
-            return self._protect("VOLT" if header[1] == "V" else "CURR", float(argument))
+            return self._set_protection("VOLT" if header[1] == "V" else "CURR", float(argument))
         if header == "OP1":
             if argument == "1" and any(self._tripped.values()):
                 return CONFLICT
@@ -109,7 +109,7 @@ class KoradSupply(Supply):
             return None
         if command[1:4] == "SET":  # firmware 2.0 appends a sixth character to the current
             return f"{self._set[quantity]:{form}}" + ("K" if quantity == "CURR" else "")
-        return f"{self._measured()[quantity == 'CURR'] + self._scatter(UNIT[quantity]):{form}}"
+        return f"{self._compute_output()[quantity == 'CURR'] + self._draw_noise(UNIT[quantity]):{form}}"
 
 
 class RigolSupply(Supply):
@@ -118,9 +118,9 @@ class RigolSupply(Supply):
     IDENTITY = "RIGOL TECHNOLOGIES,DP832A,DP8B000001,00.01.16"
     _WORDS: ClassVar = {"OVP": "VOLT", "OCP": "CURR"}
 
-    def _power_on_state(self) -> None:
+    def _set_power_on_state(self) -> None:
         """Restore the state after power-on, with both protections disabled."""
-        super()._power_on_state()
+        super()._set_power_on_state()
         self._guarded = {"VOLT": False, "CURR": False}
 
     def answer(self, command: str) -> str | None:
@@ -130,7 +130,7 @@ class RigolSupply(Supply):
         """
         header, _, argument = command.upper().partition(" ")
         if not header.endswith("?"):
-            error = self._obey(header, argument)
+            error = self._execute_command(header, argument)
             self._errors += [] if error is None else [error]
             return None
         response = self._answer_question(header, argument)
@@ -149,7 +149,7 @@ class RigolSupply(Supply):
         if channel != "CH1":
             return None
         if found := re.fullmatch(r":MEAS:(VOLT|CURR)\?", question):
-            return f"{self._measured()[found[1] == 'CURR'] + self._scatter(UNIT[found[1]]):.4f}"
+            return f"{self._compute_output()[found[1] == 'CURR'] + self._draw_noise(UNIT[found[1]]):.4f}"
         if question == ":OUTP?":
             return "ON" if self._on else "OFF"
         if found := re.fullmatch(r":OUTP:(OVP|OCP)(:VAL|:QUES|)\?", question):
@@ -161,7 +161,7 @@ class RigolSupply(Supply):
             }[found[2]]
         return None
 
-    def _obey(self, header: str, argument: str) -> str | None:
+    def _execute_command(self, header: str, argument: str) -> str | None:
         """Execute a command for channel CH1; return its SCPI error, None if there is none."""
         if found := re.fullmatch(r":SOUR1:(VOLT|CURR)", header):
             return self._set_level(found[1], argument)
@@ -174,7 +174,7 @@ class RigolSupply(Supply):
             self._switch(value == "ON", "command")
         elif found := re.fullmatch(r":OUTP:(OVP|OCP)(:VAL|)", header):
             if found[2]:
-                return self._protect(self._WORDS[found[1]], float(value))
+                return self._set_protection(self._WORDS[found[1]], float(value))
             self._guarded[self._WORDS[found[1]]] = value == "ON"
         else:
             return UNDEFINED

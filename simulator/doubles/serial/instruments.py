@@ -102,7 +102,7 @@ class SerialInstruments:
         self.supply_link.do(self.supply.brown_out)
         self.supply_link.plug()
 
-    def output_changes(self) -> list[OutputChange]:
+    def list_output_changes(self) -> list[OutputChange]:
         """Return all changes of the supply's output, the oldest first."""
         return self.supply_link.do(lambda: list(self.supply.output))
 
@@ -160,7 +160,7 @@ def carry_out(instruments: SerialInstruments, order: Mapping[str, Any]) -> dict[
             instruments.supply_link.do(lambda: setattr(supply, "cell", cell))
         case "record":
             return {
-                "output": [asdict(change) for change in instruments.output_changes()],
+                "output": [asdict(change) for change in instruments.list_output_changes()],
                 "supply_heard": instruments.supply_link.heard(),
                 "climate_heard": instruments.climate_link.heard(),
             }
@@ -196,11 +196,11 @@ def main() -> int:
             ready = json.dumps({"event": "ready", **ports}) if options.json else f"ports: {ports}"
             print(ready, flush=True)
             for line in sys.stdin:
-                print(json.dumps(_answer_line(instruments, line)), flush=True)
+                print(json.dumps(_execute_line(instruments, line)), flush=True)
     return 0
 
 
-def _answer_line(instruments: SerialInstruments, line: str) -> dict[str, Any]:
+def _execute_line(instruments: SerialInstruments, line: str) -> dict[str, Any]:
     """Execute the JSON command in a line.
 
     Return its result as an event ``done``, or its error as ``refused``.

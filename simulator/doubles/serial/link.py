@@ -32,7 +32,7 @@ ORDER_TIMEOUT_S = 10.0
 """The owning thread never blocks, so an order that takes this long is a fault of the double."""
 
 
-def pseudo_terminals_missing() -> str:
+def find_missing_terminal_reason() -> str:
     """Return why this system has no pseudo terminals; empty if it has them."""
     if not hasattr(os, "openpty"):
         return "this system has no pseudo terminals (Windows): use a real port, or run on Linux or macOS"
@@ -113,7 +113,7 @@ class SerialLink:
     def __init__(
         self, path: Path, answer: Callable[[str], str | None], framing: Framing | None = None
     ) -> None:
-        missing = pseudo_terminals_missing()
+        missing = find_missing_terminal_reason()
         if missing:
             raise SimulatorError(missing)
         self.path = path
@@ -129,7 +129,7 @@ class SerialLink:
         self._orders: deque[Callable[[], None]] = deque()
         self._wake_read, self._wake_write = os.pipe()
         self._ended = False
-        self._thread = threading.Thread(target=self._run, name=f"serial double {path.name}", daemon=True)
+        self._thread = threading.Thread(target=self._serve, name=f"serial double {path.name}", daemon=True)
         self._thread.start()
         self.plug()
 
@@ -151,24 +151,24 @@ class SerialLink:
 
         Do nothing if it is plugged in.
         """
-        self._order(self._plug)
+        self._run_on_thread(self._plug)
 
     def unplug(self) -> None:
         """Remove terminal and path of the link; do nothing if it is unplugged."""
-        self._order(self._unplug)
+        self._run_on_thread(self._unplug)
 
     def inject(self, **faults: Any) -> None:
         """Set some of the `LineFaults`; the others stay; raise TypeError for an unknown one."""
         changed = replace(self._faults, **faults)
-        self._order(lambda: self._set_faults(changed))
+        self._run_on_thread(lambda: self._set_faults(changed))
 
     def clear_faults(self) -> None:
         """Clear all faults of the line; responses that are delayed or held back are lost."""
-        self._order(lambda: self._set_faults(LineFaults()))
+        self._run_on_thread(lambda: self._set_faults(LineFaults()))
 
-    def chatter(self, text: bytes) -> None:
+    def send_unrequested(self, text: bytes) -> None:
         """Send bytes that the client did not request."""
-        self._order(lambda: self._transmit(text))
+        self._run_on_thread(lambda: self._transmit(text))
 
     def do(self, work: Callable[[], T]) -> T:
         """Run a function on the link's thread, between two commands; return its result or raise its error.
@@ -178,23 +178,23 @@ class SerialLink:
         TimeoutError
             It takes longer than `ORDER_TIMEOUT_S`.
         """
-        return self._order(work)
+        return self._run_on_thread(work)
 
     def heard(self) -> list[tuple[int, str]]:
         """Return every command received, in order, with its monotonic time in ns."""
-        return self._order(lambda: list(self._heard))
+        return self._run_on_thread(lambda: list(self._heard))
 
     def close(self) -> None:
         """Unplug the link and end its thread; do nothing if it is closed."""
         if not self._thread.is_alive():
             return
         self.unplug()
-        self._order(self._end)
+        self._run_on_thread(self._end_thread)
         self._thread.join(ORDER_TIMEOUT_S)
         os.close(self._wake_read)
         os.close(self._wake_write)
 
-    def _order(self, work: Callable[[], T]) -> T:
+    def _run_on_thread(self, work: Callable[[], T]) -> T:
         """Run a function on the link's thread and wait; return its result or raise its error.
 
         On that thread itself it is called at once.
@@ -221,7 +221,7 @@ class SerialLink:
 
     # The owning thread -----------------------------------------------------------------------------
 
-    def _run(self) -> None:
+    def _serve(self) -> None:
         """Serve the link's client, due responses and functions of other threads until the link is closed."""
         while not self._ended:
             watched = [self._wake_read, *(self._terminal or ())[:1]]
@@ -229,7 +229,7 @@ class SerialLink:
             wait_s = max(0.0, self._due[0][0] - time.monotonic()) if self._due else None
             ready, _, _ = select.select(watched, [], [], wait_s)
             if self._terminal and self._terminal[0] in ready:
-                self._hear()
+                self._receive_commands()
             if self._listener is not None and self._listener.fileno() in ready:
                 self._hang_up()
                 self._terminal = (self._listener.accept()[0].detach(),)
@@ -239,7 +239,7 @@ class SerialLink:
                 os.read(self._wake_read, 1)
                 self._orders.popleft()()
 
-    def _hear(self) -> None:
+    def _receive_commands(self) -> None:
         """Read received bytes and answer each complete command.
 
         Hang up if the client has closed the socket.
@@ -331,7 +331,7 @@ class SerialLink:
         self._held.clear()
         self._due.clear()
 
-    def _end(self) -> None:
+    def _end_thread(self) -> None:
         """Let the link's thread end after its present work."""
         self._ended = True
 

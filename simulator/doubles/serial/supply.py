@@ -95,9 +95,9 @@ class Supply:
         self._seed = seed
         self._seconds, self._start_s = seconds, seconds()
         self._readings = 0
-        self._power_on_state()
+        self._set_power_on_state()
 
-    def _power_on_state(self) -> None:
+    def _set_power_on_state(self) -> None:
         """Set the state after power-on: output off, default limits, no errors."""
         self._set = {"VOLT": 0.0, "CURR": 0.1}
         self._on = False
@@ -115,7 +115,7 @@ class Supply:
     def brown_out(self) -> None:
         """Interrupt the mains for a moment: the output goes off and all settings are lost."""
         self._switch(False, "brown-out")
-        self._power_on_state()
+        self._set_power_on_state()
 
     def trip(self, protection: str = "CURR") -> None:
         """Trip the over-voltage (VOLT) or over-current (CURR) protection, which switches the output off.
@@ -148,7 +148,7 @@ class Supply:
         header, _, argument = command.upper().partition(" ")
         if header.endswith("?"):
             return self._answer(header)
-        error = self._obey(header, argument.strip())
+        error = self._execute_command(header, argument.strip())
         if error is not None:
             self._errors.append(error)
         return None
@@ -167,15 +167,15 @@ class Supply:
             case "VOLT:PROT?" | "CURR:PROT?" if self.has_protections:
                 return f"{self._protection[question[:4]]:+.6E}"
             case "MEAS:VOLT?":
-                return f"{self._measured()[0] + self._scatter('V'):+.6E}"
+                return f"{self._compute_output()[0] + self._draw_noise('V'):+.6E}"
             case "MEAS:CURR?":
-                return f"{self._measured()[1] + self._scatter('A'):+.6E}"
+                return f"{self._compute_output()[1] + self._draw_noise('A'):+.6E}"
             case "VOLT:PROT:TRIP?" | "CURR:PROT:TRIP?" if self.has_protections:
                 return str(int(self._tripped[question[:4]]))
         self._errors.append(UNDEFINED)
         return None  # an instrument does not answer what it does not know
 
-    def _obey(self, header: str, argument: str) -> str | None:
+    def _execute_command(self, header: str, argument: str) -> str | None:
         """Execute an SCPI command; return its error, None if there is none.
 
         Raises
@@ -193,7 +193,7 @@ class Supply:
             case "VOLT" | "CURR", number:
                 return self._set_level(header, number)
             case "VOLT:PROT" | "CURR:PROT", number if self.has_protections:
-                return self._protect(header[:4], float(number))
+                return self._set_protection(header[:4], float(number))
             case "VOLT:PROT:CLE" | "CURR:PROT:CLE", "":
                 self._tripped[header[:4]] = False
             case "*CLS", "":
@@ -221,7 +221,7 @@ class Supply:
             self._set[header] = value
         return None
 
-    def _protect(self, quantity: str, value: float) -> str | None:
+    def _set_protection(self, quantity: str, value: float) -> str | None:
         """Set the level of a protection, V or A.
 
         Return an SCPI error if it is below the setpoint, else None.
@@ -232,14 +232,14 @@ class Supply:
             self._protection[quantity] = value
         return None
 
-    def _measured(self) -> tuple[float, float]:
+    def _compute_output(self) -> tuple[float, float]:
         """Return voltage in V and current in A at the cell; zero while the output is off."""
         if not self._on:
             return 0.0, 0.0
         hours_h = (self._seconds() - self._start_s) / 3600.0
         return self.cell.operating_point(self._set["VOLT"], self._set["CURR"], hours_h)
 
-    def _scatter(self, unit: str) -> float:
+    def _draw_noise(self, unit: str) -> float:
         """Draw the normal noise of the next reading, V or A, by seed and number of the reading."""
         self._readings += 1
         return float(np.random.default_rng([self._seed, self._readings]).normal(0.0, self._noise[unit]))

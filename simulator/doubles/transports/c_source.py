@@ -17,21 +17,21 @@ from simulator.doubles.vendor_api.entry_points import (
 )
 
 
-def library_source(library: str) -> str:
+def generate_library_source(library: str) -> str:
     """Generate the C source of one shared library: the common part and a function for each entry point."""
     shared = files("simulator.doubles.transports").joinpath("transport.c").read_text(encoding="utf-8")
-    functions = [_function(entry) for entry in ENTRY_POINTS.values() if entry.library == library]
-    return "\n".join([shared, _attribute_kinds(), *functions])
+    functions = [_generate_function(entry) for entry in ENTRY_POINTS.values() if entry.library == library]
+    return "\n".join([shared, _generate_attribute_kinds(), *functions])
 
 
-def _attribute_kinds() -> str:
+def _generate_attribute_kinds() -> str:
     """Generate the C function that maps an attribute's number to the type of its value."""
-    cases = [f"    case {entry.number}: return {_kind(entry)};" for entry in ATTRIBUTES.values()]
+    cases = [f"    case {entry.number}: return {_format_kind(entry)};" for entry in ATTRIBUTES.values()]
     head = "static int attribute_kind(int32_t attribute) {\n    switch (attribute) {"
     return "\n".join([head, *cases, "    default: return KIND_UNKNOWN;", "    }", "}", ""])
 
 
-def _kind(attribute: Attribute) -> str:
+def _format_kind(attribute: Attribute) -> str:
     """Return the C expression for an attribute's type.
 
     It is a constant, or the width of a number in bytes, negative for arrays.
@@ -44,14 +44,14 @@ def _kind(attribute: Attribute) -> str:
     return "KIND_FLOAT64" if attribute.c_type == "double" else str(width)
 
 
-def _function(entry: EntryPoint) -> str:
+def _generate_function(entry: EntryPoint) -> str:
     """Generate the C function of an entry point: send the inputs, wait for the answer, write the outputs."""
     lines = [f"int32_t {entry.name}({entry.declared}) {{", "struct message message;", "int32_t status;"]
     variadic = entry.tail is not Tail.NONE
     if variadic:
         lines += ["va_list tail;", f"va_start(tail, {entry.parameters[-1].name});"]
     lines.append(f'begin(&message, "{entry.name}");')
-    lines += [_put(parameter) for parameter in entry.parameters if parameter.goes_in]
+    lines += [_generate_put(parameter) for parameter in entry.parameters if parameter.goes_in]
     if entry.tail is Tail.SET_ATTRIBUTE:
         lines.append("put_attribute(&message, attribute, tail);")
     if entry.tail in (Tail.SET_STATES, Tail.GET_STATES):
@@ -61,7 +61,7 @@ def _function(entry: EntryPoint) -> str:
             f"put_states(&message, again, {with_values}); va_end(again); }}",
         ]
     lines.append("status = exchange(&message);")
-    lines += [_take(parameter) for parameter in entry.parameters if parameter.goes_out]
+    lines += [_generate_take(parameter) for parameter in entry.parameters if parameter.goes_out]
     if entry.tail is Tail.GET_ATTRIBUTE:
         lines.append("status = take_attribute(&message, status, attribute, tail);")
     if entry.tail is Tail.GET_STATES:
@@ -71,7 +71,7 @@ def _function(entry: EntryPoint) -> str:
     return "\n    ".join([*lines, "free(message.bytes);", "return status;"]) + "\n}\n"
 
 
-def _put(parameter: Parameter) -> str:
+def _generate_put(parameter: Parameter) -> str:
     """Generate the C statement that adds an input to the message."""
     name = parameter.name
     if parameter.role is Role.TEXT:
@@ -83,7 +83,7 @@ def _put(parameter: Parameter) -> str:
     return f"put(&message, &{name}, sizeof {name});"
 
 
-def _take(parameter: Parameter) -> str:
+def _generate_take(parameter: Parameter) -> str:
     """Generate the C statement that reads an output from the answer."""
     name = parameter.name
     if parameter.role is Role.OUT_TEXT:

@@ -20,7 +20,7 @@ from typing import Any
 
 from hardware_drivers.measurement import ShotKey
 from simulator.doubles.chassis.crosstalk import Crosstalk
-from simulator.doubles.chassis.description import Description, default_description, to_json
+from simulator.doubles.chassis.description import Description, build_default_description, to_json
 from simulator.doubles.errors import DoublesProcessError
 from simulator.doubles.transports.library import DEFAULT_CACHE_FOLDER, build_library, client_environment
 
@@ -50,7 +50,7 @@ class DoublesControl:
         self._file.close()
         self._socket.close()
 
-    def _ask(self, command: str, **arguments: Any) -> Any:
+    def _send_command(self, command: str, **arguments: Any) -> Any:
         """Send a command to the double, wait for its answer, and return the result.
 
         A command with ``timeout_s`` is given that much longer.
@@ -81,72 +81,72 @@ class DoublesControl:
 
         Raise ValueError if nothing is wired there.
         """
-        self._ask("announce", key=asdict(key), hour_h=hour_h)
+        self._send_command("announce", key=asdict(key), hour_h=hour_h)
 
     def disturb(self, position: str, crosstalk: Crosstalk) -> None:
         """Set the crosstalk from the coil at a position into its sensor from now on.
 
         `Crosstalk()` removes it.
         """
-        self._ask("disturb", position=position, crosstalk=asdict(crosstalk))
+        self._send_command("disturb", position=position, crosstalk=asdict(crosstalk))
 
     def inject(self, function: str, kind: str, **how: float | None) -> None:
         """Request a fault (`faults.Faults.inject`): kind error, hang, lie or death.
 
         Raise ValueError if it is invalid.
         """
-        self._ask("inject", function=function, kind=kind, **how)
+        self._send_command("inject", function=function, kind=kind, **how)
 
     def clear_faults(self) -> None:
         """Discard every pending fault; calls that hang continue to hang."""
-        self._ask("clear_faults")
+        self._send_command("clear_faults")
 
     def release_hangs(self) -> None:
         """Release all calls that hang; they are then executed."""
-        self._ask("release_hangs")
+        self._send_command("release_hangs")
 
     def wait_until_hanging(self, timeout_s: float) -> bool:
         """Wait until a call hangs; return False if none does within ``timeout_s``."""
-        return bool(self._ask("wait_until_hanging", timeout_s=timeout_s))
+        return bool(self._send_command("wait_until_hanging", timeout_s=timeout_s))
 
     def wait_until_no_tasks(self, timeout_s: float) -> bool:
         """Wait until every task is gone, as after a client's end; return False after ``timeout_s``."""
-        return bool(self._ask("wait_until_no_tasks", timeout_s=timeout_s))
+        return bool(self._send_command("wait_until_no_tasks", timeout_s=timeout_s))
 
     def wait_until_quiet(self, timeout_s: float) -> bool:
         """Wait until no striker falls and no wave continues; return False after ``timeout_s``."""
-        return bool(self._ask("wait_until_quiet", timeout_s=timeout_s))
+        return bool(self._send_command("wait_until_quiet", timeout_s=timeout_s))
 
     def record(self) -> dict[str, Any]:
         """Return what the double has recorded, in JSON types (`Brain.record`).
 
         It has calls, lines, levels, tasks, reservations, leaks, strikes and boards.
         """
-        found: dict[str, Any] = self._ask("record")
+        found: dict[str, Any] = self._send_command("record")
         return found
 
     def clear_record(self) -> None:
         """Discard recorded calls, line events and leaks; levels, tasks and strikes stay."""
-        self._ask("clear_record")
+        self._send_command("clear_record")
 
     def unplug(self, serial_number: int) -> None:
         """Remove a board from the chassis by serial number; raise ValueError if there is none."""
-        self._ask("unplug", serial_number=serial_number)
+        self._send_command("unplug", serial_number=serial_number)
 
     def plug(self, serial_number: int, name: str = "") -> None:
         """Plug a removed board in again, under another name if one is given.
 
         Raise ValueError if there is none.
         """
-        self._ask("plug", serial_number=serial_number, name=name)
+        self._send_command("plug", serial_number=serial_number, name=name)
 
     def occupy(self, resource: str, owner: str) -> None:
         """Reserve ``<board>/ai``, ``<board>/ctr0`` ... (board name or serial number) for another process."""
-        self._ask("occupy", resource=resource, owner=owner)
+        self._send_command("occupy", resource=resource, owner=owner)
 
     def vacate(self, owner: str) -> None:
         """Release everything that `occupy` has reserved for this owner."""
-        self._ask("vacate", owner=owner)
+        self._send_command("vacate", owner=owner)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -212,7 +212,7 @@ def running_doubles(
     """
     with tempfile.TemporaryDirectory(prefix="solimon-doubles-") as folder:
         file = Path(folder) / "description.json"
-        file.write_text(to_json(description or default_description()), encoding="utf-8")
+        file.write_text(to_json(description or build_default_description()), encoding="utf-8")
         command = [sys.executable, "-m", "simulator.doubles", "--description", str(file)]
         if not warm_up:
             command.append("--no-warm-up")
@@ -222,7 +222,7 @@ def running_doubles(
         assert process.stdin is not None
         assert process.stdout is not None
         try:
-            ready = _ready(process, timeout_s)
+            ready = _read_ready_line(process, timeout_s)
             with DoublesControl(ready["control"]) as control:
                 yield RunningDoubles(
                     wire=ready["wire"], grpc=ready.get("grpc", ""), control=control, process=process
@@ -237,7 +237,7 @@ def running_doubles(
             process.stdout.close()
 
 
-def _ready(process: subprocess.Popen[bytes], timeout_s: float) -> dict[str, str]:
+def _read_ready_line(process: subprocess.Popen[bytes], timeout_s: float) -> dict[str, str]:
     """Read the ready line of a started process; kill the process after ``timeout_s``.
 
     Raises

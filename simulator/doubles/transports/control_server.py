@@ -33,13 +33,13 @@ class _Connection(socketserver.StreamRequestHandler):
         for line in self.rfile:
             try:
                 request = json.loads(line)
-                answer: dict[str, Any] = {"ok": obey(self.server.brain, request)}
+                answer: dict[str, Any] = {"ok": execute_request(self.server.brain, request)}
             except (ValueError, TypeError, KeyError, Status) as error:
                 answer = {"error": f"{type(error).__name__}: {error}"}
             self.wfile.write(json.dumps(answer).encode() + b"\n")
 
 
-def obey(brain: Brain, request: Mapping[str, Any]) -> Any:
+def execute_request(brain: Brain, request: Mapping[str, Any]) -> Any:
     """Execute one control request on the doubles; return the result in JSON types, None for most commands.
 
     Raises

@@ -48,7 +48,7 @@ BrainCall = Callable[[str, Mapping[str, Any]], Mapping[str, Any]]
 """Entry point, arguments -> out parameters; raises `Status`."""
 
 
-def why_unavailable() -> str:
+def find_unavailability_reason() -> str:
     """Return why gRPC cannot be served here, with the command that installs it; empty if it can."""
     missing = [name for name in ("grpc", "nidaqmx", "google.protobuf") if not _is_installed(name)]
     if not missing:
@@ -111,7 +111,7 @@ class Sessions:
         with self._gate:
             return self._handles.get(name, 0)
 
-    def forget(self, name: str) -> None:
+    def remove_session(self, name: str) -> None:
         """Remove the name of a session, if it is known; its task is not cleared."""
         with self._gate:
             self._handles.pop(name, None)
@@ -127,7 +127,7 @@ def entry_of(method: str) -> EntryPoint | None:
     return ENTRY_POINTS.get(name)
 
 
-def arguments_of(entry: EntryPoint, request: Any, sessions: Sessions) -> dict[str, Any]:
+def to_arguments(entry: EntryPoint, request: Any, sessions: Sessions) -> dict[str, Any]:
     """Convert the fields of a gRPC request to the arguments of a call by name.
 
     A session becomes the handle of its task; text buffers have the size `TEXT_ROOM`.
@@ -138,15 +138,15 @@ def arguments_of(entry: EntryPoint, request: Any, sessions: Sessions) -> dict[st
             continue
         if parameter.c_type == HANDLE:
             arguments[parameter.name] = sessions.handle(request.task.name)
-        elif _is_room(parameter, entry, request):
+        elif _is_text_buffer_size(parameter, entry, request):
             arguments[parameter.name] = TEXT_ROOM
         elif parameter.role is Role.ARRAY:
-            numbers = np.asarray(_field(request, parameter.name), dtype=PACKED[parameter.c_type])
+            numbers = np.asarray(_read_field(request, parameter.name), dtype=PACKED[parameter.c_type])
             arguments[parameter.name], arguments[parameter.size] = numbers, numbers.size
         elif parameter.name not in arguments:
-            arguments[parameter.name] = _field(request, parameter.name)
+            arguments[parameter.name] = _read_field(request, parameter.name)
     if entry.tail is Tail.SET_ATTRIBUTE:
-        arguments["value"] = _field(request, "value")
+        arguments["value"] = _read_field(request, "value")
     elif entry.tail is Tail.SET_STATES:
         states = request.power_up_states
         arguments["channel_names"] = "\n".join(state.channel_names for state in states)
@@ -156,13 +156,13 @@ def arguments_of(entry: EntryPoint, request: Any, sessions: Sessions) -> dict[st
     return arguments
 
 
-def _is_room(parameter: Parameter, entry: EntryPoint, request: Any) -> bool:
+def _is_text_buffer_size(parameter: Parameter, entry: EntryPoint, request: Any) -> bool:
     """Return whether a parameter is the size of a text buffer that the gRPC request lacks."""
     sizes = {other.size for other in entry.parameters if other.role is Role.OUT_TEXT}
     return parameter.name in sizes and parameter.name not in request.DESCRIPTOR.fields_by_name
 
 
-def _field(request: Any, name: str) -> Any:
+def _read_field(request: Any, name: str) -> Any:
     """Return the value of a request's field; an enumeration may come as its raw number."""
     fields = request.DESCRIPTOR.fields_by_name
     raw = fields.get(f"{name}_raw")
@@ -189,10 +189,10 @@ def fill_response(entry: EntryPoint, response: Any, values: Mapping[str, Any], s
             continue
         for field in (name, f"{name}_raw"):
             if field in fields:
-                _assign(response, fields[field], values[name])
+                _set_field(response, fields[field], values[name])
 
 
-def _assign(response: Any, field: Any, value: Any) -> None:
+def _set_field(response: Any, field: Any, value: Any) -> None:
     """Set a field of a response, converted to the type of the field; a message field is skipped."""
     if field.type == field.TYPE_MESSAGE:
         return
@@ -225,7 +225,7 @@ class GrpcFront:
     """
 
     def __init__(self, call: BrainCall, address: str = "127.0.0.1:0", credentials: Any = None) -> None:
-        reason = why_unavailable()
+        reason = find_unavailability_reason()
         if reason:
             raise DoublesError(f"no gRPC front: {reason}")
         import grpc
@@ -242,7 +242,7 @@ class GrpcFront:
                 continue
             request, response = GetMessageClass(method.input_type), GetMessageClass(method.output_type)
             handlers[method.name] = grpc.unary_unary_rpc_method_handler(
-                self._answer(entry, response),
+                self._create_handler(entry, response),
                 request_deserializer=request.FromString,
                 response_serializer=response.SerializeToString,
             )
@@ -266,7 +266,7 @@ class GrpcFront:
         self._server.stop(grace=None)
         self._workers.shutdown(wait=False, cancel_futures=True)
 
-    def _answer(self, entry: EntryPoint, response_type: Any) -> Callable[[Any, Any], Any]:
+    def _create_handler(self, entry: EntryPoint, response_type: Any) -> Callable[[Any, Any], Any]:
         """Create the handler of one remote procedure for an entry point and its type of response."""
         opens_session = any(p.goes_out and p.c_type == HANDLE for p in entry.parameters)
 
@@ -280,10 +280,10 @@ class GrpcFront:
                 if opens_session:
                     self._open_session(entry, request, response)
                 else:
-                    arguments = arguments_of(entry, request, self._sessions)
+                    arguments = to_arguments(entry, request, self._sessions)
                     if entry.name == "DAQmxClearTask":
                         # As NI's server does: the name is gone whatever the driver says.
-                        self._sessions.forget(request.task.name)
+                        self._sessions.remove_session(request.task.name)
                     fill_response(entry, response, self._call(entry.name, arguments), 0)
             except SessionError as error:
                 context.abort(self._grpc.StatusCode[error.code], str(error))
@@ -310,7 +310,7 @@ class GrpcFront:
 
         def create() -> int:
             """Create the task by the driver's call and return its handle."""
-            arguments = arguments_of(entry, request, self._sessions)
+            arguments = to_arguments(entry, request, self._sessions)
             return int(self._call(entry.name, arguments)["task"])
 
         name, is_new = self._sessions.open(request.session_name, request.initialization_behavior, create)

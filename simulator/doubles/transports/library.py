@@ -21,7 +21,7 @@ from typing import Final
 import platformdirs
 
 from simulator.doubles.errors import LibraryBuildError
-from simulator.doubles.transports.c_source import library_source
+from simulator.doubles.transports.c_source import generate_library_source
 
 DEFAULT_CACHE_FOLDER: Final = platformdirs.user_cache_path("solimon", appauthor=False) / "doubles"
 """The user's cache folder; hand in another one to keep tests apart."""
@@ -39,14 +39,14 @@ FLAGS: Final = ("-shared", "-fPIC", "-O1", "-pthread")
 COMPILE_TIMEOUT_S = 120.0
 
 
-def why_unavailable() -> str:
+def find_unavailability_reason() -> str:
     """Return why no library can be built or found on this machine, with a remedy; empty if one can.
 
     It needs Linux, a C compiler, and ``ld`` and ``objdump`` on the PATH.
     """
     if not sys.platform.startswith("linux"):
         return f"the double of NI's C library runs on Linux only, this is {sys.platform}"
-    if _compiler() is None:
+    if _find_compiler() is None:
         return "no C compiler found (cc, gcc or clang): install one, e.g. `apt install gcc`"
     missing = [tool for tool in ("ld", "objdump") if shutil.which(tool) is None]
     if missing:
@@ -65,22 +65,22 @@ def build_library(library: str = "nidaqmx", cache: Path = DEFAULT_CACHE_FOLDER) 
     LibraryBuildError
         Not Linux, no compiler, or the compiler refused; the message says what to install.
     """
-    source, soname = library_source(library), SONAMES[library]
+    source, soname = generate_library_source(library), SONAMES[library]
     companions = EMPTY_COMPANIONS.get(library, ())
     made_of = "\0".join([source, *FLAGS, *companions, platform.machine()])
     digest = hashlib.blake2b(made_of.encode(), digest_size=12).hexdigest()
     folder = cache / f"{library}-{digest}"
     if (folder / soname).exists():
         return folder
-    reason = why_unavailable()
+    reason = find_unavailability_reason()
     if reason:
         raise LibraryBuildError(f"cannot build {soname}: {reason}")
     cache.mkdir(parents=True, exist_ok=True)
     building = Path(tempfile.mkdtemp(prefix=f"{library}-building-", dir=cache))
     try:
-        _compile(source, FLAGS, building / soname)
+        _compile_library(source, FLAGS, building / soname)
         for companion in companions:
-            _compile(EMPTY_SOURCE, FLAGS, building / companion)
+            _compile_library(EMPTY_SOURCE, FLAGS, building / companion)
         for name in (soname, *companions):
             # `ld -lnidaqmx` looks for the name without a version.
             (building / name.removesuffix(".1")).symlink_to(name)
@@ -114,12 +114,12 @@ def client_environment(
     return start | {"SOLIMON_DOUBLES": wire, "LD_LIBRARY_PATH": os.pathsep.join(path)}
 
 
-def _compiler() -> str | None:
+def _find_compiler() -> str | None:
     """Return the path of the C compiler (cc, gcc or clang, in this order); None if there is none."""
     return next((found for name in ("cc", "gcc", "clang") if (found := shutil.which(name))), None)
 
 
-def _compile(source: str, flags: tuple[str, ...], target: Path) -> None:
+def _compile_library(source: str, flags: tuple[str, ...], target: Path) -> None:
     """Compile a C source to a shared library with its file name as the soname; the source stays next to it.
 
     Raises
@@ -129,7 +129,7 @@ def _compile(source: str, flags: tuple[str, ...], target: Path) -> None:
     subprocess.TimeoutExpired
         It takes longer than `COMPILE_TIMEOUT_S`.
     """
-    compiler = _compiler()
+    compiler = _find_compiler()
     if compiler is None:
         raise LibraryBuildError(f"cannot build {target.name}: no C compiler found")
     written = target.with_suffix(".c")

@@ -78,7 +78,7 @@ class _Connection(socketserver.BaseRequestHandler):
             number, client = self.server.join(requested_number, process)
             connection.sendall(struct.pack("<Q", number))
             try:
-                self._serve(connection, client)
+                self._answer_calls(connection, client)
             finally:
                 if requested_number != number:
                     # The process's first connection lives as long as the process.
@@ -86,7 +86,7 @@ class _Connection(socketserver.BaseRequestHandler):
         except (ConnectionError, wire.WireError) as error:
             log.warning("connection of %s ends: %s", self.client_address, error)
 
-    def _serve(self, connection: socket.socket, client: str) -> None:
+    def _answer_calls(self, connection: socket.socket, client: str) -> None:
         """Answer the calls of a client's connection until it ends.
 
         A fault of the double itself is a status, too.

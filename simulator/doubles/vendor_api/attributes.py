@@ -43,7 +43,7 @@ class Attribute:
         return Parameter("value", role, self.c_type)
 
 
-def _read_table() -> Iterator[Attribute]:
+def _read_attribute_table() -> Iterator[Attribute]:
     """Yield the attributes in ``attributes.csv``, in the order of its rows."""
     lines = Path(__file__).with_name("attributes.csv").read_text(encoding="utf-8").splitlines()
     for row in csv.DictReader(lines):
@@ -58,5 +58,5 @@ def _read_table() -> Iterator[Attribute]:
         )
 
 
-ATTRIBUTES: Mapping[int, Attribute] = {attribute.number: attribute for attribute in _read_table()}
+ATTRIBUTES: Mapping[int, Attribute] = {attribute.number: attribute for attribute in _read_attribute_table()}
 """By number."""

@@ -109,7 +109,7 @@ class EntryPoint:
     tail: Tail
 
 
-def _parameter(const: str, c_type: str, pointer: str, name: str, size: str) -> Parameter:
+def _build_parameter(const: str, c_type: str, pointer: str, name: str, size: str) -> Parameter:
     """Create a parameter from the parts of its C declaration, which determine its role."""
     role = Role.VALUE
     if c_type == "void":
@@ -130,7 +130,7 @@ def _read_header(library: str) -> Iterator[EntryPoint]:
             name=name,
             library=library,
             declared=re.sub(r"(\w+)\[\w+\]", r"*\1", declared),
-            parameters=tuple(_parameter(*parts) for parts in _PARAMETER.findall(declared)),
+            parameters=tuple(_build_parameter(*parts) for parts in _PARAMETER.findall(declared)),
             tail=Tail.NONE if tail is None else Tail["_".join(tail.groups()).upper()],
         )
 

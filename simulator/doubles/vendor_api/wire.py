@@ -57,23 +57,23 @@ class Reader:
         return np.frombuffer(data, dtype=packed).copy()
 
 
-def _text(text: str) -> bytes:
+def _encode_text(text: str) -> bytes:
     """Encode a text as ASCII with its length (u32) in front; other characters become backslash escapes."""
     # nidaqmx decodes by the locale, which may be plain ASCII.
     encoded = text.encode("ascii", errors="backslashreplace")
     return struct.pack("<I", len(encoded)) + encoded
 
 
-def inputs(entry: EntryPoint, attribute: int = 0) -> tuple[Parameter, ...]:
+def list_inputs(entry: EntryPoint, attribute: int = 0) -> tuple[Parameter, ...]:
     """Return the input parameters of a call, in the order of the wire.
 
     A variadic entry adds ``value``, or ``channel_names`` and ``state``; for an unknown attribute it adds
     nothing.
     """
-    return tuple(p for p in entry.parameters if p.goes_in) + _tail_inputs(entry, attribute)
+    return tuple(p for p in entry.parameters if p.goes_in) + _list_tail_inputs(entry, attribute)
 
 
-def outputs(entry: EntryPoint, attribute: int = 0) -> tuple[Parameter, ...]:
+def list_outputs(entry: EntryPoint, attribute: int = 0) -> tuple[Parameter, ...]:
     """Return the output parameters of a call in the order of the wire, those of a variadic entry included."""
     tail: tuple[Parameter, ...] = ()
     if entry.tail is Tail.GET_STATES:
@@ -83,7 +83,7 @@ def outputs(entry: EntryPoint, attribute: int = 0) -> tuple[Parameter, ...]:
     return tuple(p for p in entry.parameters if p.goes_out) + tail
 
 
-def _tail_inputs(entry: EntryPoint, attribute: int) -> tuple[Parameter, ...]:
+def _list_tail_inputs(entry: EntryPoint, attribute: int) -> tuple[Parameter, ...]:
     """Return the variable input parameters of a variadic call.
 
     None for other calls or an unknown attribute.
@@ -110,7 +110,7 @@ def decode_call(body: bytes) -> tuple[EntryPoint, dict[str, Any]]:
         raise WireError(f"no entry point {name!r}; library and brain are of different versions")
     entry = ENTRY_POINTS[name]
     arguments = {p.name: decode_value(p, reader) for p in entry.parameters if p.goes_in}
-    for parameter in _tail_inputs(entry, arguments.get("attribute", 0)):
+    for parameter in _list_tail_inputs(entry, arguments.get("attribute", 0)):
         arguments[parameter.name] = decode_value(parameter, reader)
     return entry, arguments
 
@@ -122,8 +122,8 @@ def encode_answer(
 
     Each output has a byte in front, 1 or 0; one without a value is absent.
     """
-    parts = [struct.pack("<i", status), _text(text)]
-    for parameter in outputs(entry, arguments.get("attribute", 0)):
+    parts = [struct.pack("<i", status), _encode_text(text)]
+    for parameter in list_outputs(entry, arguments.get("attribute", 0)):
         if parameter.name in values:
             parts += [b"\1", encode_value(parameter, values[parameter.name])]
         else:
@@ -140,7 +140,7 @@ def encode_value(parameter: Parameter, content: Any) -> bytes:
         A number does not fit its type.
     """
     if parameter.role in (Role.TEXT, Role.OUT_TEXT):
-        return _text(content)
+        return _encode_text(content)
     packed = PACKED[parameter.c_type]
     if parameter.role in (Role.ARRAY, Role.OUT_ARRAY):
         # `<u8` of a bool list and the like: let numpy convert once.

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import asdict
 from pathlib import Path
 
-from simulator.numerics.array_cache import DEFAULT_CACHE_FOLDER, hash_content, read_or_compute_arrays
+from simulator.numerics.array_cache import DEFAULT_CACHE_FOLDER, compute_cache_key, read_or_compute_arrays
 from simulator.numerics.arrays import FloatArray
 from simulator.numerics.one_thread import use_one_blas_thread
 from simulator.parameters.plate import CorrosionParameters, PlateParameters
@@ -43,4 +43,4 @@ def hash_reduction(plate: PlateParameters, corrosion: CorrosionParameters) -> st
     """Return the cache key of a reduction: SHA-256 of specimen (without depth), code and libraries."""
     footprint = asdict(corrosion)
     del footprint["depth_fraction"]
-    return hash_content({"reduction": "mindlin", "plate": asdict(plate), "patch": footprint})
+    return compute_cache_key({"reduction": "mindlin", "plate": asdict(plate), "patch": footprint})

@@ -32,16 +32,16 @@ def make_graded_half_edge(length_m: float, elements: int, first_m: float, edge_m
             f"make plate.contact_element_m smaller"
         )
     if edge_m > length_m * (1.0 - SAME_LINE):
-        return _growing_lines(0.0, length_m, first_m, _growth_of_sum(first_m, elements, length_m), elements)
+        return _grow_lines(0.0, length_m, first_m, _growth_of_sum(first_m, elements, length_m), elements)
     best: tuple[float, FloatArray] | None = None
     for inner in range(1, elements):
         growth = _growth_of_sum(first_m, inner, edge_m)
-        left = _growing_lines(0.0, edge_m, first_m, growth, inner)
+        left = _grow_lines(0.0, edge_m, first_m, growth, inner)
         last = left[-1] - left[-2]
         outer_growth = _continued_growth(last, elements - inner, length_m - edge_m)
         misfit = abs(math.log(growth / outer_growth))
         if best is None or misfit < best[0]:
-            right = _growing_lines(edge_m, length_m, last * outer_growth, outer_growth, elements - inner)
+            right = _grow_lines(edge_m, length_m, last * outer_growth, outer_growth, elements - inner)
             best = misfit, np.concatenate((left, right[1:]))
     assert best is not None  # elements >= 4
     return best[1]
@@ -70,7 +70,7 @@ def _solve_growth(excess: Callable[[float], float], largest: float) -> float:
     return float(scipy.optimize.brentq(excess, 0.0, largest * (1.0 + 1e-9), xtol=1e-15, rtol=1e-14))
 
 
-def _growing_lines(start_m: float, end_m: float, first_m: float, growth: float, elements: int) -> FloatArray:
+def _grow_lines(start_m: float, end_m: float, first_m: float, growth: float, elements: int) -> FloatArray:
     """Place grid lines from `start_m` to `end_m` whose distances grow by a constant factor."""
     lines = start_m + np.concatenate(([0.0], np.cumsum(first_m * growth ** np.arange(elements))))
     lines[-1] = end_m
@@ -95,7 +95,7 @@ def make_graded_edge(
     SpecimenError
         A line crosses the elements at the contact, or there are more lines than elements.
     """
-    corners = _required_lines(start_m, end_m, first_m, lines_m)
+    corners = _list_needed_lines(start_m, end_m, first_m, lines_m)
     left, right = corners[:-1], corners[1:]
     graded = ~((np.minimum(np.abs(left), np.abs(right)) == 0.0) & (right - left <= 1.5 * first_m))
     spare = elements - int(np.sum(~graded))
@@ -117,7 +117,7 @@ def make_graded_edge(
     return np.concatenate([*pieces, corners[-1:]])
 
 
-def _required_lines(start_m: float, end_m: float, first_m: float, lines_m: Sequence[float]) -> FloatArray:
+def _list_needed_lines(start_m: float, end_m: float, first_m: float, lines_m: Sequence[float]) -> FloatArray:
     """Return the grid lines that contact, edges and patches require, rising and each once.
 
     Raise SpecimenError for a patch's edge within the contact's elements.

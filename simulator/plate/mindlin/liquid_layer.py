@@ -106,7 +106,7 @@ def layer_mass(
     nodes = free[deflected] // DOF_PER_NODE
     along_x, along_y = sines
 
-    def times(values: FloatArray) -> FloatArray:
+    def multiply(values: FloatArray) -> FloatArray:
         """Multiply vectors of the free unknowns by the liquid's mass."""
         columns = values.reshape(len(free), -1)
         product = np.zeros_like(columns)
@@ -119,7 +119,7 @@ def layer_mass(
         return product.reshape(values.shape)
 
     return scipy.sparse.linalg.LinearOperator(
-        (len(free), len(free)), matvec=times, matmat=times, dtype=np.float64
+        (len(free), len(free)), matvec=multiply, matmat=multiply, dtype=np.float64
     )
 
 

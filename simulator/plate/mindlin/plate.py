@@ -76,7 +76,7 @@ class AffinePlate:
     free: IntArray
     added_mass: sparse.linalg.LinearOperator | None = None
 
-    def at_depth(self, depth_fraction: float) -> tuple[sparse.csc_matrix, sparse.csc_matrix]:
+    def evaluate_at_depth(self, depth_fraction: float) -> tuple[sparse.csc_matrix, sparse.csc_matrix]:
         """Compute stiffness and mass, sparse (n, n), at a depth of the patch; without a liquid's mass."""
         s = 1.0 - depth_fraction
         return _evaluate_cubic(self.stiffness, s), _evaluate_cubic(self.mass, s)
@@ -229,7 +229,7 @@ def assemble_plate(
     number[free] = np.arange(len(free))
     scale = 2.0 ** sum(symmetric)
 
-    def matrix(elements: _Elements) -> sparse.csc_matrix:
+    def assemble(elements: _Elements) -> sparse.csc_matrix:
         """Assemble the sparse matrix of the free unknowns from element matrices."""
         order, matrices = elements
         index = number[dof[order]]
@@ -241,10 +241,10 @@ def assemble_plate(
 
     pristine = element_matrices(plate, np.diff(x_m), np.diff(y_m))
     stiffness, mass = _element_coefficients(plate, x_m, y_m, pristine, thinning)
-    k0, k1, k2, k3 = (matrix(elements) for elements in stiffness)
-    m0, m1, m2, m3 = (matrix(elements) for elements in mass)
+    k0, k1, k2, k3 = (assemble(elements) for elements in stiffness)
+    m0, m1, m2, m3 = (assemble(elements) for elements in mass)
     if plate.support == "free":
-        bed = matrix((np.arange(len(nodes)), pristine[2]))
+        bed = assemble((np.arange(len(nodes)), pristine[2]))
         k0 = k0 + (2.0 * math.pi * plate.suspension_hz) ** 2 * bed
     liquid = plate.liquid
     return AffinePlate(

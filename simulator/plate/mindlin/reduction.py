@@ -58,8 +58,8 @@ def reduce_plate(plate: AffinePlate, *, basis: tuple[tuple[float, int], ...] = B
     for row, depth in zip(raw[total:], STATIC_DEPTHS, strict=True):
         row[:] = static_factors.solve(static_factors.factor(1.0 - depth), plate.load)
         strengths.append(np.ones((1, 1)))
-    vectors = merge_vectors(raw, np.sqrt(plate.at_depth(0.0)[1].diagonal()), strengths).T @ raw
-    _turn_load_last(vectors, vectors @ plate.load)
+    vectors = merge_vectors(raw, np.sqrt(plate.evaluate_at_depth(0.0)[1].diagonal()), strengths).T @ raw
+    _align_last_with_load(vectors, vectors @ plate.load)
     mass = _project_terms(plate.mass, vectors)
     if plate.added_mass is not None:
         mass[0] += vectors @ (plate.added_mass @ vectors.T)
@@ -100,7 +100,7 @@ def _fill_krylov_space(
     return np.asarray(shapes * (participation * np.sqrt(np.abs(inverse))))
 
 
-def _turn_load_last(vectors: FloatArray, load: FloatArray) -> None:
+def _align_last_with_load(vectors: FloatArray, load: FloatArray) -> None:
     """Reflect the basis, shape (r, n), in place so that the load acts only along its last vector.
 
     `load` is in the basis' coordinates.

@@ -6,7 +6,7 @@ lines lie on the patch's edge and on its remaining thickness, and grow finer tow
 where stresses are singular. Polynomials of degree three and more neither lock nor need a shear correction.
 
 Through the thickness the many layers are wanted near the edge of the patch only. Farther away the
-unknowns of a node are polynomials over the whole thickness there (`_kinds_of_nodes`), a subspace, so that the
+unknowns of a node are polynomials over the whole thickness there (`_classify_nodes`), a subspace, so that the
 solution stays continuous.
 
 A round patch cuts elements: what the circle takes away of the lower layer is left out of their integrals
@@ -105,7 +105,7 @@ class SolidPlate:
         """Return the number of nodes of z in the upper layer, those on its lower face included."""
         return int(self.z.first[self.upper]) + 1
 
-    def displacements_of(self, ex: int, ey: int) -> IntArray:
+    def find_displacement_numbers(self, ex: int, ey: int) -> IntArray:
         """Return the displacement numbers of one column of elements.
 
         The shape is (nodes in the plane, 3, nodes of z).
@@ -118,7 +118,7 @@ class SolidPlate:
     def layer_matrices(self, kind: int, *, upper: bool) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Integrate over z of one layer for nodes of `kind`: mass, slope, stiffness, as `Axis.matrices`."""
         layer = range(self.upper) if upper else range(self.upper, len(self.z.degrees))
-        integrals = self.z.matrices(layer)
+        integrals = self.z.integrate_intervals(layer)
         if kind == 0:
             return integrals
         shape = self.shapes[kind - 1]
@@ -148,7 +148,7 @@ def build_solid_plate(
     SpecimenError
         The model does not know such a plate or patch, or the mesh grows too large.
     """
-    check_solid(plate, corrosion)
+    check_solid_parameters(plate, corrosion)
     half_x, half_y = corrosion.half_sizes_m
     if symmetry is None:
         symmetry = "eighth" if plate.width_m == plate.height_m and half_x == half_y else "quarter"
@@ -181,7 +181,7 @@ def cut_out_remaining_wall(plate: SolidPlate, corrosion: CorrosionParameters) ->
     return assemble_solid(plate.parameters, corrosion, x, y, z, symmetry, support="simply_supported")
 
 
-def check_solid(plate: PlateParameters, corrosion: CorrosionParameters) -> None:
+def check_solid_parameters(plate: PlateParameters, corrosion: CorrosionParameters) -> None:
     """Raise SpecimenError for a plate or patch that the solid model does not cover."""
     remedy = "use plate.model = 'mindlin'"
     if plate.support == "free":
@@ -281,7 +281,7 @@ def assemble_solid(
     upper = len(UPPER_LINES) - 1
     upper_nodes = int(z.first[upper]) + 1
     inside, cut = integrate_over_patch(x, y, corrosion)
-    kinds = _kinds_of_nodes(x, y, inside, corrosion, EDGE_STRIP * plate.thickness_m)
+    kinds = _classify_nodes(x, y, inside, corrosion, EDGE_STRIP * plate.thickness_m)
     q = plate.solid.degree - 1
     z_m = z.nodes_m
     shapes = (
@@ -321,7 +321,7 @@ def assemble_solid(
     )
 
 
-def _kinds_of_nodes(
+def _classify_nodes(
     x: Axis, y: Axis, inside: FloatArray, corrosion: CorrosionParameters, strip_m: float
 ) -> IntArray:
     """Classify the unknowns of each node as `SolidPlate.kinds`, shape (nodes of x, nodes of y)."""

@@ -74,7 +74,7 @@ def _fold_column(plate: SolidPlate, ex: int, ey: int) -> Fold:
         unknowns, row = np.unique(numbers[local], return_inverse=True)
         size = len(unknowns), len(numbers)
         return unknowns, sparse.csr_matrix((np.ones(len(local)), (row, local)), shape=size)
-    lifted = plate.lift[plate.displacements_of(ex, ey)[:, :, :nodes].ravel()].tocoo()
+    lifted = plate.lift[plate.find_displacement_numbers(ex, ey)[:, :, :nodes].ravel()].tocoo()
     unknowns, row = np.unique(lifted.col, return_inverse=True)
     size = len(unknowns), lifted.shape[0]
     return unknowns, sparse.csr_matrix((lifted.data, (row, lifted.row)), shape=size)
@@ -227,7 +227,7 @@ def project_layers(plate: SolidPlate, fields: FloatArray) -> ProjectedSolid:
     h = plate.parameters.thickness_m
     upper_m = float(plate.z.breaks_m[plate.upper])
     for column, (ex, ey) in enumerate(plate.columns):
-        field = fields[plate.displacements_of(ex, ey)]
+        field = fields[plate.find_displacement_numbers(ex, ey)]
         whole = integrate_in_plane(plate.x, plate.y, ex, ey)
         layers = [(0, whole, upper_m)]
         if plate.upper < len(plate.z.degrees) and plate.inside[ex, ey] < 1.0:

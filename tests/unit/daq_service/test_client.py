@@ -14,7 +14,7 @@ from support.served_web import served
 
 from daq_service import client
 from daq_service.catalogue import SetCommit
-from daq_service.catalogue.published_columns import add_parts
+from daq_service.catalogue.published_columns import add_nested
 from daq_service.catalogue.rows import AssessmentRow
 from daq_service.client.connection import Connection, parse_events
 from daq_service.errors import StorageError
@@ -89,7 +89,7 @@ def test_folder_service_and_page_agree(resource, of_folder, of_service, service)
     with service.client() as http:
         path, _, query = resource.partition("?")
         page = http.get(f"/api/v1/{path}?limit=1000&{query}").json()
-    items = [add_parts(AssessmentRow, item) if path == "assessments" else item for item in page["items"]]
+    items = [add_nested(AssessmentRow, item) if path == "assessments" else item for item in page["items"]]
     assert len(here) == len(items) > 0
     for column in here:
         for value, expected in zip(here[column], [item[column] for item in items], strict=True):

@@ -8,7 +8,7 @@ import httpx
 import pytest
 
 from daq_service.client import connection
-from daq_service.client.connection import Connection, lines_of, parse_events
+from daq_service.client.connection import Connection, parse_events, split_lines
 
 U2028 = "a note\N{LINE SEPARATOR}of two lines,\N{NEXT LINE}\x0b\x0c\x1c\x1d\x1e and more"
 
@@ -24,7 +24,7 @@ def test_lines_end_by_cr_lf_and_nothing_else(end, size):
     # JSON escapes control characters; other services may not.
     sent = (frame(1, U2028, end) + frame(2, end=end)).encode()
     chunks = [sent[at : at + size] for at in range(0, len(sent), size)]
-    assert [event["text"] for event in parse_events(lines_of(chunks))] == [U2028, "fine"]
+    assert [event["text"] for event in parse_events(split_lines(chunks))] == [U2028, "fine"]
 
 
 UNREADABLE = {
@@ -45,14 +45,14 @@ UNREADABLE = {
 def test_a_frame_that_cannot_be_read_is_reported_and_skipped(unreadable, caplog):
     between = unreadable if isinstance(unreadable, bytes) else unreadable.encode()
     sent = frame(1).encode() + between + frame(8).encode()
-    assert [event["id"] for event in parse_events(lines_of([sent]))] == [1, 8]
+    assert [event["id"] for event in parse_events(split_lines([sent]))] == [1, 8]
     assert "cannot be read and is left out" in caplog.text
 
 
 def test_other_fields_comments_and_heartbeats_are_no_events_and_no_trouble(caplog):
     sent = ": comment\n\nevent: heartbeat\ndata: {}\n\nretry: 7\n\nfield\n\nevent: sets\n\ndata: {}\n\n"
     spaced = 'id:9\nevent:sets\ndata:{"a":\ndata: 1}\n\n'
-    assert list(parse_events(lines_of([(sent + spaced).encode()]))) == [
+    assert list(parse_events(split_lines([(sent + spaced).encode()]))) == [
         {"topic": "sets", "kind": "sets", "a": 1, "id": 9}
     ]
     assert not caplog.records
@@ -61,7 +61,7 @@ def test_other_fields_comments_and_heartbeats_are_no_events_and_no_trouble(caplo
 def test_a_line_without_an_end_takes_bounded_memory(monkeypatch, caplog):
     monkeypatch.setattr(connection, "LONGEST_LINE_BYTES", 100)
     chunks = [b"id: 1\nevent: sets\ndata: ", *[b"x" * 90] * 50, b"\n\n", frame(2).encode()]
-    assert [event["id"] for event in parse_events(lines_of(chunks))] == [2]
+    assert [event["id"] for event in parse_events(split_lines(chunks))] == [2]
 
 
 PASSING = {

@@ -8,7 +8,7 @@ import httpx
 import pytest
 
 from daq_service import client
-from daq_service.client.transport import LOOPBACK, proxy_of
+from daq_service.client.transport import LOOPBACK, find_proxy
 
 VARIABLES = ("HTTP_PROXY", "HTTPS_PROXY", "ALL_PROXY", "NO_PROXY", "SSL_CERT_FILE", "SSL_CERT_DIR", "NETRC")
 DEAD_PROXY = "http://127.0.0.1:9"
@@ -79,7 +79,7 @@ def test_loopback_is_connected_directly(variables, monkeypatch, tmp_path):
 )
 def test_every_address_of_this_computer_is_loopback(host, monkeypatch):
     monkeypatch.setenv("ALL_PROXY", DEAD_PROXY)
-    assert proxy_of(httpx.URL(f"http://{host}:8750")) == ("", None)
+    assert find_proxy(httpx.URL(f"http://{host}:8750")) == ("", None)
 
 
 @pytest.mark.parametrize(
@@ -106,7 +106,7 @@ def test_every_address_of_this_computer_is_loopback(host, monkeypatch):
 def test_the_forms_of_no_proxy(host, no_proxy, direct, monkeypatch):
     monkeypatch.setenv("HTTP_PROXY", "proxy.lab:3128")
     monkeypatch.setenv("NO_PROXY", no_proxy)
-    found = proxy_of(httpx.URL(f"http://{host}:8750"))
+    found = find_proxy(httpx.URL(f"http://{host}:8750"))
     assert found == (("", None) if direct else ("HTTP_PROXY", "http://proxy.lab:3128"))
 
 

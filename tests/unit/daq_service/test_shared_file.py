@@ -9,12 +9,12 @@ import pytest
 from daq_service import shared_file
 from daq_service.shared_file import (
     LONGEST_PAUSE_S,
-    read_hint,
+    read_best_effort,
     read_shared,
     remove_quietly,
     retry,
+    write_best_effort,
     write_durably,
-    write_hint,
 )
 
 
@@ -73,21 +73,21 @@ def test_a_reader_waits_for_what_it_needs_and_not_for_a_hint(tmp_path, monkeypat
     path.write_bytes(b"picture")
     refusing = FailingCall(Path.read_bytes, 3)
     monkeypatch.setattr(Path, "read_bytes", lambda self: refusing(self))  # noqa: PLW0108 - a method
-    assert read_hint(path) is None
+    assert read_best_effort(path) is None
     assert read_shared(path) == b"picture"
-    assert read_hint(tmp_path / "absent") is None
+    assert read_best_effort(tmp_path / "absent") is None
     with pytest.raises(FileNotFoundError):
         read_shared(tmp_path / "absent")
 
 
 def test_an_optional_write_is_given_up_immediately_and_the_next_one_is_complete(tmp_path, monkeypatch):
     path = tmp_path / "picture.bin"
-    assert write_hint(path, b"first") is None
+    assert write_best_effort(path, b"first") is None
     with monkeypatch.context() as held:
         held.setattr(shared_file.os, "replace", FailingCall(os.replace, 1))
-        assert isinstance(write_hint(path, b"second"), PermissionError)
+        assert isinstance(write_best_effort(path, b"second"), PermissionError)
     assert path.read_bytes() == b"first"
-    assert write_hint(path, b"third") is None
+    assert write_best_effort(path, b"third") is None
     assert [item.read_bytes() for item in tmp_path.iterdir()] == [b"third"]
 
 

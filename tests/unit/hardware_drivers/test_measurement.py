@@ -46,8 +46,8 @@ def test_the_key_of_a_set_sorts_by_time_and_has_one_text_and_number():
 
 
 def test_the_key_of_a_shot_contains_that_of_its_set():
-    key = ShotKey.in_set(SetKey(12, 1), "B", 3, 1)
+    key = ShotKey.from_set(SetKey(12, 1), "B", 3, 1)
     assert key == ShotKey(position="B", set_index=12, unscheduled_index=1, shot_index=3, attempt=1)
     assert key.set_key == SetKey(12, 1)
     with pytest.raises(ValueError, match="unscheduled_index is -1"):
-        ShotKey.in_set(SetKey(12, -1), "B", 3)
+        ShotKey.from_set(SetKey(12, -1), "B", 3)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from hardware_drivers.errors import ConfigurationError, ConnectionLostError
-from hardware_drivers.niscope.averaging import Codes, check_sum_fits, compute_code_scale, sum_records
+from hardware_drivers.niscope.averaging import Codes, compute_code_scale, require_32_bit_sum, sum_records
 
 PADDED_14_BITS = Codes(width_bits=16, step=4)
 GAIN_V = 2.04 / 65_536  # +-1 V with 2 % over-range on a 16-bit scale
@@ -88,8 +88,8 @@ def test_a_gain_that_cannot_be_this_range_and_resolution_is_refused(gain_v):
 
 
 def test_a_sum_that_may_leave_32_bits_is_refused():
-    check_sum_fits(65_536, 16)
+    require_32_bit_sum(65_536, 16)
     with pytest.raises(ConfigurationError, match="at most 65536"):
-        check_sum_fits(65_537, 16)
+        require_32_bit_sum(65_537, 16)
     with pytest.raises(ConfigurationError, match="at most 256"):
-        check_sum_fits(300, 24)
+        require_32_bit_sum(300, 24)

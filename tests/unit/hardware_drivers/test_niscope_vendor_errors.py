@@ -13,7 +13,7 @@ from hardware_drivers.errors import (
     InstrumentError,
     UnknownStatusError,
 )
-from hardware_drivers.niscope.session import import_vendor, open_session
+from hardware_drivers.niscope.session import import_niscope, open_session
 from hardware_drivers.niscope.vendor_errors import CLASS_OF_CODE, find_error_class, translate_errors
 
 niscope = pytest.importorskip("niscope", reason='needs the extra "solimon[niscope]"')
@@ -77,7 +77,7 @@ def test_warnings_of_the_driver_are_kept_and_others_passed_on():
 def test_a_missing_package_names_the_extra(monkeypatch):
     monkeypatch.setitem(sys.modules, "niscope", None)
     with pytest.raises(ConfigurationError, match=r'pip install "solimon\[niscope\]"'):
-        import_vendor()
+        import_niscope()
 
 
 def test_a_missing_runtime_names_the_package_to_install(monkeypatch):
@@ -88,7 +88,7 @@ def test_a_missing_runtime_names_the_package_to_install(monkeypatch):
 
     monkeypatch.setattr(nitclk, "SessionReference", not_there)
     with pytest.raises(ConfigurationError, match=r"NI-TClk(.|\n)*Install NI-SCOPE with all of its parts"):
-        import_vendor()
+        import_niscope()
 
 
 def test_a_missing_runtime_is_reported_also_next_to_ni_tclk(monkeypatch):

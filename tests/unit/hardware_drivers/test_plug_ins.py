@@ -11,7 +11,7 @@ from support.scripted_kinds import OFFERED, SCOPE
 
 from hardware_drivers.errors import ConfigurationError
 from hardware_drivers.kinds import Kind
-from hardware_drivers.plug_ins import find_kind, offers
+from hardware_drivers.plug_ins import find_kind, find_offers
 
 OURS = {
     "simulated": ("digitizer", "striker", "pulse_echo"),
@@ -24,7 +24,7 @@ OURS = {
 
 
 def test_built_in_kinds_are_found_by_the_same_entry_points():
-    found = offers()
+    found = find_offers()
     assert {name: found[name].roles for name in OURS} == OURS
     assert {found[name].distributions for name in OURS} == {(f"solimon {version('solimon')}",)}
     assert all(isinstance(found[name].load(), Kind) for name in OURS)
@@ -78,8 +78,8 @@ def test_one_name_is_one_object(tmp_path, monkeypatch):
 
 PROGRAM = """
 import json, sys
-from hardware_drivers.plug_ins import offers
-for offer in offers().values():
+from hardware_drivers.plug_ins import find_offers
+for offer in find_offers().values():
     offer.load()
 print(json.dumps(sorted({name.partition('.')[0] for name in sys.modules})))
 """

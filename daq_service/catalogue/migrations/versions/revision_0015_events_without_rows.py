@@ -16,20 +16,20 @@ _QUALITIES = ("supply_quality", "climate_quality")
 
 def upgrade() -> None:
     """Replace "refused" and "lost" by the current words in columns, evidence and payloads."""
-    _replace_column("commands", "state", "refused", "rejected")
+    _replace_column_value("commands", "state", "refused", "rejected")
     for name in _QUALITIES:
-        _replace_column("environment", name, *NO_COMMUNICATION)
-        _replace_key("alarms", "evidence", name, *NO_COMMUNICATION)
+        _replace_column_value("environment", name, *NO_COMMUNICATION)
+        _replace_json_value("alarms", "evidence", name, *NO_COMMUNICATION)
         for key in (name, f"evidence.{name}"):
-            _replace_key("events", "payload", key, *NO_COMMUNICATION)
+            _replace_json_value("events", "payload", key, *NO_COMMUNICATION)
 
 
-def _replace_column(table: str, name: str, old: str, new: str) -> None:
+def _replace_column_value(table: str, name: str, old: str, new: str) -> None:
     """Replace the value ``old`` of a column by ``new`` and clear the checksums of these rows."""
     op.execute(f"UPDATE {table} SET {name} = '{new}', row_crc32 = NULL WHERE {name} = '{old}'")
 
 
-def _replace_key(table: str, name: str, key: str, old: str, new: str) -> None:
+def _replace_json_value(table: str, name: str, key: str, old: str, new: str) -> None:
     """Replace the value ``old`` at a key of a JSON column by ``new`` and clear these rows' checksums."""
     op.execute(
         f"UPDATE {table} SET {name} = json_set({name}, '$.{key}', '{new}'), row_crc32 = NULL "

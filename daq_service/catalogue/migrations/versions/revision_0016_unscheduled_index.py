@@ -29,10 +29,10 @@ _LARGE = [f'*set_index":{space}{"[0-9]" * 8}*' for space in ("", " ")]
 
 def upgrade() -> None:
     """Copy the tables of sets with the new key, and split the indices of alarms and events."""
-    indices = [sql for table in _OF_SETS for sql in _list_definitions("index", table)]
+    indices = [sql for table in _OF_SETS for sql in _list_create_statements("index", table)]
     for table in _OF_SETS:
-        _add_column(table, "unscheduled_index")
-        (definition,) = _list_definitions("table", table)
+        _add_unscheduled_column(table, "unscheduled_index")
+        (definition,) = _list_create_statements("table", table)
         copy = re.sub(
             rf"CONSTRAINT uq_{table}_\w+ UNIQUE \(position, set_index",
             f"CONSTRAINT uq_{table}_{_KEY.replace(', ', '_')} UNIQUE ({_KEY}",
@@ -42,7 +42,7 @@ def upgrade() -> None:
         )
         _execute(copy)
         _execute(f"INSERT INTO {table}_0016 SELECT * FROM {table}")
-        _split_index(f"{table}_0016", "set_index", "unscheduled_index")
+        _split_set_indices(f"{table}_0016", "set_index", "unscheduled_index")
     for table in reversed(_OF_SETS):
         op.drop_table(table)
     for table in _OF_SETS:
@@ -53,17 +53,17 @@ def upgrade() -> None:
     for table in _OF_SETS:
         few = sa.text("unscheduled_index > 0")
         op.create_index(f"ix_{table}_unscheduled", table, _KEY.split(", ")[1:], sqlite_where=few)
-    _split_rows("alarms", "raised_set_index", "raised_unscheduled_index", "evidence")
-    _split_rows("events", "set_index", "unscheduled_index", "payload")
+    _split_set_keys("alarms", "raised_set_index", "raised_unscheduled_index", "evidence")
+    _split_set_keys("events", "set_index", "unscheduled_index", "payload")
 
 
-def _split_rows(table: str, index: str, number: str, nested: str) -> None:
+def _split_set_keys(table: str, index: str, number: str, nested: str) -> None:
     """Add column ``number`` to a table, split its set index, and convert set keys in its JSON column."""
     driver = op.get_bind().connection.driver_connection
     assert driver is not None
     driver.create_function("current_json", 1, _to_current_json, deterministic=True)
-    _add_column(table, number)
-    _split_index(table, index, number)
+    _add_unscheduled_column(table, number)
+    _split_set_indices(table, index, number)
     has_large = " OR ".join(f"{nested} GLOB '{large}'" for large in _LARGE)
     _execute(f"UPDATE {table} SET {nested} = current_json({nested}), row_crc32 = NULL WHERE {has_large}")
 
@@ -73,12 +73,12 @@ def _to_current_json(text: str) -> str:
     return to_json_text(to_current_row("", orjson.loads(text)))
 
 
-def _add_column(table: str, name: str) -> None:
+def _add_unscheduled_column(table: str, name: str) -> None:
     """Add an integer column for the number of an unscheduled set, 0 for a scheduled one."""
     op.add_column(table, sa.Column(name, sa.Integer(), nullable=False, server_default="0"))
 
 
-def _split_index(table: str, index: str, number: str) -> None:
+def _split_set_indices(table: str, index: str, number: str) -> None:
     """Split each combined index into set index and unscheduled number; clear these rows' checksums."""
     _execute(
         f"UPDATE {table} SET {number} = {index} / {_SETS_OF_A_PLAN}, {index} = {index} % {_SETS_OF_A_PLAN}, "
@@ -86,7 +86,7 @@ def _split_index(table: str, index: str, number: str) -> None:
     )
 
 
-def _list_definitions(kind: str, table: str) -> list[str]:
+def _list_create_statements(kind: str, table: str) -> list[str]:
     """List the SQL statements that create a table (``kind`` "table") or its indices ("index")."""
     statement = "SELECT sql FROM sqlite_master WHERE type = ? AND tbl_name = ? AND sql IS NOT NULL"
     return [sql for (sql,) in op.get_bind().exec_driver_sql(statement, (kind, table))]

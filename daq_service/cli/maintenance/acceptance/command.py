@@ -10,13 +10,13 @@ import click
 from pydantic import ValidationError
 
 from daq_service.cli.maintenance.acceptance.contents import AcceptanceReport, build_report, report_to_json
-from daq_service.cli.maintenance.acceptance.criteria import apply_limits
+from daq_service.cli.maintenance.acceptance.criteria import parse_limits
 from daq_service.cli.maintenance.acceptance.evidence import read_evidence
 from daq_service.cli.maintenance.acceptance.page import format_limit, format_quantity, render_report
-from daq_service.cli.maintenance.export import refuse_target
+from daq_service.cli.maintenance.export import refuse_unsafe_target
 from daq_service.cli.maintenance.verify import verify_folder
 from daq_service.errors import EXIT_NOT_MET, EXIT_OK, StorageError
-from daq_service.processes.data_folder import refuse_other_folders
+from daq_service.processes.data_folder import require_data_folder
 from daq_service.shared_file import write_output
 
 STANDARD_OUTPUT = "-"
@@ -43,11 +43,11 @@ def write_acceptance_report(
     StorageError
         The catalogue or its configuration cannot be read, or a file cannot be written.
     """
-    criteria = apply_limits(limits)
+    criteria = parse_limits(limits)
     json_file = None if to_json in (None, STANDARD_OUTPUT) else Path(str(to_json))
-    refuse_other_folders(data_dir)
+    require_data_folder(data_dir)
     for target in filter(None, (html, json_file)):
-        refuse_target(data_dir, target, overwrite=overwrite)
+        refuse_unsafe_target(data_dir, target, overwrite=overwrite)
     try:
         report = build_report(
             read_evidence(data_dir, verify_folder(data_dir, progress) if verify else None), criteria

@@ -23,8 +23,8 @@ from daq_service.cli.maintenance.acceptance.readings import (
     NO_TIME,
     NOT_AVAILABLE,
     NOT_KEPT,
+    list_readings,
     list_set_times,
-    read_readings,
     select_readings,
     sum_stage_times_s,
 )
@@ -48,7 +48,7 @@ def list_recorder_starts(evidence: Evidence) -> list[tuple[EventRow, EventRow | 
     return [(row, before) for before, row in following if row.kind == "recorder_started"]
 
 
-def restart_table(evidence: Evidence) -> Table:
+def build_restart_table(evidence: Evidence) -> Table:
     """Build the table of the recorder's starts except the first: hour, kind of end, state before."""
     rows = [
         (
@@ -61,7 +61,7 @@ def restart_table(evidence: Evidence) -> Table:
     return Table("restarts", rows)
 
 
-def recorder_quantities(evidence: Evidence) -> Iterator[Quantity]:
+def compute_recorder_quantities(evidence: Evidence) -> Iterator[Quantity]:
     """Yield the quantities of the recorder: time span in h, restarts and unplanned ends.
 
     A recorder that does not respond now counts as an unplanned end, unless the folder is a copy.
@@ -88,7 +88,7 @@ def _compute_quantiles(
         )
 
 
-def time_quantities(evidence: Evidence) -> Iterator[Quantity]:
+def compute_time_quantities(evidence: Evidence) -> Iterator[Quantity]:
     """Yield the quantiles of start delays and durations of sets, and of processing time, s.
 
     Start delays do not apply to a test in simulated time.
@@ -100,18 +100,18 @@ def time_quantities(evidence: Evidence) -> Iterator[Quantity]:
         yield from _compute_quantiles("start_delay", [], NO_TIME, applies=False)
     yield from _compute_quantiles("set_duration", [took for _, _, took in times], "no set has ended")
     yield from _compute_quantiles(
-        "line_cost", [sum_stage_times_s(reading) for reading in read_readings(evidence)], NOT_KEPT
+        "line_cost", [sum_stage_times_s(reading) for reading in list_readings(evidence)], NOT_KEPT
     )
 
 
-def growth_quantities(evidence: Evidence, name: str) -> Iterator[Quantity]:
+def compute_growth_quantities(evidence: Evidence, name: str) -> Iterator[Quantity]:
     """Yield the maximum of a machine reading and its slope per 1,000 sets with a 95 % interval.
 
     The slope is that of the recorder process with most readings, without its warm-up; it has no value with
     fewer than `FEWEST_READINGS`.
     """
     readings_of_name = select_readings(evidence, name)
-    missing = NOT_AVAILABLE if read_readings(evidence) else NOT_KEPT
+    missing = NOT_AVAILABLE if list_readings(evidence) else NOT_KEPT
     yield make_quantity(f"{name}_max", max((value for _, value in readings_of_name), default=None), missing)
     runs: defaultdict[tuple[int, int], list[tuple[int, float]]] = defaultdict(list)
     for reading, value in readings_of_name:
@@ -131,7 +131,7 @@ def growth_quantities(evidence: Evidence, name: str) -> Iterator[Quantity]:
     )
 
 
-def disk_quantities(evidence: Evidence) -> Iterator[Quantity]:
+def compute_disk_quantities(evidence: Evidence) -> Iterator[Quantity]:
     """Yield size and growth per 1,000 sets of the files, its ratio to the forecast, and free space; bytes."""
     sizes, forecast_bytes = list(evidence.file_bytes.values()), evidence.forecast_bytes
     mean, missing = (sum(sizes) / len(sizes) if sizes else None), "no set has a file yet"
@@ -143,7 +143,7 @@ def disk_quantities(evidence: Evidence) -> Iterator[Quantity]:
     yield make_quantity("free_bytes_min", free, NOT_KEPT)
 
 
-def clock_quantities(evidence: Evidence) -> Iterator[Quantity]:
+def compute_clock_quantities(evidence: Evidence) -> Iterator[Quantity]:
     """Yield the clock's steps (s), its unverified times, and the deviation of its UTC from the test time (s).
 
     They do not apply to a test in simulated time.

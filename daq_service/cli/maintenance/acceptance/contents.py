@@ -8,10 +8,10 @@ from datetime import UTC, datetime
 from importlib.metadata import version
 
 from daq_service.cli.maintenance.acceptance import conduct, faults, sets
-from daq_service.cli.maintenance.acceptance.criteria import Comparison, compare_criteria, overall_outcome
+from daq_service.cli.maintenance.acceptance.criteria import Comparison, compare_criteria, determine_outcome
 from daq_service.cli.maintenance.acceptance.evidence import Evidence
 from daq_service.cli.maintenance.acceptance.quantity import Quantity, Series, Table
-from daq_service.cli.maintenance.acceptance.readings import read_readings
+from daq_service.cli.maintenance.acceptance.readings import list_readings
 from daq_service.cli.maintenance.acceptance.series import yield_series
 from daq_service.cli.maintenance.acceptance.texts import Criterion
 from daq_service.clock import format_utc
@@ -37,20 +37,20 @@ class AcceptanceReport:
     @property
     def outcome(self) -> str:
         """Return the outcome of all criteria: "pass", "fail" or "incomplete"."""
-        return overall_outcome(self.comparisons)
+        return determine_outcome(self.comparisons)
 
 
 def build_report(evidence: Evidence, criteria: Sequence[Criterion]) -> AcceptanceReport:
     """Compute quantities, comparisons, tables and series of the acceptance report from its evidence."""
     quantities = [
         *sets.count_sets_and_records(evidence),
-        *conduct.time_quantities(evidence),
-        *conduct.recorder_quantities(evidence),
-        *conduct.growth_quantities(evidence, "resident_bytes"),
-        *conduct.growth_quantities(evidence, "open_handles"),
-        *conduct.disk_quantities(evidence),
-        *conduct.clock_quantities(evidence),
-        *faults.fault_quantities(evidence),
+        *conduct.compute_time_quantities(evidence),
+        *conduct.compute_recorder_quantities(evidence),
+        *conduct.compute_growth_quantities(evidence, "resident_bytes"),
+        *conduct.compute_growth_quantities(evidence, "open_handles"),
+        *conduct.compute_disk_quantities(evidence),
+        *conduct.compute_clock_quantities(evidence),
+        *faults.compute_fault_quantities(evidence),
     ]
     return AcceptanceReport(
         made_utc=datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ"),
@@ -59,13 +59,13 @@ def build_report(evidence: Evidence, criteria: Sequence[Criterion]) -> Acceptanc
         comparisons=compare_criteria(criteria, {item.name: item for item in quantities}),
         quantities=quantities,
         tables=[
-            sets.gap_table(evidence),
-            sets.shortfall_table(evidence),
-            conduct.restart_table(evidence),
-            faults.fault_table(evidence),
-            faults.clock_step_table(evidence),
-            sets.flag_table(evidence),
-            faults.damage_table(evidence),
+            sets.build_gap_table(evidence),
+            sets.build_shortfall_table(evidence),
+            conduct.build_restart_table(evidence),
+            faults.build_fault_table(evidence),
+            faults.build_clock_step_table(evidence),
+            sets.build_flag_table(evidence),
+            faults.build_damage_table(evidence),
         ],
         series=list(yield_series(evidence)),
         notes=list(_list_notes(evidence)),
@@ -117,7 +117,7 @@ def _join_names_and_values(values: Mapping[str, object]) -> str:
 
 def _list_notes(evidence: Evidence) -> list[str]:
     """List notes on sets without machine readings, simulated time, a running test, and `verify`."""
-    machine_readings, notes = read_readings(evidence), []
+    machine_readings, notes = list_readings(evidence), []
     indices = {row.set_index for row in evidence.sets if row.n_taken}
     n_lacking = len(indices) - len({reading.set_index for reading in machine_readings} & indices)
     if n_lacking:

@@ -30,7 +30,7 @@ class Comparison:
     reason: str
 
 
-def apply_limits(given: Sequence[str]) -> tuple[Criterion, ...]:
+def parse_limits(given: Sequence[str]) -> tuple[Criterion, ...]:
     """Return the default criteria with the limits given as ``NAME=VALUE``; ``NAME=off`` removes a limit.
 
     Raises
@@ -87,7 +87,7 @@ def _assess_criterion(criterion: Criterion, quantity: Quantity) -> tuple[State, 
     return ("undecided", "the limit lies within the interval") if any(meets) else ("fail", "")
 
 
-def overall_outcome(comparisons: Sequence[Comparison]) -> Outcome:
+def determine_outcome(comparisons: Sequence[Comparison]) -> Outcome:
     """Return "fail" if a criterion fails, "incomplete" if one is undecided, otherwise "pass"."""
     states = {item.state for item in comparisons}
     return "fail" if "fail" in states else "incomplete" if "undecided" in states else "pass"

@@ -111,7 +111,7 @@ def read_evidence(folder: Path, verified: Report | None = None) -> Evidence:
     settings = restore_settings(experiment.configuration)
     recorder = read_recorder_state(folder, [row.kind for row in service])
     is_copy = (folder / BACKUP_FILE).exists()
-    now_ns = _evaluation_time_ns(
+    now_ns = _compute_evaluation_time_ns(
         experiment, sets, service, recorder, ended=is_copy or recorder.status in _ENDED
     )
     planned = plan_sets(settings.schedule.phases, experiment.epoch_utc_ns, end_h=settings.schedule.end_h)
@@ -171,7 +171,7 @@ def _count_records(catalogue: Catalogue) -> tuple[Counter[tuple[int, str]], Coun
     return accepted, flags
 
 
-def _evaluation_time_ns(
+def _compute_evaluation_time_ns(
     experiment: ExperimentRow,
     sets: Sequence[SetRow],
     service: Sequence[EventRow],

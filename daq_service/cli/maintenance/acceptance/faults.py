@@ -46,7 +46,7 @@ def list_faults(evidence: Evidence) -> list[Fault]:
     )
 
 
-def fault_table(evidence: Evidence) -> Table:
+def build_fault_table(evidence: Evidence) -> Table:
     """Build the table of faults by kind: number, longest and total hours, active ones, last message."""
     kinds: defaultdict[str, list[Fault]] = defaultdict(list)
     for fault in list_faults(evidence):
@@ -61,7 +61,7 @@ def fault_table(evidence: Evidence) -> Table:
     return Table("faults", rows)
 
 
-def damage_table(evidence: Evidence) -> Table:
+def build_damage_table(evidence: Evidence) -> Table:
     """Build the table of damage alarms, which are findings on the specimen and not faults."""
     rows = [
         (row.kind, row.position or "", row.priority, row.state, row.raised_h, row.message)
@@ -71,7 +71,7 @@ def damage_table(evidence: Evidence) -> Table:
     return Table("findings", rows)
 
 
-def clock_step_table(evidence: Evidence) -> Table:
+def build_clock_step_table(evidence: Evidence) -> Table:
     """Build the table of steps of the computer's UTC: hour, step and deviation after it, s."""
     rows = [
         (evidence.hour(row.utc_ns), row.payload["step_s"], row.payload["ahead_s"])
@@ -81,7 +81,7 @@ def clock_step_table(evidence: Evidence) -> Table:
     return Table("clock_steps", rows)
 
 
-def fault_quantities(evidence: Evidence) -> Iterator[Quantity]:
+def compute_fault_quantities(evidence: Evidence) -> Iterator[Quantity]:
     """Yield the numbers of active faults, of files found corrupt, and of files read again.
 
     The number of findings of `verify` does not apply if it was not run.

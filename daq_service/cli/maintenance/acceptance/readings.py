@@ -29,7 +29,7 @@ class Reading:
         return self.payload["process"], self.payload["recorder_wall_utc_ns"]
 
 
-def read_readings(evidence: Evidence) -> list[Reading]:
+def list_readings(evidence: Evidence) -> list[Reading]:
     """Return the machine readings that belong to a set, in the order of their sets."""
     found = [
         Reading(set_index=row.set_index, hour=evidence.hour(row.utc_ns), payload=row.payload)
@@ -46,7 +46,7 @@ def select_readings(evidence: Evidence, name: str) -> list[tuple[Reading, float]
     """
     return [
         (reading, reading.payload[name])
-        for reading in read_readings(evidence)
+        for reading in list_readings(evidence)
         if reading.payload[name] is not None
     ]
 

@@ -11,12 +11,12 @@ from daq_service.cli.maintenance.acceptance.readings import (
     NO_TIME,
     NOT_AVAILABLE,
     NOT_KEPT,
+    list_readings,
     list_set_times,
-    read_readings,
     select_readings,
     sum_stage_times_s,
 )
-from daq_service.cli.maintenance.acceptance.sets import count_records_by_set
+from daq_service.cli.maintenance.acceptance.sets import build_record_count_series
 
 
 def yield_series(evidence: Evidence) -> Iterator[Series]:
@@ -24,7 +24,7 @@ def yield_series(evidence: Evidence) -> Iterator[Series]:
 
     One without data has no values and a reason.
     """
-    yield count_records_by_set(evidence)
+    yield build_record_count_series(evidence)
     times, real = list_set_times(evidence), evidence.experiment.clock == "wall"
     hours, late, took = ([one[k] for one in times] for k in range(3))
     if not real:
@@ -32,7 +32,7 @@ def yield_series(evidence: Evidence) -> Iterator[Series]:
     else:
         yield Series("start_delay_s", hours, late, "no set has begun")
     yield Series("set_duration_s", hours, took, "no set has ended")
-    machine_readings = read_readings(evidence)
+    machine_readings = list_readings(evidence)
     hours = [reading.hour for reading in machine_readings]
     stages = [reading.payload["stage_s"] for reading in machine_readings]
     fsync_s = [stage.get("fsync_s", 0.0) + stage.get("directory_fsync_s", 0.0) for stage in stages]
@@ -40,7 +40,7 @@ def yield_series(evidence: Evidence) -> Iterator[Series]:
     yield Series("line_cost_s", hours, costs_s, NOT_KEPT, {"fsync": (hours, fsync_s)})
     missing = NOT_AVAILABLE if machine_readings else NOT_KEPT
     for name in ("resident_bytes", "open_handles", "free_bytes"):
-        yield Series(name, *_hours_and_values(evidence, name), missing)
+        yield Series(name, *_select_hours_and_values(evidence, name), missing)
     due_h = {due.set_index: due.due_h for due in evidence.planned}
     files = [(due_h[index], size) for index, size in sorted(evidence.file_bytes.items()) if index in due_h]
     hours = [hour for hour, _ in files]
@@ -54,11 +54,11 @@ def yield_series(evidence: Evidence) -> Iterator[Series]:
         steps=True,
     )
     yield Series(
-        "clock_ahead_s", *_hours_and_values(evidence, "clock_ahead_s"), NOT_KEPT if real else NO_TIME
+        "clock_ahead_s", *_select_hours_and_values(evidence, "clock_ahead_s"), NOT_KEPT if real else NO_TIME
     )
 
 
-def _hours_and_values(evidence: Evidence, name: str) -> tuple[list[float], list[float]]:
+def _select_hours_and_values(evidence: Evidence, name: str) -> tuple[list[float], list[float]]:
     """Return the hours and values of the readings that have a value of this name, in set order."""
     found = select_readings(evidence, name)
     return [reading.hour for reading, _ in found], [value for _, value in found]

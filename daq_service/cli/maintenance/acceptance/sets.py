@@ -31,7 +31,7 @@ class Gap:
         return self.until_h - self.from_h
 
 
-def group_by_set(rows: Sequence[SetRow]) -> Mapping[int, list[SetRow]]:
+def group_rows_by_set(rows: Sequence[SetRow]) -> Mapping[int, list[SetRow]]:
     """Group rows by their set index; the order of rows is kept."""
     found: defaultdict[int, list[SetRow]] = defaultdict(list)
     for row in rows:
@@ -44,7 +44,7 @@ def list_gaps(evidence: Evidence) -> list[Gap]:
 
     A set without rows counts as missed with the reason `UNTOLD`.
     """
-    rows, found = group_by_set(evidence.sets), list[Gap]()
+    rows, found = group_rows_by_set(evidence.sets), list[Gap]()
     missed_sets, reasons, from_h = list[DueSet](), dict[str, None](), 0.0
 
     def close_gap(until_h: float) -> None:
@@ -73,7 +73,7 @@ def count_sets_and_records(evidence: Evidence) -> list[Quantity]:
 
     Fractions have no value where the total is 0.
     """
-    rows, found = group_by_set(evidence.sets), list_gaps(evidence)
+    rows, found = group_rows_by_set(evidence.sets), list_gaps(evidence)
     taken = {index: set_rows for index, set_rows in rows.items() if any(row.n_taken for row in set_rows)}
     partial = [
         set_rows for set_rows in taken.values() if any(row.state in ("partial", "missed") for row in set_rows)
@@ -113,7 +113,7 @@ def _compute_fraction(part: int, total: int) -> float | None:
     return part / total if total else None
 
 
-def gap_table(evidence: Evidence) -> Table:
+def build_gap_table(evidence: Evidence) -> Table:
     """Build the table of gaps: first set, number of sets, start, end and length in h, reasons."""
     rows = [
         (gap.sets[0].set_index, len(gap.sets), gap.from_h, gap.until_h, gap.hours, "; ".join(gap.reasons))
@@ -122,7 +122,7 @@ def gap_table(evidence: Evidence) -> Table:
     return Table("gaps", rows)
 
 
-def shortfall_table(evidence: Evidence) -> Table:
+def build_shortfall_table(evidence: Evidence) -> Table:
     """Build the table of missing records in sets that have records, by state and reason."""
     found: defaultdict[tuple[str, str], list[SetRow]] = defaultdict(list)
     with_records = {row.set_index for row in evidence.sets if row.n_taken}
@@ -143,12 +143,12 @@ def shortfall_table(evidence: Evidence) -> Table:
     return Table("shortfalls", rows)
 
 
-def flag_table(evidence: Evidence) -> Table:
+def build_flag_table(evidence: Evidence) -> Table:
     """Build the table of the number of records by quality flag, the most frequent first."""
     return Table("flags", Counter(evidence.flags).most_common())
 
 
-def count_records_by_set(evidence: Evidence) -> Series:
+def build_record_count_series(evidence: Evidence) -> Series:
     """Build the series of planned, recorded and valid records per scheduled set, over the due hours."""
     hours = {due.set_index: due.due_h for due in evidence.planned}
     lines: dict[str, Counter[int]] = {name: Counter() for name in ("planned", "taken", "valid")}

@@ -8,7 +8,7 @@ from typing import Literal
 
 from pydantic import TypeAdapter
 
-from daq_service.shared_file import load_table
+from daq_service.shared_file import load_module_toml
 
 Sense = Literal["at least", "at most"]
 
@@ -60,4 +60,4 @@ class Texts:
     criteria: Sequence[Criterion]
 
 
-TEXTS = TypeAdapter(Texts).validate_python(load_table(__file__))
+TEXTS = TypeAdapter(Texts).validate_python(load_module_toml(__file__))

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict
 from importlib.metadata import version
 
-from daq_service.alarms.evidence import evidence_sentences
+from daq_service.alarms.evidence import build_evidence_sentences
 from daq_service.alarms.guidance import GUIDANCE
 from daq_service.alarms.transitions import build_transition
 from daq_service.catalogue.rows import as_dict
@@ -20,7 +20,7 @@ NOT_SHOWN = (*NOT_COMPARED, "averages")
 """Columns of an assessment that only the JSON has; averages are the state of chart and diagnosis."""
 
 
-def format_title(found: Explained) -> str:
+def format_alarm_title(found: Explained) -> str:
     """Format the title of the alarm's page: ``Alarm 3: signal change at position B``."""
     where = f" at position {found.alarm.position}" if found.alarm.position else ""
     return f"Alarm {found.alarm.id}: {found.alarm.kind.replace('_', ' ')}{where}"
@@ -46,28 +46,28 @@ def describe_recomputation(found: Explained) -> str:
     )
 
 
-def render_page(found: Explained, pictures: Sequence[Picture]) -> bytes:
+def render_alarm_page(found: Explained, pictures: Sequence[Picture]) -> bytes:
     """Build the HTML page of an alarm, encoded, with its evidence, assessment, guidance and figures."""
     recomputed = () if found.again is None else found.again.assessments
     of_set = next((row for row in recomputed if row.set_index == found.alarm.raised_set_index), None)
     assessment = {} if of_set is None else as_dict(of_set)
     return render_template(
         "alarm.html.j2",
-        title=format_title(found),
+        title=format_alarm_title(found),
         found=found,
-        sentences=_evidence_sentences(found),
+        sentences=_describe_evidence(found),
         pictures=pictures,
         recomputation=describe_recomputation(found),
-        assessment=_facts_with_value(
+        assessment=_yield_facts_with_value(
             {name: assessment[name] for name in assessment if name not in NOT_SHOWN}
         ),
         guidance=GUIDANCE.get(found.alarm.kind),
         history_cells=build_history_cells,
-        evidence=_facts_with_value(found.alarm.evidence),
+        evidence=_yield_facts_with_value(found.alarm.evidence),
     )
 
 
-def collect_facts(found: Explained) -> dict[str, object]:
+def collect_alarm_facts(found: Explained) -> dict[str, object]:
     """Collect the contents of the page and the rows behind it as values for JSON (with NumPy arrays)."""
     recomputed, guidance = found.again, GUIDANCE.get(found.alarm.kind)
     return {
@@ -76,17 +76,17 @@ def collect_facts(found: Explained) -> dict[str, object]:
         "begun_by": found.experiment.solimon_version,
         "explained_by": version("solimon"),
         "alarm": as_dict(found.alarm),
-        "sentences": _evidence_sentences(found),
+        "sentences": _describe_evidence(found),
         "guidance": None if guidance is None else asdict(guidance),
         "history": [build_transition(event) for event in found.history],
         "agrees": found.agrees,
         "why_not_recomputed": found.why_not or None,
         "description": describe_recomputation(found),
-        "recomputed": None if recomputed is None else _recomputed_facts(recomputed),
+        "recomputed": None if recomputed is None else _collect_recomputed_facts(recomputed),
     }
 
 
-def _recomputed_facts(recomputed: Recomputed) -> dict[str, object]:
+def _collect_recomputed_facts(recomputed: Recomputed) -> dict[str, object]:
     """Collect the recomputed alarms, differences, baseline, assessments and mean records for JSON."""
     pulses = recomputed.pulses
     return {
@@ -102,13 +102,13 @@ def _recomputed_facts(recomputed: Recomputed) -> dict[str, object]:
     }
 
 
-def _evidence_sentences(found: Explained) -> list[str]:
+def _describe_evidence(found: Explained) -> list[str]:
     """Describe the stored evidence of the alarm in sentences, with the baseline if it was recomputed."""
     baseline = None if found.again is None else found.again.baseline
-    return evidence_sentences(found.alarm, {} if baseline is None else {baseline.id or 0: baseline})
+    return build_evidence_sentences(found.alarm, {} if baseline is None else {baseline.id or 0: baseline})
 
 
-def _facts_with_value(facts: Mapping[str, object]) -> Iterator[tuple[str, object]]:
+def _yield_facts_with_value(facts: Mapping[str, object]) -> Iterator[tuple[str, object]]:
     """Yield the name and value of each fact that is not None; drop None within mappings, too."""
     for name, value in facts.items():
         if isinstance(value, Mapping):

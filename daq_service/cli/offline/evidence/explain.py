@@ -8,14 +8,14 @@ import click
 import orjson
 
 from daq_service.cli.offline.evidence.alarm_page import (
-    collect_facts,
+    collect_alarm_facts,
     describe_recomputation,
-    format_title,
-    render_page,
+    format_alarm_title,
+    render_alarm_page,
 )
-from daq_service.cli.terminal import print_progress_of_sets
+from daq_service.cli.terminal import print_set_progress
 from daq_service.errors import UsageError
-from daq_service.processes.data_folder import new_folder_path
+from daq_service.processes.data_folder import build_new_folder_path
 from daq_service.recording.reassessment.explanation import explain_alarm
 from daq_service.shared_file import write_output
 
@@ -33,24 +33,25 @@ def run_explain(*, alarm_id: int, data_dir: Path, out: Path | None, overwrite: b
     StorageError
         A set that counts cannot be read, or a file cannot be written.
     """
-    folder = out or new_folder_path(f"alarm-{alarm_id}")
+    folder = out or build_new_folder_path(f"alarm-{alarm_id}")
     if folder.absolute().resolve().is_relative_to(data_dir.absolute().resolve()):
         raise UsageError(f"{folder} lies in the test's own folder; choose another --out")
     page, facts_file = (folder / f"alarm-{alarm_id}.{ending}" for ending in ("html", "json"))
     if existing := [path for path in (page, facts_file) if path.exists() and not overwrite]:
         raise UsageError(f"{existing[0]} exists; choose another --out, or replace it with --overwrite")
-    found = explain_alarm(data_dir, alarm_id, print_progress_of_sets)
+    found = explain_alarm(data_dir, alarm_id, print_set_progress)
     # Brings matplotlib along, which the rest does not need.
     from daq_service.cli.offline.evidence.figures import draw_evidence
 
     facts = orjson.dumps(
-        {**collect_facts(found), "files": [str(page), str(facts_file)]}, option=orjson.OPT_SERIALIZE_NUMPY
+        {**collect_alarm_facts(found), "files": [str(page), str(facts_file)]},
+        option=orjson.OPT_SERIALIZE_NUMPY,
     )
-    write_output(page, render_page(found, draw_evidence(found)))
+    write_output(page, render_alarm_page(found, draw_evidence(found)))
     write_output(facts_file, facts)
     if as_json:
         click.echo(facts.decode())
         return
-    click.echo(f"{format_title(found)}: {found.alarm.message}")
+    click.echo(f"{format_alarm_title(found)}: {found.alarm.message}")
     click.echo(describe_recomputation(found))
     click.echo(f"{page}: open it in a browser, or print it; {facts_file.name} has the numbers")

@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 
 from analysis.statistics.named_limits import DISTANCE, LIMITS, MEWMA
 from daq_service.alarms.evidence import FEATURES
-from daq_service.assessment.stored_limits import find_limit_statistic, limits_by_name
+from daq_service.assessment.stored_limits import collect_limits_by_name, find_limit_statistic
 from daq_service.recording.reassessment.explanation import Explained, Recomputed
 from daq_service.recording.reassessment.pulses_of_sets import Pulses
 from daq_service.web.report.figures import (
@@ -150,7 +150,7 @@ def _yield_panels(found: Explained, recomputed: Recomputed) -> Iterable[_Panel]:
         counted = [(row.due_h, float(row.n_valid)) for row in recomputed.sets if row.n_planned]
         yield _Panel("valid shots", counted, {"needed": evidence["minimum_valid_shots"]})
     elif recomputed.baseline is not None:
-        limits = limits_by_name(recomputed.baseline)
+        limits = collect_limits_by_name(recomputed.baseline)
         limit_names = (str(evidence.get("limit_name")), found.settings.novelty.limit, MEWMA)
         names = [name for name in dict.fromkeys(limit_names) if name in LIMITS]
         for statistic in dict.fromkeys(LIMITS[name].of for name in names):

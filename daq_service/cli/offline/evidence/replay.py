@@ -7,9 +7,9 @@ from collections.abc import Iterable
 from dataclasses import asdict
 from pathlib import Path
 
-from daq_service.cli.terminal import print_progress_of_sets
+from daq_service.cli.terminal import print_set_progress
 from daq_service.errors import UsageError
-from daq_service.processes.executors import check_executor_name, count_usable_cores
+from daq_service.processes.executors import count_usable_cores, validate_executor_name
 from daq_service.processes.printing import print_result
 from daq_service.recording.reassessment.changes import Difference, Onset
 from daq_service.recording.reassessment.replay import Replayed, replay_test
@@ -42,8 +42,8 @@ def run_replay(
         raise UsageError("--executor and --workers do the work of --extract; give it, or leave them out")
     by = None
     if extract:
-        by = check_executor_name(executor or "threads", workers), workers or count_usable_cores()
-    found = replay_test(data_dir, given, extract_by=by, progress=print_progress_of_sets)
+        by = validate_executor_name(executor or "threads", workers), workers or count_usable_cores()
+    found = replay_test(data_dir, given, extract_by=by, progress=print_set_progress)
     print_result(asdict(found), describe_replay(found), as_json=as_json)
 
 
@@ -65,7 +65,7 @@ def describe_replay(found: Replayed) -> Iterable[str]:
             yield f"{change:<6} {onset.position} {onset.kind}: {_format_onset(onset)}"
     for row in found.differences:
         if row.table == "baseline" and isinstance(row.stored, int | float | None):
-            before, after = _format_significant(row.stored), _format_significant(row.again)
+            before, after = _format_six_digits(row.stored), _format_six_digits(row.again)
             yield f"baseline {row.position}: {row.column} {before} -> {after}"
     yield from _count_differing_sets(found.differences)
     for position in found.not_assessed:
@@ -102,6 +102,6 @@ def _format_onset(onset: Onset) -> str:
     return f"set {onset.set_index}, hour {onset.hour:.2f}"
 
 
-def _format_significant(value: float | None) -> str:
+def _format_six_digits(value: float | None) -> str:
     """Format a value with six significant digits; None gives "none"."""
     return "none" if value is None else f"{value:.6g}"

@@ -8,16 +8,16 @@ import pytest
 
 from analysis.diagnosis.diagnose import STATED, UNDETERMINED, WALL_STATED, diagnose_latest_set, update_state
 from analysis.diagnosis.hypotheses import COUPLING, OK, SENSOR, WALL
-from analysis.diagnosis.parameters import DiagnosisParameters, diagnosis_parameters, log_features
+from analysis.diagnosis.parameters import DiagnosisParameters, compute_diagnosis_parameters, log_features
 from analysis.diagnosis.slopes import COMPONENTS, DAMPING, DEPTHS, DROP_HEIGHT, GAIN, STIFFNESS, TILT, WALL_B
 from analysis.diagnosis.state import (
     MOST_AVERAGED,
     SETTLING,
     DiagnosisState,
+    add_confirmation_set,
+    add_set,
     average_weights,
     covariance_of_averages,
-    with_confirmation,
-    with_set,
 )
 from analysis.errors import InvalidInputError
 
@@ -52,12 +52,12 @@ def diagnoses(change, seed=1, confirmation=None):
     """Yield the diagnosis of every fifth set after the baseline; a confirmation follows their 30th."""
     logs = healthy(seed)
     logs[BASELINE:] += change
-    design = diagnosis_parameters(logs[:BASELINE])
+    design = compute_diagnosis_parameters(logs[:BASELINE])
     memory = DiagnosisState()
     for index in range(BASELINE, BASELINE + AFTER):
-        memory = with_set(memory, design.mean, logs[index], index)
+        memory = add_set(memory, design.mean, logs[index], index)
         if confirmation is not None and index == BASELINE + 30:
-            memory = with_confirmation(memory, design.mean, logs[0] + confirmation)
+            memory = add_confirmation_set(memory, design.mean, logs[0] + confirmation)
         assessment = diagnose_latest_set(memory, design)
         memory = update_state(memory, assessment)
         if index % EVERY == 0:
@@ -107,8 +107,8 @@ def test_a_change_along_the_wall_s_own_curve_is_no_wall_where_it_comes_at_once(d
 
 def test_an_alarm_that_no_cause_explains_is_undetermined():
     logs = healthy(3)
-    design = diagnosis_parameters(logs[:BASELINE])
-    memory = with_set(DiagnosisState(), design.mean, logs[BASELINE], BASELINE)
+    design = compute_diagnosis_parameters(logs[:BASELINE])
+    memory = add_set(DiagnosisState(), design.mean, logs[BASELINE], BASELINE)
     assert diagnose_latest_set(memory, design).cause == OK
     diagnosis = diagnose_latest_set(memory, design, suspicious=True)
     assert (diagnosis.cause, diagnosis.probability) == (UNDETERMINED, diagnosis.probabilities[OK])
@@ -117,7 +117,7 @@ def test_an_alarm_that_no_cause_explains_is_undetermined():
 
 def test_the_diagnosis_state_survives_a_restart_as_json():
     logs = healthy(4) + 0.002
-    design = diagnosis_parameters(logs[:BASELINE])
+    design = compute_diagnosis_parameters(logs[:BASELINE])
     memory = DiagnosisState()
     for index in range(BASELINE, BASELINE + 20):
         stored = json.loads(json.dumps(asdict(memory)))
@@ -126,7 +126,7 @@ def test_the_diagnosis_state_survives_a_restart_as_json():
             **(stored | {name: tuple(stored[name]) for name in ("confirmation", "moved")})
         )
         assert restored == memory
-        memory = with_set(restored, design.mean, logs[index], index)
+        memory = add_set(restored, design.mean, logs[index], index)
     assert memory.n == 20
 
 
@@ -136,11 +136,11 @@ def test_a_set_without_a_feature_has_no_logarithms_and_a_wrong_history_is_report
     assert log_features(values | {"isw_fwhm_s": None}) is None
     assert log_features(values | {"psw_area_v_s": -1.0}) is None
     with pytest.raises(InvalidInputError, match=r"shape \(200, 5\)"):
-        diagnosis_parameters(healthy(1)[:200, :5])
+        compute_diagnosis_parameters(healthy(1)[:200, :5])
 
 
 def test_few_sets_give_parameters_that_show_a_small_change_less():
-    few, many = (diagnosis_parameters(healthy(6)[:n]) for n in (24, 200))
+    few, many = (compute_diagnosis_parameters(healthy(6)[:n]) for n in (24, 200))
     assert isinstance(few, DiagnosisParameters)
     change = tuple(tuple(row) for row in np.tile(0.5 * np.array(WALL_B[0]), (3, 1)))
     diagnoses_of_both = [
@@ -154,7 +154,7 @@ def test_a_slow_drift_decays_with_the_scheduled_sets_wherever_the_baseline_start
     change = tuple(tuple(row) for row in np.tile(0.5 * np.array(WALL_B[0]), (3, 1)))
 
     def ok(first_index, index):
-        design = diagnosis_parameters(history, first_index)
+        design = compute_diagnosis_parameters(history, first_index)
         return diagnose_latest_set(DiagnosisState(n=60, index=index, changes=change), design).probabilities[
             OK
         ]
@@ -167,26 +167,26 @@ def test_a_slow_drift_decays_with_the_scheduled_sets_wherever_the_baseline_start
 def test_a_wall_is_diagnosed_by_two_consecutive_sets_including_a_confirmation():
     logs = healthy(2)
     logs[BASELINE:] += wall(0.4)
-    design = diagnosis_parameters(logs[:BASELINE])
+    design = compute_diagnosis_parameters(logs[:BASELINE])
     memory = DiagnosisState()
     for index in range(BASELINE, BASELINE + AFTER):
-        memory = with_set(memory, design.mean, logs[index], index)
+        memory = add_set(memory, design.mean, logs[index], index)
         assessment = diagnose_latest_set(memory, design)
         if assessment.probabilities[WALL] >= WALL_STATED:
             break
         memory = update_state(memory, assessment)
     assert assessment.cause == UNDETERMINED
     memory = update_state(memory, assessment)
-    following = with_set(memory, design.mean, logs[index + 1], index + 1)
+    following = add_set(memory, design.mean, logs[index + 1], index + 1)
     assert diagnose_latest_set(following, design).cause == WALL
-    confirmation_change = with_confirmation(memory, design.mean, logs[index + 1])
+    confirmation_change = add_confirmation_set(memory, design.mean, logs[index + 1])
     assert diagnose_latest_set(confirmation_change, design).cause == WALL
     healthy_again = update_state(memory, diagnose_latest_set(DiagnosisState(), design))
     assert not healthy_again.likely
 
 
 def test_a_first_wall_diagnosis_needs_a_higher_probability():
-    design = diagnosis_parameters(healthy(2)[:BASELINE])
+    design = compute_diagnosis_parameters(healthy(2)[:BASELINE])
     course = np.array([[1.0], [0.95], [0.6]]) * wall(0.3)[-1]  # it grows: the longest average is behind
     last = BASELINE + AFTER - 1
     looked = [
@@ -204,11 +204,11 @@ def test_a_first_wall_diagnosis_needs_a_higher_probability():
 
 def test_a_wall_diagnosis_is_withdrawn_only_by_healthy_sets():
     logs = healthy(2)
-    design = diagnosis_parameters(logs[:BASELINE])
+    design = compute_diagnosis_parameters(logs[:BASELINE])
     memory = DiagnosisState(wall=True)
     for index in range(BASELINE, BASELINE + 60):
         sick = logs[index] + (index - BASELINE) * -0.01 * np.array(GAIN)
-        memory = with_set(memory, design.mean, sick, index)
+        memory = add_set(memory, design.mean, sick, index)
     diagnosis = diagnose_latest_set(memory, design)
     assert diagnosis.probabilities[SENSOR] > 0.9
     assert diagnosis.cause == UNDETERMINED
@@ -230,7 +230,7 @@ def test_the_new_contact_level_is_estimated_from_the_following_sets():
     logs, mean = healthy(5), np.zeros(len(COMPONENTS))
     memory = DiagnosisState(moved=(1.0,) * len(COMPONENTS))
     for index in range(SETTLING + 5):
-        memory = with_set(memory, mean, logs[index], index)
+        memory = add_set(memory, mean, logs[index], index)
     assert memory.moved == pytest.approx(logs[:SETTLING].mean(axis=0))
     assert np.abs(memory.averages(from_moved=True)).max() < np.abs(logs).max()
 
@@ -238,10 +238,10 @@ def test_the_new_contact_level_is_estimated_from_the_following_sets():
 def test_growth_during_a_gap_is_not_a_step():
     logs = healthy(7)
     logs[BASELINE:] += wall(0.4)
-    design = diagnosis_parameters(logs[:BASELINE])
+    design = compute_diagnosis_parameters(logs[:BASELINE])
     memory = DiagnosisState()
     for index in (*range(BASELINE, BASELINE + 5), *range(BASELINE + 110, BASELINE + 114)):
-        memory = with_set(memory, design.mean, logs[index], index)
+        memory = add_set(memory, design.mean, logs[index], index)
         assessment = diagnose_latest_set(memory, design)
         memory = update_state(memory, assessment)
     assert (memory.gap, memory.gap_ago) == (105, 4)
@@ -253,10 +253,10 @@ def test_growth_during_a_gap_is_not_a_step():
 def test_a_gap_is_forgotten_with_the_sets_before_it_and_the_wider_of_two_is_kept():
     mean, memory = ZERO, DiagnosisState()
     for index in (10, 15, 16, 18):
-        memory = with_set(memory, mean, ZERO, index)
+        memory = add_set(memory, mean, ZERO, index)
     assert (memory.gap, memory.gap_ago) == (4, 3)
     for index in range(19, 19 + MOST_AVERAGED):
-        memory = with_set(memory, mean, ZERO, index)
+        memory = add_set(memory, mean, ZERO, index)
     assert (memory.gap, memory.gap_ago) == (0, 0)
 
 

@@ -11,18 +11,18 @@ from analysis.statistics.fleet import (
     FEWEST_SENSORS,
     SHARED_SD,
     SharedChange,
+    compute_running_p_values,
+    find_alarm_rows,
     find_shared_changes,
     mean_squared_correlation,
-    raised_at,
     residual_shift,
-    running_chance,
     sensor_gain,
     shared_deviation,
-    standardized,
+    standardize_by_baseline,
     typical_autocorrelation,
     typical_tails,
 )
-from analysis.statistics.mewma import averages, estimated_limit
+from analysis.statistics.mewma import compute_averages, estimated_limit
 from analysis.statistics.sequence import assess_sequence
 
 P = 5
@@ -31,7 +31,7 @@ NAMES = list("abcde")
 
 def test_a_chart_at_its_limit_has_the_rate_of_its_run_length():
     limit = estimated_limit(200, P, 1000.0)
-    chance = running_chance(np.array([np.nan, 1.0, limit, 2.0, np.nan]), 200, P, 250)
+    chance = compute_running_p_values(np.array([np.nan, 1.0, limit, 2.0, np.nan]), 200, P, 250)
     # Between the table's run lengths the limit is nearly linear in their logarithm.
     assert chance == pytest.approx([1.0, 1.0, *3 * [1.0 - np.exp(-0.25)]], rel=0.01)
 
@@ -41,8 +41,8 @@ def test_chances_of_healthy_sensors_are_even():
     random = np.random.default_rng(3)
     sets, last = 400, []
     for _ in range(300):
-        z = averages(random.standard_normal((sets, P)), np.zeros(P))
-        last.append(running_chance(19.0 * (z**2).sum(axis=1), 100_000, P, sets)[-1])
+        z = compute_averages(random.standard_normal((sets, P)), np.zeros(P))
+        last.append(compute_running_p_values(19.0 * (z**2).sum(axis=1), 100_000, P, sets)[-1])
     small = np.array(last)[np.array(last) < 0.5]
     # Where it decides; near one the first sets after a zero start make a difference.
     assert kstest(small / 0.5, "uniform").pvalue > 0.01
@@ -52,16 +52,16 @@ def test_chances_of_healthy_sensors_are_even():
 def test_raised_are_those_of_benjamini_and_hochberg_and_stay_raised():
     chances = np.array([[1.0, 0.04, 0.024], [1.0, 1.0, 0.5], [0.9, 0.03, 0.001], [0.2, 0.11, 0.11]])
     # Second set: .03 > .1/4 and .04 > .2/4 - no. 2nd of 4: .05 holds both; third: .001 and .024.
-    assert raised_at(chances, 0.1) == [1, None, 1, None]
-    assert raised_at(chances, 0.05) == [2, None, 2, None]
-    assert raised_at(np.ones((3, 0))) == [None] * 3
+    assert find_alarm_rows(chances, 0.1) == [1, None, 1, None]
+    assert find_alarm_rows(chances, 0.05) == [2, None, 2, None]
+    assert find_alarm_rows(np.ones((3, 0))) == [None] * 3
     with pytest.raises(InvalidInputError, match="false discovery rate is 1"):
-        raised_at(chances, 1.0)
+        find_alarm_rows(chances, 1.0)
 
 
 def test_standardized_by_the_baseline_alone():
     vectors = np.array([[1.0, 7.0, np.nan], [3.0, 7.0, np.nan], [np.nan, 7.0, np.nan], [6.0, 8.0, 1.0]])
-    z, sd = standardized(vectors, np.array([True, True, True, False]))
+    z, sd = standardize_by_baseline(vectors, np.array([True, True, True, False]))
     assert sd.tolist() == [np.sqrt(2.0), 1.0, 1.0]
     assert z[:, 0] == pytest.approx([-(0.5**0.5), 0.5**0.5, np.nan, 4.0 / 2**0.5], nan_ok=True)
     assert np.isnan(z[:, 1:]).all()

@@ -2,7 +2,12 @@
 
 import pytest
 
-from analysis.statistics.levels import finer_blocks, level_widths, parts_of_range, sets_per_step
+from analysis.statistics.levels import (
+    choose_sets_per_step,
+    finer_blocks,
+    level_widths,
+    split_range_into_blocks,
+)
 
 
 def test_each_level_has_blocks_of_four_times_as_many_sets():
@@ -16,7 +21,7 @@ def test_each_level_has_blocks_of_four_times_as_many_sets():
 def test_parts_cover_a_range_once_with_whole_blocks(finest):
     widths = level_widths(finest, 64)
     for first, end in ((first, end) for first in range(0, 90, 3) for end in range(0, 150, 7)):
-        parts = list(parts_of_range(first, end, widths))
+        parts = list(split_range_into_blocks(first, end, widths))
         covered = [index for _, start, stop in parts for index in range(start, stop)]
         assert covered == list(range(first, end))
         assert all(start % width == stop % width == 0 for width, start, stop in parts)
@@ -30,5 +35,5 @@ def test_parts_cover_a_range_once_with_whole_blocks(finest):
     ("first", "last", "most", "width"), [(0, 9, 10, 1), (0, 10, 10, 2), (7, 8, 1, 16), (7, 7, 1, 1)]
 )
 def test_a_step_has_as_few_sets_as_the_number_of_steps_allows(first, last, most, width):
-    assert sets_per_step(first, last, most) == width
-    assert sets_per_step(first, last, most, finest=4) == max(width, 4)
+    assert choose_sets_per_step(first, last, most) == width
+    assert choose_sets_per_step(first, last, most, finest=4) == max(width, 4)

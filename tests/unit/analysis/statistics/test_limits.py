@@ -8,9 +8,9 @@ from analysis.errors import InvalidInputError, NotEnoughSetsError
 from analysis.statistics.limits import (
     F_PREDICTIVE,
     PAPER_MEAN_3SD,
+    compute_limit_pair,
     f_predictive_limit,
     false_alarm_rate,
-    limits,
     paper_limit,
     phase_one_limit,
 )
@@ -46,7 +46,7 @@ def test_screen_of_the_baseline_is_the_beta_limit():
 
 def test_both_limits_come_named_with_their_rates():
     distances = np.random.default_rng(0).chisquare(5, 48)
-    exact, paper = limits(distances, 5)
+    exact, paper = compute_limit_pair(distances, 5)
     assert (exact.name, paper.name) == (F_PREDICTIVE, PAPER_MEAN_3SD) == ("f_predictive", "paper_mean_3sd")
     assert exact.distance_squared == f_predictive_limit(48, 5)
     assert exact.false_alarm_rate == 0.0027

@@ -8,7 +8,7 @@ from analysis.statistics.memory import (
     corrected_autocorrelation,
     effective_sets,
     pooled_phi,
-    prewhitened,
+    prewhiten_sets,
     significant_phi,
 )
 
@@ -56,7 +56,7 @@ def test_prewhitened_sets_are_alike_over_any_gap(phi):
     x = remembering(np.random.default_rng(5).standard_normal((20300, 5)), phi)
     gaps = np.random.default_rng(6).random(20000) < 0.3
     x[gaps] = np.nan
-    e = prewhitened(x, np.zeros(5), phi)
+    e = prewhiten_sets(x, np.zeros(5), phi)
     assert np.isnan(e[gaps]).all()
     after_gap = ~gaps & np.roll(gaps, 1)
     after_none = ~gaps & ~np.roll(gaps, 1)

@@ -11,9 +11,9 @@ from analysis.statistics.rules import (
     AlarmState,
     HoleRule,
     HoleState,
-    next_alarm_state,
-    next_hole_state,
-    next_poor_sets,
+    count_poor_sets,
+    update_alarm_state,
+    update_hole_state,
 )
 
 O, X = False, True  # noqa: E741 an inlier and an outlier, to be read as a string of marks
@@ -24,7 +24,7 @@ def after_each(step, start, sets, rule):
 
 
 def alarm_states(outliers, rule=AlarmRule(), start=AlarmState()):  # noqa: B008 frozen
-    return after_each(next_alarm_state, start, outliers, rule)
+    return after_each(update_alarm_state, start, outliers, rule)
 
 
 def active(outliers, rule=AlarmRule()):  # noqa: B008 frozen
@@ -84,7 +84,7 @@ def test_impossible_rules_are_refused(values):
 def test_state_keeps_no_more_than_the_window():
     state = AlarmState()
     for _ in range(20):
-        state = next_alarm_state(state, False)
+        state = update_alarm_state(state, False)
     assert state == AlarmState(recent=(False,) * 5, active=False)
 
 
@@ -94,7 +94,7 @@ WALL_SET = [SILENT] * 6 + [HEARD] * 4
 
 
 def holes(sets, rule=HoleRule()):  # noqa: B008 frozen
-    return [state.hole for state in after_each(next_hole_state, HoleState(), sets, rule)]
+    return [state.hole for state in after_each(update_hole_state, HoleState(), sets, rule)]
 
 
 def test_two_consecutive_silent_sets_are_a_hole():
@@ -116,7 +116,7 @@ def test_hole_does_not_heal():
 
 def test_a_flag_counts_together_with_other_flags():
     both = [("double", "no_psw")] * 7 + [HEARD] * 3
-    assert next_hole_state(HoleState(sets_running=1), both).hole
+    assert update_hole_state(HoleState(sets_running=1), both).hole
 
 
 def test_impossible_hole_rule_is_refused():
@@ -130,7 +130,7 @@ def poor_sets(*sets):
     """Return the count after each set of (valid, attempted) shots of ten; seven must be valid."""
     running, counts = 0, []
     for n_valid, n_tried in sets:
-        running = next_poor_sets(running, n_valid=n_valid, n_tried=n_tried, n_planned=10, minimum_valid=7)
+        running = count_poor_sets(running, n_valid=n_valid, n_tried=n_tried, n_planned=10, minimum_valid=7)
         counts.append(running)
     return counts
 

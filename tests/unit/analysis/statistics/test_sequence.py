@@ -6,9 +6,15 @@ from support.healthy_sequences import UNEQUAL, healthy, remembering
 
 from analysis.statistics.baseline import fit_baseline
 from analysis.statistics.baseline_check import find_anomalies
-from analysis.statistics.chart import design_chart, unverified_rate_reason
-from analysis.statistics.design import Budget, design_of, next_alarm, next_chart_state, state_at_end_of
-from analysis.statistics.directions import directions_of
+from analysis.statistics.chart import design_chart, explain_unverified_rate
+from analysis.statistics.design import (
+    Budget,
+    build_design,
+    find_end_state,
+    is_chart_alarm_active,
+    update_chart_state,
+)
+from analysis.statistics.directions import find_directions
 from analysis.statistics.distance import distance_squared
 from analysis.statistics.heavy_tails import left_out_distances
 from analysis.statistics.sequence import assess_sequence
@@ -96,11 +102,11 @@ def test_set_by_set_assessment_equals_that_of_the_whole_sequence(name, n):
     found = assessment_of(x, n)
     rows = np.flatnonzero(np.isfinite(x[:n]).all(axis=1))
     baseline = fit_baseline(x[rows], rows.tolist(), name="b", feature_names=NAMES)
-    design = design_of(x[:n], baseline, Budget().run_length)
+    design = build_design(x[:n], baseline, Budget().run_length)
     assert {key: limit for key, limit in design.limits.items() if key != "mewma"} == found.limits
-    memory, beyond = state_at_end_of(baseline, x[rows[-1]]), []
+    memory, beyond = find_end_state(baseline, x[rows[-1]]), []
     for row in [row for row in range(n, found.onsets[0] + 1) if np.isfinite(x[row]).all()]:
-        memory, statistics = next_chart_state(memory, design, row, x[row])
+        memory, statistics = update_chart_state(memory, design, row, x[row])
         # Both compute the same, in another order of operations.
         assert statistics["distance_squared"] == pytest.approx(found.distances_squared[row], rel=1e-9)
         assert statistics["mewma_textbook"] == pytest.approx(found.mewma_textbook[row], rel=1e-9)
@@ -111,10 +117,10 @@ def test_set_by_set_assessment_equals_that_of_the_whole_sequence(name, n):
 
 
 def test_an_alarm_of_the_chart_ends_where_a_healthy_sensor_is_on_average():
-    assert not next_alarm(False, 40.0, 40.0, 5)
-    assert next_alarm(False, 40.1, 40.0, 5)
-    assert next_alarm(True, 5.1, 40.0, 5)
-    assert not next_alarm(True, 5.0, 40.0, 5)
+    assert not is_chart_alarm_active(False, 40.0, 40.0, 5)
+    assert is_chart_alarm_active(False, 40.1, 40.0, 5)
+    assert is_chart_alarm_active(True, 5.1, 40.0, 5)
+    assert not is_chart_alarm_active(True, 5.0, 40.0, 5)
 
 
 def test_one_outlier_set_alone_never_raises_an_alarm():
@@ -219,7 +225,7 @@ def test_few_healthy_baselines_have_anomalies():
 @pytest.mark.parametrize("n", [48, 400])
 def test_autocorrelation_is_raised_by_three_standard_errors(n):
     x = healthy("AR .3", n, np.random.default_rng(16))
-    found, taken = directions_of(x), design_chart(x, 1000.0).phi
+    found, taken = find_directions(x), design_chart(x, 1000.0).phi
     assert np.arctanh(taken) - np.arctanh(found.guarded) == pytest.approx(np.full(5, 3.0 * found.error))
     # Directions that differ as much as they seem to are known by their own sets alone, else by all of them.
     assert math.sqrt(1 / 5 / n) <= found.error < math.sqrt((1 + 1 / 5) / n)
@@ -252,7 +258,7 @@ def test_a_rate_is_verified_only_by_a_long_enough_baseline(name, n, why):
     reasons = []
     for seed in range(10):
         x = healthy(name, n, np.random.default_rng(seed))
-        reasons.append(unverified_rate_reason(x))
+        reasons.append(explain_unverified_rate(x))
     # Of ten healthy ones one or two may be doubted (1.5 % each test); of ten that drift most are.
     matching = sum((why in one) if why else one == "" for one in reasons)
     assert matching >= (10 if n == 48 else 8)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from analysis.errors import InvalidInputError, NotEnoughPointsError
-from analysis.statistics.trend import fit_trend, fit_trend_of_part, join_parts, make_parts
+from analysis.statistics.trend import build_fit_parts, fit_trend, fit_trend_of_part, join_fit_parts
 
 TIME_H = np.linspace(0.5, 350.0, 425)
 
@@ -65,8 +65,8 @@ def test_joined_parts_give_the_same_parabola(from_h):
     values = 6e-3 - 1e-9 * TIME_H[:, np.newaxis] - 2e-11 * TIME_H[:, np.newaxis] ** 2 + strays
     values[rng.random(values.shape) < 0.2] = np.nan
     values[64:128] = np.nan
-    points = make_parts(hours, values)
-    joined = join_parts(np.stack([join_parts(some) for some in np.split(points, [1, 64, 128, 300])]))
+    points = build_fit_parts(hours, values)
+    joined = join_fit_parts(np.stack([join_fit_parts(some) for some in np.split(points, [1, 64, 128, 300])]))
     for part, column in zip(joined, values.T, strict=True):
         trend, whole = fit_trend_of_part(part), fit_trend(hours, column)
         present = np.isfinite(column)
@@ -80,6 +80,6 @@ def test_joined_parts_give_the_same_parabola(from_h):
 
 
 def test_parts_of_too_few_points_are_refused():
-    points = make_parts([0.0, 1.0, 2.0, 3.0], [[0.0], [1.0], [math.nan], [1.0]])
+    points = build_fit_parts([0.0, 1.0, 2.0, 3.0], [[0.0], [1.0], [math.nan], [1.0]])
     with pytest.raises(NotEnoughPointsError, match="3 points at 3 times"):
-        fit_trend_of_part(join_parts(points)[0])
+        fit_trend_of_part(join_fit_parts(points)[0])

@@ -5,7 +5,7 @@ import pytest
 from support.synthetic_records import cos4, waveform_of
 
 from analysis.errors import RecordError
-from analysis.waves.coil_spike import HOLDOFF_PART, SMALLEST_ROOM, survey_spike
+from analysis.waves.coil_spike import HOLDOFF_PART, SMALLEST_ROOM, measure_coil_spike
 
 RATE_HZ = 2e6
 PULSE_S, FALL_S, PRETRIGGER_S, LEVEL_V = 20e-3, 31.9e-3, 0.1e-3, 0.25
@@ -29,7 +29,7 @@ def survey(volts, *, noise_v=NOISE_V, offset_v=0.03, **changes):
     values = {
         "pulse_s": PULSE_S, "fall_s": FALL_S, "pretrigger_s": PRETRIGGER_S, "trigger_level_v": LEVEL_V,
     } | changes  # fmt: skip
-    return survey_spike(
+    return measure_coil_spike(
         waveform_of(volts + offset_v + noise(T.size, 1, noise_v), RATE_HZ, 0),
         waveform_of(offset_v + noise(10_000, 2, noise_v), RATE_HZ, 0),
         **values,

@@ -5,7 +5,7 @@ import pytest
 from support.synthetic_records import FWHM_S, Scene, band_limited
 
 from analysis.waves.features import extract_from_volts
-from analysis.waves.noise_colour import noise_colour, strongest_block_noise_v
+from analysis.waves.noise_colour import find_noise_colour, strongest_block_noise_v
 from analysis.waves.record_reduction import ExtractionSettings, VoltRecord, reduce_records
 
 SCENE = Scene(noise_fraction=0.0)
@@ -52,7 +52,7 @@ def reduced(volts, scene, settings):
 def colour(volts, scene, isw_time_s):
     settings = ExtractionSettings()
     record = reduced(volts, scene, settings)
-    return noise_colour(record, isw_time_s, settings.isw_fwhm_s), record
+    return find_noise_colour(record, isw_time_s, settings.isw_fwhm_s), record
 
 
 def test_white_noise_has_no_autocorrelation():

@@ -10,8 +10,8 @@ from analysis.waves.record_reduction import (
     ExtractionSettings,
     VoltRecord,
     apply_matched_filter,
-    block_noise,
-    fine_noise,
+    estimate_block_noise,
+    estimate_fine_noise,
     kernel_noise_gain,
     moving_mean,
     noise_rms,
@@ -47,12 +47,12 @@ def test_noise_of_a_constant_is_zero():
 @pytest.mark.parametrize("n", [999, 1000])
 def test_noise_of_blocks_is_the_fine_one_where_that_is_larger_than_by_chance(n):
     blocks = np.random.default_rng(n).standard_normal(n)
-    fine = fine_noise(blocks)
+    fine = estimate_fine_noise(blocks)
     differences = blocks[:-3] - 3.0 * blocks[1:-2] + 3.0 * blocks[2:-1] - blocks[3:]
     assert fine == pytest.approx(1.4826 * np.median(np.abs(differences)) / np.sqrt(20.0), rel=1e-12)
     least = fine / LEAST_EXCESS
-    assert block_noise(blocks, 0.999 * least) == fine
-    assert block_noise(blocks, 1.001 * least) == 1.001 * least
+    assert estimate_block_noise(blocks, 0.999 * least) == fine
+    assert estimate_block_noise(blocks, 1.001 * least) == 1.001 * least
 
 
 def test_moving_mean_takes_zeros_outside():

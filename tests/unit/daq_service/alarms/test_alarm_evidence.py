@@ -9,7 +9,7 @@ from support.filled_folder import frozen_baseline
 from support.invented_rows import alarm_row
 
 from analysis.waves.features import FEATURE_NAMES
-from daq_service.alarms.evidence import FEATURES, describe_evidence, evidence_sentences
+from daq_service.alarms.evidence import FEATURES, build_evidence_sentences, describe_evidence
 from daq_service.alarms.guidance import GUIDANCE
 
 PROOFS: dict[str, dict[str, Any]] = {
@@ -126,18 +126,18 @@ def alarm(kind, set_index=49):
 
 def test_the_last_sentence_has_time_and_version_and_the_baseline_its_name():
     when = "Raised with set 49 at hour 24.50 of the test; computed by extractor 3."
-    assert evidence_sentences(alarm("wall_change"))[-1] == when
+    assert build_evidence_sentences(alarm("wall_change"))[-1] == when
     of_c, of_d = frozen_baseline("C"), frozen_baseline("D")
-    first, *others = evidence_sentences(alarm("wall_change"), {2: of_c, 3: of_d})
+    first, *others = build_evidence_sentences(alarm("wall_change"), {2: of_c, 3: of_d})
     assert first.startswith("Set 49 lies at a squared distance of 48.6 from C-baseline-1, 2 times")
-    assert others == evidence_sentences(alarm("wall_change"))[1:]
-    assert evidence_sentences(alarm("disk_space", None)) == ["Raised at hour 24.50 of the test."]
+    assert others == build_evidence_sentences(alarm("wall_change"))[1:]
+    assert build_evidence_sentences(alarm("disk_space", None)) == ["Raised at hour 24.50 of the test."]
 
 
 def test_the_evidence_names_a_questionable_baseline_and_its_anomalies():
     named = [{"kind": "group", "set_indices": [3, 4]}, {"kind": "trend", "set_indices": [0, 1, 2, 3, 4]}]
     doubtful = frozen_baseline("C", baseline_quality={"named": named})
-    assert evidence_sentences(alarm("wall_change"), {2: doubtful})[-2] == (
+    assert build_evidence_sentences(alarm("wall_change"), {2: doubtful})[-2] == (
         "C-baseline-1, which the set is compared with, is doubtful: sets 3, 4 lie together, away from the "
         "others; a trend over the whole of it."
     )

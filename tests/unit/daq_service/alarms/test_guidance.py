@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from daq_service.alarms.clock_trouble import CLOCK_UNVERIFIED
-from daq_service.alarms.guidance import GUIDANCE, format_markdown
+from daq_service.alarms.guidance import GUIDANCE, format_guidance_markdown
 from daq_service.alarms.process_trouble import RECORDER_NOT_RUNNING, WEB_NOT_RESPONDING
 from daq_service.alarms.states import NOT_ASSESSED
 from daq_service.corrosion_drive.drive import CONDITIONS
@@ -17,7 +17,7 @@ RAISED_IN = ("alarms", "assessment", "commands")
 
 
 def test_the_how_to_shows_the_table():
-    assert format_markdown() in HOW_TO.read_text(encoding="utf-8"), format_markdown()
+    assert format_guidance_markdown() in HOW_TO.read_text(encoding="utf-8"), format_guidance_markdown()
 
 
 def test_every_raised_kind_has_guidance():

@@ -22,7 +22,7 @@ from support.filed_archive import FiledArchive
 from support.stored_files import read_set, read_waveform, set_files, verify_set
 
 from daq_service.archive import ArchiveWriteError, CorruptArchiveError, PositionRecord, compute_crc32
-from daq_service.archive.layout import build_image
+from daq_service.archive.layout import build_set_image
 from daq_service.archive.nexus import new_image, read_image
 from daq_service.errors import StorageError
 from hardware_drivers.measurement import SetKey
@@ -48,18 +48,18 @@ def test_the_checksum_is_that_of_the_little_endian_counts():
 
 def test_images_may_be_built_at_the_same_time_and_leave_no_file(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    expected = build_image(make_set())
+    expected = build_set_image(make_set())
     with new_image() as one, new_image() as other:
         assert read_image(one) == read_image(other)
-        assert build_image(make_set()) == expected
+        assert build_set_image(make_set()) == expected
     with ThreadPoolExecutor(4) as pool:
-        assert set(pool.map(lambda _: build_image(make_set()), range(12))) == {expected}
+        assert set(pool.map(lambda _: build_set_image(make_set()), range(12))) == {expected}
     assert list(tmp_path.iterdir()) == []
 
 
 def test_no_object_stores_its_time_of_writing():
     # Object headers of version 2 say by bit 5 of their flags that times follow (HDF5 format, IV.A.1.b).
-    flags = [match[1][0] for match in re.finditer(rb"OHDR\x02(.)", build_image(make_set()), re.DOTALL)]
+    flags = [match[1][0] for match in re.finditer(rb"OHDR\x02(.)", build_set_image(make_set()), re.DOTALL)]
     assert len(flags) > 50
     assert not any(flag & 0x20 for flag in flags)
 
@@ -113,7 +113,7 @@ def test_truth_and_settings_of_a_file_of_format_1_6_are_read(stored):
 def test_sets_whose_texts_differ_in_length_have_one_structure():
     structures = set()
     for due_h in (4.0, 4.5):
-        with h5py.File.in_memory(build_image(replace(make_set(), due_h=due_h))) as file:
+        with h5py.File.in_memory(build_set_image(replace(make_set(), due_h=due_h))) as file:
             structures.add(file["entry/title"].dtype.str)
     assert structures == {"|S16"}
 

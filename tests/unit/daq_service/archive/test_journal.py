@@ -27,7 +27,7 @@ from daq_service.archive.journal import frames, writer
 from daq_service.archive.journal.checking import check_journal
 from daq_service.archive.journal.reader import list_segments, read_journal, read_segments
 from daq_service.archive.journal.writer import Journal
-from daq_service.archive.layout import build_image
+from daq_service.archive.layout import build_set_image
 from hardware_drivers.measurement import SetKey
 
 RECORDS = make_set().records
@@ -171,7 +171,7 @@ def test_the_byte_ranges_of_a_set_hold_all_its_frames_and_little_more(tmp_path):
         assert set(read_journal(tmp_path, places={number: (start, end)})) == {third.set_key}
         assert whole[start:end].strip(b"\0") == whole[start:end]
         file, *_ = finalize_set(tmp_path, second.set_key, archive.places(second.set_key))
-        assert (tmp_path / file).read_bytes() == build_image(second)
+        assert (tmp_path / file).read_bytes() == build_set_image(second)
 
 
 def test_a_finalized_set_is_compared_with_its_file(archive, tmp_path):
@@ -194,7 +194,7 @@ def test_a_finalized_set_is_compared_with_its_file(archive, tmp_path):
     assert "skip_damaged=True" in caught.value.__notes__[0]  # for who reads it in Python
     whole = make_set()
     other = replace(whole.shots[0], waveform=replace(whole.shots[0].waveform, counts=counts_of(99, 300)))
-    file.write_bytes(build_image(replace(whole, shots=[other, *whole.shots[1:]])))
+    file.write_bytes(build_set_image(replace(whole, shots=[other, *whole.shots[1:]])))
     with pytest.raises(CorruptArchiveError, match="is not what the journal holds"):
         finalize_set(tmp_path, SetKey(SET_INDEX))
     file.unlink()

@@ -11,10 +11,10 @@ from h5py import h5d, h5p, h5s, h5t, h5z
 from support.archived_sets import make_set
 
 from daq_service.archive import CorruptArchiveError
-from daq_service.archive.consolidated import list_blocks
-from daq_service.archive.layout import build_image
+from daq_service.archive.consolidated import list_record_blocks
+from daq_service.archive.layout import build_set_image
 from daq_service.archive.reader import read_set_file
-from daq_service.archive.verification import check_file
+from daq_service.archive.verification import check_set_file
 from daq_service.cli.offline.record_file import FileParameters, open_records
 from daq_service.errors import UsageError
 
@@ -131,8 +131,8 @@ REFUSED = {
 
 @pytest.fixture
 def path(tmp_path):
-    (tmp_path / "set.h5").write_bytes(build_image(make_set()))
-    (tmp_path / "secret").write_bytes(build_image(make_set()))
+    (tmp_path / "set.h5").write_bytes(build_set_image(make_set()))
+    (tmp_path / "secret").write_bytes(build_set_image(make_set()))
     return tmp_path / "set.h5"
 
 
@@ -145,10 +145,10 @@ def test_external_links_and_wrong_sizes_are_rejected(path, change):
     with pytest.raises(CorruptArchiveError, match=pattern):
         read_set_file(path, skip_damaged=True)
     with pytest.raises(CorruptArchiveError, match=pattern):
-        list_blocks(path.parent, path.name)
+        list_record_blocks(path.parent, path.name)
     with pytest.raises(UsageError, match=pattern):
         open_records(path, FileParameters())
-    assert any(pattern.search(str(damage)) for damage in check_file(path).damages)
+    assert any(pattern.search(str(damage)) for damage in check_set_file(path).damages)
     _, peak = tracemalloc.get_traced_memory()
     tracemalloc.stop()
     # A few copies of the file and its handles: far below what it claims.
@@ -161,7 +161,7 @@ def test_a_link_in_a_data_folder_is_rejected(path):
     link.symlink_to(path)
     with pytest.raises(CorruptArchiveError, match="it is a link"):
         read_set_file(link)
-    assert "it is a link" in str(check_file(link).damages[0])
+    assert "it is a link" in str(check_set_file(link).damages[0])
     # A link as an argument of a command means the linked file.
     assert open_records(link, FileParameters()).n == len(make_set().shots)
 

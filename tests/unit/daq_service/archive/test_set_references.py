@@ -2,7 +2,7 @@
 
 from pathlib import PurePosixPath
 
-from daq_service.archive.records import parse_due_utc_ns, parse_set_keys, to_reference, to_references
+from daq_service.archive.records import build_reference, parse_due_utc_ns, parse_set_keys, to_references
 from hardware_drivers.measurement import SetKey
 from hardware_drivers.nanoseconds import NS_PER_H
 
@@ -20,11 +20,13 @@ SETS = {
 
 
 def test_the_last_name_is_that_of_the_newest_set_and_has_its_index():
-    names = [PurePosixPath(to_reference(index, due)).name for index, due in SETS.items()]
+    names = [PurePosixPath(build_reference(index, due)).name for index, due in SETS.items()]
     assert names == sorted(names)
     assert names[2] == "set_000001_19700101T010600Z_001.h5"
     assert list(to_references(names)) == list(SETS)
-    assert [parse_due_utc_ns(to_reference(index, due)) for index, due in SETS.items()] == list(SETS.values())
+    assert [parse_due_utc_ns(build_reference(index, due)) for index, due in SETS.items()] == list(
+        SETS.values()
+    )
 
 
 def test_a_name_of_an_earlier_version_has_the_whole_index():

@@ -18,8 +18,8 @@ from daq_service.archive.finalize_set import finalize_set
 from daq_service.archive.journal import frames as frame_format
 from daq_service.archive.journal.checking import check_journal
 from daq_service.archive.journal.reader import build_segment_path, read_journal
-from daq_service.archive.layout import build_image
-from daq_service.archive.verification import check_file
+from daq_service.archive.layout import build_set_image
+from daq_service.archive.verification import check_set_file
 from hardware_drivers.measurement import SetKey
 
 QUICK = [range(15)]
@@ -30,7 +30,7 @@ SLOW = [pytest.param(range(start, start + 100), marks=LONG) for start in range(3
 
 @pytest.fixture(scope="module")
 def image():
-    return build_image(make_set())
+    return build_set_image(make_set())
 
 
 @pytest.fixture
@@ -41,10 +41,10 @@ def path(tmp_path, image):
 
 def test_a_file_as_it_was_written_is_clean(path, image):
     for sha256 in (None, hashlib.sha256(image).hexdigest()):
-        found = check_file(path, sha256=sha256)
+        found = check_set_file(path, sha256=sha256)
         assert (found.damages, found.touched, found.n_bytes) == ([], False, len(image))
         assert bits(found.record) == bits(make_set())
-    assert check_file(path, sha256="ab" * 32).touched
+    assert check_set_file(path, sha256="ab" * 32).touched
 
 
 @pytest.mark.parametrize("numbers", [*QUICK, *SLOW], ids=str)
@@ -53,12 +53,12 @@ def test_a_corrupt_file_is_reported_or_reads_unchanged(path, image, numbers):
     for number in numbers:
         content = damaged(image, number)
         path.write_bytes(content)
-        found = check_file(path)
+        found = check_set_file(path)
         named += bool(found.damages)
         assert found.damages or bits(found.record) == bits(make_set()), number
         if not found.damages:
             # With its SHA-256 a changed file is reported also if no value was changed.
-            touched = check_file(path, sha256=hashlib.sha256(image).hexdigest()).touched
+            touched = check_set_file(path, sha256=hashlib.sha256(image).hexdigest()).touched
             assert touched == (content != image), number
     assert named > len(numbers) / 2
 
@@ -68,7 +68,7 @@ def test_a_string_heap_with_an_endless_loop_is_reported(path, image, length):
     at = image.index(b"GCOL")
     first, free = at + 16, struct.pack("<H6xQ", 0, length)
     path.write_bytes(image[:first] + free + image[first + len(free) :])
-    (found,) = check_file(path).damages
+    (found,) = check_set_file(path).damages
     assert f"the object at byte {first} of a heap of strings has the length {length}" in found.reason
 
 
@@ -76,7 +76,7 @@ def test_an_inconsistent_file_is_reported_with_the_location(path):
     with h5py.File(path, "r+") as file:
         file["entry/B_waveforms/time"][3] = 1.0
         file["entry/B_waveforms"].attrs["signal"] = np.bytes_("waveform")
-    found = check_file(path)
+    found = check_set_file(path)
     assert "entry/B_waveforms/time is not what the rest of the file says" in map(str, found.damages)
 
 
@@ -85,7 +85,7 @@ def test_a_different_compression_library_is_no_corruption(path, image):
         values = file["entry/B_waveforms/waveform"][()]
         file["entry/B_waveforms/waveform"][()] = values
     assert path.read_bytes() != image
-    assert check_file(path).damages == []
+    assert check_set_file(path).damages == []
 
 
 # The journal ---------------------------------------------------------------------------------------
@@ -193,14 +193,14 @@ def test_a_corrupt_frame_of_a_set_that_has_its_file_is_ignored(journal):
 def test_records_of_format_1_0_are_verified_by_that_format(path, monkeypatch):
     older = replace(make_set(), outcomes={}, missed=[], trouble="", environment={})
     monkeypatch.setattr("daq_service.archive.layout.FORMAT_VERSION", "1.0")
-    content = build_image(older)
+    content = build_set_image(older)
     monkeypatch.undo()
     path.write_bytes(content)
     with h5py.File(path, "r+") as file:
         del file["entry/shots/outcome"]
-    assert check_file(path).damages == []
+    assert check_set_file(path).damages == []
     with h5py.File(path, "r+") as file:
         file["entry/preview/time"][2] = 9.0
-    assert [str(damage) for damage in check_file(path).damages] == [
+    assert [str(damage) for damage in check_set_file(path).damages] == [
         "entry/preview/time is not what the rest of the file says"
     ]

@@ -14,7 +14,7 @@ from daq_service.archive import PositionRecord
 from daq_service.archive.waterfall.cells import build_frame, compute_record_planes, extract_anchors
 from daq_service.archive.waterfall.image import SETS_AT_ONCE, Wanted, WaterfallReader
 from daq_service.archive.waterfall.tile_files import build_tiles, write_tiles_of_set
-from daq_service.archive.waterfall.tiles import TILES_FOLDER, WIDTHS, count_tile_bytes
+from daq_service.archive.waterfall.tiles import TILES_FOLDER, WIDTHS, sum_tile_bytes
 
 N_SETS = 70
 MISSED = {5, 6, 7, 40}
@@ -257,7 +257,7 @@ def test_the_tiles_do_not_depend_on_the_order_of_the_sets(kept, tmp_path, stored
     assert len(paths) == 2 * (len(WIDTHS) + 1), "two at the finest level, each alignment"
     for path in paths:
         assert (tmp_path / path.relative_to(kept)).read_bytes() == path.read_bytes()
-    assert count_tile_bytes(tmp_path) == count_tile_bytes(kept) > 0
+    assert sum_tile_bytes(tmp_path) == sum_tile_bytes(kept) > 0
 
 
 def test_without_tiles_a_figure_is_made_from_records_in_bounded_steps(stored, tiles):

@@ -8,14 +8,14 @@ from support.small_experiment import small_settings
 
 from daq_service.assessment.pulse_echo import PulseEchoAssessor
 from hardware_drivers.measurement import DueSet, PulseEchoRecord, ShotKey, Stamp, Waveform
-from simulator.echo.pulse import echo_calibration, echo_volts
+from simulator.echo.pulse import build_echo_calibration, simulate_echo
 from simulator.electronics.transduction import quantise_volts
 from simulator.parameters.echo import EchoParameters
 
 STRAIGHT = EchoParameters(
     element_separation_m=0.0, roughness_fraction=0.0, velocity_per_k=0.0, bubble_probability=0.0
 )
-CALIBRATION = echo_calibration(STRAIGHT)
+CALIBRATION = build_echo_calibration(STRAIGHT)
 
 
 def assessor(**ultrasound):
@@ -43,8 +43,8 @@ def assess(made, volts, sequence=1, settings=None):
 
 def test_a_thinned_wall_is_a_row_with_its_interval_in_the_alarm_s_proof():
     made = assessor()
-    assess(made, echo_volts(6.35e-3, STRAIGHT))
-    found = assess(made, echo_volts(4.2e-3, STRAIGHT), sequence=2)
+    assess(made, simulate_echo(6.35e-3, STRAIGHT))
+    found = assess(made, simulate_echo(4.2e-3, STRAIGHT), sequence=2)
     (row,) = found.thickness
     assert row.thickness_m == pytest.approx(4.2e-3, abs=1e-6)
     assert row.quality == "good"
@@ -58,7 +58,7 @@ def test_a_thinned_wall_is_a_row_with_its_interval_in_the_alarm_s_proof():
 
 def test_without_a_back_wall_there_is_a_flag_and_no_thickness():
     made = assessor()
-    assess(made, echo_volts(6.35e-3, STRAIGHT))
+    assess(made, simulate_echo(6.35e-3, STRAIGHT))
     noise_v = 2.5e-3 * np.random.default_rng(1).standard_normal(2_048)
     found = assess(made, noise_v, sequence=2)
     (row,) = found.thickness
@@ -75,8 +75,8 @@ def test_without_a_back_wall_there_is_a_flag_and_no_thickness():
 )
 def test_clipping_is_flagged_with_and_without_an_instrument_flag(gain, settings):
     made = assessor()
-    assess(made, echo_volts(6.35e-3, STRAIGHT))
-    found = assess(made, gain * echo_volts(5e-3, STRAIGHT), sequence=2, settings=settings)
+    assess(made, simulate_echo(6.35e-3, STRAIGHT))
+    found = assess(made, gain * simulate_echo(5e-3, STRAIGHT), sequence=2, settings=settings)
     (row,) = found.thickness
     assert found.shot_flags == {2: ("clipped",)}
     assert row.quality == "suspect"
@@ -90,8 +90,8 @@ def test_a_known_element_separation_is_corrected():
     read_m = {}
     for known_m in (0.0, 2.7e-3):
         made = assessor(element_separation_m=known_m)
-        assess(made, echo_volts(6.35e-3, echo))
-        (row,) = assess(made, echo_volts(3.8e-3, echo), sequence=2).thickness
+        assess(made, simulate_echo(6.35e-3, echo))
+        (row,) = assess(made, simulate_echo(3.8e-3, echo), sequence=2).thickness
         read_m[known_m] = row.thickness_m
         assert row.thickness_m + row.thickness_loss_m == pytest.approx(6.35e-3, rel=1e-12)
     assert read_m[2.7e-3] == pytest.approx(3.8e-3, abs=1e-6)

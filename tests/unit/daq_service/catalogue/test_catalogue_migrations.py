@@ -70,7 +70,7 @@ def columns_and_constraints(sql):
 
 def upgrade(path, revision):
     """Migrate a file to a revision by the migrations alone."""
-    engine = connection.make_engine(path, writable=True)
+    engine = connection.create_sqlite_engine(path, writable=True)
     config = Config()
     config.set_main_option("script_location", str(Path(migrations.__file__).parent))
     with stored_rows.begin_write(engine) as opened:
@@ -359,7 +359,7 @@ def test_an_interrupted_migration_leaves_a_filled_catalogue_unchanged(tmp_path):
     path = tmp_path / "catalogue.sqlite"
     before = make_first_catalogue(path)
     schema = schema_of(path)
-    engine = connection.make_engine(path, writable=True)
+    engine = connection.create_sqlite_engine(path, writable=True)
 
     @event.listens_for(engine, "before_cursor_execute")
     def cut(_connection, _cursor, sql, *_rest):
@@ -377,7 +377,7 @@ def test_an_interrupted_migration_leaves_a_filled_catalogue_unchanged(tmp_path):
 
 @pytest.mark.parametrize("statement", [1, 5, 10, 14])
 def test_an_interrupted_migration_leaves_no_tables(tmp_path, statement):
-    engine = connection.make_engine(tmp_path / "catalogue.sqlite", writable=True)
+    engine = connection.create_sqlite_engine(tmp_path / "catalogue.sqlite", writable=True)
     seen = 0
 
     @event.listens_for(engine, "before_cursor_execute")

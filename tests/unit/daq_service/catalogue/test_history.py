@@ -11,7 +11,12 @@ from support.new_experiment import add_events, new_catalogue
 from daq_service.catalogue import SetCommit, history
 from daq_service.catalogue.errors import CatalogueDamagedError, OtherExperimentError
 from daq_service.catalogue.experiment_file import HISTORY_FILE
-from daq_service.catalogue.history import HistoryFollower, encode_line, parse_lines, read_history
+from daq_service.catalogue.history import (
+    HistoryFollower,
+    encode_history_line,
+    parse_history_lines,
+    read_history,
+)
 from daq_service.catalogue.rows import CommandRow, EventRow, SetRow
 from hardware_drivers.measurement import SetKey
 
@@ -44,7 +49,7 @@ def test_the_history_holds_experiment_events_command_states_and_files(catalogue,
     catalogue.commit_set(SetCommit(sets=[set_row("A", file="sets/a.h5"), set_row("B", state="missed")]))
     follower.follow()
     catalogue.store_digest(SetKey(0), "sets/a.h5", "ab" * 32)
-    follower.note_digest("sets/a.h5", "ab" * 32)
+    follower.add_digest("sets/a.h5", "ab" * 32)
     follower.follow()
     follower.follow()
     history = read_history(tmp_path)
@@ -88,7 +93,7 @@ def test_a_start_reads_only_the_end_of_a_long_history(catalogue, follower, tmp_p
     for index in range(20):
         file = stored(catalogue, index)
         catalogue.store_digest(SetKey(index), file, f"{index:064d}")
-        follower.note_digest(file, f"{index:064d}")
+        follower.add_digest(file, f"{index:064d}")
         follower.follow()
     path = tmp_path / HISTORY_FILE
     before, asked, rows = path.read_bytes(), [], catalogue.rows
@@ -197,7 +202,7 @@ def test_a_history_with_more_events_reveals_a_catalogue_that_lost_rows(catalogue
     follower.follow()
     with (tmp_path / HISTORY_FILE).open("ab") as file:
         event = {"id": 2, "utc_ns": 0, "topic": "service", "kind": "two", "payload": {}}
-        file.write(encode_line(3, "events", event))
+        file.write(encode_history_line(3, "events", event))
     with pytest.raises(CatalogueDamagedError, match=r"knows event 2.*solimon rebuild"):
         HistoryFollower(tmp_path, catalogue).begin()
 
@@ -205,9 +210,9 @@ def test_a_history_with_more_events_reveals_a_catalogue_that_lost_rows(catalogue
 def test_a_history_of_another_experiment_is_refused_with_both(catalogue, follower, tmp_path):
     path = tmp_path / HISTORY_FILE
     (line,) = path.read_bytes().splitlines()
-    experiment = parse_lines(line + b"\n").experiment
+    experiment = parse_history_lines(line + b"\n").experiment
     row = {name: getattr(experiment, name) for name in experiment.__slots__}
-    path.write_bytes(encode_line(1, "experiment", {**row, "epoch_utc_ns": 10**18}))
+    path.write_bytes(encode_history_line(1, "experiment", {**row, "epoch_utc_ns": 10**18}))
     with pytest.raises(OtherExperimentError, match=r"1970-01-01.*2001-09-09"):
         HistoryFollower(tmp_path, catalogue).begin()
 
@@ -222,6 +227,8 @@ def test_a_history_of_another_experiment_is_refused_with_both(catalogue, followe
     ids=["with a hole", "changed", "without an end"],
 )
 def test_only_an_incomplete_last_line_is_no_corruption(last, is_damage):
-    first = encode_line(1, "files", {"file": "a", "file_sha256": "b"})
-    assert bool(parse_lines(first + last).damage) is is_damage
-    assert parse_lines(first + last + encode_line(3, "files", {"file": "c", "file_sha256": "d"})).damage
+    first = encode_history_line(1, "files", {"file": "a", "file_sha256": "b"})
+    assert bool(parse_history_lines(first + last).damage) is is_damage
+    assert parse_history_lines(
+        first + last + encode_history_line(3, "files", {"file": "c", "file_sha256": "d"})
+    ).damage

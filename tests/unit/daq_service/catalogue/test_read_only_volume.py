@@ -7,7 +7,7 @@ import pytest
 from support.new_experiment import new_catalogue
 
 from daq_service.catalogue import open_catalogue
-from daq_service.catalogue.connection import FILE_NAME, _is_unchangeable
+from daq_service.catalogue.connection import FILE_NAME, _can_open_immutable
 
 
 @pytest.mark.skipif(not hasattr(os, "statvfs"), reason="Windows tells no such thing")
@@ -21,4 +21,4 @@ def test_a_catalogue_on_a_read_only_volume_is_read_without_a_second_file(tmp_pat
         assert [path.name for path in tmp_path.iterdir()] == [FILE_NAME]
     # A process that has it open elsewhere writes a log, which must be read, too.
     (tmp_path / f"{FILE_NAME}-wal").touch()
-    assert not _is_unchangeable(tmp_path / FILE_NAME)
+    assert not _can_open_immutable(tmp_path / FILE_NAME)

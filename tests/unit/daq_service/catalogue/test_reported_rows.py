@@ -12,7 +12,7 @@ from daq_service.catalogue import open_catalogue
 from daq_service.catalogue.connection import FILE_NAME
 from daq_service.catalogue.corruption import find_catalogue_corruption
 from daq_service.catalogue.errors import CatalogueDamagedError
-from daq_service.catalogue.history import describe_missing_event, read_history
+from daq_service.catalogue.history import describe_lost_newest_event, read_history
 from daq_service.catalogue.reported_rows import ROW_OF_EVENT, to_payload
 from daq_service.catalogue.rows import MEASURED, AlarmRow, AssessmentRow, EventRow, FeatureRow
 from daq_service.catalogue.salvage import read_sound_rows
@@ -69,9 +69,9 @@ def test_a_start_accepts_a_history_whose_newest_row_has_changed_since(line):
         newest = max(row.id for row in catalogue.rows(EventRow) if row.kind == "set_assessed")
         history.events = {number: row for number, row in history.events.items() if number <= newest}
         history.events[newest] = replace(history.events[newest], payload={"in_baseline": True})
-        assert describe_missing_event(history, catalogue) == ""
+        assert describe_lost_newest_event(history, catalogue) == ""
         history.events[newest] = replace(history.events[newest], wall_utc_ns=1)
-        assert "has lost rows" in describe_missing_event(history, catalogue)
+        assert "has lost rows" in describe_lost_newest_event(history, catalogue)
 
 
 def test_an_event_whose_row_is_lost_is_reported_and_rebuilt_from_the_history(line):

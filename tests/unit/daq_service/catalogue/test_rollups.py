@@ -11,7 +11,7 @@ from support.new_experiment import new_catalogue
 
 from analysis.statistics.trend import fit_trend, fit_trend_of_part
 from daq_service.catalogue import SetCommit
-from daq_service.catalogue.rollups import QUALITIES, list_bin_values
+from daq_service.catalogue.rollups import QUALITIES, list_bin_value_names
 from daq_service.catalogue.rows import FeatureRow
 from daq_service.catalogue.stored_rows import begin_write
 from daq_service.catalogue.tables import sets, trend_blocks
@@ -118,7 +118,7 @@ def compare(rows, found):
     worst = max((QUALITIES.index(row["quality"]) for row in done), default=-np.inf)
     assert found["worst_quality"] == worst
     for name in (*VALUES, "distance_squared"):
-        column = list_bin_values(FeatureRow).index(name)
+        column = list_bin_value_names(FeatureRow).index(name)
         values = [row[name] for row in done if row[name] is not None]
         assert found["count"][column] == len(values)
         assert found["minimum"][column] == min(values, default=np.inf)

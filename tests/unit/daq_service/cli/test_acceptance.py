@@ -19,13 +19,13 @@ from support.memory_line import SETS, Line, healthy, silent
 from support.table_rows import execute
 
 from daq_service.cli.main import cli
-from daq_service.cli.maintenance.acceptance.conduct import growth_quantities
+from daq_service.cli.maintenance.acceptance.conduct import compute_growth_quantities
 from daq_service.cli.maintenance.acceptance.contents import build_report
 from daq_service.cli.maintenance.acceptance.criteria import (
     DEFAULTS,
-    apply_limits,
     compare_criteria,
-    overall_outcome,
+    determine_outcome,
+    parse_limits,
 )
 from daq_service.cli.maintenance.acceptance.evidence import read_evidence
 from daq_service.cli.maintenance.acceptance.page import format_with_interval
@@ -66,7 +66,7 @@ def faulty(tmp_path_factory):
 
 
 def report_of(folder, *limits, **changes):
-    return build_report(replace(read_evidence(folder), **changes), apply_limits(limits))
+    return build_report(replace(read_evidence(folder), **changes), parse_limits(limits))
 
 
 def numbers(report):
@@ -272,7 +272,7 @@ def readings(values, *, recorder=1, first=0):
 
 def memory(evidence, machine):
     """Return the maximum memory and its growth."""
-    return list(growth_quantities(replace(evidence, machine=machine), "resident_bytes"))
+    return list(compute_growth_quantities(replace(evidence, machine=machine), "resident_bytes"))
 
 
 def grown(evidence, values):
@@ -353,11 +353,11 @@ def test_a_limit_applies_to_the_whole_interval(found, state):
 def test_the_outcome_is_that_of_the_worst_criterion():
     criteria = [Criterion(quantity=name, sense="at most", limit=1.0) for name in "ab"]
     fine, bad, open_ = number(1.0), number(2.0), number(None, missing="?")
-    assert overall_outcome(compare_criteria(criteria, {"a": fine, "b": fine})) == "pass"
-    assert overall_outcome(compare_criteria(criteria, {"a": fine, "b": open_})) == "incomplete"
-    assert overall_outcome(compare_criteria(criteria, {"a": bad, "b": open_})) == "fail"
+    assert determine_outcome(compare_criteria(criteria, {"a": fine, "b": fine})) == "pass"
+    assert determine_outcome(compare_criteria(criteria, {"a": fine, "b": open_})) == "incomplete"
+    assert determine_outcome(compare_criteria(criteria, {"a": bad, "b": open_})) == "fail"
     left_out = [criteria[0], replace(criteria[1], limit=None)]
-    assert overall_outcome(compare_criteria(left_out, {"a": fine, "b": bad})) == "pass"
+    assert determine_outcome(compare_criteria(left_out, {"a": fine, "b": bad})) == "pass"
 
 
 def test_limits_are_overridden_by_name(faulty):
@@ -373,7 +373,7 @@ def test_limits_are_overridden_by_name(faulty):
 @pytest.mark.parametrize("text", ["longest_gap_h", "nobody=1", "longest_gap_h=long", "longest_gap_h=nan"])
 def test_an_invalid_limit_is_rejected(text):
     with pytest.raises(UsageError, match=re.escape(text)):
-        apply_limits([text])
+        parse_limits([text])
 
 
 def test_the_how_to_lists_every_limit():

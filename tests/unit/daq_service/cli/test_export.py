@@ -17,7 +17,7 @@ from support.filled_folder import FilledFolder
 from support.stored_files import read_set, set_files
 
 from daq_service import shared_file
-from daq_service.archive.layout import build_image
+from daq_service.archive.layout import build_set_image
 from daq_service.catalogue import open_catalogue
 from daq_service.catalogue.rows import FeatureRow, SetRow, ThicknessRow
 from daq_service.cli.main import cli
@@ -126,7 +126,7 @@ def test_records_of_another_length_have_a_separate_array(folder, tmp_path):
         else shot
         for shot in record.shots
     ]
-    path.write_bytes(build_image(replace(record, shots=shorter)))
+    path.write_bytes(build_set_image(replace(record, shots=shorter)))
     result = export_hdf5(folder, tmp_path / "all.h5")
     n_samples = shorter[0].waveform.counts.size
     assert result.arrays["B_waveforms"] == (4, n_samples + 100)

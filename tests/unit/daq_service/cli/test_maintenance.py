@@ -35,7 +35,13 @@ from daq_service.cli.maintenance.verify import DamageKind, verify_folder
 from daq_service.cli.status.facts import describe_status
 from daq_service.commands.audit import Audit
 from daq_service.errors import BusyError, StorageError, StorageUnavailableError
-from daq_service.processes.data_folder import CACHES, LOCKS, SOURCES, own_data_folder, settings_of_folder
+from daq_service.processes.data_folder import (
+    CACHES,
+    LOCKS,
+    SOURCES,
+    hold_recorder_lock,
+    load_settings_for_reading,
+)
 from daq_service.processes.lost_sets import FILED_WITHIN_S, find_lost_sets
 from daq_service.processes.notifications.delivery_log import Delivery, DeliveryLog
 from daq_service.recording.reassessment.rebuild import rebuild_folder_catalogue
@@ -168,10 +174,10 @@ def test_an_older_copy_of_the_catalogue_is_named_by_verify_and_status(folder):
         catalogue.add_service_event(utc_ns=1, kind="recorder_stopped", payload={})
         HistoryFollower(folder, catalogue).begin()
     assert kinds(folder) == []
-    assert describe_status(*reversed(settings_of_folder(None, folder)))["lost"] == {}
+    assert describe_status(*reversed(load_settings_for_reading(None, folder)))["lost"] == {}
     (folder / "catalogue.sqlite").write_bytes(older)
     assert kinds(folder) == [("catalogue", "catalogue.sqlite", None)]
-    ((file, what),) = describe_status(*reversed(settings_of_folder(None, folder)))["lost"].items()
+    ((file, what),) = describe_status(*reversed(load_settings_for_reading(None, folder)))["lost"].items()
     assert file == "catalogue.sqlite"
     assert "solimon rebuild" in what
 
@@ -336,7 +342,7 @@ def test_verify_reports_no_corruption_while_a_test_runs(tmp_path):
 def test_verify_never_takes_the_recorders_lock(folder, monkeypatch):
     given = []
     monkeypatch.setattr(command.os, "nice", given.append, raising=False)
-    with own_data_folder(folder):
+    with hold_recorder_lock(folder):
         assert solimon("verify", "--data-dir", folder)[0] == 0
         assert given == [command.LOWEST_PRIORITY]
     assert solimon("verify", "--data-dir", folder)[0] == 0
@@ -347,7 +353,7 @@ def test_repair_does_nothing_while_a_recorder_runs(folder, monkeypatch):
     def owned(_folder):
         raise BusyError("another recorder owns it")
 
-    monkeypatch.setattr(command, "own_data_folder", owned)
+    monkeypatch.setattr(command, "hold_recorder_lock", owned)
     assert solimon("repair", "--apply", "--data-dir", folder)[0] == 5
     assert solimon("repair", "--data-dir", folder)[0] == 0
 
@@ -362,10 +368,10 @@ from pathlib import Path
 from typing import get_args
 from fastapi.testclient import TestClient
 from daq_service.cli.maintenance.verify import verify_folder
-from daq_service.processes.data_folder import settings_of_folder
+from daq_service.processes.data_folder import load_settings_for_reading
 from daq_service.web.app import create_app
 
-settings, folder = settings_of_folder(None, Path(sys.argv[1]))
+settings, folder = load_settings_for_reading(None, Path(sys.argv[1]))
 with TestClient(create_app(settings, folder)) as client:
     for path in ("info", "sets", "features", "assessments", "waveforms/B/1/1", "transducers/B"):
         assert client.get(f"/api/v1/{path}", headers={"Host": "127.0.0.1"}).status_code == 200, path
@@ -580,7 +586,7 @@ def test_status_lists_missing_and_empty_sets(folder):
 
 @pytest.mark.parametrize("left", [{"experiment.json", "history.jsonl"}, set()], ids=["all else", "sets"])
 def test_status_and_web_service_report_a_lost_catalogue(folder, left):
-    settings, _ = settings_of_folder(None, folder)
+    settings, _ = load_settings_for_reading(None, folder)
     for name in {"catalogue.sqlite", "experiment.json", "history.jsonl"} - left:
         (folder / name).unlink()
     remedy = f"`solimon rebuild --data-dir {folder}` makes it again"
@@ -628,9 +634,9 @@ def test_a_folder_of_an_earlier_version_is_verified_and_copied_unchanged(tmp_pat
 
 def test_a_copy_is_served_with_the_configuration_that_its_catalogue_keeps(folder, tmp_path):
     back_up(folder, tmp_path / "copy")
-    settings, place = settings_of_folder(None, tmp_path / "copy")
+    settings, place = load_settings_for_reading(None, tmp_path / "copy")
     assert (settings.schedule.shots_per_set, place) == (3, tmp_path / "copy")
-    assert settings_of_folder(None, tmp_path / "new")[0].schedule.shots_per_set != 3
+    assert load_settings_for_reading(None, tmp_path / "new")[0].schedule.shots_per_set != 3
     with served(settings, place) as service, service.client() as client:
         assert client.get("/api/v1/info").json()["schedule"]["shots_per_set"] == 3
 

@@ -26,7 +26,7 @@ def served(monkeypatch, tmp_path):
 
     monkeypatch.setattr(serve, "serve_app", serve_app)
     monkeypatch.setattr(serve, "serve_alone", serve_alone)
-    monkeypatch.setattr(serve, "log_to", lambda path: None)  # for the life of a process
+    monkeypatch.setattr(serve, "log_to_file", lambda path: None)  # for the life of a process
     monkeypatch.chdir(tmp_path)
     return found
 

@@ -187,7 +187,7 @@ def test_one_command_installs_and_starts_the_units(config):
 
 @pytest.mark.skipif(not hasattr(socket, "AF_UNIX"), reason="no service manager here has a Unix socket")
 def test_a_recorder_notifies_its_service_manager_from_start_to_end(tmp_path, monkeypatch):
-    monkeypatch.setattr("daq_service.cli.run.log_to", lambda path: None)  # it would log later tests, too
+    monkeypatch.setattr("daq_service.cli.run.log_to_file", lambda path: None)  # it would log later tests, too
     config = tmp_path / "test.toml"
     config.write_text(
         "[schedule]\nend_h = 0.5\nshots_per_set = 1\n[baseline]\nminimum_valid_shots = 1\n"

@@ -17,9 +17,9 @@ from support.waiting import until
 from daq_service.cli.set_up.bench import Bench
 from daq_service.cli.set_up.dialogue import Dialogue, _Answer
 from daq_service.cli.set_up.drawn import COLUMNS, compute_envelope
-from daq_service.cli.set_up.other_instruments import ask_for_others
+from daq_service.cli.set_up.other_instruments import ask_for_other_instruments
 from daq_service.cli.set_up.page import serve_page
-from daq_service.cli.set_up.wiring import default_pulse_terminal, list_coil_counters
+from daq_service.cli.set_up.wiring import find_default_terminal, list_coil_counters
 from daq_service.errors import UsageError
 from hardware_drivers.daqmx.parameters import TransducerWiring
 from hardware_drivers.daqmx.survey import BoardFacts
@@ -207,8 +207,8 @@ def test_a_counter_s_home_is_its_family_s():
     x_series = BoardFacts(terminals=("/Dev1/PFI12", "/Dev1/PFI13"), **facts)
     s_series = BoardFacts(terminals=("/Dev1/PFI12", "/Dev1/Ctr0Out", "/Dev1/Ctr1Out"), **facts)
     assert list_coil_counters(x_series) == ["ctr0", "ctr1"]
-    assert [default_pulse_terminal(x_series, item) for item in ("ctr0", "ctr1")] == ["PFI12", "PFI13"]
-    assert [default_pulse_terminal(s_series, item) for item in ("ctr0", "ctr1")] == ["Ctr0Out", "Ctr1Out"]
+    assert [find_default_terminal(x_series, item) for item in ("ctr0", "ctr1")] == ["PFI12", "PFI13"]
+    assert [find_default_terminal(s_series, item) for item in ("ctr0", "ctr1")] == ["Ctr0Out", "Ctr1Out"]
 
 
 def test_a_counter_that_starts_nothing_leaves_a_rig_without_holdoff(monkeypatch, tmp_path):
@@ -234,7 +234,7 @@ def test_a_counter_that_starts_nothing_leaves_a_rig_without_holdoff(monkeypatch,
         assert bench.parameters().transducers["C"].range_v == 5.0, "the largest up to 10 V"
         with pytest.raises(ConfigurationError, match="cannot start it"):
             bench.strike("C")
-        assert (bench.strikes, bench.proposal(), bench.parameters().holdoff_s) == (0, None, None)
+        assert (bench.strikes, bench.propose_values(), bench.parameters().holdoff_s) == (0, None, None)
     finally:
         bench.close()
 
@@ -243,19 +243,19 @@ def test_a_counter_that_starts_nothing_leaves_a_rig_without_holdoff(monkeypatch,
 def test_serial_instruments_are_identified_and_nothing_is_switched(tmp_path):
     with SerialInstruments(tmp_path) as there:
         ports = [str(link.path) for link in (there.supply_link, there.climate_link)]
-        tables, off = ask_for_others(Dialogue(), {}, *ports, asks=False)
+        tables, off = ask_for_other_instruments(Dialogue(), {}, *ports, asks=False)
         assert {text for _, text in there.supply_link.heard()} == {"*IDN?"}
-        assert there.output_changes() == []
+        assert there.list_output_changes() == []
     assert tables["supply"]["identity"] == r"SOLIMON,DC\ SUPPLY\ DOUBLE,SD0001"
     assert tables["climate"]["line"]["port"] == ports[1]
     assert off == {("rig", "niscope")}
     with pytest.raises(InstrumentError, match="no-such-port"):
-        ask_for_others(Dialogue(), {}, "/dev/no-such-port", "", asks=False)
+        ask_for_other_instruments(Dialogue(), {}, "/dev/no-such-port", "", asks=False)
 
 
 @probes.needs_niscope
 def test_a_probe_s_board_is_known_by_its_serial_number():
     with probes.met_brain(probes.description()):
-        tables, off = ask_for_others(Dialogue(), {"A": f"{probes.RESOURCE}/0"}, "", "", asks=False)
+        tables, off = ask_for_other_instruments(Dialogue(), {"A": f"{probes.RESOURCE}/0"}, "", "", asks=False)
     assert tables["niscope"]["probes"]["A"]["serial_number"] == f"{probes.SERIAL:08X}"
     assert ("rig", "niscope") not in off

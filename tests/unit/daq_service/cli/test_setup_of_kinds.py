@@ -10,10 +10,10 @@ from support.scripted_kinds import OFFERED, begin_script
 
 from daq_service.cli.main import cli
 from daq_service.cli.set_up.dialogue import Dialogue
-from daq_service.cli.set_up.kinds import parse_named_kinds
+from daq_service.cli.set_up.kinds import build_named_kinds
 from daq_service.cli.set_up.transducers import Flags, set_up_transducers
 from daq_service.errors import BusyError, RigError, UsageError
-from daq_service.processes.data_folder import own_data_folder, prepare_data_folder
+from daq_service.processes.data_folder import hold_recorder_lock, prepare_data_folder
 from daq_service.settings.file import load_settings
 from daq_service.settings.instruments import list_instruments
 
@@ -86,7 +86,7 @@ def test_options_answer_every_question_and_strike_only_with_strike(file, script)
 def test_a_strike_without_a_record_writes_nothing(file, script, tmp_path):
     script.comes = False
     dialogue = Dialogue()
-    kinds = parse_named_kinds(dialogue, ["scripted-scope", "scripted-hammer"], [], file, tmp_path / "data")
+    kinds = build_named_kinds(dialogue, ["scripted-scope", "scripted-hammer"], [], file, tmp_path / "data")
     flags = Flags(transducers={"B": "scripted-scope/scripted-hammer"}, strike=True)
     with pytest.raises(RigError, match="B gave no record"):
         set_up_transducers(dialogue, kinds, flags)
@@ -96,16 +96,16 @@ def test_a_strike_without_a_record_writes_nothing(file, script, tmp_path):
 
 def test_no_strike_is_made_while_a_recorder_owns_the_folder(file, script, tmp_path):
     folder = tmp_path / "data"
-    kinds = parse_named_kinds(Dialogue(), ["scripted-scope", "scripted-hammer"], [], file, folder)
+    kinds = build_named_kinds(Dialogue(), ["scripted-scope", "scripted-hammer"], [], file, folder)
     kinds.wire("B", "scripted-scope/scripted-hammer")
     prepare_data_folder(folder)
-    with own_data_folder(folder), pytest.raises(BusyError, match="a strike is refused: "):
+    with hold_recorder_lock(folder), pytest.raises(BusyError, match="a strike is refused: "):
         kinds.strike("B")
     assert "strike B" not in script.events
 
 
 def test_the_page_is_shown_the_newest_record_and_its_waves(file, tmp_path):
-    kinds = parse_named_kinds(
+    kinds = build_named_kinds(
         Dialogue(), ["scripted-levelled", "scripted-hammer"], [], file, tmp_path / "data"
     )
     kinds.wire("B", "scripted-levelled/scripted-hammer")

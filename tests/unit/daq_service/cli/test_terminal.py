@@ -11,7 +11,7 @@ from support.machine import clock_in_seconds
 from support.waiting import happened
 
 from daq_service.cli import terminal
-from daq_service.cli.terminal import ProgressReport, format_duration, no_screen_reason, open_page
+from daq_service.cli.terminal import ProgressReport, describe_missing_screen, format_duration, open_page
 
 ALARM = {"change": "alarm_raised", "hour": 12.5, "priority": "high", "message": "hole at C: inspect"}
 GAP = {"state": "missed", "positions": ["A", "B"], "reason": "paused by ann: door open"}
@@ -214,11 +214,11 @@ def at_a_terminal(monkeypatch):
     ],
 )
 def test_a_page_is_opened_for_an_interactive_user(environment, platform, why):
-    assert no_screen_reason(environment, platform) == why
+    assert describe_missing_screen(environment, platform) == why
 
 
 def test_no_page_is_opened_for_a_program():
-    assert no_screen_reason({"DISPLAY": ":0"}, "linux") == "no terminal"
+    assert describe_missing_screen({"DISPLAY": ":0"}, "linux") == "no terminal"
 
 
 class Browser(webbrowser.BackgroundBrowser):
@@ -236,17 +236,17 @@ class Browser(webbrowser.BackgroundBrowser):
 @pytest.mark.usefixtures("at_a_terminal")
 def test_the_page_is_opened_once_in_the_persons_browser(monkeypatch):
     browser = Browser()
-    monkeypatch.setattr(terminal, "no_screen_reason", lambda environment: "")
+    monkeypatch.setattr(terminal, "describe_missing_screen", lambda environment: "")
     monkeypatch.setattr(webbrowser, "get", lambda: browser)
     assert open_page("http://127.0.0.1:8000/")
     assert browser.opened.wait(60.0)
     assert browser.urls == ["http://127.0.0.1:8000/"]
-    monkeypatch.setattr(terminal, "no_screen_reason", lambda environment: "SSH")
+    monkeypatch.setattr(terminal, "describe_missing_screen", lambda environment: "SSH")
     assert not open_page("http://127.0.0.1:8000/")
 
 
 def test_no_browser_takes_the_terminal_itself(monkeypatch):
-    monkeypatch.setattr(terminal, "no_screen_reason", lambda environment: "")
+    monkeypatch.setattr(terminal, "describe_missing_screen", lambda environment: "")
     monkeypatch.delenv("BROWSER", raising=False)
     monkeypatch.setattr(webbrowser, "get", lambda: webbrowser.GenericBrowser("w3m"))
     assert not open_page("http://127.0.0.1:8000/")

@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 
 from daq_service.catalogue.rows import CommandRow
-from daq_service.commands.deadline import apply_expiry, compute_remaining_s
+from daq_service.commands.deadline import compute_remaining_s, mark_if_expired
 
 ORDER = CommandRow(
     id=1,
@@ -34,12 +34,12 @@ ORDER = CommandRow(
 def test_a_command_is_pending_until_its_deadline_in_this_boot(boot, boot_s, utc_s, left):
     found = compute_remaining_s(ORDER, boot=boot, boot_ns=boot_s * 10**9, wall_utc_ns=utc_s * 10**9)
     assert found == left
-    assert apply_expiry(ORDER, found).state == ("pending" if left else "expired")
+    assert mark_if_expired(ORDER, found).state == ("pending" if left else "expired")
 
 
 def test_a_started_command_does_not_expire():
     started = replace(ORDER, state="started")
-    assert apply_expiry(started, 0.0) is started
+    assert mark_if_expired(started, 0.0) is started
 
 
 def test_a_command_of_an_older_version_has_expired():

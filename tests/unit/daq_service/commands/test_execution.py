@@ -77,7 +77,7 @@ class Bench:
             settings=Settings(),
             next_set=lambda: self.next_set,
             baseline=self.catalogue.baseline,
-            renewed=self.ledger.assessors.renew,
+            renewed=self.ledger.assessors.discard_state,
             positions=("B", "C", "D"),
             supply=self.switch,
         )

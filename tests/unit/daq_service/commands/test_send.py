@@ -11,7 +11,7 @@ from daq_service.catalogue.errors import NoDataYetError
 from daq_service.clock import MachineClock
 from daq_service.commands.send import send_command
 from daq_service.errors import BusyError, UsageError
-from daq_service.processes.data_folder import own_data_folder
+from daq_service.processes.data_folder import hold_recorder_lock
 from daq_service.processes.heartbeat import Heartbeat
 
 
@@ -51,7 +51,7 @@ class RecorderDouble:
 @pytest.fixture
 def recorder(tmp_path):
     with new_catalogue(tmp_path) as catalogue, ExitStack() as ownership:
-        ownership.enter_context(own_data_folder(tmp_path))
+        ownership.enter_context(hold_recorder_lock(tmp_path))
         yield RecorderDouble(tmp_path, catalogue, ownership)
 
 

@@ -15,9 +15,9 @@ from daq_service.catalogue.history import HistoryFollower, read_history
 from daq_service.catalogue.rows import AlarmRow, CommandRow, EventRow
 from daq_service.commands.kinds import CommandRejectedError, Facts, StoredCommand
 from daq_service.commands.registry import parse_command
-from daq_service.commands.without_recorder import carry_out_unattended
+from daq_service.commands.without_recorder import execute_without_recorder
 from daq_service.errors import BusyError
-from daq_service.processes.data_folder import own_data_folder
+from daq_service.processes.data_folder import hold_recorder_lock
 
 NOW = Moment(utc_ns=9_000, due_h=9.0, set_index=None)
 HOLE = condition(kind="no_reflection", latched=True)
@@ -49,7 +49,7 @@ def facts(catalogue):
 def acknowledge(folder, alarm_id=1):
     order = parse_command("acknowledge_alarm", "ann", {"alarm_id": alarm_id, "note": "seen"})
     assert isinstance(order, StoredCommand)
-    return carry_out_unattended(folder, order, facts=facts, moment=lambda: NOW)
+    return execute_without_recorder(folder, order, facts=facts, moment=lambda: NOW)
 
 
 def test_an_acknowledgement_is_stored_with_command_event_and_history(tmp_path):
@@ -82,10 +82,10 @@ def test_a_forbidden_command_stores_nothing(tmp_path):
 def test_a_recorder_started_meanwhile_is_not_disturbed(tmp_path, monkeypatch):
     alarm_id = ended_test(tmp_path)
     monkeypatch.setattr(
-        "daq_service.commands.without_recorder.own_data_folder",
-        lambda folder: own_data_folder(folder, patience_s=0.0),
+        "daq_service.commands.without_recorder.hold_recorder_lock",
+        lambda folder: hold_recorder_lock(folder, patience_s=0.0),
     )
-    with own_data_folder(tmp_path), pytest.raises(BusyError, match="owns"):
+    with hold_recorder_lock(tmp_path), pytest.raises(BusyError, match="owns"):
         acknowledge(tmp_path, alarm_id)
     with open_catalogue(tmp_path) as catalogue:
         assert catalogue.rows(CommandRow) == []

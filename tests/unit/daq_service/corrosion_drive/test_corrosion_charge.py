@@ -15,9 +15,9 @@ from daq_service.corrosion_drive.charge import (
     Charge,
     Command,
     DriveState,
-    add_interval,
     compute_elapsed_s,
-    restore_charge_state,
+    integrate_charge,
+    restore_drive_state,
 )
 from hardware_drivers.measurement import Stamp
 
@@ -27,7 +27,7 @@ PARAMETERS = supply_parameters()  # longest gap 30 s
 def integrated(times_s, current, longest_s=math.inf):
     pairs = itertools.pairwise(times_s)
     return functools.reduce(
-        lambda charge, pair: add_interval(
+        lambda charge, pair: integrate_charge(
             charge,
             elapsed_s=pair[1] - pair[0],
             first_a=current(pair[0]),
@@ -53,7 +53,7 @@ def test_a_long_interval_is_unknown_and_not_integrated():
 
 
 def test_a_clock_set_back_adds_nothing():
-    charge = add_interval(Charge(coulomb=5.0), elapsed_s=-7.0, first_a=1.0, last_a=1.0, longest_s=30.0)
+    charge = integrate_charge(Charge(coulomb=5.0), elapsed_s=-7.0, first_a=1.0, last_a=1.0, longest_s=30.0)
     assert charge == Charge(coulomb=5.0)
 
 
@@ -101,11 +101,11 @@ def row(**changes):
     ],
 )
 def test_a_restart_continues_from_the_newest_row(changes, expected):
-    state = restore_charge_state(row(**changes), written_utc_ns=100_000_000_000, parameters=PARAMETERS)
+    state = restore_drive_state(row(**changes), written_utc_ns=100_000_000_000, parameters=PARAMETERS)
     tripped = changes.get("supply_tripped")
     assert state == DriveState(charge=Charge(coulomb=123.0, unknown_s=7.0), tripped=tripped, **expected)
 
 
 @pytest.mark.parametrize("newest", [None, row(supply_state="absent", charge_coulomb=None, unknown_s=None)])
 def test_without_a_row_of_the_supply_the_charge_starts_at_zero(newest):
-    assert restore_charge_state(newest, written_utc_ns=1, parameters=PARAMETERS) == DriveState()
+    assert restore_drive_state(newest, written_utc_ns=1, parameters=PARAMETERS) == DriveState()

@@ -69,7 +69,7 @@ def test_an_active_trip_keeps_the_interlock_tripped_after_a_restart(acknowledged
     watch, supply, _ = start_watch(trip_alarm(acknowledged=acknowledged))
     watch.tick(2.0)
     assert not supply.on
-    assert watch.summary()["supply_tripped"] == "hole at B"
+    assert watch.summarise_readings()["supply_tripped"] == "hole at B"
 
 
 def test_an_alarm_is_stored_when_it_changes_and_once():

@@ -62,8 +62,8 @@ class Bench:
             self.climate.tick()
             self.clock.advance(0.5)
 
-    def summary(self):
-        return summarise_row(self.climate.add_to_row(self.drive.build_row(0, 0.0)))
+    def summarise_readings(self):
+        return summarise_row(self.climate.add_climate_to_row(self.drive.build_row(0, 0.0)))
 
     def active(self):
         return {condition.name for condition in self.drive.list_conditions() if condition.active}
@@ -108,33 +108,33 @@ def test_a_busy_recorder_reads_once_afterwards(energised):
 
 
 def test_charge_is_the_integral_of_the_measured_current(energised):
-    before = energised.summary()["charge_coulomb"]
+    before = energised.summarise_readings()["charge_coulomb"]
     energised.supply.current_a = 0.4
     energised.run(120.0)
     # A reading every 10 s: 0.2 A until the one before the change, 0.4 A from the one after, 0.3 A between.
-    flowed = energised.summary()["charge_coulomb"] - before
+    flowed = energised.summarise_readings()["charge_coulomb"] - before
     assert flowed == pytest.approx(0.3 * 10.0 + 0.4 * 110.0, rel=1e-6)  # stamps differ by nanoseconds
-    assert energised.summary()["unknown_s"] == 0.0
+    assert energised.summarise_readings()["unknown_s"] == 0.0
 
 
 def test_the_summary_has_the_columns_of_the_catalogue(energised):
     columns = set(EnvironmentRow.__slots__) - {"id", "set_index", "due_h"}
-    assert set(energised.summary()) == columns
+    assert set(energised.summarise_readings()) == columns
     assert set(summarise_row(row_without_supply(0, 0.0))) == columns
 
 
 def test_a_window_holds_the_readings_of_its_set(energised):
-    energised.drive.start_window()
+    energised.drive.restart_means()
     for current_a in (0.2, 0.5, 0.3):
         energised.supply.current_a = current_a
         energised.run(INTERVAL_S)
-    row = energised.summary()
+    row = energised.summarise_readings()
     assert (row["current_min_a"], row["current_max_a"]) == (0.2, 0.5)
     assert row["current_a"] == pytest.approx(1.0 / 3.0, rel=1e-12)  # rounding of a mean
     assert (row["voltage_v"], row["voltage_min_v"], row["voltage_max_v"]) == (10.0, 10.0, 10.0)
     assert (row["temperature_c"], row["relative_humidity"], row["climate_quality"]) == (21.5, 0.4, "good")
-    energised.drive.start_window()
-    row = energised.summary()
+    energised.drive.restart_means()
+    row = energised.summarise_readings()
     assert row["current_a"] is None
     assert row["current_max_a"] is None
     assert row["charge_coulomb"] > 0.0, "totals go on"
@@ -149,10 +149,10 @@ def test_without_a_supply_the_state_is_absent():
 def test_climate_and_supply_are_read_independently(energised):
     energised.supply.error = LOST
     energised.run(200.0)
-    assert energised.summary()["climate_quality"] == "good"
+    assert energised.summarise_readings()["climate_quality"] == "good"
     energised.supply.error, energised.probe.error = None, ConnectionLostError("probe gone")
     energised.run(200.0)
-    row = energised.summary()
+    row = energised.summarise_readings()
     assert (row["supply_quality"], row["climate_quality"]) == ("good", "no_communication")
     assert row["temperature_c"] == 21.5, "the last one, with its age"
     assert row["climate_age_s"] >= 180.0
@@ -163,7 +163,7 @@ def test_climate_and_supply_are_read_independently(energised):
 
 def test_before_the_first_reading_the_state_is_unknown():
     bench = Bench()
-    row = bench.summary()
+    row = bench.summarise_readings()
     assert (row["supply_state"], row["supply_quality"], row["supply_age_s"]) == ("unknown", "stale", None)
     assert bench.active() == set()
 
@@ -172,11 +172,11 @@ def test_before_the_first_reading_the_state_is_unknown():
 def test_a_lost_supply_is_unknown_with_its_age_and_never_off(energised, error):
     energised.supply.error = error
     energised.run(INTERVAL_S)
-    row = energised.summary()
+    row = energised.summarise_readings()
     assert (row["supply_state"], row["supply_quality"]) == ("unknown", "stale"), "one answer missing"
     assert energised.active() == set(), "which is no alarm"
     energised.run(30.0)
-    row = energised.summary()
+    row = energised.summarise_readings()
     assert (row["supply_state"], row["supply_quality"]) == ("unknown", "no_communication")
     # The newest reading was the fixture's last, 10 s before it ended.
     assert row["supply_age_s"] == pytest.approx(50.0, abs=0.5)  # half a second between ticks
@@ -186,17 +186,17 @@ def test_a_lost_supply_is_unknown_with_its_age_and_never_off(energised, error):
 
 
 def test_time_without_readings_is_counted_once_and_not_integrated(energised):
-    charge_c = energised.summary()["charge_coulomb"]
+    charge_c = energised.summarise_readings()["charge_coulomb"]
     energised.supply.error = LOST
     energised.run(100.0)
     energised.supply.error = None
     energised.run(INTERVAL_S)
-    row = energised.summary()
+    row = energised.summarise_readings()
     assert row["charge_coulomb"] == charge_c
     assert row["unknown_s"] == pytest.approx(110.0, abs=0.5)  # half a second between ticks
     assert row["supply_state"] == "on"
     energised.run(INTERVAL_S)
-    assert energised.summary()["charge_coulomb"] > charge_c
+    assert energised.summarise_readings()["charge_coulomb"] > charge_c
 
 
 # Interlock -----------------------------------------------------------------------------------------
@@ -209,7 +209,7 @@ def test_a_trip_switches_off_and_lasts_until_a_command(energised):
     assert not any(call.startswith("energise") for call in energised.supply.calls[1:])
     assert energised.active() == {"interlock_tripped"}
     assert energised.message("interlock_tripped") == "hole at B"
-    assert energised.summary()["supply_tripped"] == "hole at B"
+    assert energised.summarise_readings()["supply_tripped"] == "hole at B"
     energised.drive.energise("Ada")
     energised.run(INTERVAL_S)
     assert energised.active() == set()
@@ -470,13 +470,13 @@ def test_above_the_cap_the_output_is_off_at_once(energised, voltage_v, current_a
 def test_a_probe_that_dies_is_not_responding_and_one_that_repeats_itself_is_suspect():
     bench = Bench()
     bench.run(CLIMATE.suspect_after_s - 60.0)
-    assert (bench.climate.quality(), bench.climate.not_responding()) == ("good", "")
+    assert (bench.climate.quality(), bench.climate.build_silence_message()) == ("good", "")
     bench.run(120.0)
-    assert bench.summary()["climate_quality"] == "suspect"
+    assert bench.summarise_readings()["climate_quality"] == "suspect"
     bench.probe.temperature_c = 21.6
     bench.run(60.0)
     assert bench.climate.quality() == "good"
     bench.probe.error = ConnectionLostError("probe gone")
     bench.run(300.0)
-    assert bench.climate.not_responding().startswith("Climate probe not responding. No reading for")
-    assert "probe gone" in bench.climate.not_responding()
+    assert bench.climate.build_silence_message().startswith("Climate probe not responding. No reading for")
+    assert "probe gone" in bench.climate.build_silence_message()

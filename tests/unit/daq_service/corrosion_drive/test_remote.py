@@ -120,7 +120,7 @@ class Bench:
 def bench(tmp_path):
     bench = Bench(tmp_path)
     with bench.remote:
-        bench.remote.take_over(DriveState())
+        bench.remote.store_catalogue_state(DriveState())
         yield bench
     bench.is_killed()
 
@@ -381,14 +381,14 @@ def test_the_means_of_a_set_start_after_the_readings_of_its_row(bench):
     bench.comes_up()
     bench.answer(bench.remote.energise("Ada"))
     bench.wait_for_row(supply_state="on", voltage_max_v=10.0)
-    bench.remote.start_window()
+    bench.remote.restart_means()
     bench.wait_for_row(current_a=None)
 
 
 def test_the_first_process_starts_from_the_catalogue_a_later_one_from_the_file(bench):
     (bench.folder / "drive.json").unlink()
-    bench.remote.take_over(DriveState(charge=Charge(coulomb=7.0)))
-    bench.remote.take_over(DriveState(charge=Charge(coulomb=1.0)))
+    bench.remote.store_catalogue_state(DriveState(charge=Charge(coulomb=7.0)))
+    bench.remote.store_catalogue_state(DriveState(charge=Charge(coulomb=1.0)))
     kept = read_stored_state(bench.folder)
     assert kept.state.charge.coulomb == 7.0
 

@@ -10,7 +10,7 @@ import threading
 import pytest
 
 from daq_service.processes import child
-from daq_service.processes.child import LogFile, log_to, stop_on_signals
+from daq_service.processes.child import LogFile, log_to_file, stop_on_signals
 
 
 @pytest.fixture
@@ -68,7 +68,7 @@ def test_a_log_that_cannot_be_made_is_a_warning(tmp_path, capsys, monkeypatch):
     (tmp_path / "logs").write_text("foreign")
     root = logging.Logger("root")
     monkeypatch.setattr(logging, "getLogger", lambda name=None: root)
-    log_to(tmp_path / "logs" / "recorder.log")
+    log_to_file(tmp_path / "logs" / "recorder.log")
     root.warning("a line")
     assert "goes on without" in capsys.readouterr().err
     assert (tmp_path / "logs").read_text() == "foreign"
@@ -125,6 +125,6 @@ def test_a_child_detects_whether_its_supervisor_left_on_purpose(sent, expected, 
     monkeypatch.setattr(child.os, "read", lambda pipe, count: next(answers))
     monkeypatch.setattr(child.sys, "stdin", sys.__stdin__)
     stop = threading.Event()
-    left_alone = child.leave_when_pipe_closes(stop)
+    left_alone = child.stop_when_pipe_closes(stop)
     assert stop.wait(60.0)
     assert left_alone.is_set() == expected

@@ -12,13 +12,13 @@ from daq_service.processes.data_folder import (
     CONFIGURATION_FILE,
     LOCK_FILE,
     FolderGoneError,
+    hold_recorder_lock,
+    is_held,
     is_locked,
-    is_owned,
-    own_data_folder,
+    load_settings_and_folder,
     prepare_data_folder,
-    refuse_other_folders,
     remove_temporary_files,
-    settings_and_folder,
+    require_data_folder,
     write_configuration,
 )
 from daq_service.settings.tree import Settings
@@ -80,26 +80,26 @@ def test_remains_of_killed_writers_are_removed_and_no_other_file(tmp_path):
 
 
 def test_any_number_of_readers_can_query_the_ownership_of_a_folder(tmp_path):
-    assert is_owned(tmp_path) is False
-    with own_data_folder(tmp_path):
-        assert [is_owned(tmp_path) for _ in range(3)] == [True] * 3
+    assert is_held(tmp_path) is False
+    with hold_recorder_lock(tmp_path):
+        assert [is_held(tmp_path) for _ in range(3)] == [True] * 3
     with (tmp_path / LOCK_FILE).open("rb") as asking:
         assert is_locked(asking) is False
-        assert is_owned(tmp_path) is False, "who asks is no owner"
+        assert is_held(tmp_path) is False, "who asks is no owner"
     (tmp_path / LOCK_FILE).unlink()
     (tmp_path / LOCK_FILE).mkdir()
-    assert is_owned(tmp_path) is None
+    assert is_held(tmp_path) is None
 
 
 def test_an_owner_waits_for_a_reader_of_the_lock(tmp_path):
-    with own_data_folder(tmp_path):
+    with hold_recorder_lock(tmp_path):
         pass
     with ExitStack() as asking:
         file = asking.enter_context((tmp_path / LOCK_FILE).open("rb"))
         assert not is_locked(file)  # holds it until it is closed
         closing = threading.Timer(0.05, asking.pop_all().close)
         closing.start()
-        with own_data_folder(tmp_path):
+        with hold_recorder_lock(tmp_path):
             pass
     closing.join()
 
@@ -124,24 +124,24 @@ def test_a_reader_is_refused_a_missing_or_foreign_folder(tmp_path):
         "thesis/thesis.tex": "cannot be read",
     }.items():
         with pytest.raises(UsageError, match=message) as refusal:
-            refuse_other_folders(tmp_path / name)
+            require_data_folder(tmp_path / name)
         assert refusal.value.exit_code == 2
         assert "--data-dir" in str(refusal.value)
     assert [path.name for path in tmp_path.iterdir()] == ["thesis"]
     (tmp_path / "empty").mkdir()
-    refuse_other_folders(tmp_path / "empty")
+    require_data_folder(tmp_path / "empty")
     prepare_data_folder(tmp_path / "ours")
-    refuse_other_folders(tmp_path / "ours")
+    require_data_folder(tmp_path / "ours")
 
 
 def test_only_one_owner_at_a_time(tmp_path):
-    with own_data_folder(tmp_path):
-        second = own_data_folder(tmp_path, patience_s=0.0)
+    with hold_recorder_lock(tmp_path):
+        second = hold_recorder_lock(tmp_path, patience_s=0.0)
         with pytest.raises(BusyError, match="another recorder owns") as refusal, second:
             pytest.fail("two owners")
         assert "process" in str(refusal.value)
         assert refusal.value.exit_code == 5
-    with own_data_folder(tmp_path):
+    with hold_recorder_lock(tmp_path):
         pass  # free again
 
 
@@ -151,7 +151,7 @@ def test_a_folders_own_configuration_is_a_hint(tmp_path, caplog, left):
     if left is not None:
         config.write_bytes(left)
     with pytest.raises(UsageError):
-        settings_and_folder(config, tmp_path)  # no catalogue with newer values
+        load_settings_and_folder(config, tmp_path)  # no catalogue with newer values
     with open_catalogue(tmp_path, writer=True) as catalogue:
         catalogue.create_experiment(
             name="test",
@@ -161,7 +161,7 @@ def test_a_folders_own_configuration_is_a_hint(tmp_path, caplog, left):
             clock="simulated",
             solimon_version="0",
         )
-    settings, folder = settings_and_folder(config, None)
+    settings, folder = load_settings_and_folder(config, None)
     assert (settings.schedule.shots_per_set, folder.parent) == (7, tmp_path)
     assert "the catalogue keeps" in caplog.text
 
@@ -169,10 +169,10 @@ def test_a_folders_own_configuration_is_a_hint(tmp_path, caplog, left):
 def test_a_persons_own_file_is_never_replaced_by_the_catalogue(tmp_path):
     (tmp_path / "mine.json").write_text("{")
     with new_catalogue(tmp_path), pytest.raises(UsageError, match="not valid json"):
-        settings_and_folder(tmp_path / "mine.json", tmp_path)
+        load_settings_and_folder(tmp_path / "mine.json", tmp_path)
 
 
 def test_the_configuration_is_written_whole(tmp_path):
     config = write_configuration(Settings(), tmp_path)
-    assert settings_and_folder(config, tmp_path) == (Settings(), tmp_path)
+    assert load_settings_and_folder(config, tmp_path) == (Settings(), tmp_path)
     assert [path.name for path in tmp_path.iterdir()] == [CONFIGURATION_FILE]

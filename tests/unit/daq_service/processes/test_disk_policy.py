@@ -10,11 +10,11 @@ from support.machine import clock_in_seconds
 
 from daq_service.archive import SetReference
 from daq_service.archive.waterfall.tile_files import write_tiles_of_file
-from daq_service.archive.waterfall.tiles import count_tile_bytes, estimate_tile_bytes, list_tile_cells
+from daq_service.archive.waterfall.tiles import estimate_tile_bytes, list_tile_cells, sum_tile_bytes
 from daq_service.background.disk_watch import DiskWatch
 from daq_service.cli.run import report_full_disk
 from daq_service.processes import disk_policy
-from daq_service.processes.disk_policy import RESERVE_FILE, disk_space, outlook
+from daq_service.processes.disk_policy import RESERVE_FILE, disk_space, forecast_disk
 from daq_service.settings.tree import Settings, StorageSettings
 
 GB = 10**9
@@ -102,7 +102,7 @@ def test_the_forecast_uses_the_newest_file_and_has_the_time_of_the_full_disk(tmp
     filled = FilledFolder(tmp_path, settings)
     try:
         usage = lambda folder: (50 * GB, 100 * GB)  # noqa: E731
-        forecast = partial(outlook, tmp_path, settings.storage, settings.schedule, filled.catalogue)
+        forecast = partial(forecast_disk, tmp_path, settings.storage, settings.schedule, filled.catalogue)
         assert forecast(usage).needed_bytes is None
         for index in range(5):
             filled.add_set(index)
@@ -123,7 +123,7 @@ def test_the_forecast_uses_the_newest_file_and_has_the_time_of_the_full_disk(tmp
         for path in (tmp_path / "sets").iterdir():
             write_tiles_of_file(tmp_path, "this test", SetReference(f"sets/{path.name}"), {})
         cells = list_tile_cells(tmp_path)
-        assert sum(estimate_tile_bytes(n, 5) for n in cells) == count_tile_bytes(tmp_path) > 0
+        assert sum(estimate_tile_bytes(n, 5) for n in cells) == sum_tile_bytes(tmp_path) > 0
         more = forecast(usage).needed_bytes - found.needed_bytes
         assert more == pytest.approx(sum(estimate_tile_bytes(n, 425) for n in cells) * 420 / 425, abs=1.0)
     finally:

@@ -13,7 +13,7 @@ from support.dying_worker import die_always, die_once
 
 from daq_service.errors import BusyError, UsageError
 from daq_service.processes import executors
-from daq_service.processes.executors import check_executor_name, open_executor, worker_lost_errors
+from daq_service.processes.executors import list_worker_lost_errors, open_executor, validate_executor_name
 
 NUMBERS = range(6)
 SILENT_CLUSTER = "dask://127.0.0.1:1"
@@ -25,7 +25,7 @@ def test_a_killed_process_costs_its_task_and_not_the_run(tmp_path, monkeypatch):
         futures = [executor.submit(die_once, tmp_path / "noted", number) for number in NUMBERS]
         assert [future.result() for future in futures] == list(NUMBERS)
         # One that kills every worker is given up, and the pool serves on.
-        with pytest.raises(worker_lost_errors()):
+        with pytest.raises(list_worker_lost_errors()):
             executor.submit(die_always, 0).result()
         assert executor.submit(math.sqrt, 4.0).result() == 2.0
 
@@ -42,12 +42,12 @@ def test_pending_tasks_are_cancelled_and_an_error_belongs_to_its_task():
 
 def test_executor_names_are_checked_before_the_start():
     for name in ("processes", "threads", "dask://there", "dask://there:9000"):
-        assert check_executor_name(name, None) == name
+        assert validate_executor_name(name, None) == name
     for name in ("process", "dask://", "dask:there", "http://there"):
         with pytest.raises(UsageError, match="say processes, threads, or dask"):
-            check_executor_name(name, None)
+            validate_executor_name(name, None)
     with pytest.raises(UsageError, match="--workers does not belong to a cluster"):
-        check_executor_name("dask://there", 4)
+        validate_executor_name("dask://there", 4)
 
 
 def test_a_silent_cluster_and_a_missing_extra_are_reported(monkeypatch):

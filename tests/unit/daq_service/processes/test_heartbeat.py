@@ -5,12 +5,12 @@ from daq_service.processes.heartbeat import (
     FILE_NAME,
     Beat,
     Heartbeat,
-    check_beat,
     compute_beat_age_s,
     compute_test_time_ns,
     encode_heartbeat,
+    extract_time_line,
+    parse_beat,
     read_heartbeat,
-    read_time_line,
 )
 from hardware_drivers.nanoseconds import NS_PER_S
 
@@ -38,7 +38,7 @@ def test_a_beat_hands_the_time_of_the_test_to_the_next_recorder_on_its_boot(tmp_
         tmp_path, deadline_s=65.0, machine=MachineClock(boot_name=lambda: "ours"), time_line=lambda: LINE
     ).beat("waiting")
     beat = read_heartbeat(tmp_path)
-    assert read_time_line(beat, boot="ours", elapsed_ns=700) == LINE
+    assert extract_time_line(beat, boot="ours", elapsed_ns=700) == LINE
     assert (
         compute_test_time_ns(beat, machine=MachineClock(boot_name=lambda: "ours", elapsed_ns=lambda: 900))
         == 5_200
@@ -60,7 +60,7 @@ def test_no_time_of_another_boot_is_used(tmp_path, written_in, line, boot, elaps
     ).beat("waiting")
     beat = read_heartbeat(tmp_path)
     assert beat is not None
-    assert read_time_line(beat, boot=boot, elapsed_ns=elapsed_ns) is None
+    assert extract_time_line(beat, boot=boot, elapsed_ns=elapsed_ns) is None
     assert (
         compute_test_time_ns(
             beat, machine=MachineClock(boot_name=lambda: boot, elapsed_ns=lambda: elapsed_ns)
@@ -158,7 +158,7 @@ def test_an_inaccessible_heartbeat_file_is_logged_once_and_stops_nothing(tmp_pat
         tmp_path,
         deadline_s=65.0,
         machine=MachineClock(mono_ns=clock),
-        notify=lambda event, **values: beats.append(check_beat(values)),
+        notify=lambda event, **values: beats.append(parse_beat(values)),
     )
     for number in range(3):
         heartbeat.beat(f"set {number}")
@@ -204,7 +204,7 @@ def test_a_read_during_a_write_is_repeated(tmp_path, monkeypatch):
     for mixture in torn:
         reads = [mixture, new]
         monkeypatch.setattr(
-            "daq_service.processes.heartbeat.read_hint", lambda path, reads=reads: reads.pop(0)
+            "daq_service.processes.heartbeat.read_best_effort", lambda path, reads=reads: reads.pop(0)
         )
         beat = read_heartbeat(tmp_path)
         assert (beat.mono_ns, beat.doing) == (2_000_000_000, "taking set 10")

@@ -19,9 +19,9 @@ import resource
 
 START = """
 import os, signal, sys, time
-from daq_service.processes.inherited import reset_inherited
-reset_inherited()
-from daq_service.processes.printing import end_process, print_line
+from daq_service.processes.inherited import reset_inherited_settings
+reset_inherited_settings()
+from daq_service.processes.printing import force_exit_if_needed, print_line
 """
 
 
@@ -139,7 +139,7 @@ def test_a_file_of_the_present_folder_replaces_no_module_of_a_child(tmp_path, mo
 def test_a_full_disk_below_the_streams_changes_no_exit_code(code):
     with Path("/dev/full").open("w", encoding="utf-8") as full:
         done = run_python(
-            f"print_line('a line'); print_line('a line', err=False); end_process({code}); sys.exit({code})",
+            f"print_line('a line'); print_line('a line', err=False); force_exit_if_needed({code}); sys.exit({code})",
             stdout=full.fileno(),
             stderr=full.fileno(),
         )
@@ -152,7 +152,7 @@ with ProgressReport() as telling:
     for _ in range(3000):
         telling('waits', reason='a rig that does not answer, and a long reason ' * 3)
 print_line('the last word')
-end_process(3)
+force_exit_if_needed(3)
 sys.exit(3)
 """
 

@@ -15,7 +15,7 @@ from daq_service.cli.status.facts import describe_status
 from daq_service.clock import boot_name
 from daq_service.commands.send import send_command
 from daq_service.errors import BusyError
-from daq_service.processes.data_folder import own_data_folder
+from daq_service.processes.data_folder import hold_recorder_lock
 from daq_service.processes.heartbeat import FILE_NAME, Beat, encode_heartbeat
 from daq_service.processes.recorder_state import determine_recorder_state, read_recorder_state
 from daq_service.settings.tree import Settings
@@ -210,7 +210,7 @@ def test_a_new_recorder_is_distinguished_from_the_stopped_one(folder):
         state = read_recorder_state(folder, kinds)
         return state.status, state.description
 
-    with own_data_folder(folder):
+    with hold_recorder_lock(folder):
         assert look(os.getpid())[0] == "stopped"
         assert look(os.getpid() + 1) == ("running", "running; no heartbeat of it can be read yet")
 

@@ -10,7 +10,7 @@ from daq_service.alarms.states import Moment
 from daq_service.catalogue import SetCommit
 from daq_service.catalogue.history import HistoryFollower
 from daq_service.catalogue.rows import AlarmRow
-from daq_service.processes.data_folder import own_data_folder
+from daq_service.processes.data_folder import hold_recorder_lock
 from daq_service.processes.heartbeat import Beat, Heartbeat
 from daq_service.processes.recorder_state import read_recorder_state
 from daq_service.recording.opening import OpeningAlarm, open_rig_with_retries
@@ -63,7 +63,7 @@ class Opener:
 
 @pytest.fixture
 def opener(tmp_path):
-    with new_catalogue(tmp_path) as catalogue, own_data_folder(tmp_path):
+    with new_catalogue(tmp_path) as catalogue, hold_recorder_lock(tmp_path):
         add_events(catalogue, "recorder_started", "recorder_stopped")
         yield Opener(tmp_path, catalogue)
 

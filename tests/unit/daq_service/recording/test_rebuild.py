@@ -13,11 +13,11 @@ from support.stored_files import read_set, set_files
 from support.table_rows import lose_catalogue, table_rows
 
 from daq_service.alarms.states import NOT_ASSESSED
-from daq_service.archive.layout import build_image
+from daq_service.archive.layout import build_set_image
 from daq_service.assessment.results_in_file import read_set_results
 from daq_service.catalogue import open_catalogue
 from daq_service.catalogue.errors import NoDataYetError, OtherExperimentError
-from daq_service.catalogue.experiment_file import EXPERIMENT_FILE, HISTORY_FILE, read_experiment
+from daq_service.catalogue.experiment_file import EXPERIMENT_FILE, HISTORY_FILE, read_experiment_file
 from daq_service.catalogue.rows import AlarmRow, SetRow
 from daq_service.catalogue.tables import metadata
 from daq_service.clock import parse_utc
@@ -75,11 +75,11 @@ def test_a_test_on_the_wall_clock_is_rebuilt_with_its_hour_0(on_the_wall_clock, 
 
 
 def test_the_history_alone_identifies_the_experiment(line):
-    before, kept = table_rows(line.folder), read_experiment(line.folder)
+    before, kept = table_rows(line.folder), read_experiment_file(line.folder)
     lose_catalogue(line.folder, EXPERIMENT_FILE)
     rebuild_catalogue(line)
     assert table_rows(line.folder) == before
-    assert read_experiment(line.folder) == kept
+    assert read_experiment_file(line.folder) == kept
 
 
 def test_a_complete_catalogue_keeps_rows_that_only_a_history_could_restore(line):
@@ -192,7 +192,7 @@ def test_results_are_computed_again_and_a_different_copy_causes_a_warning(line):
     with open_catalogue(line.folder) as catalogue:
         copy = {name: dict(columns) for name, columns in read_set_results(catalogue, SetKey(1)).items()}
     copy["features"]["tof_pp_s"] = [1.0, *copy["features"]["tof_pp_s"][1:]]
-    file.write_bytes(build_image(replace(read_set(file), results=copy)))
+    file.write_bytes(build_set_image(replace(read_set(file), results=copy)))
     lose_catalogue(line.folder)
     warnings = rebuild_catalogue(line).warnings
     assert any(

@@ -18,7 +18,7 @@ from daq_service.recording.set_assessor import SetAssessor
 from hardware_drivers.errors import ConnectionLostError
 from hardware_drivers.instruments import Echo, Rig
 from hardware_drivers.measurement import ShotKey, Waveform
-from simulator.echo.pulse import echo_calibration, echo_volts
+from simulator.echo.pulse import build_echo_calibration, simulate_echo
 from simulator.electronics.transduction import quantise_volts
 from simulator.parameters.echo import EchoParameters
 
@@ -192,7 +192,7 @@ def test_a_restart_reads_the_stored_states_and_no_sets(line, monkeypatch):
     def refused(*_):
         raise AssertionError("a state is computed again")
 
-    monkeypatch.setattr("daq_service.assessment.restore_state.follow_stored_sets", refused)
+    monkeypatch.setattr("daq_service.assessment.restore_state.replay_stored_sets", refused)
     restored_states(line)
     # The settings that a state was computed with are part of it, and so is its format.
     other = memory_settings(alarms={"k": 1})
@@ -307,8 +307,8 @@ class ThinningWall:
     )
 
     def acquire(self, key, timeout_s):
-        calibration = echo_calibration(self.echo)
-        volts = echo_volts(6.35e-3 - 0.2e-3 * key.set_index, self.echo)
+        calibration = build_echo_calibration(self.echo)
+        volts = simulate_echo(6.35e-3 - 0.2e-3 * key.set_index, self.echo)
         waveform = Waveform(
             counts=quantise_volts(volts, calibration),
             sample_rate_hz=1e8,

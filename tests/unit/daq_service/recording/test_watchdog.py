@@ -10,7 +10,7 @@ from support.memory_line import Line, healthy, memory_settings
 
 from daq_service.clock import parse_utc, wall
 from daq_service.processes.heartbeat import Heartbeat
-from daq_service.processes.service_manager import notify_manager, service_manager_notifications
+from daq_service.processes.service_manager import forward_to_service_manager, notify_manager
 from hardware_drivers.measurement import ShotKey
 
 pytestmark = pytest.mark.skipif(
@@ -87,7 +87,7 @@ def run(manager, folder, hang=None):
         clock={"kind": "wall"}, schedule={"phases": [{"until_h": 1.0, "interval_h": 0.5}]}
     )
     clock = machine.clock()
-    with service_manager_notifications(report) as report_and_notify:
+    with forward_to_service_manager(report) as report_and_notify:
         heartbeat = Heartbeat(
             folder, deadline_s=DEADLINE_S, notify=report_and_notify, machine=machine.machine_clock()
         )
@@ -134,7 +134,7 @@ def test_no_notification_is_sent_without_a_service_manager(tmp_path, monkeypatch
 
 def test_the_activity_is_sent_in_one_line():
     sent: list[tuple[str, ...]] = []
-    with service_manager_notifications(
+    with forward_to_service_manager(
         lambda event, **values: None, lambda *lines: sent.append(lines)
     ) as report:
         report("beat", deadline_s=1.5, doing="waiting for the rig:\nWATCHDOG=trigger")

@@ -11,7 +11,7 @@ from support.labview_files import write_set
 
 from daq_service.archive import FolderSetReader
 from daq_service.errors import UsageError
-from daq_service.rig.playback import ArchivedShots, open_recording, playback_instruments
+from daq_service.rig.playback import ArchivedShots, build_playback_instruments, open_recording
 from hardware_drivers.errors import AcquisitionTimeoutError, ConfigurationError
 from hardware_drivers.measurement import ShotKey
 from hardware_drivers.playback.parameters import PlaybackParameters
@@ -76,14 +76,14 @@ def test_moments_are_the_starts_and_stamps_in_order(tmp_path):
         {item.started_utc_ns for item in (first, later)}
         | {record.stamp.utc_ns for item in (first, later) for record in item.records}
     )
-    found, moment = [], source.next_moment(0)
+    found, moment = [], source.find_next_moment(0)
     while moment is not None:
         found.append(moment)
-        moment = source.next_moment(moment)
+        moment = source.find_next_moment(moment)
     assert found == wanted
     # A new read from the middle needs nothing before it.
     again = ArchivedShots(FolderSetReader(tmp_path))
-    assert again.next_moment(first.due_utc_ns + HOUR_NS) == later.started_utc_ns
+    assert again.find_next_moment(first.due_utc_ns + HOUR_NS) == later.started_utc_ns
 
 
 def test_a_position_that_was_disabled_at_first_is_known_from_the_configuration(tmp_path):
@@ -174,7 +174,7 @@ def test_a_rig_refuses_positions_that_were_not_recorded(tmp_path):
     with open_recording(PlaybackParameters(source=tmp_path), tmp_path) as source:
 
         def rig(wanted, *, recorded_times=False):
-            return playback_instruments(
+            return build_playback_instruments(
                 source,
                 SimulatedClock(source.epoch_utc_ns),
                 wanted=wanted,

@@ -16,7 +16,7 @@ from daq_service.cli.reproduce.output import format_csv
 from daq_service.cli.sweep.outputs import format_csv as format_sweep
 from daq_service.cli.sweep.table import SweepTable
 from daq_service.cli.terminal import ProgressReport
-from daq_service.processes.child import log_to
+from daq_service.processes.child import log_to_file
 from daq_service.settings.foreign_text import escape_output
 from daq_service.web.tables.formats import FORMATS
 
@@ -29,7 +29,7 @@ def test_no_log_line_can_be_forged(tmp_path, monkeypatch):
     root = logging.getLogger()
     before = list(root.handlers), root.level
     try:
-        log_to(tmp_path / "logs" / "web.log")
+        log_to_file(tmp_path / "logs" / "web.log")
         try:
             raise ValueError(EVIL)
         except ValueError:

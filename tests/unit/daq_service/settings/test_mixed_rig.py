@@ -8,7 +8,7 @@ from daq_service.errors import UsageError
 from daq_service.settings.file import load_settings
 from daq_service.settings.instruments import validate_instruments
 from daq_service.settings.schema import build_schema_with_kinds
-from daq_service.settings.stored import restore_settings, settings_differences
+from daq_service.settings.stored import list_settings_differences, restore_settings
 
 HEAD = """
 [clock]
@@ -126,8 +126,8 @@ def test_the_address_of_an_instrument_does_not_change_the_hash(tmp_path):
     other = load(tmp_path, GOOD.replace("range_v = 5.0", "range_v = 10.0"))
     assert first.configuration_hash() == moved.configuration_hash() != other.configuration_hash()
     stored = first.model_dump(mode="json")
-    assert settings_differences(stored, moved) == []
-    assert settings_differences(stored, other) == [
+    assert list_settings_differences(stored, moved) == []
+    assert list_settings_differences(stored, other) == [
         "rig.instruments.scope.range_v began with 5.0, is 10.0 now"
     ]
 
@@ -136,7 +136,7 @@ def test_a_default_that_a_plug_in_got_later_is_no_difference(tmp_path):
     settings = load(tmp_path, GOOD)
     stored = settings.model_dump(mode="json")
     del stored["rig"]["instruments"]["scope"]["range_v"]
-    assert settings_differences(stored, load(tmp_path, GOOD.replace("range_v = 5.0", ""))) == []
+    assert list_settings_differences(stored, load(tmp_path, GOOD.replace("range_v = 5.0", ""))) == []
 
 
 def test_a_folder_is_read_where_the_plug_in_is_not_installed(tmp_path, monkeypatch):

@@ -5,7 +5,7 @@ import pytest
 from daq_service.errors import UsageError
 from daq_service.settings.file import find_config_file, load_settings, validate_settings
 from daq_service.settings.schema import build_settings_schema
-from daq_service.settings.stored import settings_differences
+from daq_service.settings.stored import list_settings_differences
 from daq_service.settings.tree import Settings
 
 
@@ -216,8 +216,8 @@ def test_alarm_delays_do_not_change_the_configuration_hash():
     assert settings.configuration_hash() == Settings().configuration_hash()
     stored = Settings().model_dump(mode="json")
     assert (
-        settings_differences(stored, settings)
-        == settings_differences(settings.model_dump(mode="json"), Settings())
+        list_settings_differences(stored, settings)
+        == list_settings_differences(settings.model_dump(mode="json"), Settings())
         == []
     )
 

@@ -7,7 +7,7 @@ import pytest
 
 from daq_service.settings import stored
 from daq_service.settings.file import load_settings
-from daq_service.settings.stored import SHOWN, rename_old_keys, restore_settings, settings_differences
+from daq_service.settings.stored import SHOWN, list_settings_differences, rename_old_keys, restore_settings
 from daq_service.settings.tree import NoveltySettings, Settings
 
 NOW = Settings()
@@ -19,7 +19,7 @@ def stored_configuration():
 
 
 def test_a_stored_configuration_of_this_version_has_no_differences():
-    assert settings_differences(stored_configuration(), NOW) == []
+    assert list_settings_differences(stored_configuration(), NOW) == []
 
 
 def test_a_key_that_came_later_counts_with_its_default():
@@ -27,8 +27,8 @@ def test_a_key_that_came_later_counts_with_its_default():
     del before["quality"], before["plate"]["contact"]
     for position in before["positions"].values():
         del position["plate"]["contact"]
-    assert settings_differences(before, NOW) == []
-    assert settings_differences(before, Settings(plate={"contact": "patch"})) == [
+    assert list_settings_differences(before, NOW) == []
+    assert list_settings_differences(before, Settings(plate={"contact": "patch"})) == [
         'plate.contact began with "node", is "patch" now'
     ]
 
@@ -37,9 +37,9 @@ def test_a_key_that_came_later_with_a_new_way_counts_as_what_was_done_before():
     before = stored_configuration()
     del before["alarms"]["decides_by"]
     unchanged = copy.deepcopy(before)
-    assert settings_differences(before, NOW) == ['alarms.decides_by began with "k_of_n", is "chart" now']
+    assert list_settings_differences(before, NOW) == ['alarms.decides_by began with "k_of_n", is "chart" now']
     by_sets = Settings(alarms={"decides_by": "k_of_n"})
-    assert settings_differences(before, by_sets) == []
+    assert list_settings_differences(before, by_sets) == []
     assert restore_settings(before).configuration_hash() == by_sets.configuration_hash()
     assert "decides_by" not in by_sets.measured()["alarms"], "what was hashed before there was a choice"
     assert before == unchanged
@@ -66,15 +66,15 @@ def test_the_receivers_of_alarms_may_change_between_starts():
         (before, with_receivers),
         (with_receivers.model_dump(mode="json"), other),
     ):
-        assert settings_differences(stored_, given) == []
-    assert settings_differences(with_receivers.model_dump(mode="json"), NOW) == []
+        assert list_settings_differences(stored_, given) == []
+    assert list_settings_differences(with_receivers.model_dump(mode="json"), NOW) == []
 
 
 def test_a_position_is_named_where_it_differs_from_the_table_above():
     given = Settings(positions={"B": {"method": "solitary_wave", "chain": {"drop_height_m": 5.1e-3}}})
     before = given.model_dump(mode="json")
     before["positions"]["B"]["chain"]["drop_height_m"] = 5e-3
-    assert settings_differences(before, given) == [
+    assert list_settings_differences(before, given) == [
         "positions.B.chain.drop_height_m began with 0.005, is 0.0051 now"
     ]
 
@@ -83,13 +83,15 @@ def test_a_changed_default_is_a_change_of_meaning():
     """The stored configuration has all values, so the default of its version is not lost."""
     before = stored_configuration()
     given = NOW.model_copy(update={"novelty": NoveltySettings(false_alarm_rate=0.01)})
-    assert settings_differences(before, given) == ["novelty.false_alarm_rate began with 0.0027, is 0.01 now"]
+    assert list_settings_differences(before, given) == [
+        "novelty.false_alarm_rate began with 0.0027, is 0.01 now"
+    ]
 
 
 def test_the_environment_is_no_part_of_a_stored_configuration(monkeypatch):
     monkeypatch.setenv("SOLIMON_CHAIN__DROP_HEIGHT_M", "5.1e-3")
-    assert settings_differences(stored_configuration(), NOW) == []
-    assert settings_differences(stored_configuration(), Settings()) == [
+    assert list_settings_differences(stored_configuration(), NOW) == []
+    assert list_settings_differences(stored_configuration(), Settings()) == [
         "chain.drop_height_m began with 0.005, is 0.0051 now"
     ]
 
@@ -100,7 +102,7 @@ def test_a_key_that_went_is_named_unless_nothing_measured_depended_on_it():
     before["web"]["ghost"] = 4
     before["web"]["port"] = -1
     before["positions"]["B"]["plate"]["ghost"] = before["plate"]["ghost"] = [1, 2]
-    assert settings_differences(before, NOW) == [
+    assert list_settings_differences(before, NOW) == [
         "novelty.ghost began with 3; this version has no such key",
         "plate.ghost began with [1, 2]; this version has no such key",
     ]
@@ -109,7 +111,7 @@ def test_a_key_that_went_is_named_unless_nothing_measured_depended_on_it():
 def test_a_value_that_this_version_refuses_is_named():
     before = stored_configuration()
     before["alarms"]["k"] = 0
-    (line,) = settings_differences(before, NOW)
+    (line,) = list_settings_differences(before, NOW)
     assert line.startswith("alarms.k Input should be greater than or equal to 1")
 
 
@@ -121,7 +123,7 @@ def test_a_renamed_key_is_read_under_its_name_of_today(monkeypatch, today, measu
         position["plate"]["touch"] = position["plate"].pop("contact")
     moved = rename_old_keys(before)
     assert all(position["plate"].get("contact") == measured for position in moved["positions"].values())
-    assert settings_differences(before, NOW) == []
+    assert list_settings_differences(before, NOW) == []
 
 
 def test_the_timeout_of_the_supply_s_watchdog_is_read_under_its_earlier_name():
@@ -139,12 +141,14 @@ def test_a_renamed_table_takes_its_keys_along(monkeypatch):
     before = stored_configuration()
     before["judgement"] = {**before.pop("novelty"), "false_alarm_rate": 0.01}
     unchanged = copy.deepcopy(before)
-    assert settings_differences(before, NOW) == ["novelty.false_alarm_rate began with 0.01, is 0.0027 now"]
+    assert list_settings_differences(before, NOW) == [
+        "novelty.false_alarm_rate began with 0.01, is 0.0027 now"
+    ]
     assert before == unchanged
 
 
 def test_a_long_list_of_differences_is_cut_with_its_length():
-    *lines, last = settings_differences(
+    *lines, last = list_settings_differences(
         stored_configuration(), Settings(positions={"Z": {"method": "pulse_echo"}})
     )
     assert len(lines) == SHOWN

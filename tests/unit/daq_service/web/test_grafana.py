@@ -11,7 +11,7 @@ from support.filled_folder import filled_folder
 from support.served_web import served, served_app
 
 from daq_service.settings.tree import Settings
-from daq_service.web.multi_test.app import create_app_of_many
+from daq_service.web.multi_test.app import create_multi_test_app
 
 ROOT = Path(__file__).parents[4]
 DASHBOARD = json.loads((ROOT / "examples/grafana/solimon.json").read_text(encoding="utf-8"))
@@ -51,7 +51,7 @@ def families(request, folder, tmp_path_factory):
     else:
         copy = tmp_path_factory.mktemp("copy") / "data"
         shutil.copytree(folder.folder, copy)
-        app = create_app_of_many([folder.folder, copy], Settings(), tmp_path_factory.mktemp("own"))
+        app = create_multi_test_app([folder.folder, copy], Settings(), tmp_path_factory.mktemp("own"))
         service, below = served_app(app), [f"/tests/{name}" for name in app.state.tests.all]
     with service as running, running.client() as api:
         for prefix in below:

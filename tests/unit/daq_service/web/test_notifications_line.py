@@ -9,7 +9,7 @@ from support.reported_alarms import DEAD, DUTY, TAKEN, Bench, notifying
 from daq_service.errors import StorageUnavailableError
 from daq_service.processes.notifications import messages
 from daq_service.processes.notifications.messages import MOST_LISTED
-from daq_service.processes.notifications.receiver import MOST_REFUSALS, is_dead
+from daq_service.processes.notifications.receiver import MOST_REFUSALS, is_receiver_dead
 from daq_service.processes.notifications.webhook import Outcome
 
 AT_ONCE = {"group_s": 0.0}
@@ -303,11 +303,11 @@ def test_a_message_that_is_undelivered_for_a_day_is_given_up_and_logged(make_ben
     bench.run(24 * 3600.0 + 600.0, at_least_s=300.0)
     (line,) = bench.log_lines("gave_up")
     assert line.result == "not delivered within 24 h: no answer within 15 s"
-    assert is_dead(bench.line.state, bench.now_ns())
+    assert is_receiver_dead(bench.line.state, bench.now_ns())
     bench.outcomes.clear()
     bench.alarms.change("no_reflection")
     bench.run(1.0)
-    assert not is_dead(bench.line.state, bench.now_ns())
+    assert not is_receiver_dead(bench.line.state, bench.now_ns())
 
 
 def test_pending_messages_of_an_unreachable_receiver_are_bounded_and_not_lost(make_bench, monkeypatch):
@@ -405,9 +405,9 @@ def test_no_error_of_a_package_and_no_event_ends_a_receivers_thread(make_bench, 
 
     monkeypatch.setattr(bench.line, "_send", fail)
     unreadable, readable = bench.alarms.change("no_reflection"), bench.alarms.change("few_valid_shots")
-    read = messages.alarm_change_of
+    read = messages.parse_alarm_change
     monkeypatch.setattr(
-        messages, "alarm_change_of", lambda row: {}["kind"] if row.id == unreadable else read(row)
+        messages, "parse_alarm_change", lambda row: {}["kind"] if row.id == unreadable else read(row)
     )
     assert [changes(message) for message in bench.run(30.0)] == [[("few_valid_shots", "raised")]]
     assert bench.log_lines("sent")[0].event_ids == [readable]

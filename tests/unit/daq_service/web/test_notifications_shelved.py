@@ -7,7 +7,7 @@ from support.invented_rows import alarm_row
 
 from daq_service.catalogue.rows import EventRow
 from daq_service.catalogue.writer import build_event_payload
-from daq_service.processes.notifications.messages import alarm_change_of
+from daq_service.processes.notifications.messages import parse_alarm_change
 
 ROW = alarm_row(id=3)
 
@@ -28,5 +28,5 @@ def test_a_suppressed_alarm_is_not_sent(kind: str, suppressed: str | None, what:
     event = EventRow(
         id=7, utc_ns=0, topic="alarms", kind=kind, position="B", payload=build_event_payload(row)
     )
-    notification = alarm_change_of(event)
+    notification = parse_alarm_change(event)
     assert (notification.change if notification else None) == what

@@ -12,7 +12,7 @@ from support.reported_alarms import notifying
 from support.served_web import served
 from support.waiting import until
 
-from daq_service.processes.data_folder import hold_lock, lock_text
+from daq_service.processes.data_folder import hold_lock, read_lock_owner
 from daq_service.processes.heartbeat import WEB_FILE, Heartbeat, read_web_state
 from daq_service.processes.notifications import service
 from daq_service.processes.notifications.delivery_log import DeliveryLog
@@ -89,6 +89,6 @@ def test_a_process_that_lost_the_lock_stops_sending(filled, receiver):
             )
             assert silent == "another process of this test sends"
             filled.add_alarm("B", 0, kind="no_reflection", message="hole is there")
-            assert lock_text(filled.folder, service.LOCK_FILE) == "process 1"
+            assert read_lock_owner(filled.folder, service.LOCK_FILE) == "process 1"
         assert [item["kind"] for item in receiver.next().message["alarms"]] == ["no_reflection"]
     assert receiver.got.empty()

@@ -19,9 +19,9 @@ from daq_service.clock import MachineClock
 from daq_service.errors import UsageError
 from daq_service.processes.notifications.addresses import (
     Address,
-    check_receivers,
     hide_address_secrets,
     read_address,
+    validate_receivers,
 )
 from daq_service.processes.notifications.by_apprise import deliver_by_apprise
 from daq_service.processes.notifications.messages import Message
@@ -220,12 +220,12 @@ def test_an_invalid_receiver_is_reported_without_its_secret(given, held, message
 def test_a_start_rejects_unusable_receivers_and_rules(monkeypatch):
     mail = {"kind": "apprise", "url_env": "NO_SUCH_VARIABLE"}
     with pytest.raises(UsageError, match="NO_SUCH_VARIABLE of url_env is not set"):
-        check_receivers(notifying({"mail": mail}).notifications)
+        validate_receivers(notifying({"mail": mail}).notifications)
     monkeypatch.setenv("DUTY_SECRET", SECRET)
     with pytest.raises(
         UsageError, match=r"rule 1: there is no kind of alarm 'wall_chance'; there are climate"
     ):
-        check_receivers(notifying(rules=[{"kinds": ["wall_chance"]}]).notifications)
+        validate_receivers(notifying(rules=[{"kinds": ["wall_chance"]}]).notifications)
 
 
 @pytest.fixture

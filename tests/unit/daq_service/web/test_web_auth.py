@@ -18,7 +18,7 @@ from support.waiting import until
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 
-from daq_service.catalogue.history import encode_line
+from daq_service.catalogue.history import encode_history_line
 from daq_service.commands.audit import Audit, read_audit
 from daq_service.errors import StorageError, UsageError
 from daq_service.processes.line_file import read_newest_lines
@@ -373,7 +373,7 @@ def test_a_torn_line_takes_no_other_with_it(tmp_path):
 
 def test_an_entry_of_an_earlier_version_is_read_with_the_current_names(tmp_path):
     entry = {"who": "", "role": "", "source": "10.0.0.9", "what": "enter", "result": "refused"}
-    line = encode_line(1, "audit", {**entry, "why": "the token is unknown", "utc_ns": 1})
+    line = encode_history_line(1, "audit", {**entry, "why": "the token is unknown", "utc_ns": 1})
     (tmp_path / "audit.jsonl").write_bytes(line)
     (found,) = audit_entries(tmp_path, result="rejected")
     assert (found.author, found.reason) == ("", "the token is unknown")

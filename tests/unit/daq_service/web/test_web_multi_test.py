@@ -20,7 +20,7 @@ from daq_service.settings.tree import Settings
 from daq_service.settings.web import WebSettings
 from daq_service.web.auth.middleware import AccessPolicy
 from daq_service.web.auth.tokens import create_token
-from daq_service.web.multi_test.app import create_app_of_many
+from daq_service.web.multi_test.app import create_multi_test_app
 from daq_service.web.multi_test.listing import Listing
 from daq_service.web.multi_test.location import REMEDIES
 from daq_service.web.multi_test.names import build_unique_url_names, build_url_name
@@ -41,7 +41,7 @@ class Several:
 
 
 def app_of(*folders, own, settings=None):
-    return create_app_of_many(folders, settings or Settings(), own)
+    return create_multi_test_app(folders, settings or Settings(), own)
 
 
 @pytest.fixture(scope="module")

@@ -13,7 +13,7 @@ from daq_service.settings.tree import Settings
 from daq_service.web.app import create_app
 from daq_service.web.context import Context
 from daq_service.web.guards import RequestGuard
-from daq_service.web.routes.stream import encode_gap, send_frames
+from daq_service.web.routes.stream import encode_gap_frame, generate_frames
 from daq_service.web.streams.hub import EventHub, encode_event
 
 HEARTBEAT = b'event: heartbeat\ndata: {"interval_s":0.02}\n\n'
@@ -181,7 +181,7 @@ def run_with_hub(tmp_path, body, *, poll_interval_s=0.001, stored=1, **options):
 
 def test_slow_client_skips_with_a_gap_and_nothing_queues(tmp_path):
     async def body(source, context, hub):
-        client = send_frames(context, hub, None, 1)
+        client = generate_frames(context, hub, None, 1)
         assert (await anext(client)).startswith(b"retry: ")
         source.add(1)
         assert await anext(client) == encode_event({"id": 2, "topic": "sets"}).frame
@@ -191,7 +191,7 @@ def test_slow_client_skips_with_a_gap_and_nothing_queues(tmp_path):
         chunk = await anext(client)
         kept = [event.id for event in hub.after(0)]
         assert len(kept) <= 16
-        assert chunk.startswith(encode_gap(2, kept[0] - 1, "the client was too slow"))
+        assert chunk.startswith(encode_gap_frame(2, kept[0] - 1, "the client was too slow"))
         assert chunk.count(b"event: sets\n") == len(kept)
         assert kept[-1] == 42
         await client.aclose()
@@ -202,7 +202,7 @@ def test_slow_client_skips_with_a_gap_and_nothing_queues(tmp_path):
 
 def test_a_quiet_stream_sends_heartbeats(tmp_path):
     async def body(source, context, hub):
-        client = send_frames(context, hub, frozenset({"alarms"}), None)
+        client = generate_frames(context, hub, frozenset({"alarms"}), None)
         await anext(client)
         assert await anext(client) == HEARTBEAT
         # Events of other topics do not keep it from beating.
@@ -217,7 +217,7 @@ def test_a_busy_stream_sends_heartbeats(tmp_path):
     """A page counts heartbeats, not events, as it does not know every topic."""
 
     async def body(source, context, hub):
-        client, chunks = send_frames(context, hub, None, 1), []
+        client, chunks = generate_frames(context, hub, None, 1), []
         await anext(client)
         while b"".join(chunks).count(HEARTBEAT) < 3:
             source.add(1)
@@ -236,7 +236,7 @@ def test_a_stream_sends_heartbeats_before_the_catalogue_is_readable(tmp_path):
     async def body():
         hub = EventHub(Unreadable(), heartbeat_interval_s=0.02)
         await hub.start()
-        client = send_frames(Context(Settings(), tmp_path), hub, None, None)
+        client = generate_frames(Context(Settings(), tmp_path), hub, None, None)
         await anext(client)
         async with asyncio.timeout(DEADLINE_S):
             assert await anext(client) == HEARTBEAT
@@ -273,7 +273,7 @@ def test_an_id_ahead_of_the_stream_is_no_gap(tmp_path):
         while hub.complete_after is None:
             await hub.changed()
         source.add(3)
-        client = send_frames(context, hub, None, 4)
+        client = generate_frames(context, hub, None, 4)
         await anext(client)
         # The tail sleeps for a minute: the first thing to hear is the heartbeat, not a gap.
         assert await anext(client) == HEARTBEAT
@@ -284,7 +284,7 @@ def test_an_id_ahead_of_the_stream_is_no_gap(tmp_path):
 
 def test_each_event_is_encoded_once_for_all_clients(tmp_path):
     async def body(source, context, hub):
-        clients = [send_frames(context, hub, None, 1) for _ in range(50)]
+        clients = [generate_frames(context, hub, None, 1) for _ in range(50)]
         for client in clients:
             await anext(client)
         source.add(1)
@@ -304,7 +304,7 @@ def test_simultaneous_reconnections_read_the_catalogue_once(tmp_path):
         while hub.complete_after is None:
             await hub.changed()
         asked = source.asked
-        clients = [send_frames(context, hub, None, 0) for _ in range(50)]
+        clients = [generate_frames(context, hub, None, 0) for _ in range(50)]
         for client in clients:
             chunks = [await anext(client)]
             while b"id: 1200\n" not in chunks[-1]:
@@ -323,7 +323,7 @@ def test_simultaneous_reconnections_read_the_catalogue_once(tmp_path):
 
 def test_a_client_far_behind_does_not_delay_others(tmp_path):
     async def body(source, context, hub):
-        behind, other = send_frames(context, hub, None, 0), []
+        behind, other = generate_frames(context, hub, None, 0), []
 
         async def ask():
             other.append(len(got))

@@ -19,7 +19,7 @@ from scipy.io import loadmat
 from support.filled_folder import LIMIT_CHART, filled_folder, frozen_baseline
 
 from daq_service.catalogue import SetCommit
-from daq_service.catalogue.published_columns import add_parts
+from daq_service.catalogue.published_columns import add_nested
 from daq_service.catalogue.rows import AlarmRow
 from daq_service.web.routes import tables
 from daq_service.web.tables import choice
@@ -76,7 +76,7 @@ def listed(api, table, **query):
     return [
         {
             name: json.dumps(value) if isinstance(value, nested) else value
-            for name, value in add_parts(TABLES[table].row, row).items()
+            for name, value in add_nested(TABLES[table].row, row).items()
             if name != "age_h"
         }
         for row in rows["items"]

@@ -28,7 +28,7 @@ def test_a_task_whose_making_fails_half_way_is_cleared():
 
     connection = Connection(DaqmxParameters(transducers={"B": TransducerWiring(board_serial="01A2B3C4")}))
     with pytest.raises(ConnectionLostError, match="refused the name"):
-        connection._create(HalfMade, "creating a task", "solimon")
+        connection._create_task(HalfMade, "creating a task", "solimon")
     assert notes == ["created", "TASK_ABORT", "cleared"]
 
 

@@ -13,7 +13,12 @@ from nidaqmx import errors as vendor
 from nidaqmx.error_codes import DAQmxErrors
 
 from hardware_drivers.daqmx import translation
-from hardware_drivers.daqmx.translation import CLASS_OF_STATUS, find_owner, translate_error, translate_errors
+from hardware_drivers.daqmx.translation import (
+    CLASS_OF_STATUS,
+    find_resource_owner,
+    translate_error,
+    translate_errors,
+)
 from hardware_drivers.errors import (
     AcquisitionTimeoutError,
     BusyError,
@@ -126,7 +131,7 @@ def test_a_stop_is_no_vendor_error():
     ],
 )
 def test_a_busy_resource_names_its_owner(text, owner):
-    assert find_owner(text) == owner
+    assert find_resource_owner(text) == owner
     error = raised_by_vendor_call(vendor.DaqError(text, -200022))
     assert (owner or "not named by the driver") in str(error)
 

@@ -345,16 +345,16 @@ def test_times_are_exact_to_the_nanosecond(tmp_path):
     with open_tdms(tmp_path) as recording:
         assert [recording.places[shot.key].utc_ns for shot in shots] == [shot.stamp.utc_ns for shot in shots]
         moments = [shot.stamp.utc_ns for shot in shots]
-        assert recording.next_moment(0) == moments[0]
-        assert recording.next_moment(moments[0]) == moments[1]
-        assert recording.next_moment(moments[2]) is None
+        assert recording.find_next_moment(0) == moments[0]
+        assert recording.find_next_moment(moments[0]) == moments[1]
+        assert recording.find_next_moment(moments[2]) is None
 
 
 def test_a_record_without_a_time_has_none(tmp_path):
     one_channel(tmp_path, SHOT.waveform.counts, without(RAW, "wf_start_time"))
     with open_tdms(tmp_path) as shots:
         assert shots.places[KEY].utc_ns is None
-        assert shots.next_moment(0) is None
+        assert shots.find_next_moment(0) is None
 
 
 # Which shot a record is ---------------------------------------------------------------------------

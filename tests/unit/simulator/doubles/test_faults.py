@@ -7,9 +7,9 @@ import pytest
 from support.doubles_bench import Caller, SteppedClock
 from support.waiting import ended, happened
 
-from simulator.doubles.chassis.description import default_description
+from simulator.doubles.chassis.description import build_default_description
 from simulator.doubles.device_model import Brain
-from simulator.doubles.faults import Faults, wrong_answer
+from simulator.doubles.faults import Faults, build_wrong_answer
 from simulator.doubles.vendor_api.entry_points import ENTRY_POINTS, Role
 from simulator.doubles.vendor_api.statuses import TEXTS, Status
 
@@ -24,7 +24,7 @@ def die():
 
 @pytest.fixture
 def brain():
-    return Brain(default_description(), clock=SteppedClock(), die=die)
+    return Brain(build_default_description(), clock=SteppedClock(), die=die)
 
 
 @pytest.fixture
@@ -187,7 +187,7 @@ def test_every_call_that_answers_can_lie(entry):
             truth[parameter.name] = np.arange(2, 12)
         else:
             truth[parameter.name] = 8
-    lied = wrong_answer(entry, {}, lambda: truth)
+    lied = build_wrong_answer(entry, {}, lambda: truth)
     assert lied.keys() == truth.keys()
     for name, value in truth.items():
         assert not np.array_equal(lied[name], value)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from simulator.echo.far_wall import FarWall, draw_gaussian_field, draw_rough_spot
-from simulator.echo.pulse import echo_volts
+from simulator.echo.pulse import simulate_echo
 from simulator.parameters.echo import EchoParameters
 
 ROUGH = EchoParameters()
@@ -66,8 +66,8 @@ def test_every_seed_and_position_has_its_own_reproducible_wall():
 
 def test_the_facets_are_fine_enough():
     finer = draw_rough_spot(ROUGH, seed=1, position="A", facets_across=240).at(PRISTINE_M, 0.4)
-    volts = echo_volts(draw_rough_spot(ROUGH, seed=1, position="A").at(PRISTINE_M, 0.4), ROUGH)
-    expected = echo_volts(finer, ROUGH)
+    volts = simulate_echo(draw_rough_spot(ROUGH, seed=1, position="A").at(PRISTINE_M, 0.4), ROUGH)
+    expected = simulate_echo(finer, ROUGH)
     # At the end of the paper's test: a hundredth of the echo.
     assert np.max(np.abs(volts - expected)) < 0.01 * np.max(np.abs(expected))
 
@@ -80,8 +80,8 @@ def test_the_coherent_echo_falls_as_the_kirchhoff_approximation_says(sigma_m):
     n = 40_000
     heights_m = sigma_m * np.random.default_rng(5).standard_normal(n)
     weights = np.full(n, 1.0 / n)
-    rough = np.fft.rfft(echo_volts(FarWall(thickness_m=5e-3 + heights_m, weights=weights), echo))
-    smooth = np.fft.rfft(echo_volts(5e-3, echo))
+    rough = np.fft.rfft(simulate_echo(FarWall(thickness_m=5e-3 + heights_m, weights=weights), echo))
+    smooth = np.fft.rfft(simulate_echo(5e-3, echo))
     frequency_hz = np.fft.rfftfreq(echo.record_samples, 1.0 / echo.sample_rate_hz)
     band = np.abs(frequency_hz - 5e6) < 1.5e6
     wavenumber = 2.0 * np.pi * frequency_hz[band] / echo.velocity_m_per_s
@@ -97,6 +97,6 @@ def test_facets_through_which_the_wall_is_gone_send_nothing_back():
     echo = replace(ROUGH, front_wall_v=0.0)
     half = FarWall(thickness_m=np.array([4e-3, 0.0]), weights=np.array([0.5, 0.5]))
     full = FarWall(thickness_m=np.array([4e-3]), weights=np.array([1.0]))
-    np.testing.assert_allclose(echo_volts(half, echo), 0.5 * echo_volts(full, echo), atol=1e-12)
+    np.testing.assert_allclose(simulate_echo(half, echo), 0.5 * simulate_echo(full, echo), atol=1e-12)
     gone = FarWall(thickness_m=np.zeros(2), weights=np.array([0.5, 0.5]))
-    assert not np.any(echo_volts(gone, echo))
+    assert not np.any(simulate_echo(gone, echo))

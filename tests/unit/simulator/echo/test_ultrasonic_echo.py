@@ -5,12 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from simulator.echo.far_wall import smooth_wall
+from simulator.echo.far_wall import build_smooth_wall
 from simulator.echo.pulse import (
     SALT_WATER_VELOCITY_M_PER_S,
     STEEL_REFLECTION,
-    bubble_volts,
-    echo_volts,
+    simulate_bubbles,
+    simulate_echo,
     travel_time_s,
     warm_probe_and_wall,
 )
@@ -34,7 +34,7 @@ def envelope_peak_v(volts, time_s):
 
 def test_multiples_follow_at_the_round_trip_and_fade():
     echo = replace(ECHO, front_wall_v=0.0)
-    volts = echo_volts(PRISTINE_M, echo)
+    volts = simulate_echo(PRISTINE_M, echo)
     round_trip_s = 2.0 * PRISTINE_M / ECHO.velocity_m_per_s
     peaks = [envelope_peak_v(volts, echo.delay_s + k * round_trip_s) for k in (1, 2, 3, 4)]
     loss = 10.0 ** (-echo.attenuation_db_per_m * 2.0 * PRISTINE_M / 20.0)
@@ -44,7 +44,7 @@ def test_multiples_follow_at_the_round_trip_and_fade():
 
 
 def test_the_front_wall_is_small_inverted_and_at_the_delay():
-    volts = echo_volts(PRISTINE_M, ECHO)
+    volts = simulate_echo(PRISTINE_M, ECHO)
     k = round(ECHO.delay_s * ECHO.sample_rate_hz)
     assert volts[k] == pytest.approx(-ECHO.front_wall_v, rel=1e-3)
     assert np.all(volts[: k - 100] == 0.0)
@@ -52,7 +52,7 @@ def test_the_front_wall_is_small_inverted_and_at_the_delay():
 
 def test_bandwidth_is_the_one_asked_for():
     alone = replace(ECHO, multiple_ratio=0.0, front_wall_v=0.0)
-    volts = echo_volts(PRISTINE_M, alone)
+    volts = simulate_echo(PRISTINE_M, alone)
     n = 1 << 16
     spectrum = np.abs(np.fft.rfft(volts, n))
     frequency_hz = np.fft.rfftfreq(n, 1.0 / ECHO.sample_rate_hz)
@@ -64,7 +64,7 @@ def test_bandwidth_is_the_one_asked_for():
 
 def test_no_wall_no_echo():
     with pytest.raises(ValueError, match=r"thickness_m is 0\.0 m"):
-        echo_volts(0.0, ECHO)
+        simulate_echo(0.0, ECHO)
 
 
 def envelope(volts):
@@ -79,7 +79,7 @@ def envelope(volts):
 @pytest.mark.parametrize("separation_m", [1e-3, 2.7e-3, 6e-3])
 def test_the_way_between_two_elements_is_a_v(separation_m):
     echo = replace(ECHO, element_separation_m=separation_m, front_wall_v=0.0)
-    volts = envelope(echo_volts(3.8e-3, echo))
+    volts = envelope(simulate_echo(3.8e-3, echo))
     for times in (1, 2, 3):
         arrival_s = echo.delay_s + np.hypot(2.0 * times * 3.8e-3, separation_m) / echo.velocity_m_per_s
         centre = round(arrival_s * echo.sample_rate_hz)
@@ -94,7 +94,7 @@ def test_the_way_between_two_elements_is_a_v(separation_m):
 @pytest.mark.parametrize("separation_m", [0.0, 2.7e-3])
 def test_facets_of_one_thickness_give_the_pulses_drawn_one_by_one(thickness_m, separation_m):
     echo = replace(ECHO, element_separation_m=separation_m)
-    drawn, summed = echo_volts(thickness_m, echo), echo_volts(smooth_wall(thickness_m), echo)
+    drawn, summed = simulate_echo(thickness_m, echo), simulate_echo(build_smooth_wall(thickness_m), echo)
     # Sharing an arrival between two points of the grid: (2 pi / 320)^2 / 8 = 5e-5 of an echo's peak.
     np.testing.assert_allclose(summed, drawn, atol=1e-4 * echo.back_wall_v)
 
@@ -104,7 +104,7 @@ def test_attenuation_grows_with_its_power_of_the_frequency(exponent):
     echo = replace(
         ECHO, attenuation_db_per_m=300.0, attenuation_exponent=exponent, multiple_ratio=0.0, front_wall_v=0.0
     )
-    near, far = (np.fft.rfft(echo_volts(th, echo)) for th in (3e-3, 6e-3))
+    near, far = (np.fft.rfft(simulate_echo(th, echo)) for th in (3e-3, 6e-3))
     frequency_hz = np.fft.rfftfreq(ECHO.record_samples, 1.0 / ECHO.sample_rate_hz)
     band = np.abs(frequency_hz - 5e6) < 2e6
     lost_db = -20.0 * np.log10(np.abs(far[band] / near[band]))
@@ -123,7 +123,7 @@ def test_a_warmer_wall_sends_its_echo_later_by_the_gauges_coefficient():
 
 def test_bubbles_follow_the_wall_echo_with_the_given_rate_and_strength():
     echo = replace(ECHO, bubbles_per_beam=3.0)
-    records = bubble_volts(5e-3, echo, np.random.default_rng(0), 400)
+    records = simulate_bubbles(5e-3, echo, np.random.default_rng(0), 400)
     seen = np.abs(records) > 0.0
     first, last = np.flatnonzero(seen.any(axis=0))[[0, -1]] / echo.sample_rate_hz
     # Nothing before the first back-wall echo, less the pulse's half length of .9 us.
@@ -138,7 +138,7 @@ def test_bubbles_follow_the_wall_echo_with_the_given_rate_and_strength():
     loss = 10.0 ** (-echo.attenuation_db_per_m * 10e-3 / 20.0)
     through = (1.0 - STEEL_REFLECTION**2) / STEEL_REFLECTION
     height_v = 0.5 * loss * through * 1e-3 * (SALT_WATER_VELOCITY_M_PER_S / 5e6) / (2.0 * spot_m2)
-    pulse = echo_volts(3e-3, replace(ECHO, multiple_ratio=0.0, front_wall_v=0.0, attenuation_db_per_m=0.0))
+    pulse = simulate_echo(3e-3, replace(ECHO, multiple_ratio=0.0, front_wall_v=0.0, attenuation_db_per_m=0.0))
     energy = float(pulse @ pulse) / 0.5**2
     # Those whose echo starts after the record's end are not in it.
     within = (20.48e-6 - travel_time_s(5e-3, echo)) * SALT_WATER_VELOCITY_M_PER_S / 2.0 / echo.liquid_depth_m

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from simulator.errors import SpecimenError
-from simulator.experiment.corrosion import divide_into_pits, draw_wall_history, held_hour_h, make_patch
+from simulator.experiment.corrosion import divide_into_pits, draw_wall_history, make_patch, round_down_hour_h
 from simulator.parameters.chain import ChainParameters
 from simulator.parameters.experiment import PAPER_THINNING, ThinningParameters, TwinParameters
 from simulator.parameters.plate import DEEPEST_PATCH_FRACTION, CorrosionParameters, PlateParameters
@@ -105,7 +105,7 @@ def test_a_pit_grows_in_addition_to_a_table_of_depths():
 )
 def test_a_set_has_one_hour(elapsed_s, hour_h):
     # A few ulp: seconds become hours by one division.
-    assert held_hour_h(round(elapsed_s * NS_PER_S), 600.0) == pytest.approx(hour_h, rel=1e-15)
+    assert round_down_hour_h(round(elapsed_s * NS_PER_S), 600.0) == pytest.approx(hour_h, rel=1e-15)
 
 
 # ---- pits

@@ -78,7 +78,7 @@ def found(made, shot, hour_h=1.0):
 
 
 def truths(made, keys, hour_h=1.0):
-    return [acquired.truth for acquired in made.solitary_waves([(one, hour_h) for one in keys])]
+    return [acquired.truth for acquired in made.simulate_waves([(one, hour_h) for one in keys])]
 
 
 SETS = [key(k) for k in range(8)]
@@ -112,13 +112,13 @@ def test_without_variability_nothing_is_drawn_and_nothing_stored():
 
 def test_variability_of_size_zero_changes_no_count(only):
     plain, inert = (
-        made.solitary_wave(key(3, 4), 20.0)
+        made.simulate_wave(key(3, 4), 20.0)
         for made in (
             specimen(TwinParameters(thinning={})),
             only(TwinParameters(thinning={}, drift=QUIET.drift)),
         )
     )
-    still = specimen(TwinParameters(thinning={}, drift=QUIET.drift)).solitary_wave(key(3, 4), 20.0)
+    still = specimen(TwinParameters(thinning={}, drift=QUIET.drift)).simulate_wave(key(3, 4), 20.0)
     np.testing.assert_array_equal(inert.waveform.counts, still.waveform.counts)
     assert not np.array_equal(plain.waveform.counts, still.waveform.counts)
 
@@ -130,7 +130,7 @@ def test_a_chain_of_another_kind_of_model_is_refused():
 
     made = specimen(replace(QUIET, nuisance="plant"), Fixed())
     with pytest.raises(SpecimenError, match="set nuisance to 'none'"):
-        made.solitary_wave(key(), 1.0)
+        made.simulate_wave(key(), 1.0)
 
 
 # ---- keyed
@@ -140,16 +140,16 @@ def test_a_shot_has_the_same_digits_alone_and_in_any_order_and_after_a_restart()
     twin = TwinParameters(thinning={}, nuisance="plant")
     # Five of a set: enough to run side by side.
     strikes = [(key(k, j, name), 0.5 * k) for k in (0, 64, 400) for j in range(5) for name in "BD"]
-    together = specimen(twin).solitary_waves(strikes)
+    together = specimen(twin).simulate_waves(strikes)
     for drawn in DRAWN:
         drawn.cache_clear()
     again = specimen(twin)
     for strike, one in reversed(list(zip(strikes, together, strict=True))):
-        alone = again.solitary_wave(*strike)
+        alone = again.simulate_wave(*strike)
         np.testing.assert_array_equal(alone.waveform.counts, one.waveform.counts)
         assert dict(alone.truth) == dict(one.truth)
     assert len({one.waveform.counts.tobytes() for one in together}) == len(together)
-    other = specimen(replace(twin, seed=2)).solitary_wave(*strikes[0])
+    other = specimen(replace(twin, seed=2)).simulate_wave(*strikes[0])
     assert other.truth["nuisance_stiffness_factor_3"] != together[0].truth["nuisance_stiffness_factor_3"]
 
 
@@ -206,7 +206,7 @@ def test_striker_and_wear_move_time_of_flight_with_the_width_of_the_incident_wav
     """``ln ToF ~ .81 ln FWHM``: both go with the chain's time scale, the plate's part does not."""
     made = only(replace(QUIET, adc=replace(QUIET.adc, trigger_level_v=0.1)), **sizes)
     hours = np.linspace(0.0, 2_000.0, len(SETS))
-    shots = [made.solitary_wave(one, hour) for one, hour in zip(SETS, hours, strict=True)]
+    shots = [made.simulate_wave(one, hour) for one, hour in zip(SETS, hours, strict=True)]
     measured = [extract_features(shot.waveform) for shot in shots]
     ln_width = np.log([one.isw_fwhm_s for one in measured])
     ln_tof = np.log([one.tof_mf_s for one in measured])
@@ -393,8 +393,8 @@ def test_an_invalid_seat_is_refused(given, message):
 
 def test_noisy_hours_knocks_and_bursts_are_recorded_with_their_truth(only):
     loud = replace(QUIET, noise=NoiseParameters())
-    plain = specimen(loud).solitary_wave(key(), 1.0)
-    noisy = only(loud, noisy_hour_probability=1.0, noisy_factor=3.0).solitary_wave(key(), 1.0)
+    plain = specimen(loud).simulate_wave(key(), 1.0)
+    noisy = only(loud, noisy_hour_probability=1.0, noisy_factor=3.0).simulate_wave(key(), 1.0)
     before = slice(0, 500)  # the first 50 us are quiet
     ratio = noisy.waveform.volts()[before].std() / plain.waveform.volts()[before].std()
     assert ratio == pytest.approx(3.0, rel=0.05)  # the same noise, but the trigger may move by a sample
@@ -402,8 +402,8 @@ def test_noisy_hours_knocks_and_bursts_are_recorded_with_their_truth(only):
     made = only(
         knock_probability=1.0, knock_v=0.05, noisy_hour_probability=1.0, burst_probability=1.0, burst_v=0.05
     )
-    still = specimen().solitary_wave(key(), 1.0)
-    rung = made.solitary_wave(key(), 1.0)
+    still = specimen().simulate_wave(key(), 1.0)
+    rung = made.simulate_wave(key(), 1.0)
     shot = found(made, key())
     first_s = rung.truth["trigger_time_s"] - 1_000 / 10e6
     expected = sum(ring.volts(first_s, 10e6, 13_600) for ring in shot.rings)
@@ -424,7 +424,7 @@ def test_the_features_of_healthy_sets_leave_their_plane():
         made = specimen(TwinParameters(thinning={}, nuisance=level))
         sets = []
         for k in range(48):
-            shots = made.solitary_waves([(key(k, j), 0.5 * k) for j in range(4)])
+            shots = made.simulate_waves([(key(k, j), 0.5 * k) for j in range(4)])
             sets.append(average_features([extract_features(shot.waveform) for shot in shots], 2).mean)
         return np.linalg.eigvalsh(np.corrcoef([[one[name] for one in sets] for name in FEATURE_NAMES]))[::-1]
 

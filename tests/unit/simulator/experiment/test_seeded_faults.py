@@ -118,7 +118,7 @@ def assert_rate(hits, probability):
     ],
 )
 def test_the_default_counts_are_those_from_before_faults(specimen, shot, hour_h, crc32):
-    counts = specimen(TwinParameters()).solitary_wave(shot, hour_h).waveform.counts
+    counts = specimen(TwinParameters()).simulate_wave(shot, hour_h).waveform.counts
     assert zlib.crc32(counts.astype("<i2").tobytes()) == crc32
 
 
@@ -137,8 +137,8 @@ def test_before_its_onset_a_fault_changes_no_bit_and_then_it_does(specimen, name
     if hasattr(fault, "probability"):
         fault = replace(fault, probability=1.0)
     made = specimen(NOISY, **{name: replace(fault, onset_h=100.0)})
-    plain = specimen(NOISY).solitary_wave(key(1, 4), 99.0)
-    early, late = made.solitary_wave(key(1, 4), 99.0), made.solitary_wave(key(1, 4), 100.0 + YEAR_H)
+    plain = specimen(NOISY).simulate_wave(key(1, 4), 99.0)
+    early, late = made.simulate_wave(key(1, 4), 99.0), made.simulate_wave(key(1, 4), 100.0 + YEAR_H)
     np.testing.assert_array_equal(early.waveform.counts, plain.waveform.counts)
     assert plain.truth["sensor_gain_v_per_n"] == early.truth["sensor_gain_v_per_n"]
     assert late is None or not np.array_equal(late.waveform.counts, plain.waveform.counts)
@@ -146,8 +146,8 @@ def test_before_its_onset_a_fault_changes_no_bit_and_then_it_does(specimen, name
 
 def test_the_faults_of_a_neighbour_have_no_effect(specimen):
     faults = {name: fault for name, (fault, _) in ACTIVE.items()}
-    plain = specimen(TwinParameters()).solitary_wave(key(position="D"), YEAR_H)
-    with_faults = specimen(TwinParameters(), **faults).solitary_wave(key(position="D"), YEAR_H)
+    plain = specimen(TwinParameters()).simulate_wave(key(position="D"), YEAR_H)
+    with_faults = specimen(TwinParameters(), **faults).simulate_wave(key(position="D"), YEAR_H)
     np.testing.assert_array_equal(with_faults.waveform.counts, plain.waveform.counts)
 
 
@@ -164,7 +164,7 @@ def test_a_fault_changes_the_record_and_leaves_its_own_truth_with_every_one(spec
     plain, faulty = specimen(TwinParameters()), specimen(TwinParameters(), **{name: fault})
     changed = 0
     for k in range(8):
-        sound, found = plain.solitary_wave(key(k), YEAR_H), faulty.solitary_wave(key(k), YEAR_H)
+        sound, found = plain.simulate_wave(key(k), YEAR_H), faulty.simulate_wave(key(k), YEAR_H)
         if found is None:
             changed += 1
             continue
@@ -179,8 +179,8 @@ def test_strikes_computed_together_are_those_computed_alone_in_any_order(specime
     strikes = [
         (key(k % 10, k // 10, position), 1.0 + 50.0 * (k // 10)) for position in ("B", "D") for k in range(20)
     ]
-    alone = [made.solitary_wave(shot, hour_h) for shot, hour_h in reversed(strikes)][::-1]
-    together = made.solitary_waves(strikes)
+    alone = [made.simulate_wave(shot, hour_h) for shot, hour_h in reversed(strikes)][::-1]
+    together = made.simulate_waves(strikes)
     assert [record is None for record in together] == [record is None for record in alone]
     found = [(one, other) for one, other in zip(together, alone, strict=True) if one and other]
     assert 20 < len(found) < 40
@@ -206,7 +206,7 @@ def test_missed_strikes_leave_no_record_and_repeat_with_the_seed(specimen):
     fault = ACTIVE["missed"][0]
     faulty = specimen(NOISY, missed=fault)
     missed = [shot.missed for shot in drawn(FaultParameters(missed=fault), 100)]
-    none = [faulty.solitary_wave(key(k % 10, k // 10), 1.0) is None for k in range(100)]
+    none = [faulty.simulate_wave(key(k % 10, k // 10), 1.0) is None for k in range(100)]
     assert none == missed
     assert_rate([shot.missed for shot in drawn(FaultParameters(missed=fault))], 0.3)
 
@@ -235,7 +235,7 @@ def test_a_double_strike_is_a_second_impact_on_the_chain_as_it_moves(specimen, m
     fault = DoubleStrikeFault(
         probability=1.0, shortest_delay_s=2e-4, longest_delay_s=2e-4, lowest_height_fraction=0.5
     )
-    acquired = specimen(double=fault).solitary_wave(key(), 1.0)
+    acquired = specimen(double=fault).simulate_wave(key(), 1.0)
     truth, waveform = acquired.truth, acquired.waveform
     t = waveform.time_s() + truth["trigger_time_s"]
     impact = Impact(
@@ -255,7 +255,7 @@ def test_a_double_strike_is_a_second_impact_on_the_chain_as_it_moves(specimen, m
 
 def test_tilt_is_simulated_again_from_the_truth(specimen, model):
     tilt = TiltFault(onset_h=10.0, ramp_h=20.0, tilt_rad=0.04)
-    truth = specimen(tilt=tilt).solitary_wave(key(), 15.0).truth
+    truth = specimen(tilt=tilt).simulate_wave(key(), 15.0).truth
     assert truth["fault_tilt_rad"] == pytest.approx(0.01, rel=1e-12)  # a quarter of the ramp
     assert truth["tilt_rad"] == pytest.approx(QUIET.scatter.mean_tilt_rad + 0.01, rel=1e-12)
     force = model.shot(drop_height_m=truth["drop_height_m"], tilt_rad=truth["tilt_rad"])
@@ -266,7 +266,7 @@ def test_tilt_is_simulated_again_from_the_truth(specimen, model):
 
 
 def test_tilt_stops_where_the_disk_leaves_the_chain(specimen):
-    truth = specimen(tilt=TiltFault(tilt_rad=0.2)).solitary_wave(key(), 0.0).truth
+    truth = specimen(tilt=TiltFault(tilt_rad=0.2)).simulate_wave(key(), 0.0).truth
     assert truth["tilt_rad"] == STEEPEST_TILT_RAD
 
 
@@ -275,7 +275,7 @@ def test_wear_and_damping_are_those_of_a_chain_with_these_parameters(specimen):
         bead_wear=BeadWearFault(radius_growth_fraction=0.8),
         loose_contact=LooseContactFault(probability=1.0, gain_factor=0.5, damping_factor=3.0),
     )
-    truth = worn.solitary_wave(key(), 0.0).truth
+    truth = worn.simulate_wave(key(), 0.0).truth
     chain = replace(
         CHAIN,
         radius_m=1.8 * CHAIN.radius_m,
@@ -286,7 +286,7 @@ def test_wear_and_damping_are_those_of_a_chain_with_these_parameters(specimen):
     assert truth["isw_peak_n"] == pytest.approx(expected.isw_peak_n, rel=1e-9)
     assert truth["tof_s"] == pytest.approx(1e-6 * expected.tof_us, rel=1e-9)
     assert truth["amplitude_ratio"] == pytest.approx(expected.amplitude_ratio, rel=1e-9)
-    nominal = specimen().solitary_wave(key(), 0.0).truth
+    nominal = specimen().simulate_wave(key(), 0.0).truth
     assert truth["sensor_gain_v_per_n"] == pytest.approx(0.5 * nominal["sensor_gain_v_per_n"], rel=1e-12)
 
 
@@ -303,7 +303,7 @@ def test_only_a_shot_model_can_be_refitted():
         probed_thickness_m={},
     )
     with pytest.raises(SpecimenError, match="Other"):
-        made.solitary_wave(key(), 0.0)
+        made.simulate_wave(key(), 0.0)
 
 
 def test_pzt_loses_the_same_fraction_every_year(specimen):
@@ -324,19 +324,19 @@ def test_a_loose_contact_jumps_as_often_as_asked_for_after_its_onset():
 
 def test_temperature_rises_with_the_ramp_of_its_fault(specimen):
     made = specimen(temperature=TemperatureFault(onset_h=10.0, ramp_h=10.0, change_k=20.0))
-    truth = made.solitary_wave(key(), 15.0).truth
+    truth = made.simulate_wave(key(), 15.0).truth
     assert truth["temperature_c"] == QUIET.drift.mean_temperature_c + 10.0
 
 
 def test_a_gain_step_clips_at_the_last_code(specimen):
     waveform = (
-        specimen(clipping=ClippingFault(onset_h=5.0, gain_factor=3.0)).solitary_wave(key(), 5.0).waveform
+        specimen(clipping=ClippingFault(onset_h=5.0, gain_factor=3.0)).simulate_wave(key(), 5.0).waveform
     )
     assert waveform.clipped
     assert waveform.counts.max() == waveform.calibration.full_scale_counts[1]
     assert (
         not specimen(clipping=ClippingFault(onset_h=5.0, gain_factor=3.0))
-        .solitary_wave(key(), 4.9)
+        .simulate_wave(key(), 4.9)
         .waveform.clipped
     )
 
@@ -364,7 +364,7 @@ def test_hum_is_a_sinusoid_of_its_frequency_and_phase():
 
 def test_the_phase_of_the_hum_is_random_at_every_strike(specimen):
     made = specimen(mains_hum=MainsHumFault(amplitude_v=0.1))
-    records = [made.solitary_wave(key(k % 10, k // 10), 0.0) for k in range(100)]
+    records = [made.simulate_wave(key(k % 10, k // 10), 0.0) for k in range(100)]
     turns = [record.truth["fault_mains_hum_phase_rad"] / (2.0 * np.pi) for record in records]
     # Kolmogorov-Smirnov, refused for less than one seed in 10,000.
     assert stats.kstest(turns, "uniform").pvalue > 1e-4
@@ -389,7 +389,7 @@ def test_a_spike_at_the_record_s_edge_is_drawn_as_far_as_it_reaches():
 
 def test_spikes_come_at_their_rate_and_with_either_sign(specimen):
     made = specimen(spikes=SpikesFault(rate_hz=3_000.0, height_v=0.1, armed_s=0.0))
-    counts = [made.solitary_wave(key(k % 10, k // 10), 0.0).truth["fault_spikes"] for k in range(200)]
+    counts = [made.simulate_wave(key(k % 10, k // 10), 0.0).truth["fault_spikes"] for k in range(200)]
     expected = 200 * 3_000.0 * QUIET.adc.record_samples / QUIET.adc.sample_rate_hz
     low, high = stats.poisson.interval(1.0 - 1e-4, expected)
     assert low <= sum(counts) <= high
@@ -399,7 +399,7 @@ def test_a_spike_takes_the_trigger_as_often_as_one_comes_first(specimen):
     made = specimen(spikes=SpikesFault(rate_hz=10.0, height_v=2.0, armed_s=0.1))
     early, false_triggers = [], []
     for k in range(200):
-        truth = made.solitary_wave(key(k % 10, k // 10), 0.0).truth
+        truth = made.simulate_wave(key(k % 10, k // 10), 0.0).truth
         early.append(truth["trigger_time_s"] < 0.0)
         false_triggers.append(truth["fault_false_triggers"] > 0.0)
     assert early == false_triggers
@@ -408,7 +408,7 @@ def test_a_spike_takes_the_trigger_as_often_as_one_comes_first(specimen):
 
 def test_spikes_below_the_trigger_level_take_no_trigger(specimen):
     made = specimen(spikes=SpikesFault(rate_hz=1e4, height_v=0.2, armed_s=0.1))
-    assert made.solitary_wave(key(), 0.0).truth["fault_false_triggers"] == 0.0
+    assert made.simulate_wave(key(), 0.0).truth["fault_false_triggers"] == 0.0
 
 
 # ---- parameters

@@ -13,7 +13,7 @@ from simulator.numerics.array_cache import (
     DIGEST_BYTES,
     MAGIC,
     STALE_S,
-    hash_content,
+    compute_cache_key,
     read_arrays,
     read_or_compute_arrays,
     write_arrays,
@@ -165,14 +165,14 @@ def test_an_array_larger_than_the_limit_is_still_kept(tmp_path):
 
 def test_every_input_and_every_source_counts_in_the_key(monkeypatch):
     keys = {
-        hash_content({"solid": 1, "depth": 0.5}),
-        hash_content({"solid": 1, "depth": np.nextafter(0.5, 1.0)}),
+        compute_cache_key({"solid": 1, "depth": 0.5}),
+        compute_cache_key({"solid": 1, "depth": np.nextafter(0.5, 1.0)}),
     }
     made_with = array_cache._describe_environment()
-    assert hash_content({"depth": 0.5, "solid": 1}) in keys  # the order does not
+    assert compute_cache_key({"depth": 0.5, "solid": 1}) in keys  # the order does not
     for changed in ("code", "libraries", "blas"):
         monkeypatch.setattr(array_cache, "_describe_environment", lambda: made_with | {changed: "another"})  # noqa: B023
-        keys.add(hash_content({"solid": 1, "depth": 0.5}))
+        keys.add(compute_cache_key({"solid": 1, "depth": 0.5}))
     assert len(keys) == 5
     assert json.dumps(made_with)
 

@@ -13,7 +13,7 @@ PLATE = build_plate(PlateParameters(elements_per_edge=24, contact_element_m=1e-3
 
 @pytest.fixture(scope="module")
 def matrices():
-    return PLATE.at_depth(0.3)
+    return PLATE.evaluate_at_depth(0.3)
 
 
 def test_lanczos_makes_the_operator_tridiagonal(matrices):

@@ -29,11 +29,11 @@ def test_functions_are_one_at_their_node_and_hold_polynomials_of_the_lowest_degr
 def test_integrals_are_exact():
     """``int f g``, ``int f' g`` and ``int f' g'`` of f = x^2, g = x from 0 to 2.25."""
     f, g, end = AXIS.nodes_m**2, AXIS.nodes_m, 2.25
-    mass, slope, stiffness = AXIS.matrices(range(3))
+    mass, slope, stiffness = AXIS.integrate_intervals(range(3))
     assert f @ mass @ g == pytest.approx(end**4 / 4.0, rel=1e-13)
     assert f @ slope @ g == pytest.approx(2.0 * end**3 / 3.0, rel=1e-13)
     assert f @ stiffness @ g == pytest.approx(end**2, rel=1e-13)
-    part = AXIS.matrices([1])[0]
+    part = AXIS.integrate_intervals([1])[0]
     assert f @ part @ g == pytest.approx((2.0**4 - 0.5**4) / 4.0, rel=1e-13)
 
 

@@ -13,25 +13,29 @@ import pytest
 from support.kept_folder import lay_out
 from support.small_experiment import small_settings
 
-from daq_service.cli.doctor.check import Check, check_of_finding, exit_code_of_checks
+from daq_service.cli.doctor.check import Check, build_finding_check, choose_exit_code
 from daq_service.cli.doctor.command import run_doctor
 from daq_service.cli.doctor.machine import check_machine
 from daq_service.cli.doctor.software import check_software
-from daq_service.cli.doctor.storage import check_storage, hold_folder, read_lock_owner
+from daq_service.cli.doctor.storage import check_storage, lock_folder, read_lock_owner
 from daq_service.cli.doctor.trial import Trial
 from daq_service.cli.doctor.unattended import run_program
 from daq_service.cli.forecast import (
     CATALOGUE_BYTES_A_RECORD,
-    maximum_confirmation_bytes,
+    predict_confirmation_bytes,
     predict_set_file_bytes,
     predict_stored_bytes,
 )
 from daq_service.errors import BusyError, UsageError
-from daq_service.processes.data_folder import own_data_folder, prepare_data_folder, settings_of_folder
+from daq_service.processes.data_folder import (
+    hold_recorder_lock,
+    load_settings_for_reading,
+    prepare_data_folder,
+)
 from daq_service.settings.file import find_config_file
 from daq_service.settings.instruments import validate_instruments
 from daq_service.settings.tree import Settings, StorageSettings
-from hardware_drivers.daqmx.look import find_digital_name, yield_board_findings
+from hardware_drivers.daqmx.look import find_digital_line, yield_board_findings
 from hardware_drivers.daqmx.survey import Survey, format_trigger
 
 VALUES = tomllib.loads(
@@ -65,7 +69,7 @@ def check(area, state):
     ],
 )
 def test_the_worst_area_gives_the_exit_code(checks, code):
-    assert exit_code_of_checks(checks) == code
+    assert choose_exit_code(checks) == code
 
 
 def test_a_passed_check_has_no_remedy():
@@ -285,7 +289,7 @@ def test_a_new_folder_passes_and_is_not_created(tmp_path):
 
 
 def test_a_folder_of_the_same_test_passes_with_its_counts(tmp_path):
-    settings, _ = settings_of_folder(None, lay_out(tmp_path))
+    settings, _ = load_settings_for_reading(None, lay_out(tmp_path))
     settings = settings.model_copy(update={"storage": StorageSettings(**AMPLE)})
     checks = by_name(check_storage(settings, tmp_path))
     assert {item.state for item in checks.values()} == {"ok"}
@@ -304,7 +308,7 @@ def test_a_folder_of_the_same_test_passes_with_its_counts(tmp_path):
 
 
 def test_a_lost_catalogue_fails_and_the_sets_identify_the_test(tmp_path):
-    settings, _ = settings_of_folder(None, lay_out(tmp_path))
+    settings, _ = load_settings_for_reading(None, lay_out(tmp_path))
     for name in ("catalogue.sqlite", "experiment.json", "history.jsonl"):
         (tmp_path / name).unlink()
     own = by_name(check_storage(settings, tmp_path))
@@ -339,13 +343,13 @@ def test_the_disk_is_compared_with_the_plan(tmp_path, monkeypatch, free_gb, tota
 
 def test_confirmation_sets_are_forecast_as_an_upper_bound():
     """Two per day at each of three transducers, in the fourteen days after a baseline of 24 h."""
-    a_set = maximum_confirmation_bytes(Settings(), 350.0) / (2 * 3 * 14)
+    a_set = predict_confirmation_bytes(Settings(), 350.0) / (2 * 3 * 14)
     rows = CATALOGUE_BYTES_A_RECORD * Settings().schedule.shots_per_set
     # Ten records of one transducer: a third of the set's strikes, and what each file has of its own.
     whole = predict_set_file_bytes(Settings())
     assert whole / 3.0 < a_set - rows < whole / 2.0
-    assert maximum_confirmation_bytes(Settings(), 24.0) == 0
-    assert maximum_confirmation_bytes(Settings(alarms={"confirmation_sets_a_day": 0}), 350.0) == 0
+    assert predict_confirmation_bytes(Settings(), 24.0) == 0
+    assert predict_confirmation_bytes(Settings(alarms={"confirmation_sets_a_day": 0}), 350.0) == 0
 
 
 # Owner ----------------------------------------------------------------------------------------------
@@ -354,7 +358,7 @@ def test_confirmation_sets_are_forecast_as_an_upper_bound():
 def recorder_error(folder):
     """Run a recorder that takes the folder and ends; return its error if the folder is in use."""
     try:
-        with own_data_folder(folder, patience_s=0.0):
+        with hold_recorder_lock(folder, patience_s=0.0):
             return ""
     except BusyError as error:
         return str(error)
@@ -391,12 +395,12 @@ def test_an_unreadable_lock_counts_as_a_running_recorder(tmp_path, monkeypatch):
     def forbidden(folder, **patience):
         raise PermissionError(13, "Permission denied")
 
-    monkeypatch.setattr("daq_service.cli.doctor.storage.own_data_folder", forbidden)
+    monkeypatch.setattr("daq_service.cli.doctor.storage.hold_recorder_lock", forbidden)
     assert "(Permission denied); look as the user that runs the recorder" in read_lock_owner(tmp_path)
 
 
 def test_a_folder_without_a_recorder_is_left_unchanged(tmp_path):
-    with hold_folder(tmp_path) as owner:
+    with lock_folder(tmp_path) as owner:
         assert owner == ""
     assert list(tmp_path.iterdir()) == []
 
@@ -413,7 +417,7 @@ def checks_with_driver(monkeypatch):
         survey = Survey(LABORATORY.daqmx, driver_version=driver_version)
         monkeypatch.setattr("hardware_drivers.daqmx.look.survey_rig", lambda _: survey)
         found = yield_board_findings(LABORATORY.daqmx, shot_interval_s=shot_interval_s)
-        return by_name([check_of_finding(finding) for finding in found])
+        return by_name([build_finding_check(finding) for finding in found])
 
     return checks
 
@@ -437,7 +441,7 @@ def test_a_faulty_board_of_another_program_is_no_failure(monkeypatch):
     assert LABORATORY.daqmx is not None
     survey = Survey(LABORATORY.daqmx)
     survey.list_boards(cast(Any, None), ours={"FFFFFFFF"})
-    checks = by_name([check_of_finding(finding) for finding in survey.findings])
+    checks = by_name([build_finding_check(finding) for finding in survey.findings])
     assert checks["board 01C16021: answers"].state == "warn"
     assert checks["board FFFFFFFF: answers"].state == "fail"
     assert "faults-daqmx.md" in checks["board FFFFFFFF: answers"].remedy, "the driver named none"
@@ -499,4 +503,4 @@ def test_only_a_transducer_can_be_struck(tmp_path, position, message):
     [("PFI0", "port1/line0"), ("PFI12", "port2/line4"), ("PFI15", "port2/line7"), ("Ctr0Out", "")],
 )
 def test_a_terminal_s_digital_name(terminal, line):
-    assert find_digital_name(terminal) == line
+    assert find_digital_line(terminal) == line

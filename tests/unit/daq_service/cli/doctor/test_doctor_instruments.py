@@ -6,7 +6,7 @@ import pytest
 from support.niscope_rig import description, met_brain, needs_niscope, parameters
 from support.serial_rig import NO_TERMINALS, SerialRig
 
-from daq_service.cli.doctor.check import check_of_finding, exit_code_of_checks
+from daq_service.cli.doctor.check import build_finding_check, choose_exit_code
 from daq_service.clock import WallClock
 from hardware_drivers.kinds import Opening
 from hardware_drivers.niscope.kind import KIND as NISCOPE
@@ -17,7 +17,7 @@ on_terminals = pytest.mark.skipif(bool(NO_TERMINALS), reason=NO_TERMINALS or "th
 
 
 def run_checks(kind, parameters):
-    return [check_of_finding(finding) for finding in kind.check(parameters, Opening(clock=WallClock()))]
+    return [build_finding_check(finding) for finding in kind.check(parameters, Opening(clock=WallClock()))]
 
 
 def by_name(checks):
@@ -62,7 +62,7 @@ def test_a_tripped_protection_fails(rig):
 def test_another_instrument_on_the_line_fails_after_one_query(rig):
     checks = run_checks(SUPPLY, replace(rig.supply_parameters, identity="KEYSIGHT,E36312A"))
     assert [(check.name, check.state) for check in checks] == [("supply: identity", "fail")]
-    assert exit_code_of_checks(checks) == 3
+    assert choose_exit_code(checks) == 3
     assert set(rig.heard()) == {"*IDN?"}
 
 

@@ -33,8 +33,8 @@ def check(monkeypatch, parameters, found):
             raise found
         return found
 
-    monkeypatch.setattr(spike, "survey_coil", survey_coil)
-    result, survey = spike.check_coil_spike(parameters, "B", 1.0)
+    monkeypatch.setattr(spike, "strike_and_survey_coil", survey_coil)
+    result, survey = spike.strike_and_check_coil(parameters, "B", 1.0)
     assert "nan" not in f"{result}".lower()
     assert survey is (None if isinstance(found, Exception) else found)
     return result

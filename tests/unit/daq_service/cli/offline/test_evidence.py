@@ -21,7 +21,11 @@ from daq_service.cli.offline.evidence.replay import describe_replay
 from daq_service.errors import UsageError
 from daq_service.recording.reassessment import replay
 from daq_service.recording.reassessment.changes import Onset, compare_alarm_onsets
-from daq_service.recording.reassessment.other_settings import changed, list_assessment_keys, parse_assignment
+from daq_service.recording.reassessment.other_settings import (
+    apply_setting_changes,
+    list_assessment_keys,
+    parse_assignments,
+)
 from daq_service.recording.reassessment.replay import replay_test
 
 
@@ -187,17 +191,17 @@ def test_a_setting_without_effect_or_invalid_is_rejected_with_the_valid_keys(lin
 def test_every_key_can_be_set_also_below_a_table_of_names(line):
     with line.catalogue() as catalogue:
         configuration = catalogue.read_experiment().configuration
-    given = parse_assignment(["alarms.kinds.wall_change.on_delay_s=3600", "novelty.limit=chi_square"])
-    settings = changed(configuration, given)
+    given = parse_assignments(["alarms.kinds.wall_change.on_delay_s=3600", "novelty.limit=chi_square"])
+    settings = apply_setting_changes(configuration, given)
     assert settings.alarms.kinds["wall_change"].on_delay_s == 3600.0
     assert settings.novelty.limit == "chi_square"
     assert settings.positions == line.settings.positions
     table = {key: configuration[key.split(".")[0]][key.split(".")[1]] for key in list_assessment_keys()}
-    assert changed(
-        configuration, parse_assignment([f"{key}={json.dumps(value)}" for key, value in table.items()])
+    assert apply_setting_changes(
+        configuration, parse_assignments([f"{key}={json.dumps(value)}" for key, value in table.items()])
     )
     with pytest.raises(UsageError, match="twice"):
-        parse_assignment(["alarms.k=1", "alarms.k=2"])
+        parse_assignments(["alarms.k=1", "alarms.k=2"])
 
 
 def test_alarms_of_the_same_set_are_paired_before_the_others():

@@ -6,7 +6,7 @@ import pytest
 
 from daq_service.cli.sweep import plan as plan_module
 from daq_service.cli.sweep.keys import ZENER_KEYS, list_known_keys
-from daq_service.cli.sweep.plan import make_plan
+from daq_service.cli.sweep.plan import build_plan
 from daq_service.cli.sweep.shot import compute_zener_impact
 from daq_service.cli.sweep.specification import Axis, parse_axis
 from daq_service.errors import UsageError
@@ -17,7 +17,7 @@ BASE = ChainParameters(), PlateParameters(), CorrosionParameters()
 
 
 def planned(*specifications, **options):
-    return make_plan("coupled", BASE, [parse_axis(text) for text in specifications], **options)
+    return build_plan("coupled", BASE, [parse_axis(text) for text in specifications], **options)
 
 
 def test_a_grid_holds_every_combination_with_the_last_key_fastest():
@@ -91,27 +91,27 @@ def test_rejected_combinations_can_be_rows_with_their_reason():
 
 def test_the_identity_depends_on_parameters_keys_model_and_code(monkeypatch):
     axes = [Axis(key="chain.drop_height_m", values=(3e-3, 4e-3))]
-    plan = make_plan("coupled", BASE, axes)
+    plan = build_plan("coupled", BASE, axes)
     chain, plate, corrosion = BASE
-    assert make_plan("coupled", BASE, axes).identity == plan.identity
-    heavier = make_plan("coupled", (replace(chain, mass_kg=28.3e-3), plate, corrosion), axes)
+    assert build_plan("coupled", BASE, axes).identity == plan.identity
+    heavier = build_plan("coupled", (replace(chain, mass_kg=28.3e-3), plate, corrosion), axes)
     identities = {
         plan.identity,
         heavier.identity,
-        make_plan("zener", BASE, axes).identity,
-        make_plan("coupled", BASE, axes, waveforms=True).identity,
-        make_plan("coupled", BASE, [Axis(key="chain.drop_height_m", values=(4e-3, 3e-3))]).identity,
+        build_plan("zener", BASE, axes).identity,
+        build_plan("coupled", BASE, axes, waveforms=True).identity,
+        build_plan("coupled", BASE, [Axis(key="chain.drop_height_m", values=(4e-3, 3e-3))]).identity,
     }
     assert len(identities) == 5
     monkeypatch.setattr(plan_module, "compute_code_version", lambda: "another")
-    changed = make_plan("coupled", BASE, axes)
+    changed = build_plan("coupled", BASE, axes)
     assert changed.identity not in identities
     assert changed.rows[0].key != plan.rows[0].key
 
 
 def test_the_zener_model_accepts_only_its_keys():
     def numbers(key, value):
-        (row,) = make_plan("zener", BASE, [Axis(key=key, values=(value,))]).rows
+        (row,) = build_plan("zener", BASE, [Axis(key=key, values=(value,))]).rows
         assert row.specimen is not None
         return compute_zener_impact(*row.specimen)
 
@@ -124,7 +124,7 @@ def test_the_zener_model_accepts_only_its_keys():
         assert numbers(key, changed) != base, key
     for key in set(list_known_keys()) - set(ZENER_KEYS):
         with pytest.raises(UsageError, match="no influence on --model zener"):
-            make_plan("zener", BASE, [Axis(key=key, values=(1,))])
+            build_plan("zener", BASE, [Axis(key=key, values=(1,))])
 
 
 def test_tables_below_a_section_are_swept_by_key_or_whole():

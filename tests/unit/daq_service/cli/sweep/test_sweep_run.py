@@ -20,12 +20,12 @@ from support.waiting import ended
 
 from daq_service.cli.sweep import outputs as outputs_module
 from daq_service.cli.sweep import run as run_module
-from daq_service.cli.sweep.execution import ROWS_PER_TASK, group_tasks
-from daq_service.cli.sweep.plan import make_plan
+from daq_service.cli.sweep.execution import ROWS_PER_TASK, group_rows_into_tasks
+from daq_service.cli.sweep.plan import build_plan
 from daq_service.cli.sweep.run import SweepOptions, run_sweep
 from daq_service.cli.sweep.shot import NO_REFLECTION, OK, RESULTS, compute_rows
 from daq_service.cli.sweep.specification import parse_axis
-from daq_service.cli.sweep.work_file import open_work_file, work_file_path
+from daq_service.cli.sweep.work_file import build_work_file_path, open_work_file
 from daq_service.errors import BusyError, StorageError, UsageError
 from daq_service.processes import executors
 from simulator.parameters.chain import ChainParameters
@@ -45,7 +45,7 @@ HEIGHTS = ("chain.drop_height_m=0.003:0.008:40",)
 
 
 def planned(*specifications, base=BASE, **options):
-    return make_plan("coupled", base, [parse_axis(text) for text in specifications], **options)
+    return build_plan("coupled", base, [parse_axis(text) for text in specifications], **options)
 
 
 def sweep_table(plan, stop=None, **options):
@@ -145,7 +145,7 @@ def test_an_interrupted_sweep_continues_without_repeated_rows(monkeypatch, tmp_p
     whole, output = tmp_path / "whole.h5", tmp_path / "stopped.h5"
     sweep_table(plan, outputs=(whole,))
     done = interrupt_sweep(monkeypatch, plan, output)
-    assert f"{len(done)} of 40 rows are kept in {work_file_path(output)}; the same command goes on" in (
+    assert f"{len(done)} of 40 rows are kept in {build_work_file_path(output)}; the same command goes on" in (
         capsys.readouterr().err
     )
     assert not output.exists()
@@ -153,14 +153,14 @@ def test_an_interrupted_sweep_continues_without_repeated_rows(monkeypatch, tmp_p
     sweep_table(plan, outputs=(output,))
     assert sorted([*done, *again.indices]) == list(range(40))
     assert output.read_bytes() == whole.read_bytes(), "waveforms, too"
-    assert not work_file_path(output).exists()
+    assert not build_work_file_path(output).exists()
 
 
 def test_a_torn_or_corrupt_line_is_computed_again(monkeypatch, tmp_path):
     plan = planned(*HEIGHTS, base=ANALYTIC)
     output = tmp_path / "table.csv"
     done = interrupt_sweep(monkeypatch, plan, output)
-    work = work_file_path(output)
+    work = build_work_file_path(output)
     header, first, second, *others = work.read_bytes().splitlines(keepends=True)
     changed = first.replace(b'"status":"ok"', b'"status":"OK"')
     assert changed != first
@@ -183,12 +183,12 @@ def test_a_work_file_of_another_sweep_or_in_use_is_refused(monkeypatch, tmp_path
     plan = planned(*HEIGHTS, base=ANALYTIC)
     output = tmp_path / "table.csv"
     interrupt_sweep(monkeypatch, plan, output)
-    before = work_file_path(output).read_bytes()
+    before = build_work_file_path(output).read_bytes()
     other = planned("chain.drop_height_m=0.003:0.008:41", base=ANALYTIC)
     with pytest.raises(StorageError, match=r"another sweep.*remove the file"):
         sweep_table(other, outputs=(output,))
-    assert work_file_path(output).read_bytes() == before
-    with open_work_file(work_file_path(output), plan), pytest.raises(BusyError, match="is running"):
+    assert build_work_file_path(output).read_bytes() == before
+    with open_work_file(build_work_file_path(output), plan), pytest.raises(BusyError, match="is running"):
         sweep_table(plan, outputs=(output,))
 
 
@@ -351,7 +351,7 @@ def test_rows_of_a_plate_go_together_and_every_plate_begins_first():
         "plate.thickness_m=0.004,0.006",
         "corrosion.depth_fraction=0,0.3",
     )
-    tasks = group_tasks(plan.rows, workers=1)
+    tasks = group_rows_into_tasks(plan.rows, workers=1)
     assert sorted(row.index for task in tasks for row in task) == list(range(48))
     # 48 rows in 16 tasks, none larger; a plate has 24 of them.
     assert {len(task) for task in tasks} == {3}
@@ -359,4 +359,4 @@ def test_rows_of_a_plate_go_together_and_every_plate_begins_first():
     assert all(len({row.values[1] for row in task}) == 1 for task in tasks)
     heights = [row.values[0] for task in tasks if task[0].values[1] == 0.004 for row in task]
     assert heights == sorted(heights), "depths of a chain follow each other"
-    assert max(len(task) for task in group_tasks(plan.rows * 10, workers=1)) == ROWS_PER_TASK
+    assert max(len(task) for task in group_rows_into_tasks(plan.rows * 10, workers=1)) == ROWS_PER_TASK

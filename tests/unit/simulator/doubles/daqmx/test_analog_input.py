@@ -8,7 +8,7 @@ from support.daqmx_rig import counts_of_the_twin, parameters_of
 from support.doubles_bench import Caller, SteppedClock
 
 from hardware_drivers.measurement import ShotKey
-from simulator.doubles.chassis.description import default_description
+from simulator.doubles.chassis.description import build_default_description
 from simulator.doubles.device_model import Brain
 from simulator.doubles.vendor_api.statuses import Status
 from simulator.parameters.electronics import NoiseParameters
@@ -24,7 +24,7 @@ FALL_G = 9.81
 
 @pytest.fixture
 def brain():
-    return Brain(default_description(QUIET), clock=SteppedClock())
+    return Brain(build_default_description(QUIET), clock=SteppedClock())
 
 
 @pytest.fixture
@@ -122,7 +122,7 @@ def test_a_wave_before_the_pretrigger_is_full_triggers_nothing(brain, me, late_n
     me("StartTask", coil)
     (strike,) = brain.record()["strikes"]
     key = ShotKey(position="C", set_index=0, shot_index=0)
-    travel_s = brain.bench.strikes.specimen.solitary_wave(key, 0.0).truth["trigger_time_s"]
+    travel_s = brain.bench.strikes.specimen.simulate_wave(key, 0.0).truth["trigger_time_s"]
     # 1000 samples at 10 MS/s are 100 us: start so that they are full just before the wave, or just after.
     brain.bench.clock.time_ns = strike["contact_ns"] + round(travel_s * 1e9) - 100_000 + late_ns
     me("StartTask", task)
@@ -330,7 +330,7 @@ def test_a_buffer_without_room_is_refused_and_nothing_is_lost(me):
 def test_without_a_trigger_the_record_is_the_noise_floor():
     rms_v = 0.02
     noise = NoiseParameters(rms_v=rms_v, slow_rms_v=0.0)
-    brain = Brain(default_description(TwinParameters(noise=noise)), clock=SteppedClock())
+    brain = Brain(build_default_description(TwinParameters(noise=noise)), clock=SteppedClock())
     me = Caller(brain)
     task = me.digitizer("PXI1Slot3/ai0")
     me("DisableRefTrig", task)

@@ -3,7 +3,7 @@
 import pytest
 from support.doubles_bench import Caller, SteppedClock
 
-from simulator.doubles.chassis.description import default_description
+from simulator.doubles.chassis.description import build_default_description
 from simulator.doubles.daqmx.lines import LineRecord, Pulse
 from simulator.doubles.device_model import Brain
 from simulator.doubles.vendor_api.statuses import Status
@@ -15,7 +15,7 @@ IDLE_STATE, HIGH_TIME, PULSE_TERMINAL = 0x1170, 0x18BA, 0x18E1
 
 @pytest.fixture
 def brain():
-    return Brain(default_description(), clock=SteppedClock(0))
+    return Brain(build_default_description(), clock=SteppedClock(0))
 
 
 @pytest.fixture

@@ -3,7 +3,7 @@
 import pytest
 from support.doubles_bench import Caller, SteppedClock
 
-from simulator.doubles.chassis.description import SIMULTANEOUS_16_BIT, default_description
+from simulator.doubles.chassis.description import SIMULTANEOUS_16_BIT, build_default_description
 from simulator.doubles.device_model import Brain
 from simulator.doubles.vendor_api.statuses import Status
 
@@ -16,7 +16,7 @@ LOW, HIGH, TRISTATE, NO_CHANGE = 10214, 10192, 10310, 10160
 
 @pytest.fixture
 def brain():
-    return Brain(default_description(), clock=SteppedClock(0))
+    return Brain(build_default_description(), clock=SteppedClock(0))
 
 
 @pytest.fixture

@@ -6,13 +6,18 @@ import numpy as np
 import pytest
 from support.doubles_bench import Caller, SteppedClock
 
-from simulator.doubles.chassis.description import SIMULTANEOUS_16_BIT, default_description, from_json, to_json
+from simulator.doubles.chassis.description import (
+    SIMULTANEOUS_16_BIT,
+    build_default_description,
+    from_json,
+    to_json,
+)
 from simulator.doubles.device_model import Brain
 from simulator.doubles.vendor_api.statuses import Status
 
 BOARD = SIMULTANEOUS_16_BIT.name
 SIMULATED = replace(
-    default_description(),
+    build_default_description(),
     boards=(replace(SIMULTANEOUS_16_BIT, serial_number=0, simulated=True),),
     transducers={},
 )

@@ -3,7 +3,7 @@
 import pytest
 from support.doubles_bench import Caller, SteppedClock, one_board_description
 
-from simulator.doubles.chassis.description import default_description
+from simulator.doubles.chassis.description import build_default_description
 from simulator.doubles.device_model import Brain
 from simulator.doubles.vendor_api.statuses import Status
 
@@ -211,7 +211,7 @@ def test_a_refused_start_holds_nothing(brain, me):
 
 
 def test_boards_do_not_share_reservations():
-    brain = Brain(default_description(), clock=SteppedClock())
+    brain = Brain(build_default_description(), clock=SteppedClock())
     me = Caller(brain)
     for board in ("PXI1Slot2", "PXI1Slot3", "PXI1Slot4"):
         me.control(me.digitizer(f"{board}/ai0"), COMMIT)

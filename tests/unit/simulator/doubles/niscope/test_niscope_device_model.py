@@ -203,9 +203,9 @@ def test_settings_do_not_change_while_an_acquisition_runs(scope):
 
 
 def test_a_client_that_dies_is_reported_and_leaves_nothing_reserved(scope):
-    assert scope.brain.open_sessions() == [("1", "PXI1Slot4")]
-    assert scope.brain.client_gone("1") == ["PXI1Slot4"]
-    assert scope.brain.open_sessions() == []
+    assert scope.brain.list_open_sessions() == [("1", "PXI1Slot4")]
+    assert scope.brain.close_client_sessions("1") == ["PXI1Slot4"]
+    assert scope.brain.list_open_sessions() == []
     Scope(scope.brain).open(client="2")
 
 
@@ -265,7 +265,7 @@ def test_an_acquisition_is_done_with_its_last_sample(clock, delay_s):
         (lambda scope: scope("Abort"), statuses.SCOPE_INITIATE_NOT_CALLED),
         (lambda scope: scope.brain.unplug(SERIAL), statuses.SCOPE_HARDWARE_FAILURE),
         (lambda scope: scope("close"), statuses.SCOPE_INVALID_SESSION),
-        (lambda scope: scope.brain.client_gone("1"), statuses.SCOPE_INVALID_SESSION),
+        (lambda scope: scope.brain.close_client_sessions("1"), statuses.SCOPE_INVALID_SESSION),
     ],
     ids=["abort", "unplug", "close", "client gone"],
 )

@@ -20,7 +20,7 @@ from nidaqmx.stream_readers import AnalogUnscaledReader  # noqa: E402
 
 from simulator.doubles.errors import DoublesError  # noqa: E402
 from simulator.doubles.transports import grpc_front  # noqa: E402
-from simulator.doubles.transports.grpc_front import GrpcFront, Sessions, arguments_of, entry_of, fill_response  # noqa: E402
+from simulator.doubles.transports.grpc_front import GrpcFront, Sessions, entry_of, fill_response, to_arguments  # noqa: E402
 
 METHODS = {
     method.name: method
@@ -217,7 +217,7 @@ def test_every_entry_with_a_method_is_served():
 def test_every_input_of_the_table_is_found_in_the_request(method):
     entry = entry_of(method.name)
     request = getattr(nidaqmx_pb2, method.input_type.name)()
-    arguments = arguments_of(entry, request, Sessions())
+    arguments = to_arguments(entry, request, Sessions())
     wanted = {p.name for p in entry.parameters if p.goes_in}
     wanted |= {"value"} if entry.tail is Tail.SET_ATTRIBUTE else set()
     wanted |= {"channel_names"} if entry.tail in (Tail.SET_STATES, Tail.GET_STATES) else set()

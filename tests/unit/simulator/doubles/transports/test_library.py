@@ -7,19 +7,21 @@ import sys
 import pytest
 from support.doubles_bench import one_board_description
 
-from simulator.doubles.chassis.description import default_description, from_json, to_json
+from simulator.doubles.chassis.description import build_default_description, from_json, to_json
 from simulator.doubles.errors import LibraryBuildError
 from simulator.doubles.transports import library
-from simulator.doubles.transports.c_source import library_source
-from simulator.doubles.transports.library import build_library, client_environment, why_unavailable
+from simulator.doubles.transports.c_source import generate_library_source
+from simulator.doubles.transports.library import build_library, client_environment, find_unavailability_reason
 
-needs_compiler = pytest.mark.skipif(bool(why_unavailable()), reason=why_unavailable() or "never")
+needs_compiler = pytest.mark.skipif(
+    bool(find_unavailability_reason()), reason=find_unavailability_reason() or "never"
+)
 
 
 @needs_compiler
 def test_the_library_is_built_once(tmp_path, monkeypatch):
     folder = build_library("nidaqmx", tmp_path)
-    monkeypatch.setattr(library, "_compile", lambda *_: pytest.fail("built again"))
+    monkeypatch.setattr(library, "_compile_library", lambda *_: pytest.fail("built again"))
     assert build_library("nidaqmx", tmp_path) == folder
     assert [child.name for child in tmp_path.iterdir()] == [folder.name]
 
@@ -27,20 +29,20 @@ def test_the_library_is_built_once(tmp_path, monkeypatch):
 @needs_compiler
 def test_another_source_is_another_library(tmp_path, monkeypatch):
     first = build_library("nidaqmx", tmp_path)
-    monkeypatch.setattr(library, "library_source", lambda name: library_source(name) + "\n")
+    monkeypatch.setattr(library, "generate_library_source", lambda name: generate_library_source(name) + "\n")
     assert build_library("nidaqmx", tmp_path) != first
 
 
 @needs_compiler
 def test_a_process_that_is_first_wins_and_the_other_takes_its_folder(tmp_path, monkeypatch):
-    compile_really = library._compile
+    compile_really = library._compile_library
 
     def overtaken(source, flags, target):
         compile_really(source, flags, target)
-        monkeypatch.setattr(library, "_compile", compile_really)
+        monkeypatch.setattr(library, "_compile_library", compile_really)
         build_library("nidaqmx", tmp_path)
 
-    monkeypatch.setattr(library, "_compile", overtaken)
+    monkeypatch.setattr(library, "_compile_library", overtaken)
     folder = build_library("nidaqmx", tmp_path)
     assert [child.name for child in tmp_path.iterdir()] == [folder.name]
 
@@ -49,7 +51,7 @@ def test_a_process_that_is_first_wins_and_the_other_takes_its_folder(tmp_path, m
 def test_the_source_compiles_without_a_warning(tmp_path):
     written = tmp_path / "double.c"
     for name in ("nidaqmx", "niScope"):
-        written.write_text(library_source(name), encoding="utf-8")
+        written.write_text(generate_library_source(name), encoding="utf-8")
         checked = subprocess.run(
             # A reserved pointer is an unused parameter; attributes are NI-DAQmx's only.
             [
@@ -72,7 +74,7 @@ def test_the_source_compiles_without_a_warning(tmp_path):
 
 @needs_compiler
 def test_a_compiler_that_refuses_is_quoted(tmp_path, monkeypatch):
-    monkeypatch.setattr(library, "library_source", lambda name: "this is not C;")
+    monkeypatch.setattr(library, "generate_library_source", lambda name: "this is not C;")
     with pytest.raises(LibraryBuildError, match="error"):
         build_library("nidaqmx", tmp_path)
     assert list(tmp_path.iterdir()) == []
@@ -87,7 +89,7 @@ def test_missing_tools_are_named_with_the_remedy(tmp_path, monkeypatch, tools, r
     for tool in tools:
         (tmp_path / tool).symlink_to(sys.executable)
     monkeypatch.setenv("PATH", str(tmp_path))
-    assert remedy in why_unavailable()
+    assert remedy in find_unavailability_reason()
     with pytest.raises(LibraryBuildError, match=remedy):
         build_library("nidaqmx", tmp_path / "cache")
 
@@ -111,7 +113,7 @@ def test_the_environment_puts_the_folders_first_and_keeps_what_was_there(tmp_pat
 # The description travels to the process as JSON
 
 
-@pytest.mark.parametrize("make", [default_description, one_board_description])
+@pytest.mark.parametrize("make", [build_default_description, one_board_description])
 def test_a_description_survives_json(make):
     assert to_json(from_json(to_json(make()))) == to_json(make())
 

@@ -13,7 +13,7 @@ from support.daqmx_models import running_brain
 from support.daqmx_rig import meet
 from support.waiting import WAIT_S, ended, happened
 
-from simulator.doubles.chassis.description import default_description
+from simulator.doubles.chassis.description import build_default_description
 from simulator.doubles.transports.control import RunningDoubles
 from simulator.doubles.transports.library import SONAMES
 
@@ -183,7 +183,7 @@ def test_without_a_brain_every_call_fails_at_once_and_a_new_brain_is_found(
     double_library,
     monkeypatch,
 ):
-    with running_brain(default_description()) as second:
+    with running_brain(build_default_description()) as second:
         meet(second, monkeypatch)
         co = coil(name="lost")
         second.control.inject("DAQmxStartTask", "death")
@@ -218,7 +218,8 @@ def test_the_page_s_example_runs(double_library, tmp_path, monkeypatch):
     )
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(
-        "simulator.doubles.transports.control.running_doubles", lambda: running_brain(default_description())
+        "simulator.doubles.transports.control.running_doubles",
+        lambda: running_brain(build_default_description()),
     )
     # The page uses the user's cache; a test leaves it alone.
     monkeypatch.setattr(

@@ -9,7 +9,7 @@ import pytest
 
 from simulator import doubles
 from simulator.doubles.device_model import HANDLERS, TASK_HANDLERS
-from simulator.doubles.transports.c_source import library_source
+from simulator.doubles.transports.c_source import generate_library_source
 from simulator.doubles.vendor_api import statuses
 from simulator.doubles.vendor_api.attributes import ATTRIBUTES
 from simulator.doubles.vendor_api.entry_points import ENTRY_POINTS, HANDLE, Role, Tail
@@ -153,7 +153,7 @@ def test_every_entry_is_answered_and_nothing_else():
 
 
 def test_the_c_source_holds_every_entry_once():
-    source = library_source("nidaqmx")
+    source = generate_library_source("nidaqmx")
     for name, entry in ENTRY_POINTS.items():
         assert source.count(f"int32_t {name}(") == (entry.library == "nidaqmx")
 

@@ -47,7 +47,7 @@ def same(first, second):
 @ENTRIES
 def test_a_call_arrives_as_it_was_sent(entry):
     for attribute in attributes_of(entry):
-        arguments = {parameter.name: example(parameter) for parameter in wire.inputs(entry, attribute)}
+        arguments = {parameter.name: example(parameter) for parameter in wire.list_inputs(entry, attribute)}
         if "attribute" in arguments:
             arguments["attribute"] = attribute
         found, decoded = wire.decode_call(encode_call(entry, arguments))
@@ -59,7 +59,7 @@ def test_a_call_arrives_as_it_was_sent(entry):
 def test_an_answer_arrives_as_it_was_given(entry):
     for attribute in attributes_of(entry):
         arguments = {"attribute": attribute}
-        values = {parameter.name: example(parameter) for parameter in wire.outputs(entry, attribute)}
+        values = {parameter.name: example(parameter) for parameter in wire.list_outputs(entry, attribute)}
         body = wire.encode_answer(entry, arguments, -200088, "The task is invalid.", values)
         status, text, decoded = decode_answer(entry, arguments, body)
         assert (status, text) == (-200088, "The task is invalid.")

@@ -61,7 +61,7 @@ def test_affine_family_equals_direct_assembly_element_by_element():
     nodes = values.reshape(len(plate.x_m), len(plate.y_m), 3)
     corners = np.stack((nodes[:-1, :-1], nodes[1:, :-1], nodes[1:, 1:], nodes[:-1, 1:]), axis=2)
     local = corners.reshape(-1, 12)
-    for matrix, kinds in zip(plate.at_depth(depth), ((0, 1), (2, 3)), strict=True):
+    for matrix, kinds in zip(plate.evaluate_at_depth(depth), ((0, 1), (2, 3)), strict=True):
         energy = 0.0
         for kind in kinds:
             elements = np.where(covered[:, None, None], thin[kind], thick[kind])
@@ -72,7 +72,7 @@ def test_affine_family_equals_direct_assembly_element_by_element():
 
 def test_matrices_are_symmetric_and_mass_is_the_plates():
     plate = build_plate(replace(SMALL, support="simply_supported"), PATCH, whole=True)
-    stiffness, mass = plate.at_depth(0.5)
+    stiffness, mass = plate.evaluate_at_depth(0.5)
     assert abs(stiffness - stiffness.T).max() <= 1e-12 * abs(stiffness).max()
     assert abs(mass - mass.T).max() <= 1e-12 * abs(mass).max()
     _, _, translation, _ = element_matrices(SMALL, np.diff(plate.x_m), np.diff(plate.y_m))

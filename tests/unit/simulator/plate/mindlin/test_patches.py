@@ -38,13 +38,13 @@ def lost_volume_m3(plate, corrosion, depth):
     deflection = np.zeros(3 * len(parts.x_m) * len(parts.y_m))
     deflection[::3] = 1.0
     moved = deflection[parts.free]
-    masses = [moved @ (parts.at_depth(d)[1] @ moved) for d in (0.0, depth)]
+    masses = [moved @ (parts.evaluate_at_depth(d)[1] @ moved) for d in (0.0, depth)]
     return (masses[0] - masses[1]) / plate.density_kg_per_m3
 
 
 def dynamic_compliance(plate, corrosion, *, whole=False, depth=0.6, frequency_hz=700.0):
     parts = build_plate(plate, corrosion, whole=whole)
-    stiffness, mass = parts.at_depth(depth)
+    stiffness, mass = parts.evaluate_at_depth(depth)
     dynamic = stiffness - (2 * np.pi * frequency_hz) ** 2 * mass
     if parts.added_mass is None:
         return parts.load @ splu(dynamic.tocsc()).solve(parts.load)
@@ -104,7 +104,7 @@ def test_polynomial_equals_a_plate_assembled_at_that_thickness():
     for depth in (0.0, 0.4, 0.9):
         thinner = replace(PLATE, thickness_m=PLATE.thickness_m * (1.0 - 0.5 * depth))
         family, direct = build_plate(PLATE, whole), build_plate(thinner, whole)
-        for one, other in zip(family.at_depth(depth), direct.at_depth(0.0), strict=True):
+        for one, other in zip(family.evaluate_at_depth(depth), direct.evaluate_at_depth(0.0), strict=True):
             assert abs(one - other).max() <= 1e-13 * abs(other).max()  # rounding of the cubes
 
 
