@@ -320,8 +320,8 @@ def estimate_fine_noise(blocks_v: FloatArray) -> float:
 def estimate_block_noise(blocks_v: FloatArray, white_v: float) -> float:
     """Estimate the SD of a block mean's noise in V, at least ``white_v``.
 
-    It is ``white_v``, the SD expected from white samples, or `estimate_fine_noise` where that is significantly
-    larger.
+    It is ``white_v``, the SD expected from white samples, or `estimate_fine_noise` where that is
+    significantly larger.
     """
     differences = _absolute_third_differences(blocks_v)
     limit_v = LEAST_EXCESS * white_v * THIRD_DIFFERENCE / MAD_TO_SD

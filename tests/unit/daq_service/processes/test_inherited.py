@@ -139,7 +139,8 @@ def test_a_file_of_the_present_folder_replaces_no_module_of_a_child(tmp_path, mo
 def test_a_full_disk_below_the_streams_changes_no_exit_code(code):
     with Path("/dev/full").open("w", encoding="utf-8") as full:
         done = run_python(
-            f"print_line('a line'); print_line('a line', err=False); force_exit_if_needed({code}); sys.exit({code})",
+            "print_line('a line'); print_line('a line', err=False); "
+            f"force_exit_if_needed({code}); sys.exit({code})",
             stdout=full.fileno(),
             stderr=full.fileno(),
         )
