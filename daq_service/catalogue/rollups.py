@@ -109,9 +109,10 @@ def list_bin_value_names(kind: Kind) -> tuple[str, ...]:
 
 
 def build_set_filter(kind: type[Row], position: object, first: object, last: object) -> ColumnElement[bool]:
-    """Build the condition for rows of a range of set indices, ends included; of features, rows of sets."""
+    """Build the condition for rows of scheduled sets of a range, ends included; of features, rows of sets."""
     table = TABLES[kind]
-    of_sets = (table.c.position == position) & table.c.set_index.between(first, last)
+    in_range = table.c.set_index.between(first, last)
+    of_sets = (table.c.position == position) & in_range & is_scheduled(table)
     return of_sets & table.c.shot_index.is_(None) if kind is FeatureRow else of_sets
 
 

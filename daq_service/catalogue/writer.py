@@ -282,7 +282,9 @@ class RecorderCatalogue(Catalogue):
         with self._open_transaction("counting") as connection:
             numbers = {
                 "shots": select(func.count()).where(shots.c.position.not_in(echoes), is_scheduled(shots)),
-                "pulse_echo_records": select(func.count()).where(shots.c.position.in_(echoes)),
+                "pulse_echo_records": select(func.count()).where(
+                    shots.c.position.in_(echoes), is_scheduled(shots)
+                ),
                 "events": select(func.count()).select_from(events),
             }
             counted = {name: connection.execute(number).scalar_one() for name, number in numbers.items()}

@@ -76,7 +76,7 @@ def kinds_of_the_code():
             place = None
             if name == "say":
                 place = node.args[0]
-            elif name == "annotate":
+            elif name == "store_annotation":
                 place = node.args[1]
             elif name in {"event", "store_event"} and len(node.args) >= 2:
                 first = set(texts(node.args[0], constants))

@@ -458,6 +458,15 @@ def test_an_unknown_column_is_refused_by_name(filled):
         filled.columns(FeatureRow, ["tof"], position="B", scope="set")
 
 
+def test_recomputed_counts_leave_out_an_unscheduled_echo_as_its_commit_did(writer):
+    row = set_row(0, "A", method="pulse_echo", unscheduled_index=1)
+    writer.commit_set(SetCommit(sets=[row], shots=[shot_row(0, "A", 0, 7, unscheduled_index=1)]))
+    before = writer.counts()
+    assert before["pulse_echo_records"] == 0
+    writer.recompute_counts()
+    assert writer.counts() == before
+
+
 def test_counts_separate_complete_missed_and_incomplete_sets(writer, filled):
     writer.commit_set(SetCommit(sets=[set_row(6, p, "missed", 0) for p in "ABC"], alarms=[alarm_row()]))
     writer.commit_set(

@@ -51,6 +51,8 @@ def random_sets(folder, seed):
             commit.alarms.append(alarm(index))
         rows_by_set[index] = row
         waiting.append(commit)
+        if chance.random() < 0.2:  # a confirmation set, which no trend contains
+            waiting.append(confirmation(own | {"unscheduled_index": 1}))
         if index == BASELINE:  # the baseline's own distances are known now
             for number in range(BASELINE):
                 if rows_by_set[number]["state"] == "done":
@@ -70,6 +72,15 @@ def random_sets(folder, seed):
 def assessment(own, row, in_baseline):
     known = {name: row[name] for name in ("distance_squared", "outlier")}
     return assessment_row(**own, **known, in_baseline=in_baseline, limit_f_predictive=24.3)
+
+
+def confirmation(own):
+    values = dict.fromkeys(VALUES, 1e6)
+    return SetCommit(
+        sets=[set_row(**own)],
+        features=[feature_row(**own, **values, quality="bad", n_valid=2)],
+        assessments=[assessment(own, {"distance_squared": 1e6, "outlier": True}, False)],
+    )
 
 
 def alarm(index):

@@ -170,5 +170,5 @@ def test_a_blocked_terminal_delays_no_exit():
 
 def test_python_inspect_does_not_change_the_exit(monkeypatch):
     monkeypatch.setenv("PYTHONINSPECT", "1")
-    done = run_python("print('out')\nend_process(3)\nsys.exit(3)", stdin=subprocess.DEVNULL)
+    done = run_python("print('out')\nforce_exit_if_needed(3)\nsys.exit(3)", stdin=subprocess.DEVNULL)
     assert (done.returncode, done.stdout, done.stderr) == (3, "out\n", "")
