@@ -43,8 +43,9 @@ def run_demo(
 ) -> int:
     """Run `solimon demo`: block until the test ends, or until Ctrl-C if the dashboard stays open.
 
-    Returns the exit code. Raises UsageError for an invalid option or rig, StorageError for an unusable
-    folder.
+    Without ``data_dir`` the data go to a new folder in the working directory. Prints progress and a summary,
+    as JSON with ``as_json``. Returns the exit code. Raises UsageError for an invalid option or rig,
+    StorageError for an unusable folder.
     """
     started_s = _read_process_start_s()
     web, stay = not no_web, not exit_when_done and not no_web
@@ -108,7 +109,7 @@ def run_demo(
 def _build_overrides(
     hours: float | None, seed: int | None, pace: float | None
 ) -> dict[str, dict[str, object]]:
-    """Build the configuration overrides, by table and key, of the options that are not None."""
+    """Build the configuration overrides by table and key: `NUISANCE`, and the options that are not None."""
     options: dict[str, dict[str, object]] = {
         "schedule": {"end_h": hours},
         "twin": {"nuisance": NUISANCE, "seed": seed},
@@ -168,7 +169,10 @@ class _AddressPrinter:
             self._print_address()
 
     def _print_address(self) -> None:
-        """Print the address and open the page, once only, if the address is known and data exist."""
+        """Print the address and open the page, once only, if the address is known and data exist.
+
+        The caller holds the lock.
+        """
         if self._url is not None and self._recording:
             opened = ", opened in your browser" if self._open_page(self._url) else ""
             self._print_line(f"dashboard: {self._url}  (Ctrl-C ends{opened})")

@@ -128,9 +128,10 @@ def predict_set_file_bytes(settings: Settings) -> float:
 
 
 def _build_noisy_set(settings: Settings, strike: RecordSize, echo: RecordSize, shots: int) -> Any:
-    """Build a synthetic set with ``shots`` noisy records per transducer and one per echo probe.
+    """Build a synthetic `SetRecord` with ``shots`` noisy records per transducer and one per echo probe.
 
-    Each record has a short pulse; the noise has a fixed seed.
+    Sizes of records are those of ``strike`` and ``echo``. Each record has a short pulse; the noise has a
+    fixed seed.
     """
     import numpy as np
 
@@ -200,7 +201,7 @@ def _build_noisy_set(settings: Settings, strike: RecordSize, echo: RecordSize, s
 def _build_results(
     probes: Sequence[str], transducers: Sequence[str], records: Sequence[Shot | PulseEchoRecord]
 ) -> Results:
-    """Build placeholder result tables of records; their size does not depend on the values."""
+    """Build the placeholder result tables of a set; their size does not depend on the values."""
     from daq_service.assessment.results_in_file import build_result_tables
     from daq_service.catalogue.rows import FeatureRow, ThicknessRow
     from daq_service.recording.set_assessor import build_shot_row

@@ -62,9 +62,9 @@ def print_configuration(*, config: Path | None, data_dir: Path | None, schema: b
 
 
 def _print_baseline(settings: Settings, facts: dict[str, Any]) -> None:
-    """Print the number of planned baseline sets; warn on standard error if there are too few.
+    """Print the planned baseline sets; warn on standard error if they are too few or no set follows them.
 
-    Nothing without transducers.
+    Prints nothing without transducers.
     """
     if not settings.list_positions(SOLITARY_WAVE):
         return
@@ -95,9 +95,10 @@ def _print_receivers(notifications: NotificationSettings) -> None:
 
 
 def describe_plan(settings: Settings, folder: Path) -> dict[str, Any]:
-    """Compute the numbers of a planned test for JSON: sets, records, hours, bytes.
+    """Compute the numbers of a planned test for JSON: sets, records, hours, bytes planned and free.
 
-    Record length and sampling rate are None if the instruments determine them; the end is None without sets.
+    Record length and sampling rate are None if the instruments determine them; the last due hour and the end
+    are None without sets. Builds one set in memory to estimate the size on disk.
     """
     start_ns = parse_utc(settings.clock.epoch) if settings.clock.kind == "simulated" else time.time_ns()
     planned = plan_sets(settings.schedule.phases, start_ns, end_h=settings.schedule.end_h)

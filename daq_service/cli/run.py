@@ -299,8 +299,9 @@ def create_supply_client(
 ) -> RemoteDrive:
     """Create the client of the supply process of this configuration, which it can start.
 
-    With ``watches=False`` it only checks whether the process is alive, which then counts the recorder as
-    absent. Close it as a context manager; the process keeps running.
+    With ``watches=False`` it only checks whether the process is alive, and the process regards the recorder
+    as absent. Close it as a context manager; the process keeps running. Raises ValueError as
+    `read_supply_port`.
     """
     from daq_service.corrosion_drive.remote import RemoteDrive
 

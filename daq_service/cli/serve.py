@@ -34,6 +34,8 @@ def serve_tests(
         Options do not go together, or as `run.serve_alone`.
     BusyError
         The port is in use.
+    StorageError
+        The folder is missing after a restart, or cannot be written.
     """
     if len(paths) > 1:
         return _serve_many(paths, data_dir, port, web)

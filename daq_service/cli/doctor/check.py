@@ -93,7 +93,8 @@ def build_error_check(name: str, error: InstrumentError, otherwise: str) -> Chec
 def build_finding_check(finding: Finding, instrument: str = "") -> Check:
     """Convert a finding of an instrument driver to a check of area ``rig``.
 
-    A finding that another program holds the instrument gives a failed check of area ``recorder``.
+    A finding that another program holds the instrument gives a failed check of area ``recorder``. A finding
+    without a remedy gets a general one.
 
     Parameters
     ----------

@@ -161,7 +161,10 @@ def _build_skipped_check(name: str, found: str, remedy: str) -> Check:
 
 
 def _check_recorder(owner: str) -> Check:
-    """Return a passed check, or a failed one if ``owner`` describes a recorder that owns the folder."""
+    """Return a passed check, or a failed one if ``owner`` describes a recorder that owns the folder.
+
+    The text after the first ``; `` of ``owner`` is the remedy; without it, ValueError is raised.
+    """
     name = "recorder"
     if not owner:
         return Check("recorder", name, "ok", "no recorder owns the data folder")
@@ -178,7 +181,7 @@ def _print_step(text: str) -> None:
 
 
 def _print_table(checks: list[Check], trial: Trial | None) -> None:
-    """Print the checks with remedies, the features of the test strike, and the number of checks per state."""
+    """Print checks with remedies, features of the test strike, and counts per state, to standard output."""
     width = max(len(check.name) for check in checks)
     for check in checks:
         state = check.state.upper() if check.state in ("warn", "fail") else check.state

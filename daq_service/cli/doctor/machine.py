@@ -26,7 +26,8 @@ def check_machine(
 ) -> list[Check]:
     """Check the clocks, sleep settings, updates and virus scanners of this computer.
 
-    In a test on simulated time all but monotonic clock and time zone are skipped.
+    In a test on simulated time all but monotonic clock and time zone are skipped. ``system`` is a value of
+    ``sys.platform``.
 
     Parameters
     ----------
@@ -95,7 +96,7 @@ def _check_time_zone() -> Check:
 
 
 def _check_synchronization(ask: Ask, system: str) -> Check:
-    """Check whether the clock is synchronized to UTC; an unknown state is a warning, too."""
+    """Check whether the clock is synchronized to UTC; warn if it is not, or if that is unknown."""
     source, answer = _read_clock_source(ask, system)
     texts = {True: "synchronised", False: "not synchronised", None: "unknown whether it is synchronised"}
     command = {

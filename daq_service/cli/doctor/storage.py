@@ -63,10 +63,10 @@ def lock_folder(folder: Path) -> Iterator[str]:
 
 
 def read_lock_owner(folder: Path) -> str:
-    """Return the description of the lock's present owner, empty if there is none, and release the lock.
+    """Return the description of the recorder that owns the folder; empty if there is none.
 
-    It is released at once: a recorder that restarts now would find it taken, and its supervisor would end the
-    test. A recorder waits for boards that are being checked.
+    Takes the recorder's lock for a moment, waiting at most `LOOK_S` (s), and releases it at once: a recorder
+    that restarts meanwhile would find it taken, and its supervisor would end the test.
     """
     with lock_folder(folder) as owner:
         return owner
@@ -99,7 +99,7 @@ def _find_existing_folder(folder: Path) -> Path:
 
 
 def _check_file_system(folder: Path) -> Check:
-    """Check that the folder is on a local file system; warn on systems where that is unknown."""
+    """Check the folder's file system: fail on a network, warn on operating systems where that is unknown."""
     kind = find_network_type(folder)
     found, remedy = "on a local file system", ""
     if kind is not None:
@@ -113,9 +113,10 @@ def _check_file_system(folder: Path) -> Check:
 
 
 def _check_writable(folder: Path) -> Check:
-    """Write, sync and remove a probe file, and check that a folder with foreign files is not used.
+    """Write, sync and remove a probe file; fail if that is impossible or the folder holds only foreign files.
 
     Warns if the write takes longer than `SLOW_WRITE_S`. A missing folder is probed at its nearest parent.
+    Raises OSError if the folder cannot be listed.
     """
     name, existing = "data folder: writable", _find_existing_folder(folder)
     if not existing.is_dir():
@@ -152,7 +153,7 @@ def _failed_check(name: str, found: str, remedy: str) -> Check:
 def _check_owner(settings: Settings, folder: Path) -> Check:
     """Check that the folder is free or belongs to the test of this configuration.
 
-    If the catalogue is lost, the stored sets identify the test.
+    If the catalogue is lost, the stored sets identify the test. Any StorageError gives a failed check.
     """
     name, own_hash = "data folder: configuration", settings.configuration_hash()
     try:
@@ -186,7 +187,7 @@ def _check_stored_sets(folder: Path) -> list[Check]:
     """Check that each set with rows has a file that is not empty; contents are not read.
 
     Returns no check if no test has started or the catalogue has an earlier version. Names at most `SHOWN`
-    files.
+    files. A catalogue that cannot be read gives a failed check.
     """
     name = "data folder: sets"
     try:

@@ -58,7 +58,10 @@ class Trial:
     spike: SpikeSurvey | None = None
 
     def as_row(self) -> dict[str, Any]:
-        """Convert the result to a JSON object, without checks and record; missing parts are None."""
+        """Convert the result to a JSON object: position, features without outline, settings, spike.
+
+        Missing parts are None; checks and record are left out.
+        """
         features = self.features
         return {
             "position": self.position,
@@ -215,7 +218,10 @@ def _check_record_flags(shot: Shot, features: ShotFeatures, took_s: float) -> Ch
 
 
 def _read_trigger_level_v(rig: RigSettings, simulated_v: float, shot: Shot) -> float:
-    """Return the trigger level of a shot in V; NaN if the instrument of a mixed rig does not report it."""
+    """Return the trigger level of a shot in V; NaN if the instrument of a mixed rig does not report it.
+
+    Other rigs have the level of the board's configuration, without boards ``simulated_v``.
+    """
     if rig.kind == "mixed":
         return float(shot.settings.get("trigger_level_v", math.nan))
     return simulated_v if rig.daqmx is None else rig.daqmx.trigger_level_v
@@ -224,7 +230,7 @@ def _read_trigger_level_v(rig: RigSettings, simulated_v: float, shot: Shot) -> f
 def _check_trigger_level(
     level_v: float, shot: Shot, features: ShotFeatures, spike: SpikeSurvey | None
 ) -> Check:
-    """Check that the trigger level is a suitable fraction (`FITTING_LEVEL`) of the incident wave.
+    """Warn if the ratio of trigger level and incident wave is outside `FITTING_LEVEL`.
 
     The amplitude is that of the shot if valid, otherwise that of the survey. Skipped if the amplitude or the
     level (V) is unknown (NaN).

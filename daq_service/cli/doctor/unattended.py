@@ -105,7 +105,7 @@ def _is_windows_sleep_disabled(ask: Ask) -> bool | None:
 
 
 def _check_updates(ask: Ask, system: str) -> Check:
-    """Check that automatic updates do not restart the computer and no restart is pending."""
+    """Check that updates do not restart the computer and no restart is pending; warn if so, or if unknown."""
     waits, restarts, source = None, None, f"not asked on {system}"
     remedy = "let updates restart this computer only when a person says so"
     if system == "linux":
@@ -179,7 +179,10 @@ def _check_antivirus(folder: Path, ask: Ask, system: str) -> Check:
 
 
 def _read_defender_exclusion(folder: Path, ask: Ask) -> tuple[bool | None, str]:
-    """Return whether Windows Defender excludes the folder (None: unknown), and a description."""
+    """Return whether Windows Defender leaves the folder unscanned, and a description.
+
+    True if it is off or the folder is excluded; None if that is unknown.
+    """
     text = ask(["powershell", "-NoProfile", "-NonInteractive", "-Command", DEFENDER])
     if text is None:
         return None, "unknown: Windows Defender does not answer, maybe another one is installed"

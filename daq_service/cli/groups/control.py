@@ -28,7 +28,7 @@ def send_with_reason(*, kind: str, note: str, question: str, without_reason: str
     """Ask on the terminal for a missing reason, send the command, and return the exit code.
 
     Raises `click.UsageError` with the text ``without_reason`` if the reason is missing and standard input is
-    no terminal; otherwise the errors of `send_command`.
+    no terminal, `click.Abort` if the question is cancelled; otherwise the errors of `send_command`.
     """
     if not note.strip():
         if not sys.stdin.isatty():

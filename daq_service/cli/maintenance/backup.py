@@ -90,6 +90,7 @@ def back_up(
     """Copy new data of a folder to a backup; each copy is read back and compared.
 
     Corrupt files go to the backup's quarantine and lost sets are listed; neither stops the backup.
+    ``progress`` receives the numbers of copied and of all set files.
 
     Raises
     ------
@@ -134,7 +135,8 @@ def _mark_destination(destination: Path, experiment: dict[str, object] | None) -
     """Create the destination with a marker of this test, or check the one that it has.
 
     Removes unfinished files of an earlier backup. Raises StorageError if the test has not started, or the
-    folder is not empty, holds another test, or a recorder has run in it.
+    folder is not empty, holds another test, or a recorder has run in it. Raises OSError if the folder cannot
+    be written.
     """
     if experiment is None:
         raise StorageError("the test has not begun; there is nothing to copy")
@@ -167,7 +169,10 @@ def _mark_destination(destination: Path, experiment: dict[str, object] | None) -
 
 
 def _read_history(folder: Path) -> bytes:
-    """Read the history, b"" without one; before the catalogue is copied, since it must not contain more."""
+    """Read the bytes of the folder's history file; empty without a file. Raises OSError if it is unreadable.
+
+    It must be read before the catalogue is copied, since it must not contain more.
+    """
     try:
         return read_shared(folder / HISTORY_FILE)
     except FileNotFoundError:
@@ -175,7 +180,10 @@ def _read_history(folder: Path) -> bytes:
 
 
 def _copy_journal(folder: Path, destination: Path, copied: Copied) -> Iterator[Path]:
-    """Copy the used part of each journal segment and yield the path of each copy."""
+    """Copy the used part of each journal segment and yield the path of each copy.
+
+    Updates ``copied``; raises OSError if a copy cannot be written.
+    """
     for number, content in read_segments(folder):
         ends = [frame.end for frame in parse_frames(content)]
         # Without the room for what is to come.
@@ -194,7 +202,8 @@ def _copy_sets(
 ) -> None:
     """Copy new files of sets; put corrupt ones into the backup's quarantine and list them in ``copied``.
 
-    A file that the backup has with equal size is not copied again.
+    A file that the backup has with equal size is not copied again. Calls ``progress`` with the numbers of set
+    files done and in all; raises OSError if a copy cannot be written.
     """
     files = to_references(path.name for path in (folder / SETS_FOLDER).glob("*.h5"))
     for number, (set_key, file) in enumerate(files.items()):
@@ -235,7 +244,11 @@ def _list_lost_sets(
 
 
 def _copy_others(folder: Path, destination: Path, copied: Copied) -> None:
-    """Copy the other files: configuration, supply counters, logs, quarantine; skip those that vanish."""
+    """Copy the other files of a test: experiment, supply state, logs, audit log, quarantine.
+
+    Temporary files and those that vanish meanwhile are skipped. Updates ``copied``; raises OSError if a copy
+    cannot be written.
+    """
     for name in sorted(OWN_NAMES - LEFT_OUT):
         place = folder / name
         paths = sorted(place.rglob("*")) if place.is_dir() else [place]

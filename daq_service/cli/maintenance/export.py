@@ -97,7 +97,8 @@ def export_hdf5(
 ) -> Exported:
     """Write one HDF5 file of a test, also of one that runs.
 
-    Unreadable sets and sets without a file are left out and listed in the result.
+    Unreadable sets and sets without a file are left out and listed in the result. ``progress`` receives the
+    numbers of sets done and in all.
 
     Raises
     ------
@@ -177,9 +178,10 @@ def refuse_unsafe_target(folder: Path, target: Path, *, overwrite: bool) -> None
 def _list_record_blocks(
     folder: Path, files: Mapping[SetKey, SetReference], progress: Callable[[int, int], None]
 ) -> tuple[dict[Sampling, list[Block]], int, dict[str, str]]:
-    """Return the record arrays by sampling, the number of sets without a file yet, and the unreadable files.
+    """Return the blocks of records by sampling, the number of sets without a file yet, and unreadable files.
 
-    A set that is still in the journal counts as without a file. Unreadable files have their reason.
+    A block has the records of one set's file; a set that is still in the journal counts as without a file.
+    Unreadable files have their reason as value. ``progress`` receives the numbers of sets done and in all.
     """
     blocks, waiting, left_out = dict[Sampling, list[Block]](), 0, dict[str, str]()
     journaled = FolderSetReader(folder).sets()
@@ -266,7 +268,7 @@ def _select_result_columns(kind: type[Row]) -> tuple[str, ...]:
 def _to_columns(rows: Sequence[Row | None], kind: type[Row], names: Sequence[str]) -> dict[str, Column]:
     """Convert rows to one array or list of strings per column; missing values are NaN, -1, or "".
 
-    Rows may be None, and then all their values are missing.
+    Rows may be None, and then all their values are missing. Lists become one string, separated by blanks.
     """
     forms = {column.name: choose_published_form(column.type) for column in list_columns(kind)}
     columns: dict[str, Column] = {}

@@ -86,7 +86,8 @@ def _write_export_files(
 ) -> list[ExportedTable]:
     """Write a table to each target in the format of its suffix, and return the files written.
 
-    Raises UsageError before the first write if a target or the position is refused.
+    Raises UsageError before the first write if a target or the position is refused, StorageError if the
+    catalogue cannot be read or a file cannot be written.
     """
     forms = [_parse_export_format(target) for target in targets]
     for target in targets:

@@ -78,7 +78,8 @@ def _plan_file_repair(
 ) -> Step:
     """Choose the repair step for a corrupt or missing file of a set.
 
-    In this order: the journal, the backup, quarantine if the set has no rows; otherwise nothing.
+    In this order: the journal; the backup if one is given; without a backup, quarantine if the set has no
+    rows. Otherwise the step is "nothing".
     """
     ((set_key, _),) = to_references([Path(file).name]).items()
     journaled = journal.get(set_key)

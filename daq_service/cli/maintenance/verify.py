@@ -151,9 +151,10 @@ class FolderCheck:
 
 
 def check_catalogue(state: FolderCheck) -> Iterator[Finding]:
-    """Check pages, indices and foreign keys, and yield shots without a set; yield a missing catalogue.
+    """Yield the findings of the catalogue: corrupt rows, shots without a set, or that it is missing.
 
-    Damage without a row goes to ``state.unreadable`` and is reported by `check_references`.
+    SQLite checks pages, indices and foreign keys. Damage without a row goes to ``state.unreadable`` and is
+    reported by `check_references`.
     """
     if state.catalogue is None:
         yield Finding("catalogue", FILE_NAME, f"it is not there; {MADE_AGAIN} in its place")
@@ -174,7 +175,10 @@ def check_catalogue(state: FolderCheck) -> Iterator[Finding]:
 
 
 def check_experiment(state: FolderCheck) -> Iterator[Finding]:
-    """Yield damage of experiment.json and history.jsonl, and disagreements with the catalogue."""
+    """Yield damage of experiment.json and history.jsonl, and disagreements with the catalogue.
+
+    The latter are another configuration or hour 0, and events that only one of catalogue and history has.
+    """
     try:
         stored = read_experiment_file(state.folder)
     except CatalogueError as error:
@@ -210,8 +214,9 @@ def check_experiment(state: FolderCheck) -> Iterator[Finding]:
 def _find_missing_events(state: FolderCheck, last_id: int, *, running: bool) -> Iterator[str]:
     """Yield at most one text on events of the catalogue that are missing at the end of the history.
 
-    A recorder appends them within a second and before it ends, after a crash at the next start: a delay up to
-    `MOST_BEHIND_S` without such an end is none.
+    A recorder appends them within a second and before it ends, after a crash at the next start. So missing
+    events count only if they span more than `MOST_BEHIND_S` or include the recorder's end. A damaged
+    catalogue is noted in ``state.unreadable``.
     """
     try:
         lacking = [] if state.catalogue is None else state.catalogue.read_events_after(last_id)
@@ -256,7 +261,10 @@ def check_frames(state: FolderCheck) -> Iterator[Finding]:
 
 
 def check_sets(state: FolderCheck) -> Iterator[Finding]:
-    """Check every file, and every set that is only in the journal, and compare each with its rows."""
+    """Check every set's file, and every set that is only in the journal, and compare each with its rows.
+
+    Yields the findings; reports the number of files to ``state.progress``.
+    """
     paths = sorted(path for path in (state.folder / SETS_FOLDER).glob("*.h5") if to_references([path.name]))
     for number, path in enumerate(paths):
         state.progress(number, len(paths))
@@ -274,7 +282,10 @@ def check_sets(state: FolderCheck) -> Iterator[Finding]:
 
 
 def _check_file(state: FolderCheck, set_key: SetKey, reference: SetReference) -> Iterator[Finding]:
-    """Check the file of a set and compare it with its rows; yield nothing if it is missing."""
+    """Check the file of a set, compare it with its rows, and yield the findings; none if it is missing.
+
+    Counts files, bytes and shots in ``state.checked``.
+    """
     rows = _read_set_rows(state, set_key)
     sha256 = None if rows is None else find_stored_sha256(rows.sets, reference)
     try:
@@ -358,7 +369,10 @@ def _compare_with_rows(
 
 
 def check_references(state: FolderCheck) -> Iterator[Finding]:
-    """Yield each set with rows that is neither a file nor in the journal, and what is unreadable."""
+    """Yield each file that rows refer to and that is missing, also from the journal, and catalogue damage.
+
+    The latter is `state.unreadable`, so this check must be the last.
+    """
     for set_key in sorted(state.sets_with_rows):
         rows = _read_set_rows(state, set_key)
         files = {row["file"] for row in rows.sets if isinstance(row["file"], str)} if rows else set()

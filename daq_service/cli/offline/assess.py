@@ -231,7 +231,7 @@ def assess_one_table(path: Path, *, read: Read, budget: Budget, with_rows: bool)
 
 
 def _build_result_rows(assessed: Assessed) -> list[dict[str, float | None]]:
-    """Return the statistics of each row of the table for JSON; NaN becomes None."""
+    """Return the statistics of each row for JSON: distance, MEWMA, MCUSUM, chart; None replaces NaN."""
     columns = {
         "distance_squared": assessed.distances_squared,
         "mewma_textbook": assessed.mewma_textbook,

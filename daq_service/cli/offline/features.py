@@ -50,7 +50,7 @@ COLUMNS = (
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TransducerParameters:
-    """Given parameters of the transducer; None: learn_template from the records."""
+    """Given parameters of the transducer; None: learned from the records."""
 
     isw_fwhm_s: float | None = None
     isw_amplitude_v: float | None = None
@@ -135,8 +135,8 @@ def extract_file_features(
 ) -> list[ShotFeatures]:
     """Extract the features of a file's records, compared with their transducer's own waves, in file order.
 
-    Records without a wave to be sought are flagged as disturbed; inverted ones are reported on standard
-    error.
+    A record that cannot be searched for a wave, such as one that is too short, is flagged as disturbed. The
+    templates and the number of inverted records are printed on standard error.
 
     Raises
     ------
@@ -255,7 +255,7 @@ def _combine_templates(
 
 
 def _describe_template(template: Template) -> str:
-    """Describe the template that the records are compared with: ISW width (us) and height (V)."""
+    """Describe the template of the comparison: ISW width (us), height (V), earliest reflection (us)."""
     early = template.earliest_tof_s
     since = "" if early is None else f", reflections from {1e6 * early:.0f} us on"
     width_us, height_v = 1e6 * template.isw_fwhm_s, template.isw_amplitude_v

@@ -248,7 +248,9 @@ def assess_fleet(
 def _describe_unverified_rate(of_sensors: Sequence[str], sensors: int, kept_sd: float) -> str:
     """Return the reason why the false discovery rate is not verified; empty if it is.
 
-    A healthy baseline is doubted by chance in `SLOW_RATE` of either test; only more than that counts.
+    ``of_sensors`` has the reason of each sensor's own rate, empty if verified; these count only if there are
+    more than by chance (binomial test, `DOUBTED_BY_CHANCE`). ``kept_sd`` is the shared deviation that is
+    left, in SD.
     """
     if sensors < FEWEST_SENSORS:
         return f"fewer than {FEWEST_SENSORS} sensors: what they share is not taken out"
@@ -268,7 +270,7 @@ def _describe_unverified_rate(of_sensors: Sequence[str], sensors: int, kept_sd: 
 
 
 def _stack_tables(parts: Sequence[np.ndarray], n_rows: int) -> np.ndarray:
-    """Stack tables of shape (rows, features) to (tables, ``n_rows``, features); missing rows are NaN."""
+    """Stack tables (rows, features) to a float32 array (tables, ``n_rows``, features), padded with NaN."""
     stacked = np.full((len(parts), n_rows, parts[0].shape[1]), np.nan, dtype=np.float32)
     for k, part in enumerate(parts):
         stacked[k, : len(part)] = part

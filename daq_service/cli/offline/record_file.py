@@ -101,7 +101,10 @@ def open_records(path: Path, parameters: FileParameters) -> RecordFile:
 
 
 def _open_npy(path: Path, parameters: FileParameters) -> RecordFile:
-    """Open the records of a `.npy` file, shape (records, samples) or (samples,); integers are ADC counts."""
+    """Open the records of a `.npy` file, shape (records, samples) or (samples,); integers are ADC counts.
+
+    Raises NoTableError for other contents, UsageError for an empty array or as `_make_record_converter`.
+    """
     array = mmap_npy(path, "records x samples", one_row=True)
     table = np.atleast_2d(array)
     if not table.shape[1]:
@@ -116,7 +119,8 @@ def _open_npy(path: Path, parameters: FileParameters) -> RecordFile:
 def _open_csv(path: Path, parameters: FileParameters) -> RecordFile:
     """Open the records of a CSV file, one per line; a header and an index column are skipped.
 
-    If the first record has only integers, values are ADC counts.
+    If the first record has only integers, values are ADC counts. Raises NoTableError for an unknown encoding,
+    UsageError as `_make_record_converter`.
     """
     _, lines = read_csv_lines(path)
     names = _split_cells(lines[0]) if lines else []
@@ -195,7 +199,10 @@ def _make_record_converter(
 
 
 def _open_hdf5(path: Path, _: FileParameters) -> RecordFile:
-    """Open the solitary-wave records of a set's HDF5 file, which is read completely."""
+    """Open the solitary-wave records of a set's HDF5 file, which is read completely.
+
+    Raises CorruptArchiveError for a corrupt file, OSError for an unreadable one.
+    """
     shots = [one for one in read_records(path, read_shared(path)) if isinstance(one, Shot)]
 
     def read_hdf5_records(every: int) -> Iterator[Record]:

@@ -194,7 +194,7 @@ def _refuse_malformed_numbers(path: Path, name: str, column: Column, decimal: st
 def _is_malformed_number(cell: object, decimal: str, *, mixed: bool) -> bool:
     """Return whether a cell is a number with additional characters, such as ``3 mm``, but no date.
 
-    With ``mixed`` decimal marks, numbers with thousands marks count, too.
+    With ``mixed`` decimal marks, numbers with thousands marks count, too. A duration (timedelta) also counts.
     """
     if not isinstance(cell, str) or _parse_number(cell, decimal) is not None:
         return isinstance(cell, timedelta) or (mixed and THOUSANDS.fullmatch(str(cell)) is not None)

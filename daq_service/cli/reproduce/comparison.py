@@ -95,7 +95,8 @@ def count_by_result(rows: Sequence[Row]) -> dict[str, int]:
 def _compare_value(value: PaperValue, ours: Found, *, origin: str) -> Row:
     """Compare one value of the paper with ours: deviation in its unit and in %, and the cause.
 
-    The relative deviation is None if the paper's value is 0, missing, or in %.
+    The relative deviation is None if the paper's value is 0, missing, or in %. ``origin`` as in
+    `compare_item`.
     """
     deviation = None if ours.value is None or value.value is None else ours.value - value.value
     relative = None
@@ -125,9 +126,9 @@ def _is_rounding_only(deviation: float, paper: float | None) -> bool:
 
 
 def _choose_shown_cause(value: PaperValue, ours: Found, *, agrees: bool, origin: str) -> str:
-    """Return the reason for a deviation; empty if we have no value or the values agree.
+    """Return the cause of a deviation to show; empty if there is no value of ours or both agree.
 
-    The reason that the twin was given the value is returned in any case.
+    That the twin was given the value is returned in any case. ``origin`` as in `compare_item`.
     """
     cause = "" if ours.value is None else find_deviation_cause(value, origin=origin)
     return "" if agrees and not cause.startswith(GIVEN) else cause

@@ -75,7 +75,8 @@ def _draw_distances(axis: Axes, pulses: Series, baseline_h: float, colour: str) 
 def _outlier_percentage(pulses: Series, outlier: str, from_h: float) -> tuple[float | None, int]:
     """Compute the percentage of outliers among the sets assessed after an hour, and the number of these sets.
 
-    The percentage is None without such sets; baseline sets do not count.
+    The percentage is None without such sets; baseline sets do not count. ``outlier`` is the column of the
+    result: ``outlier`` or ``outlier_mean_3sd``.
     """
     outliers = pulses.values[outlier]
     is_assessed = (pulses.hour_h > from_h) & np.isfinite(outliers) & (pulses.values["in_baseline"] == 0.0)
@@ -95,7 +96,11 @@ def _describe_outliers(pulses: Series) -> str:
 
 
 def _compute_outlier_values(test: Evidence) -> dict[str, item.Found]:
-    """Return the computed values of figure 14, each missing one with its reason."""
+    """Return our values of figure 14 by quantity, each missing one with its reason.
+
+    For B, C and D: the limit, and the percentages of outliers by both limits; also the loss in mm at the
+    first alarm.
+    """
     values = {"smallest_loss": _find_loss_at_first_alarm(test)}
     for name in "BCD":
         pulses = test.pulses.get(name)
@@ -212,7 +217,7 @@ def _draw_paper_reading(wall: Axes, loss: Axes) -> None:
 
 
 def _read_true_thickness(test: Evidence, position: str) -> tuple[FloatArray, FloatArray] | None:
-    """Return the hours and the true thickness in m of the twin's averaged sets; None for a real specimen."""
+    """Return the hours and the twin's true thickness in m of the averaged sets; None if none has it."""
     known = [
         (trace.hour_h, trace.truth["thickness_m"])
         for trace in test.traces.get(position, ())
@@ -235,7 +240,11 @@ def _fit_line(probe: Series) -> tuple[float, float] | None:
 
 
 def _find_thickness(test: Evidence, probe: Series, line: tuple[float, float] | None) -> dict[str, item.Found]:
-    """Return the computed values of figure 15 for position A, each missing one with its reason."""
+    """Return our values of figure 15 for position A by quantity, each missing one with its reason.
+
+    Initial thickness, reading at `READ_H` and core in mm, loss in %, and R^2 of the loss's line ``(start,
+    slope)``.
+    """
     names = ("thickness_300", "loss_300", "core", "linearity", "initial")
     if probe.position != "A":
         return dict.fromkeys(names, item.no_value("the test has no pulse-echo position A"))

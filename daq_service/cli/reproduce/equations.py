@@ -138,9 +138,10 @@ def _check_autocorrelation(pulses: Series, traces: Sequence[Trace]) -> tuple[flo
 
 
 def _compute_lag_s(trace: Trace, isw_s: float, psw_s: float) -> float:
-    """Compute the lag in s of the highest autocorrelation within `SEARCH_S` of the peaks' distance.
+    """Compute the lag in s of the highest autocorrelation within `SEARCH_S` of the distance of both peaks.
 
-    The record is averaged over `BLOCK_S` first; a parabola through three points refines the lag.
+    ``isw_s`` and ``psw_s`` are the times of the peaks. The record is averaged over `BLOCK_S` first; a
+    parabola through three points refines the lag.
     """
     step_s = float(trace.time_s[1] - trace.time_s[0])
     every = max(1, round(BLOCK_S / step_s))

@@ -88,7 +88,7 @@ class Table:
 def stack_columns(test: Evidence, columns: Callable[[Series], Mapping[str, FloatArray]]) -> Table:
     """Stack columns of the sets of all transducers, with position, set and hour, into one table.
 
-    All transducers must have the same columns.
+    Raises ValueError if the transducers have different columns.
     """
     table: dict[str, list[object]] = {}
     for name, pulses in test.pulses.items():

@@ -131,8 +131,8 @@ def compute_impact_over_inelasticity(inelasticities: tuple[float, ...]) -> dict[
 def compute_forces_along_chain(plate: PlateParameters) -> list[ForceTrace]:
     """Simulate the force in N at every body between striker and last sphere, from the top.
 
-    The chain is of equal spheres, sensor included, so it does not matter where the sensor is called: each
-    body in turn is, and all shots are the same one.
+    All bodies are equal spheres, sensor included: the same shot is simulated with each body in turn as
+    sensor.
     """
     chain = ChainParameters(sensor="sphere")
     bodies = chain.spheres_above + 1 + chain.spheres_below

@@ -123,6 +123,8 @@ def compute_and_write_items(
     ------
     StorageError, UsageError
         The output folder, or the test's, cannot be used: before anything is computed.
+    SolimonError
+        The test on the twin failed.
     """
     # The slips use a test only if there is one.
     needed = any(item.needs_test for item in items)
@@ -158,7 +160,10 @@ def compute_and_write_items(
 
 
 def _run_and_read_test(settings: Settings, folder: Path, stop: threading.Event, report: Report) -> Evidence:
-    """Run the test on the twin and read its results; raise `_StoppedError` if it was interrupted."""
+    """Run the test on the twin, report each tenth of its sets, and return its results.
+
+    Blocks. Raises `_StoppedError` if it was interrupted, otherwise the errors of `run_twin_test`.
+    """
     report(f"test on the twin (seed {settings.twin.seed}) in {folder}")
     last_tenth = -1
 
@@ -199,7 +204,8 @@ def _make_item(
 ) -> None:
     """Wait for the inputs of an item, compute it, write its files, and add its section to ``run``.
 
-    An item that is not available gets a section with the reason. Raises `_StoppedError` on an interruption.
+    An item that is not available gets a section with the reason. A SimulatorError or ValueError of a job
+    becomes its result; other errors of jobs or test are raised, and `_StoppedError` on an interruption.
     """
     results: dict[str, object] = {}
     for name, job in item.jobs.items():
@@ -232,7 +238,11 @@ def _make_item(
 def _write_item(
     run: Outcome, item: Item, product: Product, pictures: Mapping[str, bytes], *, origin: str
 ) -> Section:
-    """Write figures and CSV files of an item and return its section of the report."""
+    """Write figures and CSV files of an item and return its section of the report.
+
+    ``pictures`` has the encoded figures by file ending. Raises StorageUnavailableError if a file cannot be
+    written.
+    """
     stem = f"fig{int(item.name[3:]):02d}" if item.name.startswith("fig") else item.name
     contents = {f"{stem}.{ending}": content for ending, content in pictures.items()}
     for ending, table in product.tables.items():

@@ -85,7 +85,7 @@ class _Values(dict[str, object]):
         self._material = material
 
     def __missing__(self, name: str) -> models.Pulse:
-        """Return the only shot of the simulation with this name."""
+        """Return the first shot of the job with this name; raise as `_find_shot`."""
         return _find_shot(self._material, name)
 
 
@@ -110,7 +110,7 @@ def _compute_sphere_overlap(material: Material) -> _Numbers:
 
 
 def _compute_contact_stiffness(_: Material) -> _Numbers:
-    """Compute the contact stiffness by the printed bracket and, in N/m^(3/2), by the correct one."""
+    """Compute the stiffness of sphere and plate as printed, and correctly in N/m^(3/2)."""
     E, nu, radius = _PLATE.youngs_modulus_pa, _PLATE.poisson_ratio, _SPHERE.radius_m
     as_printed = 4.0 * math.sqrt(radius) / 3.0 * 2.0 / plane_modulus_pa(E, nu)
     return {"as_printed": as_printed, "right": sphere_on_flat_stiffness(radius, E, nu, E, nu)}

@@ -139,7 +139,10 @@ class Bench:
             self.strikes += 1
 
     def change_range(self, position: str, range_v: float) -> None:
-        """Set another input range in V for a transducer and record its input at rest; raise as `wire`."""
+        """Set another input range in V for a transducer and record its input at rest; raise as `wire`.
+
+        After an error the new range stays.
+        """
         self.transducers[position] = replace(self.transducers[position], range_v=range_v)
         self.look(position)
 

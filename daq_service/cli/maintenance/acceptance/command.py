@@ -35,6 +35,7 @@ def write_acceptance_report(
     """Write the acceptance report of a folder; return 6 if it does not pass, 0 if it does.
 
     Prints it as lines, or as JSON if ``to_json`` is ``-``; writes the HTML page and a JSON file where given.
+    ``progress`` receives the numbers of checked and of all files during ``verify``.
 
     Raises
     ------
@@ -70,7 +71,7 @@ def write_acceptance_report(
 
 
 def _format_lines(report: AcceptanceReport) -> list[str]:
-    """Format the comparisons as aligned lines, followed by the notes and the outcome."""
+    """Format the comparisons of a report as aligned lines, followed by the notes and the outcome."""
     rows = [
         (item.state, item.quantity.text, format_limit(item), format_quantity(item.quantity), item.reason)
         for item in report.comparisons

@@ -49,7 +49,10 @@ def list_recorder_starts(evidence: Evidence) -> list[tuple[EventRow, EventRow | 
 
 
 def build_restart_table(evidence: Evidence) -> Table:
-    """Build the table of the recorder's starts except the first: hour, kind of end, state before."""
+    """Build the table of the recorder's starts except the first: hour, previous end, state before.
+
+    The previous end is the kind of its event, "no word" after a crash.
+    """
     rows = [
         (
             evidence.hour(row.utc_ns),

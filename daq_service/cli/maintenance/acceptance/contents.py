@@ -138,7 +138,7 @@ def _list_notes(evidence: Evidence) -> list[str]:
 
 
 def report_to_json(report: AcceptanceReport) -> dict[str, object]:
-    """Convert the report to a JSON object; units are values or endings of names.
+    """Convert the report to a JSON object; units are values, or the last part of a key.
 
     Its key ``solimon_acceptance_report`` has the version of the format, `SHAPE`.
     """

@@ -190,7 +190,10 @@ def _compute_evaluation_time_ns(
 
 
 def _count_due_sets(planned: Sequence[DueSet], sets: Sequence[SetRow], now_ns: int) -> int:
-    """Count the sets that must have rows: one is due when its successor starts, or when it has rows."""
+    """Count the sets that should have rows by now.
+
+    A set is due when its successor was due by ``now_ns`` (UTC), or when it or a later set has rows.
+    """
     n_with_rows = max((row.set_index + 1 for row in sets), default=0)
     n_ended = sum(following.due_utc_ns <= now_ns for following in planned[1:])
     return max(n_with_rows, n_ended)

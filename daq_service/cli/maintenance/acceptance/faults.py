@@ -62,7 +62,7 @@ def build_fault_table(evidence: Evidence) -> Table:
 
 
 def build_damage_table(evidence: Evidence) -> Table:
-    """Build the table of damage alarms, which are findings on the specimen and not faults."""
+    """Build the table of damage alarms: kind, position, priority, state, hour raised, message."""
     rows = [
         (row.kind, row.position or "", row.priority, row.state, row.raised_h, row.message)
         for row in evidence.alarms

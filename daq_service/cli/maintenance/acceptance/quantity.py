@@ -144,9 +144,9 @@ class Growth:
 def estimate_growth(set_indices: Sequence[int], values: Sequence[float]) -> Growth | None:
     """Compute the median slope of all pairs (Theil and Sen) with its 95 % interval (Sen 1968).
 
-    A step or a burst moves it little. Neighbours are alike, so the interval of a short test is too narrow
-    where memory moves in waves; medians of neighbours in a long one (above `MOST_BLOCKS` readings) are less
-    so.
+    A step or a burst changes it little. Consecutive readings are correlated, so the interval of a short test
+    may be too narrow. More than `MOST_BLOCKS` readings are first reduced to that many medians of consecutive
+    ones.
 
     Returns
     -------

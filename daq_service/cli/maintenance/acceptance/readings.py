@@ -57,9 +57,9 @@ def sum_stage_times_s(reading: Reading) -> float:
 
 
 def list_set_times(evidence: Evidence) -> list[tuple[float, float, float]]:
-    """Return the due hour, the start delay in s and the duration in s of each set with a record.
+    """Return the due hour, the start delay in s and the duration in s of each set that has ended.
 
-    In the order of the set indices; sets that have not ended are left out.
+    In the order of the set indices, one entry per set.
     """
     found = {}
     for row in evidence.sets:

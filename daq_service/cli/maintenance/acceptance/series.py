@@ -20,9 +20,10 @@ from daq_service.cli.maintenance.acceptance.sets import build_record_count_serie
 
 
 def yield_series(evidence: Evidence) -> Iterator[Series]:
-    """Yield a series over the hours of the test for each stored quantity.
+    """Yield the series of the report over the hours of the test, those without data with a reason.
 
-    One without data has no values and a reason.
+    Records per set, start delay, duration, processing time (s), memory, file handles, free space, size of the
+    files (bytes), and deviation of the clock (s).
     """
     yield build_record_count_series(evidence)
     times, real = list_set_times(evidence), evidence.experiment.clock == "wall"

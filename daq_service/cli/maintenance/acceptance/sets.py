@@ -123,7 +123,10 @@ def build_gap_table(evidence: Evidence) -> Table:
 
 
 def build_shortfall_table(evidence: Evidence) -> Table:
-    """Build the table of missing records in sets that have records, by state and reason."""
+    """Build the table of missing records in sets that have records, by state and reason.
+
+    Columns: state, positions, numbers of sets and of missing records, first due hour, reason.
+    """
     found: defaultdict[tuple[str, str], list[SetRow]] = defaultdict(list)
     with_records = {row.set_index for row in evidence.sets if row.n_taken}
     for row in evidence.sets:

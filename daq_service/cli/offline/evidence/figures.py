@@ -41,9 +41,9 @@ class Picture:
 
 
 def draw_evidence(found: Explained) -> list[Picture]:
-    """Draw mean records, quantities and contributions of an alarm, those that have data.
+    """Draw an alarm's mean records, quantities of the sets and contributions, those that have data.
 
-    Returns no picture without a recomputation.
+    Returns an empty list if the alarm was not recomputed from stored records (``found.again`` is None).
     """
     if found.again is None:
         return []
@@ -93,7 +93,7 @@ class _Panel:
 
 
 def _draw_quantities(found: Explained, recomputed: Recomputed) -> Picture | None:
-    """Draw the quantities of all sets up to the alarm, one panel each; None if no set has a value."""
+    """Draw a panel for each quantity of the sets up to the alarm, with limits; None if no set has a value."""
     panels = [panel for panel in _yield_panels(found, recomputed) if panel.values]
     if not panels:
         return None
@@ -179,6 +179,6 @@ def _draw_contributions(parts: Mapping[str, float | None]) -> Picture | None:
 
 
 def _create_figure(panels: float) -> tuple[Figure, Axes]:
-    """Create a figure with one axis, as high as this number of panels."""
+    """Create a figure with one axis, ``panels`` times as high as a panel."""
     figure = Figure(figsize=(WIDTH_IN, 0.35 + PANEL_IN * panels), layout="constrained")
     return figure, figure.subplots()
