@@ -162,7 +162,7 @@ def _parse_grid(text: str) -> list[float]:
 def _compute_shot(
     model: str, chain: ChainParameters, plate: PlateParameters, patch: CorrosionParameters
 ) -> dict[str, object]:
-    """Compute one row: chain and plate integrated together, or Zener's impact of the last sphere.
+    """Compute one shot, of chain and plate integrated together or by Zener's impact of the last sphere.
 
     Returns results and varied parameters by key; None for a missing result. Raises SimulatorError.
     """

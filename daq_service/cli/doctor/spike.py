@@ -133,7 +133,7 @@ def _describe_spike_remedy(parameters: DaqmxParameters, survey: SpikeSurvey) -> 
 
 
 def describe_spike(edge: EdgeSpike) -> str:
-    """Describe the spike after an edge of the coil's pulse: height (V), duration, ringing, flyback."""
+    """Describe the spike at an edge of the coil's pulse: height (V), duration, ringing, flyback, trigger."""
     if not edge.height_v:
         return "no spike"
     flyback = f", flyback {edge.flyback_v:.3g} V" if edge.flyback_v else ""

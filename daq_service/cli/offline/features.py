@@ -273,7 +273,7 @@ def _shot_to_json(shot: ShotFeatures) -> dict[str, object]:
 
 
 def _print_table(path: Path, shots: Sequence[ShotFeatures]) -> None:
-    """Print the features of a file's records as a table on standard output."""
+    """Print quality, flags and the features in `COLUMNS` of a file's records as a table on stdout."""
     from rich.table import Table
 
     table = Table(title=f"{escape_to_one_line(str(path))}, extractor {EXTRACTOR_VERSION}")

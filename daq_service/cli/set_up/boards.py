@@ -37,7 +37,11 @@ class Boards:
         return self.bench.transducers
 
     def read_shared_values(self, flags: Flags, *, asks: bool) -> None:
-        """Set drop height (m) and pulse (s) from the options; ask for a missing one if ``asks``."""
+        """Set drop height (m) and pulse (s) from the options; ask for a missing one if ``asks``.
+
+        Blocks until answered; raises UsageError if the answers end. A value that is not asked for keeps its
+        default.
+        """
         for name, text, bounds in (
             ("drop_height_m", "Height from which the strikers fall, m", (0.0, 1.0)),
             ("pulse_s", "Time a coil is on, s (it lifts the striker)", (1e-3, 0.5)),
@@ -133,12 +137,16 @@ class Boards:
                 self.bench.strike(position)
 
     def propose_from_strikes(self, *, asks: bool) -> None:
-        """Propose values of the configuration from the strikes, and ask to accept them if ``asks``."""
+        """Propose values of the configuration from the strikes, and ask to accept them if ``asks``.
+
+        Raises as `propose_and_store_values`.
+        """
         propose_and_store_values(self.dialogue, self.bench, asks=asks)
 
     def contents(self, others: Tables, off: set[KeyPath]) -> Contents:
-        """Return the values, the switched-off tables and the head of the configuration file.
+        """Return the values, the switched-off tables and the head comment of the configuration file.
 
+        ``others`` are further tables of [rig], ``off`` the tables that are switched off besides the watchdog.
         Raises UsageError if a position is both a transducer and a probe.
         """
         values, _ = read_lab_config()

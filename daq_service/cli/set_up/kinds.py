@@ -105,7 +105,10 @@ class Kinds:
         self.wired[position] = {"digitizer": digitizer, "striker": striker if slash else digitizer}
 
     def ask_wiring(self, position: str) -> None:
-        """Ask for the instruments of a transducer and for parameters until valid, and check them."""
+        """Ask for the instruments of a transducer and for parameters until valid, and check them.
+
+        Raises UsageError if the answers end.
+        """
         self.wired[position] = {role: self._ask_instrument(position, role) for role in ROLES_OF_A_TRANSDUCER}
         self.position = position
         self._ask_parameters()
@@ -125,14 +128,18 @@ class Kinds:
     def strike(self, position: str) -> None:
         """Strike once, print the checks, propose a trigger level, and ask for changed parameters.
 
-        Raises BusyError if a recorder owns the data folder.
+        Raises BusyError if a recorder owns the data folder, UsageError if the settings are invalid or the
+        answers end.
         """
         trial = self._strike_and_check(position)
         self._propose_level(position, trial)
         self._ask_parameters()
 
     def strike_each(self, positions: Collection[str]) -> None:
-        """Strike each transducer once; raise RigError if one gives no waveform, BusyError as `strike`."""
+        """Strike each transducer once and print the checks; raise RigError at the first without a waveform.
+
+        Otherwise raises as `_strike_and_check`.
+        """
         for position in positions:
             if self._strike_and_check(position).record is None:
                 raise RigError(f"{position} gave no record; fix what is reported above, then run it again")
@@ -231,7 +238,10 @@ class Kinds:
         return trial
 
     def _ask_instrument(self, position: str, role: Role) -> str:
-        """Ask which instrument has a role at a position; skip the question if only one can have it."""
+        """Ask which instrument has a role at a position; skip the question if only one can have it.
+
+        Raises UsageError if the answers end.
+        """
         able = [name for name, offer in self.offers.items() if role in offer.roles]
         if len(able) == 1:
             self.dialogue.report(f"{position}      {role}: {able[0]}")
@@ -240,7 +250,10 @@ class Kinds:
         return self.dialogue.ask(f"{position}.{role}", text, str, default=able[0], choices=able)
 
     def _ask_parameters(self) -> None:
-        """Ask for parameters until they are valid and no further change is requested."""
+        """Ask for parameters until they are valid and no further change is requested.
+
+        Stores them; raises UsageError if the answers end.
+        """
 
         def parse_assignment(text: str) -> bool:
             """Set a parameter from a text; return True for "-", which ends the questions."""
@@ -326,7 +339,10 @@ def build_named_kinds(
 
 
 def _read_parameter_schemas(instrument: str) -> Tables:
-    """Return the parameters of an installed kind as JSON Schema by name; empty if it has none."""
+    """Return the parameters of an installed kind as JSON Schema by name; empty if it has none.
+
+    Raises ConfigurationError if the kind is not installed.
+    """
     kind, _ = find_kind(instrument)
     properties: Tables = TypeAdapter[object](kind.parameters).json_schema().get("properties", {})
     return properties

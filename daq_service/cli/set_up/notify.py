@@ -25,7 +25,8 @@ def run_test(*, config: Path | None, receiver: str | None, as_json: bool) -> int
     Raises
     ------
     UsageError
-        There is no such receiver, or its address or secret is missing.
+        There is no such receiver, or its address or secret is missing; earlier messages are then
+        already sent.
     """
     settings, _ = load_settings_and_folder(config, None)
     receivers = settings.notifications.receivers

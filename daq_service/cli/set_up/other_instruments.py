@@ -73,7 +73,10 @@ def ask_for_other_instruments(
 def _ask_for_address(
     dialogue: Dialogue, name: str, text: str, connect: Callable[[str], dict[str, T]]
 ) -> dict[str, T]:
-    """Ask for an address until an instrument responds there; return its table, empty for "-"."""
+    """Ask for an address until an instrument responds there; return its table, empty for "-".
+
+    Prints an instrument's error and asks again. Raises UsageError if the answers end.
+    """
 
     def connect_to_address(address: str) -> dict[str, T]:
         """Connect to an address; raise ValueError with the instrument's error. "-" gives an empty table."""

@@ -41,7 +41,10 @@ def run_create(
 
 
 def run_list(*, config: Path | None, data_dir: Path | None, as_json: bool) -> None:
-    """Run `solimon token list`: print name, role, state and end of all access tokens, not their secrets."""
+    """Run `solimon token list`: print name, role, state and end of all access tokens, not their secrets.
+
+    Raises UsageError for an invalid configuration, StorageError for an unusable folder.
+    """
     path, _ = _find_token_files(config, data_dir)
     tokens = [_describe_token(token) for token in read_tokens(path)]
     if as_json:
@@ -68,7 +71,10 @@ def run_revoke(*, name: str, config: Path | None, data_dir: Path | None, as_json
 
 
 def _find_token_files(config: Path | None, data_dir: Path | None) -> tuple[Path, Audit]:
-    """Return the path of the token file and the audit log of a test; create the data folder if missing."""
+    """Return the path of the token file and the audit log of a test; create the data folder if missing.
+
+    Raises UsageError for an invalid configuration, StorageError if the folder cannot be used.
+    """
     settings, folder = load_settings_for_reading(config, data_dir)
     prepare_data_folder(folder)
     return find_tokens_file(settings.web, folder), Audit(folder)

@@ -23,8 +23,9 @@ REMEDIES: Mapping[Trouble, str] = {
 def propose_and_store_values(dialogue: Dialogue, bench: Bench, *, asks: bool) -> None:
     """Propose values from the strikes and store the accepted or entered ones in ``bench``.
 
-    Only prints if nothing was struck or no trigger level can be proposed. Raises RigError if, without
-    questions, the values do not go together.
+    With ``asks`` it blocks for the answers and asks again until the values go together. Only prints if
+    nothing was struck or no trigger level can be proposed. Raises RigError if, without questions, the values
+    do not go together, UsageError if the answers end.
     """
     proposal = bench.propose_values()
     if proposal is None:

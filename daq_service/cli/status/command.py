@@ -61,7 +61,10 @@ def run_status(*, config: Path | None, data_dir: Path | None, as_json: bool, wat
 
 
 def _read_status(config: Path | None, data_dir: Path | None) -> tuple[Path, dict[str, object]]:
-    """Return the data folder and its status for JSON; raise UsageError for a foreign folder."""
+    """Return the data folder and its status for JSON.
+
+    Raises UsageError for a missing or foreign folder, StorageError as `describe_status`.
+    """
     settings, folder = load_settings_for_reading(config, data_dir)
     require_data_folder(folder)
     return folder, describe_status(folder, settings)

@@ -130,7 +130,7 @@ def describe_status(folder: Path, settings: Settings) -> dict[str, object]:
 
 
 def _describe_newest_climate(row: EnvironmentRow | None) -> dict[str, object] | None:
-    """Return quality, age (s), temperature (°C) and humidity of the newest set; None without a probe."""
+    """Return quality, age (s), temperature (°C) and humidity (fraction) of a set; None without a probe."""
     if row is None or row.climate_quality == "absent":
         return None
     names = ("climate_quality", "climate_age_s", "temperature_c", "relative_humidity")
@@ -140,7 +140,7 @@ def _describe_newest_climate(row: EnvironmentRow | None) -> dict[str, object] | 
 def _describe_lost_events(folder: Path, catalogue: Catalogue) -> dict[str, str]:
     """Return a description by file if the catalogue lacks events of the history; empty if it has all.
 
-    Also if the history cannot be read. Only its last `END_BYTES` are read.
+    An unreadable history is described instead. Only its last `END_BYTES` are read.
     """
     try:
         lacking = describe_lost_newest_event(read_history(folder, tail_bytes=END_BYTES), catalogue)
@@ -162,7 +162,11 @@ def _convert_newest_rows(latest: LatestRows) -> dict[str, object]:
 
 
 def _compute_present_state(settings: Settings, fresh: Freshness, last: LatestRows) -> dict[str, object]:
-    """Compute the values that change with time: state, data age (h), staleness, limit, control chart."""
+    """Compute the values that change with time: state, data age (h), staleness, limit, control chart.
+
+    The limit is a thickness in m or a squared distance, by method. Limit and chart (statistic and its limit)
+    are None where there is none.
+    """
     age_h = find_data_age_h(last, fresh)
     chart = find_chart_statistic(last.last_assessment, settings.alarms)
     return {

@@ -37,7 +37,7 @@ class Progress:
         machine: MachineClock = MACHINE,
         what: str = "rows",
     ) -> None:
-        """Start the time, and print how many rows were finished before, if any."""
+        """Start the timing, and print how many rows were finished before, if any."""
         self._total = total
         self._done = self._found = done
         self._stream = sys.stderr if stream is None else stream
