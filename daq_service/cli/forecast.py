@@ -92,7 +92,7 @@ def predict_stored_bytes(settings: Settings, n_sets: int) -> int:
 def predict_confirmation_bytes(settings: Settings, last_h: float) -> int:
     """Estimate the maximum size in bytes of the confirmation sets from the baseline's end to hour ``last_h``.
 
-    0 without transducers or if none are allowed.
+    0 without transducers or if none are allowed. Builds the file of one set in memory.
     """
     transducers, shots = settings.list_positions(SOLITARY_WAVE), settings.schedule.shots_per_set
     days = math.ceil(max(0.0, last_h - settings.baseline.hours) / BUDGET_H)
@@ -105,7 +105,10 @@ def predict_confirmation_bytes(settings: Settings, last_h: float) -> int:
 
 
 def predict_tile_bytes(settings: Settings, n_sets: int) -> int:
-    """Estimate the size in bytes of the waterfall's tiles after ``n_sets`` sets."""
+    """Estimate the size in bytes of the waterfall's tiles after ``n_sets`` sets.
+
+    Builds one record of each position in memory to count the cells.
+    """
     from daq_service.archive.waterfall.cells import ALIGNMENTS, build_frame
     from daq_service.archive.waterfall.tiles import estimate_tile_bytes
 
@@ -141,7 +144,10 @@ def _build_noisy_set(settings: Settings, strike: RecordSize, echo: RecordSize, s
     random, twin, records = np.random.default_rng(0), settings.twin, list[Any]()
 
     def build_waveform(size: RecordSize, adc: Any, noise_v: float, at_s: float, width_s: float) -> Any:
-        """Build a waveform with white noise (V rms) and one pulse of half the range at ``at_s``."""
+        """Build a waveform with a pulse of half the range at ``at_s``, and noise of ``noise_v`` V rms.
+
+        The pulse is ``width_s`` wide; without noise of the twin there is none.
+        """
         time_s = np.arange(size.samples) / size.sample_rate_hz
         phase = np.clip((time_s - at_s) / width_s, -0.5, 0.5)
         volts = 0.5 * adc.range_v * np.cos(np.pi * phase) ** 4

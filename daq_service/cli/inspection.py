@@ -80,7 +80,7 @@ def _print_baseline(settings: Settings, facts: dict[str, Any]) -> None:
 
 
 def _print_receivers(notifications: NotificationSettings) -> None:
-    """Print the receivers of alarms with secrets hidden; warn of addresses that cannot be read.
+    """Print the receivers of alarms with secrets hidden; warn on stderr of addresses that cannot be read.
 
     Only a warning, since the service may run as another user.
     """

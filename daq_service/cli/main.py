@@ -122,7 +122,7 @@ def _locate_error(error: Exception) -> str:
 
 
 def _exit_with_message(message: str, code: int) -> None:
-    """Print ``solimon: message`` on standard error and exit the process with a code."""
+    """Print ``solimon: message`` on standard error and raise SystemExit with an exit code."""
     from daq_service.processes.printing import print_line
 
     print_line(f"solimon: {message}")

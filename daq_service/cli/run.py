@@ -79,10 +79,13 @@ def run_as_child(carry_out: Callable[..., int]) -> Callable[..., int]:
 
     @wraps(carry_out)
     def run_child(*, restart_reason: str, supervised: bool, **options: object) -> int:
-        """Run the command, announce its exit code to the supervisor, and return it."""
+        """Run the command, announce its exit code to the supervisor, and return it.
+
+        Raises as `run_as_child`.
+        """
 
         def run() -> int:
-            """Run the command; after a restart, mark a storage error as one to try again."""
+            """Run the command; after a restart raise TriedAgainError for StorageUnavailableError."""
             try:
                 return carry_out(restart_reason=restart_reason, supervised=supervised, **options)
             except StorageUnavailableError as error:
@@ -151,7 +154,10 @@ def run_supervised(*, config: Path | None, data_dir: Path | None, port: int | No
 
 
 def report_full_disk(folder: Path, storage: StorageSettings, report: Callable[[str], None]) -> None:
-    """Report the reason if the disk is too full to record, which no alarm can show yet; else nothing."""
+    """Report the reason if the disk is too full to record, which no alarm can show yet; else nothing.
+
+    Raises OSError if the volume cannot be measured.
+    """
     if reason := refusal(disk_space(folder, storage), storage):
         report(f"WAITING: {reason}")
 
@@ -277,7 +283,7 @@ def _notify_shot_stored(shot_id: int) -> None:
 def start_supply_process(settings: Settings, folder: Path) -> subprocess.Popen[bytes]:
     """Start the supply process so that it outlives this one, and return it.
 
-    The present settings are passed on its standard input.
+    The present settings are passed on its standard input. Raises OSError if it cannot be started.
     """
     command = [*PROGRAM, "supply-process", "--data-dir", str(folder), "--for-recorder"]
     return start_detached_process(command, settings.model_dump_json().encode())

@@ -61,7 +61,8 @@ def _serve_many(paths: Sequence[Path], data_dir: Path | None, port: int | None, 
     """Serve several tests with one web service and return the exit code.
 
     Tokens, logins and log are in the service's own folder, by default `OWN_FOLDER` in the working directory.
-    Raises UsageError if the address needs protection that is missing, BusyError if the port is in use.
+    Raises UsageError if the address needs protection that is missing, BusyError if the port is in use,
+    StorageError if the folder cannot be used.
     """
     from daq_service.web.auth.middleware import refuse_unprotected_service
     from daq_service.web.multi_test.app import create_multi_test_app

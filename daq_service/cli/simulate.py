@@ -52,7 +52,8 @@ def print_simulation(
     Raises
     ------
     UsageError
-        The configuration or an option is invalid, or the model cannot compute a shot; also as `sweep`.
+        The configuration or an option is invalid, or the model cannot compute a shot; or as
+        `print_sweep`, whose other errors are raised, too.
     """
     settings = load_settings(config)
     if model == "zener" and tilt_rad is not None:

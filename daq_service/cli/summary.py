@@ -55,7 +55,7 @@ def summarise_run(settings: Settings, folder: Path) -> dict[str, object]:
 
 
 def sum_stage_seconds(cost: dict[str, float]) -> float:
-    """Return the total wall time in s of all stages of a run."""
+    """Return the total wall time in s of all stages in ``cost``, whose key ``sets`` is no stage."""
     return sum(value for name, value in cost.items() if name != "sets")
 
 

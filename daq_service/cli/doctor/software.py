@@ -63,7 +63,10 @@ def _check_python() -> Check:
 
 
 def _check_package(name: str, oldest: str, installed: Callable[[str], str]) -> Check:
-    """Check that a package is installed in at least version ``oldest``; any version if that is empty."""
+    """Check that a package is installed in at least version ``oldest``; any version if that is empty.
+
+    ``installed`` returns a version or raises PackageNotFoundError, which fails the check.
+    """
     requirement = f"solimon[{EXTRAS[name]}]" if name in EXTRAS else "solimon" if oldest else name
     remedy = f'install it: python -m pip install "{requirement}"'
     try:
@@ -76,7 +79,10 @@ def _check_package(name: str, oldest: str, installed: Callable[[str], str]) -> C
 
 
 def _check_binaries(load: Callable[[str], object]) -> Check:
-    """Check that each package of `COMPILED` can be imported; the check lists every failure."""
+    """Check that each package of `COMPILED` can be imported; the check lists every failure.
+
+    ``load`` imports a module by its name.
+    """
     broken = {}
     for name in COMPILED:
         try:

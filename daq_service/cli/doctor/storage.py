@@ -81,7 +81,8 @@ def refuse_if_owned(what: str, owner: str) -> None:
 def check_storage(settings: Settings, folder: Path) -> list[Check]:
     """Check location, write access, owner, catalogue, sets and free space of the data folder.
 
-    Only a probe file is written, and removed again.
+    Only a probe file is written, and removed again. Raises OSError if the folder cannot be listed or its
+    volume not measured.
     """
     return [
         _check_file_system(folder),
@@ -210,6 +211,7 @@ def _check_space(settings: Settings, folder: Path) -> Check:
     """Compare the free disk space with the size of the data still to come, in bytes.
 
     Fails if it does not suffice or the recorder would stop now; warns below `COMFORTABLE` times that size.
+    Raises OSError if the volume cannot be measured.
     """
     facts = describe_plan(settings, folder)
     stored = FolderSetReader(folder).n_bytes()

@@ -122,7 +122,8 @@ def _take_shot(
 ) -> Trial:
     """Strike once and return the checks, the features and the record of the shot.
 
-    An instrument error or a strike without a record gives a failed check and no features.
+    An instrument error or a strike without a record gives a failed check and no features. ``spike`` is the
+    survey of an earlier strike or None; ``report`` shows a request to the person at the rig.
     """
     clock = WallClock() if settings.clock.kind == "wall" else SimulatedClock(parse_utc(settings.clock.epoch))
     plan = SetPlan(
@@ -177,7 +178,10 @@ def _select_position_settings(settings: Settings, position: str) -> Settings:
 
 
 def _select_position_boards(boards: DaqmxParameters, position: str) -> DaqmxParameters:
-    """Return the parameters of the boards with the wiring and the watchdog of one transducer only."""
+    """Return the parameters of the boards with the wiring and the watchdog of one transducer only.
+
+    Raises KeyError if it is not wired.
+    """
     wiring = boards.transducers[position]
     watchdog = boards.find_watchdog(wiring.coil_serial)
     return replace(boards, transducers={position: wiring}, watchdog=watchdog, watchdogs=None)

@@ -85,7 +85,10 @@ def _build_command(name: str, table: Table) -> click.Command:
 
 
 def _build_parameters(options: Sequence[str | Table]) -> Iterator[click.Parameter]:
-    """Yield the click options of a command; a string in the list names one or more shared options."""
+    """Yield the click options of a command; a string in the list names one or more shared options.
+
+    Raises KeyError for an unknown one.
+    """
     for option in options:
         if isinstance(option, str):
             shared: Table | Sequence[str] = _SHARED[option]

@@ -228,7 +228,8 @@ def _list_lost_sets(
 ) -> list[Finding]:
     """List the sets with rows that have neither a file nor journal frames.
 
-    Files are listed first: the copied journal is read only if some are missing.
+    Files are listed first: the copied journal is read only if some are missing. Files with a finding in
+    ``copied`` are left out. Raises OSError if the copied journal cannot be read.
     """
     named = {finding.file for finding in copied.damage}
     files = {f"{SETS_FOLDER}/{path.name}" for path in (folder / SETS_FOLDER).glob("*.h5")} | named
@@ -262,6 +263,8 @@ def _copy_others(folder: Path, destination: Path, copied: Copied) -> None:
 
 def _write_copy(target: Path, content: bytes, copied: Copied) -> None:
     """Write a copy durably unless an equal one exists, read it back from the disk, and count it.
+
+    Adds the file and its size to ``copied`` if it was written.
 
     Raises
     ------

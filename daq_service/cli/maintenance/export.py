@@ -206,7 +206,8 @@ def _read_shot_columns(
 ) -> Columns:
     """Collect the columns of shots and their results, in the order of the records in the blocks.
 
-    A record without a row has missing values (`_to_columns`). Reads `_SETS_AT_ONCE` sets at a time.
+    A record without a row has missing values (`_to_columns`). Reads `_SETS_AT_ONCE` sets at a time. ``sets``
+    are the rows with the due hours.
     """
     due_h = {row.set_index: row.due_h for row in sets}
     kind: type[FeatureRow] | type[ThicknessRow] = ThicknessRow if sampling.is_echo else FeatureRow

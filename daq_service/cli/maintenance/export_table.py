@@ -72,7 +72,10 @@ def export_records(
     read: list[RecordSlice] = []
 
     def make_file(catalogue: Catalogue, fresh: Freshness, form: str) -> Parts:
-        """Encode the records in a format; they are read at the first call only."""
+        """Encode the records in a format; they are read at the first call only.
+
+        Raises UsageError if there are no such records, or too many.
+        """
         if not read:
             archive = FolderSetReader(folder)
             read.append(read_record_slice(catalogue, archive, choice, most_bytes=MOST_RECORD_BYTES))

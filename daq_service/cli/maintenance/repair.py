@@ -49,7 +49,7 @@ class Step:
 def plan_repair(folder: Path, report: Report, backup: Path | None) -> list[Step]:
     """List the repair step for each corrupt file and for unfinished files; nothing is changed.
 
-    Unfinished files come first, then the others by name.
+    Unfinished files come first, then the others by name. Raises OSError if the journal cannot be read.
 
     Parameters
     ----------

@@ -123,7 +123,7 @@ def _find_shot_differences(
 
 
 def _find_column_differences(where: str, row: Found, wanted: Found) -> Iterator[str]:
-    """Yield a text for each column whose value differs from the file; skip columns that one of them lacks."""
+    """Yield a text, after ``where``, for each column of both mappings whose values differ, in any order."""
     for name in wanted.keys() & row.keys():
         if row[name] != wanted[name]:
             yield f"{where}: {name} is {row[name]!r}, in the file {wanted[name]!r}"

@@ -248,7 +248,8 @@ def check_logs(state: FolderCheck) -> Iterator[Finding]:
 def check_frames(state: FolderCheck) -> Iterator[Finding]:
     """Check the frames of the journal and yield damage that a second reading shows, too.
 
-    A frame may be incomplete while it is written. Stores the journal in ``state``.
+    A frame may be incomplete while it is written. Stores the journal in ``state``. Raises OSError if a
+    segment of the journal cannot be read.
     """
     first = check_journal(state.folder)
     state.journal = check_journal(state.folder) if first.damages else first
@@ -334,7 +335,7 @@ def _compare_with_rows(
     """Compare the name, configuration and rows of a set with its record and yield the differences.
 
     A record with a foreign name or configuration is not compared further. Missing rows are damage only if
-    later sets have some.
+    later sets have some. ``lost`` has the ids of unreadable shots.
     """
     named, due_s = parse_set_keys([reference.rpartition("/")[2]]), record.due_utc_ns // NS_PER_S
     if (named, parse_due_utc_ns(reference)) != ({record.set_key}, due_s * NS_PER_S):

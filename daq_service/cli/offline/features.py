@@ -215,7 +215,7 @@ def _build_extraction_settings(
 
 
 def _extract_record_features(where: str, record: Record, settings: ExtractionSettings) -> ShotFeatures:
-    """Extract the features of a record; one with values above `LARGEST_V` is flagged as disturbed.
+    """Extract the features of a record; flag missing values or values above `LARGEST_V` as disturbed.
 
     Raises UsageError, which names the record, if no wave can be sought in it.
     """
@@ -242,7 +242,8 @@ def _combine_templates(
 ) -> Template | None:
     """Combine given and learned parameters of the template; given ones have priority.
 
-    None if nothing was learned and no ISW amplitude (V) is given.
+    None if nothing was learned and no ISW amplitude (V) is given. ``width_s`` is the ISW width (s) if nothing
+    was learned.
     """
     height_v = transducer.isw_amplitude_v
     if found is None:

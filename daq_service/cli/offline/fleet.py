@@ -132,6 +132,8 @@ def assess_individually(
 ) -> IndividualResult:
     """Assess a transducer without the shared deviation, with at least the usual autocorrelation and tails.
 
+    A refused baseline gives chances of 1. Raises UsageError if the table cannot be read.
+
     Parameters
     ----------
     shared

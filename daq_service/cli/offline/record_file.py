@@ -168,8 +168,8 @@ def _make_record_converter(
 ) -> Callable[[NDArray[np.generic]], Record]:
     """Create the function that converts values of a file without metadata to a record in V.
 
-    Missing parameters are those of the paper. Raises UsageError for counts without ``volts_per_count``, or
-    rails without it.
+    Missing parameters are those of the paper. ``counts`` marks integers; ``ends`` is their range, used as
+    rails if none are given. Raises UsageError for counts without ``volts_per_count``, or rails without it.
     """
     if counts and parameters.volts_per_count is None:
         raise UsageError(

@@ -170,7 +170,7 @@ def _find_exclusion_reason(name: str, column: Column, numbers: NDArray[np.float6
 
 
 def _describe_left_out(name: str, column: Column, reason: str) -> LeftOut:
-    """Describe an unused column by name, reason and its first cell that is not missing."""
+    """Describe an unused column by name, reason and its first cell that is not missing (otherwise row 0)."""
     row = next((row for row, cell in enumerate(column) if not _is_missing(cell)), 0)
     return {"name": name, "reason": reason, "row": row, "cell": str(column[row])}
 
@@ -226,7 +226,7 @@ def _read_csv(path: Path) -> Columns:
     """Read the columns of a CSV file as texts, and its decimal mark: a comma unless commas separate.
 
     Raises NoTableError for an empty file, late comments, rows of another length, or a row of totals at the
-    end.
+    end; OSError if the file cannot be read.
     """
     comments, lines = read_csv_lines(path)
     separator = next((one for one in SEPARATORS if lines and one in lines[0]), ",")
@@ -342,7 +342,10 @@ def _read_parquet(path: Path) -> Columns:
 
 
 def _read_npy(path: Path) -> Columns:
-    """Map the columns of a `.npy` file of shape (rows, features), named by their numbers from 0."""
+    """Map the columns of a `.npy` file of shape (rows, features), named by their numbers from 0.
+
+    Raises NoTableError for other contents, OSError if the file cannot be read.
+    """
     array = mmap_npy(path, "rows x features")
     return {str(k): array[:, k] for k in range(array.shape[1])}, "."
 

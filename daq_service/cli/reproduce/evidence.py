@@ -137,7 +137,8 @@ class Evidence:
 def read_evidence(folder: Path, *, with_traces: bool = True) -> Evidence:
     """Read the sets, readings and traces that the reproduction needs from a data folder.
 
-    Unreadable sets are left out of the traces and listed in ``trouble``.
+    Unreadable sets are left out of the traces and listed in ``trouble``. Without ``with_traces`` no waveforms
+    are read.
 
     Raises
     ------
@@ -187,7 +188,7 @@ def read_evidence(folder: Path, *, with_traces: bool = True) -> Evidence:
 
 
 def _read_series(catalogue: Catalogue, position: str, settings: PositionSettings) -> Series:
-    """Read the sets of a position as arrays by column; missing values are NaN."""
+    """Read a position's sets as arrays by column (NaN if missing), its baseline and first damage alarm."""
     columns = {}
     if settings.method == PULSE_ECHO:
         found = catalogue.columns(ThicknessRow, ["set_index", "due_h", *ECHOES], position=position)

@@ -61,7 +61,10 @@ class ForceTrace:
 def compute_pulses_over_depth(
     chain: ChainParameters, plate: PlateParameters, patch: CorrosionParameters, depths: tuple[float, ...]
 ) -> list[Pulse]:
-    """Simulate one shot for each relative depth of the patch, in order."""
+    """Simulate one shot for each relative depth of the patch, in order.
+
+    Raises SimulatorError if a shot cannot be computed.
+    """
     model = ShotModel(chain, plate, patch)
     return [_compute_pulse(model, depth, chain.drop_height_m) for depth in depths]
 
@@ -71,8 +74,8 @@ def compute_pulses_over_isw(
 ) -> list[Point]:
     """Simulate shots with these ratios of the nominal ISW peak force, each found by its drop height.
 
-    Returns (ratio, time of flight in us, amplitude ratio) for each. Raises ValueError or RuntimeError if no
-    drop height is found within `LONGEST_SEARCH` steps.
+    Returns (ratio, time of flight in us, amplitude ratio) for each. Raises SimulatorError if a shot cannot be
+    computed, ValueError or RuntimeError if no drop height is found within `LONGEST_SEARCH` steps.
     """
     model = ShotModel(chain, plate, CorrosionParameters())
     nominal_n = _compute_pulse(model, 0.0, chain.drop_height_m).isw_peak_n
@@ -95,7 +98,8 @@ def compute_pulses_over_isw(
 def compute_zener_over_isw(ratios: tuple[float, ...], closed_form: bool) -> list[Point]:
     """Compute Zener's model over the ISW's amplitude, ``F ~ v^(6/5) ~ h^(3/5)`` as in Table 2.
 
-    Returns (ratio, time of flight in us, amplitude ratio) for each ratio.
+    Returns (ratio, time of flight in us, amplitude ratio) for each ratio. Raises SimulatorError if the model
+    cannot compute one.
 
     Parameters
     ----------
@@ -113,7 +117,8 @@ def compute_zener_over_isw(ratios: tuple[float, ...], closed_form: bool) -> list
 def compute_impact_over_inelasticity(inelasticities: tuple[float, ...]) -> dict[str, list[float]]:
     """Compute restitution and contact time by eq. 8 and by eqs 10 and 12, one value per lambda.
 
-    Returns columns by name, dimensionless; eq. 10 is NaN above lambda = 1.
+    Returns columns by name, dimensionless; eq. 10 is NaN above lambda = 1. Raises SimulatorError for a lambda
+    outside the model's range.
     """
     columns: dict[str, list[float]] = {
         name: [] for name in ("inelasticity", "e_eq8", "e_eq10", "tau_c_eq8", "tau_c_eq12")
@@ -150,7 +155,10 @@ def compute_impact_speed(chain: ChainParameters, plate: PlateParameters) -> floa
 
 
 def _compute_pulse(model: ShotModel, depth: float, drop_height_m: float) -> Pulse:
-    """Simulate a shot and measure its peaks; ToF and ratio are NaN without a reflected wave."""
+    """Simulate a shot and measure its peaks; ToF and ratio are NaN without a reflected wave.
+
+    Raises SimulatorError, also if there is no incident wave.
+    """
     summary = summarise_pulses(model.shot(depth_fraction=depth, drop_height_m=drop_height_m))
     return Pulse(
         depth_fraction=depth,
@@ -183,7 +191,10 @@ class MeshLines:
 
 
 def build_mindlin_mesh(plate: PlateParameters) -> MeshLines:
-    """Build the mesh lines of the Mindlin plate without corrosion."""
+    """Build the mesh lines of the Mindlin plate without corrosion.
+
+    Raises SpecimenError if the patch does not fit the plate.
+    """
     patch = CorrosionParameters()
     built = build_plate(plate, patch)
     return MeshLines(
@@ -199,7 +210,10 @@ def build_mindlin_mesh(plate: PlateParameters) -> MeshLines:
 
 
 def build_solid_mesh(plate: PlateParameters, depth_fraction: float) -> MeshLines:
-    """Build the mesh lines of the solid plate with the default patch at a relative depth."""
+    """Build the mesh lines of the solid plate with the default patch at a relative depth.
+
+    Raises SpecimenError if the patch does not fit the plate.
+    """
     patch = CorrosionParameters(depth_fraction=depth_fraction)
     built = build_solid_plate(plate, patch)
     x_m, y_m = built.x.breaks_m, built.y.breaks_m
@@ -216,5 +230,8 @@ def build_solid_mesh(plate: PlateParameters, depth_fraction: float) -> MeshLines
 
 
 def compute_zener_on_thickness(thickness_m: float) -> ZenerReflection:
-    """Compute Zener's reflection on a plate of this thickness, m; a very thick one acts as a rigid wall."""
+    """Compute Zener's reflection on a plate of this thickness, m; a very thick one acts as a rigid wall.
+
+    Raises SimulatorError if the plate is too thin for the model.
+    """
     return compute_reflection(ChainParameters(), replace(PlateParameters(), thickness_m=thickness_m))

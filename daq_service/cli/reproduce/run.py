@@ -69,6 +69,8 @@ def reproduce(
         ``seed`` and ``data_dir`` are both given, or an item does not exist.
     StorageError
         The output folder, or the test's, cannot be used.
+    SolimonError
+        The test on the twin failed.
     """
     if seed is not None and data_dir is not None:
         raise UsageError(

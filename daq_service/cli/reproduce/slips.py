@@ -101,7 +101,10 @@ def _percent_change(new: float, old: float) -> float:
 
 
 def _compute_sphere_overlap(material: Material) -> _Numbers:
-    """Compute the overlap of two spheres at the peak of the incident wave, in m and um."""
+    """Compute the overlap of two spheres at the peak of the incident wave, in m and um.
+
+    Raises NotAvailableError if the job failed.
+    """
     overlap_m = indentation_m(
         _find_shot(material, "sphere").isw_peak_n,
         sphere_on_sphere_stiffness(_SPHERE.radius_m, _SPHERE.youngs_modulus_pa, _SPHERE.poisson_ratio),
@@ -123,7 +126,10 @@ def _compute_shear_moduli(_: Material) -> _Numbers:
 
 
 def _find_nearest_candidate(material: Material) -> _Numbers:
-    """Find the setting or limit whose ToF and AR together are nearest to the paper's."""
+    """Find the setting or limit whose ToF and AR together are nearest to the paper's.
+
+    Raises NotAvailableError if a job failed.
+    """
     tof_us, ar = printed_number("fig12", "tof"), printed_number("fig12", "ar")
     candidates = {label: _find_shot(material, name) for name, (label, _) in _CANDIDATES.items()}
 
@@ -136,7 +142,10 @@ def _find_nearest_candidate(material: Material) -> _Numbers:
 
 
 def _check_monotonicity(material: Material) -> _Numbers:
-    """Find the depth with the minimal amplitude ratio, and whether the ToF rises with each depth."""
+    """Find the depth with the minimal amplitude ratio, and whether the ToF rises with each depth.
+
+    Raises NotAvailableError if the job failed.
+    """
     shots: list[models.Pulse] = material.result("disk_depths")
     minimum = min(shots, key=lambda shot: shot.amplitude_ratio)
     rises = all(after.tof_us > before.tof_us for before, after in pairwise(shots))
@@ -151,7 +160,10 @@ def _check_monotonicity(material: Material) -> _Numbers:
 
 
 def _compare_equation_13(material: Material) -> _Numbers:
-    """Compare the time of flight of eq. 13 in us with that of the simulated wall; the difference in %."""
+    """Compare the time of flight of eq. 13 in us with that of the simulated wall; the difference in %.
+
+    Raises NotAvailableError if a job failed.
+    """
     equation_us = 1e6 * material.result("zener_wall").tof_s
     return {
         "equation_us": equation_us,
@@ -219,7 +231,10 @@ def _compute_energy_ratio(_: Material) -> _Numbers:
 
 
 def _compute_dashpot_shift(material: Material) -> _Numbers:
-    """Compute the shift of the time of flight that a strong dashpot causes, us and %."""
+    """Compute the shift of the time of flight that a strong dashpot causes, us and %.
+
+    Raises NotAvailableError if a job failed.
+    """
     weak_us, strong_us = _find_shot(material, "disk").tof_us, _find_shot(material, "disk_gamma").tof_us
     gamma = STRONG_GAMMA_N_S_PER_M
     return {"gamma": gamma, "shift_us": strong_us - weak_us, "shift": _percent_change(strong_us, weak_us)}

@@ -64,7 +64,10 @@ def title_panels(axes: Sequence[Axes], titles: Sequence[str]) -> None:
 
 
 def create_panels(positions: Sequence[str], label: str, *, height_in: float) -> tuple[Figure, list[Axes]]:
-    """Create a figure with a panel over the hours of the test for each position, on common axes."""
+    """Create a figure with a panel over the hours of the test for each position, on common axes.
+
+    ``label`` is that of the y axis; the height is in inches.
+    """
     figure, axes = create_sheet(1, len(positions), height_in=height_in, sharex=True, sharey=True)
     for axis in axes:
         axis.set_xlabel("hour of the test (h)")

@@ -126,7 +126,10 @@ class Bench:
         BusyError
             A recorder owns the data folder.
         ConfigurationError
-            The coil's counter cannot start the acquisition: neither a holdoff nor this record is possible.
+            The coil's counter cannot start the acquisition: neither a holdoff nor this record is
+            possible; ``holds_off`` is set to False.
+        InstrumentError
+            The boards fail otherwise.
         """
         with lock_folder(self.data_folder) as owner:
             refuse_if_owned("a strike", owner)

@@ -127,7 +127,7 @@ class Boards:
     def strike_each(self, positions: Collection[str]) -> None:
         """Strike each transducer once, and again in a wider range while a waveform is clipped.
 
-        Raises the errors of `Bench.strike`.
+        Raises the errors of `Bench.strike`. Also raises RecordError if a record cannot be assessed.
         """
         for position in positions:
             self.bench.strike(position)
@@ -163,7 +163,7 @@ class Boards:
     def result(self) -> Mapping[str, object]:
         """Return the boards, their wiring and the proposal as an object for ``--json``.
 
-        The proposal is None before the first strike.
+        The proposal is None before the first strike. Raises RecordError as `Bench.propose_values`.
         """
         proposal = self.bench.propose_values()
         return {

@@ -96,7 +96,8 @@ def _read_twin_values() -> Tables:
 def _make_playback_values(source: Path) -> Tables:
     """Build the configuration that plays back a recorded test, or other files with the paper's values.
 
-    Raises UsageError if the source is missing or its configuration is of another version.
+    Raises UsageError if the source is missing or its configuration is of another version, CatalogueError if
+    its experiment file is corrupt.
     """
     if not source.exists():
         raise UsageError(f"{source} is not there; give the folder or file of the recording")
@@ -193,9 +194,9 @@ def format_head_comment(instruments: Collection[str], struck: Collection[str]) -
 
 
 def refuse_to_overwrite(file: Path) -> Path:
-    """Return the path of the schema; raise UsageError if a file would be overwritten.
+    """Return the path of the new file's schema; raise UsageError if a file would be overwritten.
 
-    Also if the name does not end in ``.toml``. An equal schema may exist.
+    Also raised if the name does not end in ``.toml``. An equal schema may exist.
     """
     if file.suffix != ".toml":
         raise UsageError(f"{file} will hold TOML: let its name end in .toml")

@@ -127,7 +127,7 @@ def build_page_app(dialogue: Dialogue, scope: Scope, audience: Audience) -> Fast
 
     @app.get("/api/state")
     async def get_state() -> JsonAnswer:
-        """Return the dialogue, the position and the number of strikes for the page."""
+        """Return dialogue, position, number of strikes, and whether the set-up is done; note the request."""
         state = {**dialogue.as_row(), "position": scope.position, "strikes": scope.strikes}
         answer = JsonAnswer({**state, "done": audience.done})
         audience.note_request()

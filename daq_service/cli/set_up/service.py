@@ -89,7 +89,8 @@ def build_systemd_units(
 ) -> dict[str, str]:
     """Build the systemd units of recorder, web service and supply process, as text by file name.
 
-    Watchdog and start timeouts follow from the slowest call of the configured instruments.
+    Without a supply that process has no unit. Watchdog and start timeouts follow from the slowest call of the
+    configured instruments.
     """
     longest_s = math.ceil(compute_longest_call_s(settings) + settings.rig.stall_timeout_s)
     supply = settings.rig.driven
@@ -134,7 +135,10 @@ def _escape_percent(text: str) -> str:
 
 
 def _quote_word(text: str) -> str:
-    """Quote a word of a command line for systemd: quotes, backslashes, dollar and percent signs."""
+    """Quote a word of a command line for systemd, unless it has only letters, digits and ``/-._``.
+
+    Quotes, backslashes, dollar and percent signs are escaped.
+    """
     if text.replace("/", "").replace("-", "").replace(".", "").replace("_", "").isalnum():
         return text
     escaped = text.replace("\\", "\\\\").replace('"', '\\"').replace("$", "$$")
@@ -147,7 +151,10 @@ def _quote_word(text: str) -> str:
 def build_windows_tasks(
     settings: Settings, config: PurePath, folder: PurePath, *, user: str, name: str
 ) -> Mapping[str, str]:
-    """Build the Windows tasks of the supervisor and of the supply process, as XML by file name."""
+    """Build the Windows tasks of the supervisor and of the supply process, as XML by file name.
+
+    Without a supply there is only the first.
+    """
     commands, template = {name: "run"}, _read_template("task.xml")
     if settings.rig.driven is not None:
         commands[f"{name}-supply-process"] = "supply-process"

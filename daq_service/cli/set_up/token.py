@@ -60,7 +60,7 @@ def run_list(*, config: Path | None, data_dir: Path | None, as_json: bool) -> No
 def run_revoke(*, name: str, config: Path | None, data_dir: Path | None, as_json: bool) -> None:
     """Run `solimon token revoke`: revoke an access token and write an audit entry.
 
-    Raises UsageError if there is no such token.
+    Raises UsageError if there is no such token, StorageError if the folder or its file cannot be used.
     """
     path, audit = _find_token_files(config, data_dir)
     token = revoke_token(path, name)

@@ -106,7 +106,10 @@ def set_up_transducers(dialogue: Dialogue, instruments: Instruments, flags: Flag
 
 
 def _ask_for_transducers(dialogue: Dialogue, instruments: Instruments) -> None:
-    """Ask for each transducer until the person ends, and strike it on request; print failed strikes."""
+    """Ask for each transducer until the person ends, and strike it on request; print failed strikes.
+
+    Raises UsageError if the answers end.
+    """
     while (position := _ask_position(dialogue, instruments.wired)) is not None:
         instruments.ask_wiring(position)
         while _ask_whether_to_strike(dialogue, position):
@@ -129,7 +132,10 @@ def make_positions_table(methods: Mapping[str, str]) -> dict[str, dict[str, str]
 
 
 def _ask_position(dialogue: Dialogue, taken: Mapping[str, object]) -> str | None:
-    """Ask for the name of one more transducer; None if the person ends, possible after the first."""
+    """Ask for the name of one more transducer; None if the person ends, possible after the first.
+
+    Raises UsageError if the answers end.
+    """
     text_of_question = "Position of a solitary-wave transducer" + (", - to end" if taken else "")
 
     def parse_position(text: str) -> str | None:
@@ -146,6 +152,9 @@ def _ask_position(dialogue: Dialogue, taken: Mapping[str, object]) -> str | None
 
 
 def _ask_whether_to_strike(dialogue: Dialogue, position: str) -> bool:
-    """Ask whether to strike this transducer; return False for the default answer."""
+    """Ask whether to strike this transducer; return False for the default answer.
+
+    Raises UsageError if the answers end.
+    """
     text, choices = f"Strike {position} once, all hands out of the rig? Or go on", ("strike", "go on")
     return dialogue.ask(f"{position}.strike", text, str, default="go on", choices=choices) == "strike"

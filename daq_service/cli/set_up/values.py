@@ -25,7 +25,7 @@ def propose_and_store_values(dialogue: Dialogue, bench: Bench, *, asks: bool) ->
 
     With ``asks`` it blocks for the answers and asks again until the values go together. Only prints if
     nothing was struck or no trigger level can be proposed. Raises RigError if, without questions, the values
-    do not go together, UsageError if the answers end.
+    do not go together, UsageError if the answers end, RecordError as `Bench.propose_values`.
     """
     proposal = bench.propose_values()
     if proposal is None:
@@ -53,10 +53,14 @@ def propose_and_store_values(dialogue: Dialogue, bench: Bench, *, asks: bool) ->
 
 
 def _ask_for_values(dialogue: Dialogue, bench: Bench, proposal: Proposal) -> Proposal:
-    """Ask for each value, with the proposed one as the default; return the changed proposal."""
+    """Ask for input ranges, trigger level and slope, pre-trigger and holdoff; return the changed proposal.
+
+    Volts and seconds; the proposed values are the defaults. "-" keeps the proposed level or pre-trigger, but
+    means no holdoff, and then the ringing is 0. Blocks; raises UsageError if the answers end.
+    """
 
     def ask_number(name: str, text: str, default: float | None) -> float | None:
-        """Ask for a number; "-" gives None."""
+        """Ask for a number until one is given; "-" gives None."""
         shown = "-" if default is None else f"{default:g}"
         return dialogue.ask(
             name, text, lambda answer: None if answer == "-" else float(answer), default=shown

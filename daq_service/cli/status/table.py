@@ -207,7 +207,10 @@ def _make_position_table(positions: Mapping[str, Facts]) -> Table:
 
 
 def _format_result(row: Facts) -> tuple[str, str, str]:
-    """Format result, limit and quality of a position's newest data, by its method; "-" if missing."""
+    """Format result, limit and quality of a position's newest data, by its method; "-" if missing.
+
+    Results are D², ToF (us) and AR, or the thickness (mm) with its interval.
+    """
     echo, feature, assessment = row["last_thickness"], row["last_feature"], row["last_assessment"]
     if echo is not None:
         wall_m, low_m, high_m = (echo[name] for name in ("thickness_m", "interval_low_m", "interval_high_m"))

@@ -69,6 +69,8 @@ def write_output(path: Path, table: SweepTable) -> None:
     ------
     StorageError
         The disk is full or refuses; nothing new is left of this file.
+    UsageError
+        A Parquet file is requested without pyarrow.
     """
     suffix = path.suffix.lower()
     if suffix == ".csv":

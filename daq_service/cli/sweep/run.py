@@ -81,7 +81,8 @@ def _compute_outcomes(
 ) -> list[Outcome]:
     """Return the outcome of each row in order: refused, finished earlier, or computed now.
 
-    New outcomes are stored at once. Raises UsageError for an invalid row, KeyboardInterrupt if stopped.
+    New outcomes are stored at once. Raises UsageError for an invalid row, KeyboardInterrupt if stopped,
+    StorageError if they cannot be stored, SolimonError if workers are lost.
     """
     outcomes = {row.index: _build_refused_outcome(plan, row) for row in plan.rows if row.specimen is None}
     if work is not None:

@@ -145,7 +145,10 @@ class _CachedPlate:
 
 @lru_cache(maxsize=PREPARED_KEPT)
 def _prepare_cached_plate(plate: PlateParameters, outline: CorrosionParameters) -> _CachedPlate | None:
-    """Return a plate that caches its modes by depth, itself cached; None for a model without modes."""
+    """Return a plate that caches its modes by depth, itself cached; None for a model without modes.
+
+    Its reduction is kept in `DEFAULT_CACHE_FOLDER`. Raises SpecimenError if the patch does not fit the plate.
+    """
     modal = prepare_modal_plate(plate, outline, DEFAULT_CACHE_FOLDER)
     return None if modal is None else _CachedPlate(modal)
 
@@ -167,6 +170,9 @@ def summarise_coupled_shot(force: ShotForce) -> dict[str, float | None]:
 def compute_zener_impact(
     chain: ChainParameters, plate: PlateParameters, corrosion: CorrosionParameters
 ) -> dict[str, float | None]:
-    """Compute Zener's impact of the last sphere: ToF (us) and dimensionless results by key of `RESULTS`."""
+    """Compute Zener's impact of the last sphere: ToF (us) and dimensionless results by key of `RESULTS`.
+
+    Raises SimulatorError if the model cannot compute it, ValueError for a depth out of bounds.
+    """
     row = asdict(compute_reflection(chain, plate, depth_fraction=corrosion.depth_fraction))
     return {"tof_us": 1e6 * row.pop("tof_s"), **row}

@@ -166,7 +166,7 @@ def _outcome_to_json(plan: Plan, outcome: Outcome) -> dict[str, object]:
 
 
 def _outcome_from_json(plan: Plan, content: Mapping[str, Any]) -> Outcome | None:
-    """Convert a JSON object to an outcome; None if its row does not belong to the plan."""
+    """Convert a JSON object to an outcome; None if its row or number of results does not fit the plan."""
     index = content["row"]
     if not 0 <= index < len(plan.rows) or plan.rows[index].key != content["key"]:
         return None

@@ -84,7 +84,10 @@ def compute_recorder_quantities(evidence: Evidence) -> Iterator[Quantity]:
 def _compute_quantiles(
     name: str, values: Sequence[float], missing: str, *, applies: bool = True
 ) -> Iterator[Quantity]:
-    """Yield median, 99th percentile and maximum of values in s; without values the reason ``missing``."""
+    """Yield the quantities ``NAME_p50_s``, ``NAME_p99_s`` and ``NAME_max_s`` of values in s.
+
+    Without values they have only the reason ``missing``; ``applies`` as in `Quantity`.
+    """
     for part, function in QUANTILES.items():
         yield make_quantity(
             f"{name}_{part}_s", function(values) if values else None, missing, applies=applies
@@ -92,7 +95,7 @@ def _compute_quantiles(
 
 
 def compute_time_quantities(evidence: Evidence) -> Iterator[Quantity]:
-    """Yield the quantiles of start delays and durations of sets, and of processing time, s.
+    """Yield the quantiles of start delays and durations of sets, and of processing times, all in s.
 
     Start delays do not apply to a test in simulated time.
     """
@@ -111,7 +114,7 @@ def compute_growth_quantities(evidence: Evidence, name: str) -> Iterator[Quantit
     """Yield the maximum of a machine reading and its slope per 1,000 sets with a 95 % interval.
 
     The slope is that of the recorder process with most readings, without its warm-up; it has no value with
-    fewer than `FEWEST_READINGS`.
+    fewer than `FEWEST_READINGS`. ``name`` is a key of the readings; raises KeyError if one lacks it.
     """
     readings_of_name = select_readings(evidence, name)
     missing = NOT_AVAILABLE if list_readings(evidence) else NOT_KEPT
@@ -135,7 +138,7 @@ def compute_growth_quantities(evidence: Evidence, name: str) -> Iterator[Quantit
 
 
 def compute_disk_quantities(evidence: Evidence) -> Iterator[Quantity]:
-    """Yield size and growth per 1,000 sets of the files, its ratio to the forecast, and free space; bytes."""
+    """Yield size and growth (per 1,000 sets) of the files, ratio to the forecast, least free space; bytes."""
     sizes, forecast_bytes = list(evidence.file_bytes.values()), evidence.forecast_bytes
     mean, missing = (sum(sizes) / len(sizes) if sizes else None), "no set has a file yet"
     over_forecast = None if mean is None else mean / forecast_bytes
@@ -147,9 +150,10 @@ def compute_disk_quantities(evidence: Evidence) -> Iterator[Quantity]:
 
 
 def compute_clock_quantities(evidence: Evidence) -> Iterator[Quantity]:
-    """Yield the clock's steps (s), its unverified times, and the deviation of its UTC from the test time (s).
+    """Yield clock steps (number, largest in s), doubts, largest deviation (s) and synchronized fraction.
 
-    They do not apply to a test in simulated time.
+    Steps are those of the computer's UTC, doubts the alarms ``clock_unverified``, deviations those of UTC
+    from the test time. None of them applies to a test in simulated time.
     """
     real = evidence.experiment.clock == "wall"
     steps = [abs(row.payload["step_s"]) for row in evidence.service if row.kind == CLOCK_STEP]

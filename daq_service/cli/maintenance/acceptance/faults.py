@@ -82,9 +82,10 @@ def build_clock_step_table(evidence: Evidence) -> Table:
 
 
 def compute_fault_quantities(evidence: Evidence) -> Iterator[Quantity]:
-    """Yield the numbers of active faults, of files found corrupt, and of files read again.
+    """Yield the numbers of active faults, files found corrupt, files read again, and findings of `verify`.
 
-    The number of findings of `verify` does not apply if it was not run.
+    Files read again are summed over the recorder's processes. The last number does not apply if `verify` was
+    not run.
     """
     yield make_quantity("faults_standing", sum(fault.until_ns is None for fault in list_faults(evidence)))
     corrupt = {row.payload["file"] for row in evidence.service if row.kind == "data_corrupt"}

@@ -21,7 +21,7 @@ DASHED = ("forecast", "planned")
 def draw_series(series: Series, gaps: Iterable[tuple[float, float]] = ()) -> bytes:
     """Draw a series over the hours of the test as a PNG image and return its bytes.
 
-    ``gaps`` are shaded ranges of hours.
+    ``gaps`` are shaded ranges of hours. At most two of the series' other lines are drawn.
     """
     scale, unit = choose_display_unit(series.text.unit, max(map(abs, series.values), default=0.0))
     with mpl.rc_context(RULES):

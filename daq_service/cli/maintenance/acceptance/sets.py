@@ -69,9 +69,10 @@ def list_gaps(evidence: Evidence) -> list[Gap]:
 
 
 def count_sets_and_records(evidence: Evidence) -> list[Quantity]:
-    """Compute the numbers of planned, recorded, valid and missed sets and records, and of gaps.
+    """Compute the numbers of sets, records, strikes and gaps, fractions, and the longest gap in h.
 
-    Fractions have no value where the total is 0.
+    Sets are counted as planned, due, recorded, partial and missed, records as planned, recorded and valid,
+    strikes as without a record and as repeated. Fractions have no value where the total is 0.
     """
     rows, found = group_rows_by_set(evidence.sets), list_gaps(evidence)
     taken = {index: set_rows for index, set_rows in rows.items() if any(row.n_taken for row in set_rows)}

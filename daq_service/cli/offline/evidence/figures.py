@@ -84,7 +84,7 @@ class _Panel:
         limits: Mapping[str, float | None],
         factor: float = 1.0,
     ) -> None:
-        """Store points and limits times ``factor``, without missing values."""
+        """Store points (hour, value) and limits by name, both times ``factor``, without missing values."""
         present = [(hour, factor * value) for hour, value in points if value is not None]
         self.label = label
         self.hours = [hour for hour, _ in present]
