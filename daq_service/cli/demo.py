@@ -67,7 +67,7 @@ def run_demo(
                 address_printer = _AddressPrinter(progress.line, open_page if browser else lambda url: False)
 
                 def on_message(child: str, message: Message) -> None:
-                    """Pass a message of a child process to the progress report and the address printer."""
+                    """Report a child's message; print the summary at the end of the test if ``stay``."""
                     progress.report_message(child, message)
                     if message["event"] == "listening":
                         address_printer.note_address(message["url"])

@@ -112,7 +112,7 @@ def _scale_value(value: float | None, factor: float) -> float | None:
 
 
 def _find_last_good_feature(catalogue: Catalogue, minimum_valid: int, position: str) -> FeatureRow | None:
-    """Return the newest set features with enough valid shots and a ToF; None if there are none."""
+    """Return the newest features of a set with enough valid shots and a ToF; None if there are none."""
     rows = catalogue.rows(FeatureRow, position=position, scope="set")
     good = [row for row in rows if row.n_valid >= minimum_valid and row.tof_pp_s is not None]
     return good[-1] if good else None

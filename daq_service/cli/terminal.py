@@ -109,7 +109,7 @@ class ProgressReport:
         self._writer.join(HELD_AFTER_S)
 
     def line(self, text: str) -> None:
-        """Queue a line for a person on standard output, or on standard error with ``news_to_stderr``."""
+        """Queue a line for standard output, or for standard error with ``news_to_stderr``; never blocks."""
         self._queue_line(text, err=self._news_to_stderr)
 
     def _queue_line(self, text: str, *, err: bool = True, style: str = "") -> None:

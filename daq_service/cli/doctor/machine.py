@@ -108,10 +108,10 @@ def _check_synchronization(ask: Ask, system: str) -> Check:
 
 
 def _read_clock_source(ask: Ask, system: str) -> tuple[str, bool | None]:
-    """Return the name of the queried time service, and whether the clock is synchronized.
+    """Return the name of the queried time service, and whether the clock is synchronized (None: unknown).
 
-    Asks w32tm on Windows, timedatectl and then chronyc on Linux. None instead of the truth value: unknown, as
-    on every other system.
+    Asks w32tm on Windows, timedatectl and then chronyc on Linux; other systems are not asked. If no service
+    answers, a phrase that states this replaces its name.
     """
     if system == "win32":
         # The words are the system's language, the leap indicator's digit is not: 3 is not synchronised.

@@ -245,7 +245,7 @@ def _list_lost_sets(
 
 
 def _copy_others(folder: Path, destination: Path, copied: Copied) -> None:
-    """Copy the other files of a test: experiment, supply state, logs, audit log, quarantine.
+    """Copy configuration, experiment, supply state, logs, audit log and quarantine of a folder.
 
     Temporary files and those that vanish meanwhile are skipped. Updates ``copied``; raises OSError if a copy
     cannot be written.

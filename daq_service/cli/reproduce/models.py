@@ -212,7 +212,7 @@ def build_mindlin_mesh(plate: PlateParameters) -> MeshLines:
 def build_solid_mesh(plate: PlateParameters, depth_fraction: float) -> MeshLines:
     """Build the mesh lines of the solid plate with the default patch at a relative depth.
 
-    Raises SpecimenError if the patch does not fit the plate.
+    Raises SpecimenError if the model does not know such a plate, or the mesh grows too large.
     """
     patch = CorrosionParameters(depth_fraction=depth_fraction)
     built = build_solid_plate(plate, patch)

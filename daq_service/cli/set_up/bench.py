@@ -73,9 +73,10 @@ class Bench:
     )
 
     def wire(self, position: str, wiring: TransducerWiring) -> Waveform:
-        """Add a transducer with the range of a first record, and record its input at rest.
+        """Add a transducer in the widest input range up to `FIRST_RANGE_V`, and record its input at rest.
 
-        On an error the transducers are as before, and none is current.
+        On an error the transducers are as before, and none is current. If all ranges are wider, the narrowest
+        is used.
 
         Raises
         ------

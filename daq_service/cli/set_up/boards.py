@@ -146,8 +146,8 @@ class Boards:
     def contents(self, others: Tables, off: set[KeyPath]) -> Contents:
         """Return the values, the switched-off tables and the head comment of the configuration file.
 
-        ``others`` are further tables of [rig], ``off`` the tables that are switched off besides the watchdog.
-        Raises UsageError if a position is both a transducer and a probe.
+        ``others`` and ``off`` as in `Instruments.contents`; the watchdog is switched off, too. Raises
+        UsageError if a position is both a transducer and a probe.
         """
         values, _ = read_lab_config()
         methods = dict.fromkeys(others.get("niscope", {}).get("probes", {}), PULSE_ECHO)

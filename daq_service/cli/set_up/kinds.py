@@ -150,7 +150,7 @@ class Kinds:
     def contents(self, others: Tables, off: set[KeyPath]) -> Contents:
         """Return the values with all defaults, the switched-off tables and the head of the file.
 
-        Raises UsageError if the values are invalid.
+        Raises UsageError if the values are invalid. ``others`` and ``off`` as in `Instruments.contents`.
         """
         values = self._build_file_values(others)
         for item in list_instruments(validate_new_file(values, off, self.file)):

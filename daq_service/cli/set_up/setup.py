@@ -189,7 +189,8 @@ def validate_and_write(
 ) -> dict[str, object]:
     """Validate the configuration, write it with its schema, and print the next steps.
 
-    Returns the object for ``--json``. Raises UsageError for invalid values or a file that exists.
+    Returns the object for ``--json``. Raises UsageError for invalid values or a file that exists. ``others``
+    and ``off`` as in `Instruments.contents`.
     """
     values, off, head = instruments.contents(others, off)
     settings = validate_new_file(values, off, file)

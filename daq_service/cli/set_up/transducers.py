@@ -69,7 +69,7 @@ class Instruments(Protocol):
     def contents(self, others: Tables, off: set[KeyPath]) -> Contents:
         """Return values, switched-off tables and head of the file; `others` are tables of [rig].
 
-        Raises UsageError for invalid values.
+        ``off`` are further tables to switch off. Raises UsageError for invalid values.
         """
         ...
 

@@ -52,7 +52,7 @@ def compute_plan(
     Raises
     ------
     SolimonError
-        Workers died again and again.
+        Workers were lost repeatedly.
     """
     tasks = iter(group_rows_into_tasks(rows, workers))
     running: set[Future[list[Outcome]]] = set()

@@ -51,7 +51,10 @@ class Progress:
             self._stream.flush()
 
     def advance(self, rows: int) -> None:
-        """Count finished rows and print the progress if due: every `REDRAW_INTERVAL_S` or at each tenth."""
+        """Count finished rows, and print the progress if it is due or all rows are finished.
+
+        It is due every `REDRAW_INTERVAL_S` (s) on a terminal, elsewhere at each tenth.
+        """
         self._done += rows
         now = self._machine.mono_s()
         finished = self._done == self._total

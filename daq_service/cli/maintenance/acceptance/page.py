@@ -25,7 +25,7 @@ def choose_display_unit(unit: str, value: float) -> tuple[float, str]:
 
 
 def render_report(report: AcceptanceReport, pictures: Mapping[str, bytes]) -> bytes:
-    """Build the HTML page of the report, encoded.
+    """Build the HTML page of the report, in UTF-8.
 
     Parameters
     ----------

@@ -47,7 +47,7 @@ def describe_recomputation(found: Explained) -> str:
 
 
 def render_alarm_page(found: Explained, pictures: Sequence[Picture]) -> bytes:
-    """Build the HTML page of an alarm, encoded, with its evidence, assessment, guidance and figures."""
+    """Build the HTML page of an alarm, in UTF-8, with its evidence, assessment, guidance and figures."""
     recomputed = () if found.again is None else found.again.assessments
     of_set = next((row for row in recomputed if row.set_index == found.alarm.raised_set_index), None)
     assessment = {} if of_set is None else as_dict(of_set)
