@@ -109,7 +109,10 @@ def run_demo(
 def _build_overrides(
     hours: float | None, seed: int | None, pace: float | None
 ) -> dict[str, dict[str, object]]:
-    """Build the configuration overrides by table and key: `NUISANCE`, and the options that are not None."""
+    """Build the configuration overrides by table and key: `NUISANCE`, and the options that are not None.
+
+    The options are the end of the test in h, the twin's seed, and the pace in h of the test per s.
+    """
     options: dict[str, dict[str, object]] = {
         "schedule": {"end_h": hours},
         "twin": {"nuisance": NUISANCE, "seed": seed},
@@ -143,7 +146,10 @@ class _AddressPrinter:
     """
 
     def __init__(self, print_line: Callable[[str], None], open_page: Callable[[str], bool]) -> None:
-        """Start the timer that ends the wait for the first set after `PATIENCE_S`."""
+        """Start the timer that ends the wait for the first set after `PATIENCE_S`.
+
+        ``print_line`` prints the address; ``open_page`` returns whether it opened the page.
+        """
         self._print_line, self._open_page = print_line, open_page
         self._lock = threading.Lock()
         self._url: str | None = None

@@ -207,7 +207,11 @@ def _build_noisy_set(settings: Settings, strike: RecordSize, echo: RecordSize, s
 def _build_results(
     probes: Sequence[str], transducers: Sequence[str], records: Sequence[Shot | PulseEchoRecord]
 ) -> Results:
-    """Build the placeholder result tables of a set; their size does not depend on the values."""
+    """Build the placeholder result tables of a set; their size does not depend on the values.
+
+    ``probes`` and ``transducers`` are position names: each transducer gets a row for the set and one per
+    record, each probe one per record.
+    """
     from daq_service.assessment.results_in_file import build_result_tables
     from daq_service.catalogue.rows import FeatureRow, ThicknessRow
     from daq_service.recording.set_assessor import build_shot_row

@@ -97,7 +97,7 @@ def _format_option_name(name: str) -> str:
 
 
 def _print_shots(model: str, specimen: Specimen, grid: list[float], *, is_table: bool, as_json: bool) -> None:
-    """Compute one shot per depth and print them as a table or JSON; raise UsageError if one fails.
+    """Compute one shot per depth of ``grid`` and print them as table or JSON; raise UsageError if one fails.
 
     Progress goes to standard error on a terminal.
     """

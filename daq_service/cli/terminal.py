@@ -115,7 +115,7 @@ class ProgressReport:
     def _queue_line(self, text: str, *, err: bool = True, style: str = "") -> None:
         """Add a line to the queue of the writing thread; drop it if `MOST_HELD_LINES` are waiting.
 
-        Never blocks. Control characters are escaped.
+        ``err`` chooses standard error. Never blocks. Control characters are escaped.
         """
         if self._lines.qsize() < MOST_HELD_LINES:
             self._lines.put((escape_to_one_line(text), err, style))
@@ -187,7 +187,7 @@ class ProgressReport:
             self(message["event"], **values)
 
     def _report_beat(self, *, doing: str, **_: object) -> None:
-        """Store the activity of the recorder, and when it changed."""
+        """Store the recorder's activity ``doing``, and when it changed."""
         if doing != self._doing:
             self._doing, self._doing_since_s = doing, self._machine.mono_s()
 
@@ -259,7 +259,8 @@ class ProgressReport:
 def describe_missing_screen(environment: Mapping[str, str], platform: str = sys.platform) -> str:
     """Return why a page opened by this process would not be visible; empty if there is a screen.
 
-    Reasons: standard error is no terminal, CI, SSH, or no display on a system that needs one.
+    Reasons: standard error is no terminal, CI, SSH, or no display on a ``platform`` that needs one.
+    ``environment`` has the variables.
     """
     if not sys.stderr.isatty():
         return "no terminal"

@@ -42,6 +42,8 @@ def run_doctor(*, config: Path | None, data_dir: Path | None, strike: str | None
         The configuration is invalid, or the position cannot be struck.
     BusyError
         A strike is requested while a recorder owns the folder.
+    StorageUnavailableError
+        The recorder's lock file in the folder cannot be opened.
     """
     settings = load_settings(config)
     folder = choose_folder(settings.storage, config, data_dir)
@@ -156,7 +158,7 @@ def run_rig_checks(
 
 
 def _build_skipped_check(name: str, found: str, remedy: str) -> Check:
-    """Create a skipped check of area ``rig`` with its reason and a remedy."""
+    """Create a skipped check of area ``rig`` with the reason ``found`` and a remedy."""
     return Check("rig", name, "skipped", found, remedy)
 
 

@@ -39,12 +39,13 @@ COMFORTABLE = 2.0
 def lock_folder(folder: Path) -> Iterator[str]:
     """Hold the recorder's lock while the context is open, so that no recorder starts.
 
-    Waits at most `LOOK_S` for the lock. If it cannot be taken, the context runs without it.
+    Waits at most `LOOK_S` (s) for the lock. If another process holds it, the context runs without it. Raises
+    StorageUnavailableError if the lock file cannot be opened.
 
     Yields
     ------
     str
-        Present owner, or why the lock cannot be opened; empty: none. A folder without a lock file has never
+        Description of the present owner; empty: none. A folder without a lock file has never
         had a recorder, and no lock file is created.
     """
     with ExitStack() as stack:
@@ -66,7 +67,8 @@ def read_lock_owner(folder: Path) -> str:
     """Return the description of the recorder that owns the folder; empty if there is none.
 
     Takes the recorder's lock for a moment, waiting at most `LOOK_S` (s), and releases it at once: a recorder
-    that restarts meanwhile would find it taken, and its supervisor would end the test.
+    that restarts meanwhile would find it taken, and its supervisor would end the test. Raises as
+    `lock_folder`.
     """
     with lock_folder(folder) as owner:
         return owner
@@ -147,7 +149,7 @@ def _check_writable(folder: Path) -> Check:
 
 
 def _failed_check(name: str, found: str, remedy: str) -> Check:
-    """Create a failed check of area ``folder``."""
+    """Create a failed check of area ``folder`` with the finding ``found`` and a remedy."""
     return Check("folder", name, "fail", found, remedy)
 
 

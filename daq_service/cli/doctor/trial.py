@@ -236,8 +236,8 @@ def _check_trigger_level(
 ) -> Check:
     """Warn if the ratio of trigger level and incident wave is outside `FITTING_LEVEL`.
 
-    The amplitude is that of the shot if valid, otherwise that of the survey. Skipped if the amplitude or the
-    level (V) is unknown (NaN).
+    The amplitude is that of the shot if valid, otherwise that of the survey ``spike``, if any. Skipped if the
+    amplitude or the level (V) is unknown (NaN).
     """
     name = f"strike {shot.key.position}: trigger level"
     incident_v = features.isw_amplitude_v

@@ -212,11 +212,11 @@ def check_experiment(state: FolderCheck) -> Iterator[Finding]:
 
 
 def _find_missing_events(state: FolderCheck, last_id: int, *, running: bool) -> Iterator[str]:
-    """Yield at most one text on events of the catalogue that are missing at the end of the history.
+    """Yield at most one text on events of the catalogue after ``last_id``, the last one in the history.
 
-    A recorder appends them within a second and before it ends, after a crash at the next start. So missing
-    events count only if they span more than `MOST_BEHIND_S` or include the recorder's end. A damaged
-    catalogue is noted in ``state.unreadable``.
+    A recorder appends them to the history within a second and before it ends, after a crash at the next
+    start. So missing events count only if they span more than `MOST_BEHIND_S`, or include the end of a
+    recorder that is not ``running``. A damaged catalogue is noted in ``state.unreadable``.
     """
     try:
         lacking = [] if state.catalogue is None else state.catalogue.read_events_after(last_id)

@@ -177,7 +177,10 @@ def _open_parallel_map(tables: tuple[Path, ...]) -> Iterator[Map]:
 def try_to_assess_table(
     path: Path, *, read: Read, budget: Budget, with_rows: bool
 ) -> tuple[Sensor, UsageError | None]:
-    """Assess one table; return its result and None, or a refused result and the UsageError of reading it."""
+    """Assess one table; return its result and None, or a refused result and the UsageError of reading it.
+
+    ``with_rows`` adds the statistics of each row.
+    """
     try:
         return assess_one_table(path, read=read, budget=budget, with_rows=with_rows), None
     except UsageError as error:
@@ -187,8 +190,8 @@ def try_to_assess_table(
 def assess_one_table(path: Path, *, read: Read, budget: Budget, with_rows: bool) -> Sensor:
     """Assess one table and return the result for JSON; a baseline that cannot be used is its ``refused``.
 
-    Warns on standard error if the last row is baseline, so that nothing is assessed. Raises UsageError if the
-    table cannot be read.
+    Warns on standard error if the last row is baseline, so that nothing is assessed. ``with_rows`` adds the
+    statistics of each row. Raises UsageError if the table cannot be read.
     """
     table = read(path)
     assessed = assess_sequence(table.vectors, table.in_baseline, table.names, budget, textbooks=with_rows)
@@ -245,7 +248,7 @@ def _build_result_rows(assessed: Assessed) -> list[dict[str, float | None]]:
 
 
 def describe_sensor(answer: Sensor, budget: float, sets_per_day: float) -> str:
-    """Format the result of a transducer as lines of text; ``budget`` in false alarms per year."""
+    """Format the result of a transducer as text; ``budget`` in false alarms per year at ``sets_per_day``."""
     if answer.refused is not None:
         return f"{answer.file}: refused: {answer.refused}"
     alarm, lines = answer.alarm, [answer.file]

@@ -117,7 +117,7 @@ def run_features(
 def _parse_increasing_pair(option: str, form: str, text: str | None) -> tuple[float, float] | None:
     """Parse the text ``LOW,HIGH`` of an option to two increasing finite numbers; None stays None.
 
-    Raises UsageError, which names the option, for any other text.
+    Raises UsageError, which names the option, for any other text. ``form`` describes the text in messages.
     """
     if text is None:
         return None

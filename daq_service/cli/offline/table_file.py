@@ -272,7 +272,8 @@ def _remove_empty_ends(header: list[str], body: list[list[str]]) -> None:
 def _remove_unit_row(path: Path, header: list[str], body: list[list[str]], decimal: str) -> list[list[str]]:
     """Return the rows without a row of units below the names.
 
-    Raises NoTableError if that row names columns without a name.
+    Raises NoTableError if that row names columns without a name. ``header`` has the names, ``body`` the rows
+    of cells, and ``decimal`` is the decimal mark.
     """
     first, second = (*body, [], [])[:2]
     if not len(header) == len(first) > 0 or any(is_comment(one) or _is_number(one, decimal) for one in first):
@@ -351,7 +352,7 @@ def _read_npy(path: Path) -> Columns:
 
 
 def _convert_to_numbers(column: Column, decimal: str) -> NDArray[np.float64] | None:
-    """Convert a column to float64, NaN if missing or overload; None if most cells are not numbers."""
+    """Convert a column to float64, NaN if missing or overload; None if more than half are not numbers."""
     if isinstance(column, np.ndarray):
         return _replace_overload(column.astype(np.float64))
     cells = [None if _is_missing(cell) else cell for cell in column]

@@ -45,7 +45,10 @@ class _Curve:
 def _draw_curves(
     styles: Mapping[str, _Curve], curves: _Curves, *, height_in: float
 ) -> tuple[Figure, list[Axes]]:
-    """Draw ToF (us) and AR over the varied quantity in two panels; return figure and axes."""
+    """Draw ToF (us) and AR over the varied quantity in two panels; return figure and axes.
+
+    ``styles`` has label, color and line style of each curve by name.
+    """
     figure, axes = style.create_sheet(1, 2, height_in=height_in)
     for name, points in curves.items():
         curve, columns = styles[name], np.transpose(points)
@@ -120,7 +123,10 @@ def _build_isw_job(chain: ChainParameters) -> item.Job:
 
 
 def _build_zener_job(*, closed_form: bool) -> item.Job:
-    """Create the job that computes Zener's model over the amplitude of the incident wave."""
+    """Create the job that computes Zener's model over the amplitude of the incident wave.
+
+    ``closed_form`` as in `models.compute_zener_over_isw`.
+    """
     return item.Job(function=models.compute_zener_over_isw, arguments=(models.ISW_STEPS, closed_form))
 
 

@@ -98,8 +98,8 @@ def compute_pulses_over_isw(
 def compute_zener_over_isw(ratios: tuple[float, ...], closed_form: bool) -> list[Point]:
     """Compute Zener's model over the ISW's amplitude, ``F ~ v^(6/5) ~ h^(3/5)`` as in Table 2.
 
-    Returns (ratio, time of flight in us, amplitude ratio) for each ratio. Raises SimulatorError if the model
-    cannot compute one.
+    ``ratios`` are those of the nominal ISW amplitude. Returns (ratio, time of flight in us, amplitude ratio)
+    for each ratio. Raises SimulatorError if the model cannot compute one.
 
     Parameters
     ----------

@@ -129,7 +129,7 @@ class Dialogue:
         return self.ask(name, text, lambda answer: answer == "yes", default=default, choices=("yes", "no"))
 
     def answer(self, number: int, text: str) -> bool:
-        """Queue an answer of the page; return False if it is not to the question that waits now."""
+        """Queue an answer of the page; return False if question ``number`` does not wait now."""
         with self._lock:
             if self._waiting is None or number != self.number:
                 return False

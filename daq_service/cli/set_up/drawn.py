@@ -38,7 +38,7 @@ def prepare_shot_for_page(
 ) -> dict[str, object]:
     """Convert a shot to a JSON object for drawing: envelope, marks of ISW and PSW (s, V), flags.
 
-    Heights are negative for a falling wave; NaN for a missing one.
+    Heights are negative for a falling wave; NaN for a missing one. ``rising`` is the direction of the wave.
     """
     sign = 1.0 if rising else -1.0
     marks = {

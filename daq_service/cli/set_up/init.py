@@ -222,8 +222,8 @@ def validate_new_file(values: Tables, off: Collection[KeyPath], file: Path) -> S
 def write_config(file: Path, values: Tables, *, head: str, off: Collection[KeyPath]) -> None:
     """Write a commented configuration, and its schema into the same folder.
 
-    Tables in ``off`` are written as comments. Raises UsageError if a file exists or cannot be written; the
-    schema may then remain.
+    ``head`` is the comment at the top; tables in ``off`` are written as comments. Raises UsageError if a file
+    exists or cannot be written; the schema may then remain.
     """
     schema, text = refuse_to_overwrite(file), format_commented_toml(values, head=head, switched_off=off)
     try:

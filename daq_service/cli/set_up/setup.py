@@ -69,6 +69,8 @@ def run_setup(
         A recorder owns the data folder, or another program holds an instrument or the port.
     RigError
         No instrument is found, one fails, or a record cannot be assessed.
+    StorageUnavailableError
+        The recorder's lock file in the data folder cannot be opened.
     """
     refuse_to_overwrite(file)
     flags = Flags(

@@ -81,7 +81,10 @@ def _find_token_files(config: Path | None, data_dir: Path | None) -> tuple[Path,
 
 
 def _add_audit_entry(audit: Audit, action: str, **arguments: object) -> None:
-    """Append the command with the present user as its author to the audit log."""
+    """Append an action on tokens, with the present user as its author, to the audit log.
+
+    An OSError is logged, not raised.
+    """
     audit.add(
         author=user_name(), role=CLAIMED, source=TERMINAL, what=action, arguments=arguments, result="done"
     )

@@ -196,7 +196,7 @@ def _describe_baseline(row: BaselineRow | None) -> dict[str, object] | None:
 def _summarize_confirmations(
     catalogue: Catalogue, transducers: Sequence[str], maximum_a_day: int, fresh: Freshness
 ) -> dict[str, object]:
-    """Return the number of confirmation sets, the newest result, and how many are left today by position."""
+    """Return the confirmation sets' number, newest result, and by transducer how many are left today."""
     rows = catalogue.rows(SetRow, purpose="confirmation")
     newest = max(rows, key=lambda row: row.due_utc_ns, default=None)
     last = None

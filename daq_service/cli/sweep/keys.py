@@ -36,7 +36,10 @@ def list_known_keys() -> tuple[str, ...]:
 
 
 def _yield_keys(section: type, above: str) -> Iterator[str]:
-    """Yield the dotted keys of a section and, recursively, of the tables below it."""
+    """Yield the dotted keys of a section and, recursively, of the tables below it.
+
+    ``above`` is the key of the section itself.
+    """
     hints = get_type_hints(section)
     for field in fields(section):
         key = f"{above}.{field.name}"

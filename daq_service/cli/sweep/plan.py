@@ -138,7 +138,10 @@ def _check_plan_size(axes: Sequence[Axis], element_wise: bool, waveforms: bool) 
 def _yield_rows(
     model: Model, base: Specimen, keys: tuple[str, ...], combined: Iterable[tuple[object, ...]]
 ) -> Iterator[Row]:
-    """Yield the rows in order, refused ones with their reason; a shared section is built and hashed once."""
+    """Yield the rows in order, refused ones with their reason; a shared section is built and hashed once.
+
+    ``combined`` has the values of each row in the order of ``keys``; those of a row are as validated.
+    """
     paths = [tuple(key.split(".")) for key in keys]
     places = {name: [k for k, path in enumerate(paths) if path[0] == name] for name in SECTIONS}
     bases = dict(zip(SECTIONS, base, strict=True))

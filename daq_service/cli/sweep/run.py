@@ -67,7 +67,10 @@ def run_sweep(
 
 
 def _refuse_to_overwrite(plan: Plan, options: SweepOptions, work: Path | None) -> None:
-    """Raise UsageError for existing outputs, unless an interrupted run of this sweep wrote them."""
+    """Raise UsageError for existing outputs, unless an interrupted run of this sweep wrote them.
+
+    Its work file ``work`` shows that. Nothing is refused with ``overwrite`` in the options.
+    """
     if options.overwrite or (work is not None and is_work_file_of(work, plan)):
         return
     for output in options.outputs:

@@ -181,7 +181,8 @@ def _compute_evaluation_time_ns(
 ) -> int:
     """Return the UTC time in ns until which sets are due.
 
-    For an ended or simulated test that is its last event or set, otherwise the present time of the test.
+    For an ended or simulated test that is its last event (``service``) or set, otherwise the present time of
+    the test.
     """
     last = max([experiment.epoch_utc_ns, *(row.utc_ns for row in service), *(row.due_utc_ns for row in sets)])
     if ended or experiment.clock != "wall":

@@ -67,7 +67,8 @@ def make_quantity(
 ) -> Quantity:
     """Create a quantity with its texts; ``facts`` fill the placeholders of its method.
 
-    Raises KeyError if ``texts.toml`` has no such quantity.
+    ``missing`` is the reason without a value, ``interval`` its lower and upper end. Raises KeyError if
+    ``texts.toml`` has no such quantity.
     """
     text, (low, high) = TEXTS.quantities[name], interval
     return Quantity(

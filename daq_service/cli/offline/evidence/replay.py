@@ -29,7 +29,8 @@ def run_replay(
 ) -> None:
     """Run `solimon replay`: reassess a stored test with changed settings and print the differences.
 
-    The folder is only read.
+    The folder is only read. ``given`` are settings ``KEY=VALUE``; with ``extract`` features are extracted
+    from the waveforms again, by ``workers`` of an executor.
 
     Raises
     ------
