@@ -205,7 +205,9 @@ def record_alone(
 ) -> int:
     """Run `solimon record`: record until the schedule ends (0) or a person stops it (130).
 
-    Holds the folder's lock and removes temporary files. Errors are logged to ``logs/recorder.log``.
+    With ``linger`` it takes commands after the last set; with ``log_json`` it notifies the supervisor of each
+    stored shot. Holds the folder's lock and removes temporary files. Errors are logged to
+    ``logs/recorder.log``.
 
     Raises
     ------

@@ -68,7 +68,10 @@ def _read_cost(catalogue: Catalogue) -> dict[str, float] | None:
 def _summarise_solitary_wave(
     catalogue: Catalogue, rules: BaselineSettings, limit_name: str, position: str
 ) -> dict[str, object]:
-    """Summarize a solitary-wave transducer: first alarm (h), outlier fractions, ToF (us), AR, limit."""
+    """Summarize a solitary-wave transducer: first alarm (h), outlier fractions, ToF (us), AR, limit.
+
+    Missing values, and those of echoes, are None.
+    """
     assessments = catalogue.rows(AssessmentRow, position=position)
     assessed = [row for row in assessments if not row.in_baseline and row.outlier is not None]
     after = [row for row in assessed if row.due_h > SPLIT_H]
@@ -95,7 +98,10 @@ def _summarise_solitary_wave(
 
 
 def _summarise_pulse_echo(catalogue: Catalogue, position: str) -> dict[str, object]:
-    """Summarize an ultrasonic probe: first alarm (h), last travel time (us) and thickness (mm)."""
+    """Summarize an ultrasonic probe: first alarm (h), last travel time (us) and thickness (mm).
+
+    Missing values, and those of solitary waves, are None.
+    """
     rows = [row for row in catalogue.rows(ThicknessRow, position=position) if row.thickness_m is not None]
     last = rows[-1] if rows else None
     return {

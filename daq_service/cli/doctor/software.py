@@ -31,6 +31,8 @@ def check_software(
 ) -> list[Check]:
     """Compare Python and installed packages with their minimum versions, and import the compiled ones.
 
+    A missing or outdated package fails.
+
     Parameters
     ----------
     needed

@@ -201,7 +201,8 @@ def _build_missed_strike_check(missed: MissedShot) -> Check:
 def _check_record_flags(shot: Shot, features: ShotFeatures, took_s: float) -> Check:
     """Create the check of a record from its quality flags: a warning if there are any.
 
-    ``took_s`` is the duration of the trial in s.
+    ``took_s`` is the duration of the trial in s. The finding has amplitudes (V), time of flight (us) and
+    noise (V rms).
     """
     flags = features.flags
     incident = "no incident wave, "

@@ -11,6 +11,8 @@ import click
 def send_command(*, kind: str, note: str, **given: object) -> int:
     """Send a control command to the recorder, print its answer and return the exit code.
 
+    ``given`` are further arguments of `daq_service.commands.send.send_command`.
+
     Raises
     ------
     BusyError

@@ -202,8 +202,8 @@ def _copy_sets(
 ) -> None:
     """Copy new files of sets; put corrupt ones into the backup's quarantine and list them in ``copied``.
 
-    A file that the backup has with equal size is not copied again. Calls ``progress`` with the numbers of set
-    files done and in all; raises OSError if a copy cannot be written.
+    A file that the backup has with equal size is not copied again but counted as present. Calls ``progress``
+    with the numbers of set files done and in all; raises OSError if a copy cannot be written.
     """
     files = to_references(path.name for path in (folder / SETS_FOLDER).glob("*.h5"))
     for number, (set_key, file) in enumerate(files.items()):

@@ -206,8 +206,8 @@ def _read_shot_columns(
 ) -> Columns:
     """Collect the columns of shots and their results, in the order of the records in the blocks.
 
-    A record without a row has missing values (`_to_columns`). Reads `_SETS_AT_ONCE` sets at a time. ``sets``
-    are the rows with the due hours.
+    Results are features or, of echoes, thickness. A record without a row has missing values (`_to_columns`).
+    Reads `_SETS_AT_ONCE` sets at a time. ``sets`` are the rows with the due hours.
     """
     due_h = {row.set_index: row.due_h for row in sets}
     kind: type[FeatureRow] | type[ThicknessRow] = ThicknessRow if sampling.is_echo else FeatureRow
@@ -234,7 +234,8 @@ def _read_shot_columns(
 def _read_set_columns(catalogue: Catalogue, position: str, sets: Sequence[SetRow]) -> Columns:
     """Collect the columns of a position's sets and their results, in the order of ``sets`` (not empty).
 
-    A set without a result has missing values (`_to_columns`).
+    Results are features and assessments or, of pulse-echo positions, thickness. A set without a result has
+    missing values (`_to_columns`).
     """
     kinds: tuple[type[FeatureRow | AssessmentRow | ThicknessRow], ...] = (FeatureRow, AssessmentRow)
     if sets[0].method == PULSE_ECHO:

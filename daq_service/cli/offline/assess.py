@@ -98,7 +98,8 @@ def run_assess(
 ) -> None:
     """Run `solimon assess`: assess every table and print the results as text or JSON.
 
-    A file that is no table gets a result with the reason. ``budget`` is in false alarms per year.
+    One of ``baseline_rows`` and ``baseline_where`` must be given. A file that is no table gets a result with
+    the reason. ``budget`` is in false alarms per year.
 
     Raises
     ------

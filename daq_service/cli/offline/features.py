@@ -71,7 +71,8 @@ def run_features(
 ) -> None:
     """Run `solimon features`: extract the features of each record of each file and print them.
 
-    Times are in s. Files that are refused are reported after the results.
+    Prints a table or, with ``as_json``, JSON. Times are in s. Files that are refused are reported after the
+    results.
 
     Raises
     ------

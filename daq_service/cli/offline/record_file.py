@@ -147,7 +147,7 @@ def _open_csv(path: Path, parameters: FileParameters) -> RecordFile:
 def _split_cells(line: str) -> list[str]:
     """Split a line of CSV at its separator, the first of `SEPARATORS` that it contains.
 
-    With a semicolon or tab, commas become decimal points.
+    Separators at its end are dropped. With a semicolon or tab, commas become decimal points.
     """
     separator = next((one for one in SEPARATORS if one in line.strip()), ",")
     cells = line.strip().rstrip(separator).split(None if separator == " " else separator)

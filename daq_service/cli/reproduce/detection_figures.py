@@ -130,7 +130,7 @@ def _compute_outlier_values(test: Evidence) -> dict[str, item.Found]:
 
 
 def _find_loss_at_first_alarm(test: Evidence) -> item.Found:
-    """Return the thickness loss in mm that the probe read near the first wall alarm of any transducer.
+    """Return the thickness loss in mm that the first probe read near the first wall alarm of any transducer.
 
     A value with a reason instead if there is no alarm, probe or reading.
     """
@@ -159,7 +159,8 @@ def _median_near(probe: Series, column: str, hour: float) -> float | None:
 def draw_thickness_figure(material: item.Material) -> item.Product:
     """Draw travel time, thickness and loss of the first ultrasonic probe, with the twin's true wall.
 
-    Raises NotAvailableError without a pulse-echo position.
+    Also draws the least-squares line of the loss and, at position A, the paper's values. Raises
+    NotAvailableError without a pulse-echo position.
     """
     test = material.test
     if not test.echoes:

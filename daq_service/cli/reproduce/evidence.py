@@ -135,7 +135,7 @@ class Evidence:
 
 
 def read_evidence(folder: Path, *, with_traces: bool = True) -> Evidence:
-    """Read the sets, readings and traces that the reproduction needs from a data folder.
+    """Read the sets, readings and averaged waveforms (traces) for the reproduction from a data folder.
 
     Unreadable sets are left out of the traces and listed in ``trouble``. Without ``with_traces`` no waveforms
     are read.

@@ -73,7 +73,8 @@ def _make_curve_table(curves: _Curves, varied: str) -> item.Table:
 def draw_impact_figure(material: item.Material) -> item.Product:
     """Draw the coefficient of restitution and the contact time over the inelasticity parameter lambda.
 
-    Raises NotAvailableError if a job failed.
+    Numerical solution, closed forms, and the paper's values of case 3. Raises NotAvailableError if a job
+    failed.
     """
     columns: dict[str, list[float]] = material.result("curve")
     case_3: dict[str, list[float]] = material.result("case_3")
@@ -175,7 +176,10 @@ def draw_isw_figure(material: item.Material) -> item.Product:
 
 
 def _compute_isw_values(curves: _Curves) -> dict[str, item.Found]:
-    """Return our values of figure 12: nominal ToF (us) and AR, and their changes at 0.8 and 1.2 ISW in %."""
+    """Return our values of figure 12: ToF (us) and AR, and their changes at 0.8 and 1.2 of the ISW in %.
+
+    Also those by Zener's model (eq. 8), and their differences with a strong dashpot.
+    """
     at = {name: {round(point[0], 6): point[1:] for point in points} for name, points in curves.items()}
     nominal, strong, zener = (at[name][1.0] for name in ("disk", "disk_gamma", "zener_eq8"))
     found = {}

@@ -197,7 +197,7 @@ def _compute_false_alarm_rates(material: Material) -> _Numbers:
 
 
 def _compute_row_5_ratios(_: Material) -> _Numbers:
-    """Compute the amplitude ratio of row 5 of table 2 from the rounded and from the printed restitution."""
+    """Compute AR of row 5 of table 2 from its printed restitution, and by eq. 10 from its printed lambda."""
     rounded_e, inelasticity = (
         printed_number("table2", "restitution_5"),
         printed_number("table2", "inelasticity_5"),

@@ -125,7 +125,7 @@ class Dialogue:
                 self._waiting = None
 
     def ask_yes_or_no(self, name: str, text: str, *, default: str) -> bool:
-        """Ask a question with the choices yes and no; return True for yes. Blocks until answered."""
+        """Ask a question with the choices yes and no; return True for yes. Blocks and raises as `ask`."""
         return self.ask(name, text, lambda answer: answer == "yes", default=default, choices=("yes", "no"))
 
     def answer(self, number: int, text: str) -> bool:

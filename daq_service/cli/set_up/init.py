@@ -42,7 +42,8 @@ def write_configuration(
 ) -> None:
     """Run `solimon init`: write a configuration file and its schema, and print what is left to fill in.
 
-    Existing files are never overwritten. Placeholders are not validated.
+    ``kind`` is "rig", "twin" or, with ``source``, "playback". Existing files are never overwritten.
+    Placeholders are not validated.
 
     Raises
     ------

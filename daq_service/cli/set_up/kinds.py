@@ -299,6 +299,8 @@ def build_named_kinds(
 ) -> Kinds:
     """Build the named instruments with parameters given as ``INSTRUMENT.KEY=VALUE``.
 
+    ``file`` is the new configuration, ``folder`` the test's data folder.
+
     Raises
     ------
     UsageError

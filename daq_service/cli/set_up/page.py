@@ -68,7 +68,7 @@ def serve_page(dialogue: Dialogue, scope: Scope, port: int) -> Iterator[str]:
     app = build_page_app(dialogue, scope, audience)
 
     def run() -> None:
-        """Serve the page, and pass an error of the server to the waiting thread."""
+        """Serve the page; queue its address, or an error of the server, for the waiting thread."""
         try:
             serve(app, "127.0.0.1", port, on_bound=bound.put, stop=stop, close_streams=lambda: None)
         except Exception as error:  # noqa: BLE001 - raised by the thread that waits for the address

@@ -39,8 +39,9 @@ def write_services(
 ) -> None:
     """Run `solimon service`: write the files of system services and print how to install them.
 
-    Nothing is installed; existing files are replaced. ``user`` None: who called sudo, otherwise the present
-    user.
+    ``manager`` "systemd" gives units in UTF-8, any other Windows tasks in UTF-16; their names start with
+    ``name``. Nothing is installed; ``out`` is created and existing files are replaced. ``user`` None: who
+    called sudo, otherwise the present user.
 
     Raises
     ------

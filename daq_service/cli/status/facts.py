@@ -179,7 +179,10 @@ def _compute_present_state(settings: Settings, fresh: Freshness, last: LatestRow
 
 
 def _describe_baseline(row: BaselineRow | None) -> dict[str, object] | None:
-    """Return size, state, design false-alarm rate and doubts of a baseline; None without a baseline."""
+    """Return name, size, state, limit reason, design false-alarm rate and doubts of a baseline.
+
+    The rate comes with whether it is verified and why not. None without a baseline.
+    """
     if row is None:
         return None
     names = ("false_alarms_per_sensor_year", "rate_verified", "rate_not_verified_reason")
@@ -215,7 +218,10 @@ def _summarize_confirmations(
 
 
 def _list_open_commands(catalogue: Catalogue) -> list[dict[str, object]]:
-    """List the commands that are pending or started, without expired ones; remaining time in s."""
+    """List the commands that are pending or started, without expired ones; remaining time in s.
+
+    Each with id, kind, author, arguments and state.
+    """
     waiting = catalogue.rows(CommandRow, states={"pending", "started"})
     commands_with_time = [(row, remaining_now_s(row)) for row in waiting]
     names = ("id", "kind", "author", "arguments", "state")

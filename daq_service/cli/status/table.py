@@ -263,7 +263,7 @@ def _describe_alarm_state(row: Facts) -> str:
 
 
 def _make_alarm_table(alarms: Sequence[Facts]) -> Table:
-    """Build the table of alarms: priority, position, state, age, kind and message."""
+    """Build the table of alarms: id, priority, position, state, age, kind and message."""
     table = _create_table("alarm", "priority", "where", "state", "age", "what")
     for row in alarms:
         table.add_row(

@@ -147,7 +147,7 @@ def _print_table(table: SweepTable, outputs: Sequence[Path], columns: Columns, *
 
 
 def _print_rows(table: SweepTable, columns: Columns) -> None:
-    """Print swept keys, the model's main results and the status of each row as aligned columns."""
+    """Print swept keys, the model's main results and the status of each row in columns; "-" for NaN."""
     printed = {key: [key, *(str(value) for value in values)] for key, values in table.swept.items()}
     for key, title, unit, form in columns:
         if key in table.results:

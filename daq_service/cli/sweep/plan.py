@@ -80,6 +80,8 @@ def build_plan(
 ) -> Plan:
     """Combine the axes, the last one changing fastest, check every combination, and return the plan.
 
+    ``waveforms`` lowers the maximum number of rows.
+
     Parameters
     ----------
     base

@@ -39,7 +39,7 @@ def run_sweep(
 ) -> SweepTable:
     """Compute unfinished rows, write the outputs, remove the work file, and return the table.
 
-    Without outputs nothing is written.
+    Without outputs nothing is written. ``origin`` goes to the facts of the table.
 
     Raises
     ------
@@ -49,6 +49,8 @@ def run_sweep(
         A disk that refuses, or a work file of another sweep.
     BusyError
         The same sweep is running.
+    SolimonError
+        Workers were lost repeatedly.
     KeyboardInterrupt
         `stop` was set before the end; finished rows are kept in the work file.
     """

@@ -56,6 +56,8 @@ def parse_axis(text: str) -> Axis:
 def read_sweep_file(path: Path) -> tuple[Axis, ...]:
     """Read a CSV file whose header names keys and whose rows are shots, as one axis per column.
 
+    Empty lines are skipped; cells are parsed as values of an axis.
+
     Raises
     ------
     UsageError

@@ -70,7 +70,8 @@ def compare_criteria(criteria: Iterable[Criterion], quantities: Mapping[str, Qua
 def _assess_criterion(criterion: Criterion, quantity: Quantity) -> tuple[State, str]:
     """Return the state of a criterion and its reason, which is empty for "pass" and "fail".
 
-    "undecided": the quantity has no value, or its interval contains the limit.
+    "left out" without a limit, "does not apply" as the quantity, "undecided" if the quantity has no value or
+    its interval contains the limit.
     """
     if criterion.limit is None:
         return "left out", "no limit is set"

@@ -89,7 +89,8 @@ class Evidence:
 def read_evidence(folder: Path, verified: Report | None = None) -> Evidence:
     """Read the data of the acceptance report from a folder without changing it.
 
-    Blocks while the catalogue is copied to a temporary folder; the test may be running.
+    Blocks while the catalogue is copied to a temporary folder; the test may be running. ``verified`` is the
+    report of `verify`; None if it was not run.
 
     Raises
     ------

@@ -47,7 +47,10 @@ def list_faults(evidence: Evidence) -> list[Fault]:
 
 
 def build_fault_table(evidence: Evidence) -> Table:
-    """Build the table of faults by kind: number, longest and total hours, active ones, last message."""
+    """Build the table of faults by kind: number, longest and total hours, active ones, last message.
+
+    Active faults count until now.
+    """
     kinds: defaultdict[str, list[Fault]] = defaultdict(list)
     for fault in list_faults(evidence):
         kinds[fault.kind].append(fault)

@@ -153,7 +153,10 @@ def build_flag_table(evidence: Evidence) -> Table:
 
 
 def build_record_count_series(evidence: Evidence) -> Series:
-    """Build the series of planned, recorded and valid records per scheduled set, over the due hours."""
+    """Build the series of planned, recorded and valid records per scheduled set, over the due hours.
+
+    Valid records are its values, the others further lines. Sets outside the schedule are left out.
+    """
     hours = {due.set_index: due.due_h for due in evidence.planned}
     lines: dict[str, Counter[int]] = {name: Counter() for name in ("planned", "taken", "valid")}
     for row in evidence.sets:

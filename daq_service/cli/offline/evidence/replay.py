@@ -49,7 +49,10 @@ def run_replay(
 
 
 def describe_replay(found: Replayed) -> Iterable[str]:
-    """Yield the changes of alarms, baselines and sets as lines of text; one line if nothing changes."""
+    """Yield lines of text: settings, extractor, alarms, changed baselines and sets, positions not assessed.
+
+    One line at the end states if nothing changes.
+    """
     source = "from the waveforms" if found.extracted else "as stored"
     settings_text = ", ".join(f"{key} = {json.dumps(value)}" for key, value in found.changed.items())
     yield f"{found.experiment}: {found.sets} sets judged again with {settings_text or 'the same settings'}"
