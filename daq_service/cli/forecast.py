@@ -146,7 +146,8 @@ def _build_noisy_set(settings: Settings, strike: RecordSize, echo: RecordSize, s
     def build_waveform(size: RecordSize, adc: Any, noise_v: float, at_s: float, width_s: float) -> Any:
         """Build a waveform with a pulse of half the range at ``at_s``, and noise of ``noise_v`` V rms.
 
-        The pulse is ``width_s`` wide; without noise of the twin there is none.
+        The pulse is ``width_s`` wide, range and resolution are those of ``adc``. No noise if the twin's is
+        disabled.
         """
         time_s = np.arange(size.samples) / size.sample_rate_hz
         phase = np.clip((time_s - at_s) / width_s, -0.5, 0.5)

@@ -346,6 +346,8 @@ def run_supply_process_alone(*, config: Path | None, data_dir: Path | None, for_
         Another process owns the supply.
     RigError
         The supply may still be on after the end.
+    StorageError
+        The folder cannot be used.
     """
     from daq_service.clock import WallClock
     from daq_service.corrosion_drive.own_process import run_supply_process

@@ -292,7 +292,10 @@ def _print_table(path: Path, shots: Sequence[ShotFeatures]) -> None:
 
 
 def _format_with_sd(value: float, sd: float, factor: float, digits: int) -> str:
-    """Format ``factor * value (factor * sd)``; "-" for a missing value, no parentheses for a missing SD."""
+    """Format ``factor * value (factor * sd)``; "-" for a missing value, no parentheses for a missing SD.
+
+    ``digits`` are decimals.
+    """
     if not math.isfinite(value):
         return "-"
     text = f"{factor * value:.{digits}f}"

@@ -25,7 +25,7 @@ READ_WITHIN_H = 5.0
 def draw_outlier_figure(material: item.Material) -> item.Product:
     """Draw the Mahalanobis squared distance of each transducer over the test, with its limits.
 
-    Raises NotAvailableError if no baseline was frozen.
+    Raises NotAvailableError if no baseline was frozen, or without a transducer.
     """
     test, names = material.test, material.transducers
     baseline_h = test.settings.baseline.hours
@@ -148,7 +148,7 @@ def _find_loss_at_first_alarm(test: Evidence) -> item.Found:
 
 
 def _median_near(probe: Series, column: str, hour: float) -> float | None:
-    """Return the median of the readings within `READ_WITHIN_H` of an hour; None if there are none."""
+    """Return the median of a column within `READ_WITHIN_H` (h) of an hour; None if there are none."""
     near = probe.values[column][np.abs(probe.hour_h - hour) <= READ_WITHIN_H]
     return float(np.nanmedian(near)) if np.isfinite(near).any() else None
 

@@ -32,7 +32,8 @@ _COLUMNS = (
 def draw_equations(material: Material) -> Product:
     """Draw the autocorrelation lag, its coefficient and the area under the PSW over the test.
 
-    The notes contain the results of the checks of eqs 16 and 17 and of the autocorrelation.
+    The notes contain the results of the checks of eqs 16 and 17 and of the autocorrelation. Raises
+    NotAvailableError without a transducer.
     """
     test, names = material.test, material.transducers
     figure, axes = create_sheet(1, 3, height_in=3.0)

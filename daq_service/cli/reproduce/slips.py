@@ -288,7 +288,10 @@ def build_slip_table(material: Material) -> Product:
 
 
 def _compose_finding(slip: Slip, material: Material) -> str:
-    """Compose the sentence with our finding on a slip, or the reason why it is not available."""
+    """Compose the sentence with our finding on a slip, or the reason why it is not available.
+
+    Raises KeyError if the sentence names an unknown job.
+    """
     try:
         numbers = _FINDINGS[slip.finding](material) if slip.finding else {}
         return slip.sentence.format_map(_Values(material, numbers))

@@ -61,7 +61,11 @@ def draw_waveform_figure(material: item.Material) -> item.Product:
 
 
 def _draw_waterfall(axis: Axes, traces: Sequence[Trace], pulses: Series, last_h: float, colour: str) -> None:
-    """Draw the averaged records of a position over time, lifted to their hour, and the feature times."""
+    """Draw the averaged records of a position over time, lifted to their hour, and the feature times.
+
+    The times are those of ISW, PSW and SSW. ``last_h``, the last hour of all positions, sets the distance of
+    the records.
+    """
     spacing_h = last_h / max(len(traces), 2)
     height_v = max(float(np.ptp(trace.volts)) for trace in traces) or 1.0
     hours = np.array([trace.hour_h for trace in traces])

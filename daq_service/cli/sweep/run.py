@@ -96,7 +96,10 @@ def _compute_outcomes(
     progress = Progress(len(plan.rows), len(outcomes))
 
     def keep_outcome(new: Sequence[Outcome]) -> None:
-        """Store new outcomes and count them; raise UsageError if one is invalid and not to be skipped."""
+        """Store new outcomes and count them; raise UsageError if one is invalid and not to be skipped.
+
+        Raises StorageError if they cannot be stored.
+        """
         if work is not None:
             work.keep(new)
         outcomes.update((outcome.index, outcome) for outcome in new)

@@ -96,7 +96,10 @@ def compute_rows(model: str, rows: Sequence[tuple[int, Specimen]], waveforms: bo
 
 
 def _compute_outcome(model: str, index: int, specimen: Specimen, waveforms: bool) -> Outcome:
-    """Compute one shot; NaN and the reason as status if it is invalid or the model fails."""
+    """Compute one shot; NaN and the reason as status if it is invalid or the model fails.
+
+    Without a reflected wave the status is `NO_REFLECTION`. ``waveforms`` keeps the sensor's force.
+    """
     no_numbers = (math.nan,) * len(RESULTS[model])
     try:
         if model == "zener":
