@@ -262,8 +262,8 @@ def _open_rig_without_supply(
 ) -> Iterator[Rig]:
     """Open the rig without the supply, whose port belongs to the supply process; close it at the end.
 
-    Freezes present objects for the garbage collector, which need not look again at what stays until the
-    process ends. Raises InstrumentError if an instrument cannot be opened.
+    Existing objects are excluded from garbage collection (`gc.freeze`), since they stay until the process
+    ends. Raises InstrumentError if an instrument cannot be opened.
     """
     from daq_service.rig.open_rig import open_rig
 

@@ -81,7 +81,7 @@ class Bench:
         Raises
         ------
         ValueError
-            It shares something with another one, or is written wrongly.
+            It shares an input, counter or terminal with another one, or a value is invalid.
         InstrumentError
             The boards refuse.
         """

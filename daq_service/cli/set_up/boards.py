@@ -127,7 +127,7 @@ class Boards:
     def strike_each(self, positions: Collection[str]) -> None:
         """Strike each transducer once, and again in a wider range while a waveform is clipped.
 
-        Raises the errors of `Bench.strike`. Also raises RecordError if a record cannot be assessed.
+        Raises the errors of `Bench.strike`, and RecordError if a record cannot be assessed.
         """
         for position in positions:
             self.bench.strike(position)
@@ -176,7 +176,10 @@ class Boards:
         }
 
     def _ask_choice(self, name: str, text: str, choices: Sequence[str]) -> str:
-        """Ask for one of several choices, the first by default; raise UsageError if there are none."""
+        """Ask for one of several choices, the first by default, and return it.
+
+        Raises UsageError if there are none, or if the answers end.
+        """
         if not choices:
             raise UsageError(f"{text}: nothing is left to choose; add a board, or end with fewer positions")
         return self.dialogue.ask(name, text, str, default=choices[0], choices=choices)

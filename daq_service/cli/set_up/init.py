@@ -180,7 +180,7 @@ def _is_in_tables(key: KeyPath, tables: Collection[KeyPath]) -> bool:
 
 
 def _read_head_comment(name: str) -> str:
-    """Read the comment at the top of a kind of configuration file, which a person reads first."""
+    """Read the comment at the top of a configuration file: of a kind of `solimon init`, or "setup"."""
     return (Path(__file__).parent / "heads" / f"{name}.txt").read_text(encoding="utf-8").rstrip()
 
 

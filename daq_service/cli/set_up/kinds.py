@@ -275,7 +275,8 @@ class Kinds:
     def _propose_level(self, position: str, trial: Trial) -> None:
         """Propose a tenth of the incident wave as trigger level (V), and set it if the person agrees.
 
-        Nothing if the level fits or the digitizer has no such parameter.
+        Raises UsageError if the answers end. Does nothing if the level fits or the digitizer has no such
+        parameter.
         """
         digitizer = self.wired[position]["digitizer"]
         unfit = [check.values for check in trial.checks if check.state == "warn" and LEVEL in check.values]

@@ -110,7 +110,10 @@ class Audience:
 
 
 def build_page_app(dialogue: Dialogue, scope: Scope, audience: Audience) -> FastAPI:
-    """Build the web application of the set-up page, protected like the dashboard."""
+    """Build the web application of the set-up page, protected like the dashboard.
+
+    Its routes are the page and its files, state, answers, records at rest, and strikes.
+    """
     app = FastAPI(openapi_url=None, docs_url=None, redoc_url=None, default_response_class=JsonAnswer)
     app.add_middleware(RequestGuard)
     problem.install_error_handlers(app)

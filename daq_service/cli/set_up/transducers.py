@@ -39,7 +39,10 @@ class Instruments(Protocol):
         ...
 
     def read_shared_values(self, flags: Flags, *, asks: bool) -> None:
-        """Print the instruments, and read or (if ``asks``) ask for the values that all transducers share."""
+        """Print the instruments, and read or (if ``asks``) ask for the values that all transducers share.
+
+        Raises UsageError if the answers end.
+        """
 
     def wire(self, position: str, text: str) -> None:
         """Wire a transducer as an option states.
@@ -64,7 +67,10 @@ class Instruments(Protocol):
         """Strike each transducer without a question; raise the errors of `strike`."""
 
     def propose_from_strikes(self, *, asks: bool) -> None:
-        """Propose values of the configuration from the strikes, and ask to accept them if ``asks``."""
+        """Propose values of the configuration from the strikes, and ask to accept them if ``asks``.
+
+        Raises RigError if the values do not go together, UsageError if the answers end.
+        """
 
     def contents(self, others: Tables, off: set[KeyPath]) -> Contents:
         """Return values, switched-off tables and head of the file; `others` are tables of [rig].
@@ -85,7 +91,7 @@ def set_up_transducers(dialogue: Dialogue, instruments: Instruments, flags: Flag
     ------
     UsageError
         An option names a wiring that is impossible, or the answers end.
-    InstrumentError, BusyError, RigError
+    InstrumentError, AnalysisError, BusyError, RigError
         A strike of the options fails.
     """
     asks = not flags.transducers

@@ -246,7 +246,10 @@ def _format_chart(row: Facts) -> str:
 
 
 def _yield_first_checks(alarms: Sequence[Facts]) -> Iterator[Text]:
-    """Yield the numbered checks for each kind of active alarm that is not suppressed, once per kind."""
+    """Yield the numbered checks for each kind of active alarm that is not suppressed, once per kind.
+
+    A kind without guidance is left out.
+    """
     for kind in dict.fromkeys(row["kind"] for row in alarms if row["suppressed"] is None):
         if kind in GUIDANCE:
             yield Text(f"{kind}: checks: {join_numbered_steps(GUIDANCE[kind].checks)}")

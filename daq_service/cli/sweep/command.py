@@ -69,6 +69,8 @@ def print_sweep(request: SweepRequest, columns: Columns, *, as_json: bool) -> No
         The disk refuses, or the work file is of another sweep.
     BusyError
         The same sweep is running.
+    SolimonError
+        Workers were lost repeatedly.
     KeyboardInterrupt
         A signal stopped it; finished rows are kept.
     """

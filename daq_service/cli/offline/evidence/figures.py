@@ -84,7 +84,10 @@ class _Panel:
         limits: Mapping[str, float | None],
         factor: float = 1.0,
     ) -> None:
-        """Store points (hour, value) and limits by name, both times ``factor``, without missing values."""
+        """Store points (hour, value) and limits by name, without missing ones.
+
+        Values and limits are multiplied by ``factor``.
+        """
         present = [(hour, factor * value) for hour, value in points if value is not None]
         self.label = label
         self.hours = [hour for hour, _ in present]
@@ -162,7 +165,10 @@ def _yield_panels(found: Explained, recomputed: Recomputed) -> Iterable[_Panel]:
 
 
 def _draw_contributions(parts: Mapping[str, float | None]) -> Picture | None:
-    """Draw the contributions of the features to the statistic in %, the largest on top; None without any."""
+    """Draw the contributions of the features to the statistic in %, the largest on top; None without any.
+
+    ``parts`` has them by feature.
+    """
     known = {name: part for name, part in parts.items() if part is not None}
     if not known:
         return None
