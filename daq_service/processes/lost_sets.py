@@ -53,14 +53,14 @@ def find_lost_sets(folder: Path, catalogue: Catalogue, *, newest_rows: int | Non
 
 
 def _list_file_names(sets: Path) -> list[str]:
-    """Return the names in the folder of set files, in any order; empty without the folder."""
+    """Return the names in the folder ``sets``, in any order; empty if there is no such folder."""
     return os.listdir(sets) if sets.is_dir() else []  # noqa: PTH208 - only names are needed
 
 
 def _has_changed_since(sets: Path, files: Sequence[str]) -> bool:
-    """Return whether the folder changed more than 2 s after the last of these files was written.
+    """Return whether the folder changed more than 2 s after the last file of a list was written.
 
-    True if there are no files or one is missing.
+    The paths of the files count from the data folder. True if there are no files or the last one is missing.
     """
     try:
         written_s = max((sets.parent / file).stat().st_mtime for file in files[-1:])

@@ -23,7 +23,10 @@ log = logging.getLogger(__name__)
 
 @cache
 def _parse_classes(module: ModuleType | None) -> dict[str, ast.ClassDef]:
-    """Parse a module's source and return its top-level class definitions by name; empty for None. Cached."""
+    """Parse a module's source and return its top-level class definitions by name; empty for None. Cached.
+
+    Raises OSError if the source is not available.
+    """
     tree = ast.parse(inspect.getsource(module)) if module else ast.Module([], [])
     return {node.name: node for node in tree.body if isinstance(node, ast.ClassDef)}
 

@@ -58,7 +58,7 @@ def read_address(
 
 
 def hide_address_secrets(receiver: ReceiverSettings) -> str:
-    """Return scheme and host of a receiver's URL, or the variable or file name that holds the address."""
+    """Return scheme, host and port of a receiver's URL, or the name of the variable or file with it."""
     if receiver.url:
         parts = urlsplit(receiver.url)
         return f"{parts.scheme}://{parts.netloc}"

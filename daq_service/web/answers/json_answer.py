@@ -52,7 +52,10 @@ def format_hour_as_rfc3339(epoch_utc_ns: int, hour: float) -> str | None:
 
 
 def format_hours_as_rfc3339(epoch_utc_ns: int, hours: Sequence[float]) -> list[str]:
-    """Format a column of hours as RFC 3339 texts in one step, as `format_hour_as_rfc3339` does for one."""
+    """Format a column of hours as RFC 3339 texts in one step, as `format_hour_as_rfc3339` does for one.
+
+    Raises ValueError for NaN or infinity.
+    """
     if not hours:
         return []
     whole, rest = divmod(epoch_utc_ns, NS_PER_S)

@@ -64,7 +64,7 @@ class ServedTests:
         return sum(test.context.hub.clients for test in self.all.values() if test.context is not None)
 
     def close_streams(self) -> None:
-        """End every open stream, before the server waits for its responses."""
+        """Request the end of every open stream without waiting, before the server waits for its responses."""
         for test in self.all.values():
             if test.context is not None:
                 test.context.close_streams()
@@ -118,7 +118,8 @@ class ServedTests:
     async def close_idle_tests(self, *, keep: int = MOST_IDLE, for_s: float = 0.0) -> None:
         """Close idle tests except the ``keep`` most recent ones, and all idle for ``for_s`` seconds or more.
 
-        With ``for_s`` 0 only ``keep`` counts. Tests that send notifications stay open.
+        With ``for_s`` 0 only ``keep`` counts. Tests that send notifications or have requests stay open. Waits
+        until the tests are closed.
         """
         now_s = time.monotonic()
         shown = [test for test in self.all.values() if test.context is not None and not test.notifies]
@@ -158,7 +159,7 @@ class ServedTests:
                         pass
 
     async def close(self) -> None:
-        """Close all tests, also those in use."""
+        """Close all tests, also those in use, and wait for their background tasks."""
         for test in self.all.values():
             async with test.changing:
                 await self._close_test(test)

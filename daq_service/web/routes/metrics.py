@@ -87,7 +87,8 @@ def collect_clients(context: Context) -> Iterator[Metric]:
 def collect_test(context: Context) -> Iterator[Metric]:
     """Yield the present metrics of a test; without data, only receivers and the status of its recorder.
 
-    Raises StorageError or a Problem if the catalogue becomes unreadable meanwhile.
+    Raises StorageError or a Problem if the catalogue becomes unreadable meanwhile, and OSError if the free
+    disk space cannot be read.
     """
     yield from _collect_receiver_metrics(context)
     has_data = context.has_data()
@@ -116,7 +117,11 @@ COUNTS = ("sets", "missed_sets", "partial_sets", "shots", "pulse_echo_records")
 
 
 def _collect_data_metrics(context: Context, fresh: Freshness) -> Iterator[Metric]:
-    """Yield the metrics of recorder, stored data, disk, active alarms and positions."""
+    """Yield the metrics of recorder, stored data, disk, active alarms and positions.
+
+    Raises StorageError or a Problem if the catalogue cannot be read, and OSError if the free disk space
+    cannot.
+    """
     catalogue = context.catalogue()
     yield _build_recorder_metric(fresh.recorder.status)
     yield _build_gauge("heartbeat_age_seconds", fresh.recorder.beat_age_s)
@@ -226,12 +231,15 @@ def _build_counter(name: str, number: int) -> Metric:
 
 
 def _build_gauge(name: str, number: float | None) -> Metric:
-    """Build a gauge without labels, named ``solimon_NAME``; without a value it has no sample."""
+    """Build a gauge without labels, named ``solimon_NAME``; without a value it has no sample.
+
+    Raises KeyError if the name has no description.
+    """
     return _build_labeled_gauge(name, {(): number})
 
 
 def _build_labeled_gauge(name: str, samples: Mapping[Labels, float | None], *labels: str) -> Metric:
-    """Build a gauge with a sample for each combination of labels; None values are left out.
+    """Build a gauge ``solimon_NAME`` with a sample for each combination of labels; None has no sample.
 
     Raises KeyError if the name has no description.
     """
@@ -247,7 +255,7 @@ def _build_state_gauge(
 ) -> Metric:
     """Build a state metric: one sample per known state, 1 for the present one and 0 for the others.
 
-    Combinations of labels without a state have no sample.
+    ``present`` gives the state by the values of ``labels``; combinations without a state have no sample.
     """
     samples = {
         (*of_labels, state): float(state == status)

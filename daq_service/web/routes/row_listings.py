@@ -101,7 +101,10 @@ def add_listing_route(
 def add_quality(
     context: Context, fresh: Freshness, assessments: Sequence[rows.AssessmentRow]
 ) -> list[dict[str, object]]:
-    """Convert assessments for an answer, each with the quality of its feature or thickness, or None."""
+    """Convert assessments for an answer, each with the quality of its feature or thickness, or None.
+
+    Raises a Problem (503) or StorageError if the catalogue cannot be read.
+    """
     methods = {name: place.method for name, place in context.settings.positions.items()}
     qualities = find_assessed_qualities(context.catalogue(), methods, assessments)
     return [fresh.row(row, quality=quality) for row, quality in zip(assessments, qualities, strict=True)]

@@ -81,7 +81,7 @@ def get_set_waveforms(request: Request, context: ContextOf, position: str, set_i
 
 
 def _compute_windows_s(context: Context, set_row: SetRow) -> dict[str, tuple[float, float]]:
-    """Return the search windows of a set by name, as start and end in s from the trigger.
+    """Return the search windows of a set by name of pulse or echo, as start and end in s from the trigger.
 
     Empty without a reference time (first pulse, or first thickness of the test).
     """

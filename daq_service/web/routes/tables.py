@@ -119,8 +119,8 @@ def get_waveforms(
 ) -> Response:
     """Export the accepted waveforms of a range in volts, with hour, flags and quality of each.
 
-    All must have the same length and rate, and at most 32 MB in volts; their features are in the table
-    `shot_features`.
+    All must have the same length and rate, and at most 32 MB in volts (else 422); their features are in the
+    table `shot_features`. Answered with 404 if none is stored; two files are created at a time (else 503).
     """
     context.validate_position(position)
     name = form or choose_format(request.headers.get("accept", ""))
@@ -164,9 +164,9 @@ def choose_format(accept: str) -> str:
 
 
 def run_unless_busy(make: Callable[[], bytes]) -> bytes:
-    """Call ``make`` and return its file, unless two calls run already: each holds all rows in memory.
+    """Call ``make`` and return the bytes of its file, unless two calls run already; does not wait for them.
 
-    Does not wait.
+    Each call holds all rows in memory.
 
     Raises
     ------

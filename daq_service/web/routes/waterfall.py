@@ -157,11 +157,14 @@ class _CatalogueIndex:
         return next((SetReference(row.file) for row in rows if row.file is not None), None)
 
     def read_anchors(self, set_index: int) -> Mapping[int, float]:
-        """Read the time of the first pulse or echo of each shot of a set, s, by record; empty without any."""
+        """Read the time of the first pulse or echo of each shot of a scheduled set, s, by record number.
+
+        Empty without any.
+        """
         return extract_anchors(read_set_results(self._catalogue, SetKey(set_index)))
 
     def list_first_files(self) -> list[SetReference]:
-        """List the files of the first 50 sets of the position, without those that have none."""
+        """List the files of the first 50 attempted sets of the position, without those that have none."""
         rows = self._catalogue.rows(SetRow, position=self._position, tried=True, limit=_MOST_FIRST_SETS)
         return [SetReference(row.file) for row in rows if row.file is not None]
 
@@ -238,7 +241,7 @@ def _stack_planes(picture: Picture, *, normalised: bool) -> NDArray[np.float32]:
 def _compute_row_ends_h(picture: Picture) -> list[float]:
     """Return the end of each row in h: its last hour plus the interval of the sets around it.
 
-    1 h is the interval if only one set is known.
+    The interval is that to the next row, else that within the row, else the one before; 1 h if there is none.
     """
     rows, ends, step_h = picture.rows, [], math.nan
     for row, following in zip(rows, [*rows[1:], None][: len(rows)], strict=True):

@@ -80,7 +80,7 @@ class LiveFigures(Followed):
 
 
 def decode_figure_header(content: bytes) -> dict[str, Any]:
-    """Decode the JSON header of a live figure.
+    """Decode the JSON header of a live figure (u32 length, header, samples).
 
     Raises
     ------
