@@ -37,7 +37,7 @@ if sys.platform == "win32":
     import msvcrt
 
     def try_lock(file: IO[bytes]) -> None:
-        """Lock an open file for this process without waiting; OSError if another process holds it."""
+        """Lock an open file until it is closed, without waiting; OSError if another process holds it."""
         msvcrt.locking(file.fileno(), msvcrt.LK_NBLCK, 1)
 
     def is_locked(file: IO[bytes]) -> bool:
@@ -56,7 +56,7 @@ else:
     import fcntl
 
     def try_lock(file: IO[bytes]) -> None:
-        """Lock an open file for this process without waiting; OSError if another process holds it."""
+        """Lock an open file until it is closed, without waiting; OSError if another process holds it."""
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
 
     def is_locked(file: IO[bytes]) -> bool:
@@ -220,9 +220,9 @@ def remove_temporary_files(folder: Path) -> None:
 
 
 def _find_foreign_file(folder: Path) -> str:
-    """Return the first foreign file name; empty if the folder is empty or holds any file of solimon.
+    """Return the first name in a folder that holds no file of solimon; empty for other or empty folders.
 
-    Raises OSError if the folder cannot be listed.
+    Files of the write test are ignored. Raises OSError if the folder cannot be listed.
     """
     names = {path.name for path in folder.iterdir() if not path.name.startswith(WRITE_TEST)}
     return min(names) if names and not names & OWN_NAMES else ""
@@ -377,7 +377,7 @@ def read_lock_owner(folder: Path, name: str) -> str:
 
 
 def choose_folder(storage: StorageSettings, config: Path | None, data_dir: Path | None) -> Path:
-    """Return the absolute path ``--data-dir``, or else the configured folder.
+    """Return the absolute path of the option ``--data-dir``, or else of the configured folder.
 
     A relative configured folder counts from the configuration file, or from the working directory without
     one.
@@ -391,8 +391,8 @@ def choose_folder(storage: StorageSettings, config: Path | None, data_dir: Path 
 def load_settings_and_folder(config: Path | None, data_dir: Path | None) -> tuple[Settings, Path]:
     """Read the configuration and return it with the absolute path of its data folder.
 
-    The configuration file in a data folder is a hint: if it is torn, foreign or missing, the configuration
-    stored in the catalogue is used and a warning logged.
+    If ``config`` is the configuration file of a data folder and is rejected or missing, the configuration
+    stored next to it (`experiment.json` or catalogue) is used and a warning logged.
 
     Raises
     ------
@@ -415,7 +415,8 @@ def load_settings_and_folder(config: Path | None, data_dir: Path | None) -> tupl
 def load_settings_for_reading(config: Path | None, data_dir: Path | None) -> tuple[Settings, Path]:
     """Read the configuration for commands that only read, and return it with the absolute data folder.
 
-    If only ``data_dir`` is given, the configuration stored in that folder is read.
+    If only ``data_dir`` is given, the configuration stored in that folder is read; without a valid one, the
+    shipped configuration.
 
     Raises
     ------

@@ -53,8 +53,8 @@ def disk_space(
 ) -> DiskSpace:
     """Measure the free space of a folder's volume and determine its level (`LEVELS`).
 
-    A level reached ``before`` ends only above 1.1 times its limit (`LEAVES_AT`). Fractions refer to the
-    volume, or to ``volume_gb`` if that is smaller. Raises the OSError of ``usage``.
+    ``before`` is the level of the measurement before: it ends only above 1.1 times its limit (`LEAVES_AT`).
+    Fractions refer to the volume, or to ``volume_gb`` if that is smaller. Raises the OSError of ``usage``.
     """
     free, total = usage(folder)
     limits: dict[Level, float] = {

@@ -70,7 +70,7 @@ def _has_changed_since(sets: Path, files: Sequence[str]) -> bool:
 
 
 def _get_file_size(path: str) -> int | None:  # thousands of them: a `Path` takes longer than the call
-    """Return the size of a file in bytes; None if it is missing."""
+    """Return the size of a file in bytes; None if it is missing. Other OSErrors are raised."""
     try:
         return os.stat(path).st_size  # noqa: PTH116
     except FileNotFoundError:

@@ -333,9 +333,9 @@ class Supervisor:
         )
 
     def _read_child_beat(self, child: _Child) -> Beat | None:
-        """Return the heartbeat in the file of a child; None without one.
+        """Return the heartbeat in the file of a child: of the folder's recorder, or of this web service.
 
-        None, too, if the file is of another process than this web service.
+        None if there is none, or if a web service with another process number wrote it.
         """
         if child.plan.watched:
             return self._read_beat(self._folder)
@@ -352,7 +352,10 @@ class Supervisor:
                 child.process.stdin.close()
 
     def _end_children(self) -> None:
-        """Close all pipes at once and wait up to ``leave_within_s``; kill children that do not end."""
+        """Close the pipes of all children and wait up to ``leave_within_s``; kill those that do not end.
+
+        Their last messages are then read, for at least 0.1 s each.
+        """
         for child in self._children:
             self._close_pipe(child)
         deadline_ns = self._machine.mono_ns() + round(self._leave_within_s * NS_PER_S)
@@ -376,5 +379,5 @@ class Supervisor:
 
 
 def _describe_exit_code(code: int) -> str:
-    """Describe how a process ended from its exit code: negative is the signal that killed it."""
+    """Return a phrase for how a process ended; a negative exit code is the signal that killed it."""
     return f"was killed by signal {-code}" if code < 0 else f"ended with exit code {code}"

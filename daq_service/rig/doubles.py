@@ -149,7 +149,8 @@ def _build_rig_table(
 ) -> dict[str, object]:
     """Build the values of the table ``[rig]`` for the doubles' boards, with the sampling of the twin.
 
-    ``[rig.niscope]`` is included only if ``has_probe``.
+    ``grpc`` is the address of the doubles' gRPC server, used with the transport ``grpc``. ``[rig.niscope]``
+    is included only if ``has_probe``.
     """
     from simulator.doubles.chassis.description import SIMULTANEOUS_16_BIT
 

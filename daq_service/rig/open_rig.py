@@ -197,7 +197,7 @@ class _Together:
     parts: list[SelfCalibrating]
 
     def self_calibrate(self) -> Mapping[str, str]:
-        """Calibrate the instruments one after the other and merge their summaries.
+        """Self-calibrate the instruments one after the other and merge their summaries by key; blocks.
 
         An error of one instrument is raised at once; the later ones are not calibrated.
         """

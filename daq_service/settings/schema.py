@@ -32,7 +32,7 @@ def _parse_classes(module: ModuleType | None) -> dict[str, ast.ClassDef]:
 
 
 def _read_attribute_docstrings(kind: type) -> dict[str, str]:
-    """Return the text below each annotated attribute of a class, by attribute.
+    """Read the text below each annotated attribute of a class from its source, by attribute.
 
     Attributes without a text are left out. Raises KeyError if the class is not at the top level of its
     module.

@@ -265,7 +265,7 @@ class AlarmSettings(Section):
     @field_validator("kinds")
     @classmethod
     def _check_kind_delays(cls, kinds: dict[str, AlarmKindSettings]) -> dict[str, AlarmKindSettings]:
-        """Return the table; raise ValueError for a kind that may not have these delays or this deadband."""
+        """Return the table; raise ValueError for a kind that may not have its delays or its deadband."""
         for kind, rule in kinds.items():
             rule.require_valid_delays(kind)
         return kinds

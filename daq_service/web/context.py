@@ -234,7 +234,8 @@ class Freshness(freshness.Freshness):
     def row(self, row: Row, **extra_columns: object) -> dict[str, object]:
         """Convert a row of the catalogue for an answer: RFC 3339 times, and its age in h if it has an hour.
 
-        An alarm also gets its evidence as sentences; its expired shelf is removed.
+        ``extra_columns`` are added. An alarm also gets its evidence as sentences (StorageError if the
+        baselines cannot be read), and an expired shelf is removed.
         """
         if isinstance(row, AlarmRow):
             row = self.expire_shelf(row)

@@ -121,7 +121,7 @@ async def _read_body(receive: Receive) -> bytes | None:
 
 
 def _replay_body(body: bytes, receive: Receive) -> Receive:
-    """Return a ``receive`` function that returns a body once, and then the messages of the server."""
+    """Build a ``receive`` function that returns a body once, and then the messages of the server."""
     unread = [body]
 
     async def receive_replayed() -> Message:

@@ -83,8 +83,8 @@ def bind_socket(host: str, port: int, *, locked: bool = False) -> socket.socket:
     Raises
     ------
     UsageError
-        The address is reachable from elsewhere without protection, is none of this computer, or its port is
-        reserved.
+        The address is reachable from elsewhere without protection, or the system refuses to listen: it is
+        none of this computer, or its port is reserved.
     BusyError
         Another process uses the port.
     """

@@ -112,5 +112,5 @@ def _read_configured_text(
 
 
 def _build_receiver_error(name: str, problem: str) -> UsageError:
-    """Create, without raising it, the UsageError for an invalid receiver."""
+    """Create, without raising it, the UsageError for a receiver, with its key and the problem."""
     return UsageError(f"notifications.receivers.{name}: {problem}")

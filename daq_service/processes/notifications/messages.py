@@ -74,8 +74,8 @@ class AlarmChange:
 def parse_alarm_change(event: EventRow) -> AlarmChange | None:
     """Convert an event to a change of an alarm.
 
-    Returns None for other events, suppressed or acknowledged alarms that do not end, and very old events.
-    Raises KeyError if the payload lacks a field.
+    Returns None for other events, for suppressed or acknowledged alarms that do not end, and for events of
+    old folders, which lack the alarm's row. Raises KeyError if the payload lacks another field.
     """
     change, payload = CHANGES.get(event.kind), event.payload
     # An event of a very old folder does not carry its alarm's row.

@@ -53,7 +53,7 @@ class WaitingChanges:
         return sorted(self._items)
 
     def add(self, change: AlarmChange, rule: int, *, now_s: float, age_s: float) -> list[int]:
-        """Add a change of an alarm to the waiting ones, or cancel the alarm if it ended within its delay.
+        """Add a change of an alarm to the waiting ones, or remove those of one that ended within its delay.
 
         Parameters
         ----------

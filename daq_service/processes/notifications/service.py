@@ -139,7 +139,8 @@ class Notifications:
     def _send_while_owner(self) -> None:
         """Send while this process holds the lock, until `close`; wait while another process sends.
 
-        Problems are logged and tried again after 1 s or 5 s.
+        A standby waits also while the web service responds. Problems are logged and tried again after 1 s or
+        5 s.
         """
         while not self._stop.is_set():
             if self._is_web_service_sending():
@@ -185,7 +186,10 @@ class Notifications:
         return self._is_standby and read_web_state(self._folder) == "responding"
 
     def _is_lock_held(self, lock: IO[bytes]) -> bool:
-        """Return whether the lock file still has its name, which is removed for a stalled process."""
+        """Return whether the open lock file still has its name; it is removed to replace a suspended process.
+
+        False, too, if the file cannot be examined.
+        """
         try:
             return os.path.samestat(os.fstat(lock.fileno()), (self._folder / LOCK_FILE).stat())
         except OSError:

@@ -84,7 +84,8 @@ class Source:
     def read_qualities(self, changes: Sequence[AlarmChange]) -> dict[int, str]:
         """Read the quality of the set with which each alarm was raised, by event id.
 
-        Alarms without a position or set, and unmeasured sets, are left out.
+        Alarms without a position or set, and unmeasured sets, are left out. Raises StorageError if the
+        catalogue cannot be read now.
         """
         qualities: dict[int, str] = {}
         for item in changes:
@@ -105,9 +106,10 @@ class Source:
         return qualities
 
     def read_heartbeat_facts(self) -> HeartbeatFacts:
-        """Read the status of the recorder and the ages of the last set (h of the test) and write (s).
+        """Read status and activity of the recorder and the ages of last set (h of the test) and write (s).
 
-        Ages are None without a set or event; before the first record the status is ``not_started``.
+        Ages are None without a set or event; before the first record the status is ``not_started``. Raises
+        StorageError if the catalogue cannot be read now.
         """
         try:
             catalogue = self._catalogue()

@@ -47,7 +47,10 @@ def format_rfc3339(utc_ns: int | None) -> str | None:
 
 
 def format_hour_as_rfc3339(epoch_utc_ns: int, hour: float) -> str | None:
-    """Format an hour of the test as RFC 3339 text, rounded to whole seconds after the epoch."""
+    """Format an hour of the test as RFC 3339 text, rounded to whole seconds after the epoch.
+
+    Raises ValueError for NaN.
+    """
     return format_rfc3339(epoch_utc_ns + round(hour * 3600.0) * NS_PER_S)
 
 

@@ -119,7 +119,8 @@ def build_problem_response(
 ) -> Response:
     """Build the response of an error as problem details (RFC 9457), with its status and headers.
 
-    Depending on the status it has Retry-After (429, 503), WWW-Authenticate (401) or Connection: close (408).
+    ``errors`` are the invalid parts of a request. Depending on the status it has Retry-After (429, 503),
+    WWW-Authenticate (401) or Connection: close (408).
     """
     body: dict[str, object] = {
         "type": TYPE_PREFIX + problem.name,

@@ -147,7 +147,10 @@ class AccessPolicy:
         return None if morsel is None else morsel.value
 
     def _refuse_unencrypted(self, scope: Scope, headers: Headers) -> None:
-        """Raise a Problem (403) if a reachable service gets an unencrypted request that is not local."""
+        """Raise a Problem (403) if a reachable service gets an unencrypted request that is not local.
+
+        Local means that both host and client address are those of the loopback.
+        """
         if not self._web.is_reachable or is_encrypted(scope):
             return
         host = urlsplit(f"//{headers.get('host', '')}").hostname

@@ -101,7 +101,7 @@ def get_metrics(request: Request) -> Response:
 def _collect_test_metrics(tests: ServedTests, name: str) -> Iterator[Metric]:
     """Yield the metrics of a test without opening it, so that scraping does not keep every test open.
 
-    Yields none if the test cannot be shown.
+    Yields none if the test cannot be shown. Raises the errors of `collect_test`.
     """
     try:
         settings, folder = locate_test(tests.all[name].path, tests.access_policy)

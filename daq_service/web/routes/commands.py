@@ -167,9 +167,9 @@ def _collect_facts(context: Context, catalogue: Catalogue) -> kinds.Facts:
 
 
 def _read_command_row(context: Context, command_id: int) -> dict[str, object]:
-    """Read a command with the time in s until it expires (None unless pending).
+    """Read a command for an answer, with the time in s until it expires (None unless pending).
 
-    Raises a Problem (404) if it does not exist.
+    Raises a Problem (404) if it does not exist, or (503) without data.
     """
     state_and_time = read_command_state(context.catalogue(), command_id)
     if state_and_time is None:

@@ -58,7 +58,11 @@ def add_listing_route(
     """
 
     def answer_page(context: Context, cursor: str | None, limit: int, **query: Any) -> JsonAnswer:
-        """Return one page of the rows that pass the filters, with the cursor of the next page."""
+        """Return one page of the rows that pass the filters, with the cursor of the next page.
+
+        Raises a Problem for an unknown position (404), an invalid cursor or range (422), or without data
+        (503).
+        """
         if query.get("position") is not None:
             context.validate_position(query["position"])
         name = listing.build_listing_name(resource, **query)

@@ -73,7 +73,7 @@ def get_table(
     """Export a table or a range of it, always with hour, quality and the columns that identify rows.
 
     Formats that hold all rows (npz, mat, h5) are limited to 100,000 rows; two are created at a time (else
-    503).
+    503). An unknown table is answered with 404, an invalid selection or too many rows with 422.
     """
     if table not in TABLES:
         raise not_found(f"There is no table {table!r}.", f"The tables are {', '.join(TABLES)}.")
@@ -127,7 +127,7 @@ def get_waveforms(
     catalogue, fresh = context.catalogue(), context.read_freshness()
 
     def export_selected() -> bytes:
-        """Read the selected waveforms and encode them as a file."""
+        """Read the selected waveforms, encode them as a file, and set its name in the headers."""
         choice = RecordChoice(
             position=position, from_h=from_h, to_h=to_h, first_set=first_set, last_set=last_set
         )

@@ -123,7 +123,7 @@ def get_trend(
 
 
 def estimate_entry_bytes(fields: Sequence[str]) -> tuple[int, int]:
-    """Return the maximum size in bytes of a set and of a bin in an answer with these columns."""
+    """Return the maximum size in bytes of a set and of a bin in an answer with these columns (``fields``)."""
     numbers = [name for name in fields if name not in _UNITLESS]
     words = _WORD_BYTES * (len(fields) - len(numbers))
     of_set = _SET_BYTES + words + _NUMBER_BYTES * len(numbers) + _REASON_BYTES * ("reason" in fields)

@@ -66,7 +66,10 @@ def format_significant(value: float | None, digits: int = 4) -> str:
 
 
 def format_plain_text(value: object) -> str:
-    """Format any value of a row as text: items of collections joined by commas, None as `NOT_KNOWN`."""
+    """Format any value of a row as text: items of collections joined by commas, None as `NOT_KNOWN`.
+
+    A float has four significant digits.
+    """
     if isinstance(value, Mapping):
         return ", ".join(f"{name} {format_plain_text(item)}" for name, item in value.items())
     if isinstance(value, list | tuple):
