@@ -15,9 +15,9 @@ FILED_WITHIN_S = 2.0
 
 
 def find_lost_sets(folder: Path, catalogue: Catalogue, *, newest_rows: int | None = None) -> dict[str, str]:
-    """Find the set files of the catalogue that are lost, each with ``is missing`` or ``is empty``.
+    """Find the set files of the catalogue that are lost: ``is missing`` or ``is empty`` by their path.
 
-    Sets that are still in the journal are not lost.
+    Paths count from ``folder``. Sets that are still in the journal are not lost.
 
     Parameters
     ----------
@@ -28,7 +28,7 @@ def find_lost_sets(folder: Path, catalogue: Catalogue, *, newest_rows: int | Non
     Raises
     ------
     CatalogueError, OSError
-        The folder cannot be read now.
+        Catalogue, folder or journal cannot be read now.
     """
     sets = folder / SETS_FOLDER
     if newest_rows is None:

@@ -186,7 +186,7 @@ class Supervisor:
             self._on_message(*self._messages.get())
 
     def _check_child(self, child: _Child, stop: threading.Event) -> int | None:
-        """Start, restart or finish one child, or kill it if its heartbeat is overdue.
+        """Start, restart or finish one child, or kill it if its heartbeat is overdue; queue messages of it.
 
         Returns None, or the exit code with which the supervision ends. Raises OSError if it cannot be
         started.
@@ -278,8 +278,8 @@ class Supervisor:
     def _read_messages(self, child: _Child, process: subprocess.Popen[bytes]) -> None:
         """Read the JSON lines of a child's standard output until it ends; queue or store them.
 
-        Beats and the announced exit code are stored; other lines are queued, beats only with a new activity.
-        A line that is no message is logged.
+        Beats, the announced exit code and the port of a web service (for its restart) are stored; other lines
+        are queued, beats only with a new activity. A line that is no message is logged.
         """
         assert process.stdout is not None
         with process.stdout as lines:

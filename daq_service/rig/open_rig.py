@@ -178,7 +178,7 @@ def _collect_identities(pairs: Sequence[tuple[Instrument, Opened]], *, named: bo
     """Merge the identities (makers, serial numbers, versions) of the instruments into one dictionary.
 
     With ``named`` (mixed rig) each key has the instrument's name as prefix, and the name itself gives its
-    kind.
+    kind and the package that offers it.
     """
     identity: dict[str, str] = {}
     for item, instrument in pairs:

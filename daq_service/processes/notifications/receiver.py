@@ -153,7 +153,7 @@ class ReceiverQueue:
     # Incoming events
 
     def _read_events(self) -> None:
-        """Read up to 200 new alarm events unless 500 changes wait; log those that are not sent."""
+        """Read up to 200 new alarm events unless 500 changes wait; settle and log those not sent."""
         if len(self._waiting) >= MOST_WAITING:
             return
         rows = self._source.alarm_events(self._last_read_id, PAGE_EVENTS)

@@ -63,7 +63,7 @@ def create_command(command: AnyCommand, execute: ExecuteOf) -> Response:
     """Store a command; the recorder executes it within 60 s, or it expires (see its `state`).
 
     Without a recorder, a command that only changes stored data (an acknowledgement) is executed before the
-    response; any other is refused (409). With a token, the author is that of the token.
+    response; any other is refused (409). With a token, the author is that of the token. Each is audited.
     """
     return execute(command)
 

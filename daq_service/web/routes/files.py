@@ -37,7 +37,8 @@ def get_file(
 ) -> Response:
     """Send the finished file of a set, or ranges of its bytes; it never changes.
 
-    Answered with 404 while the set is only in the journal, and with 416 for a range outside of the file.
+    Answered with 404 while the set is only in the journal, with 304 if the client has it (ETag), and with 416
+    for a range outside of the file.
     """
     row = _find_set_of_file(context, name)
     path = None if row is None or row.file is None else context.data_folder / row.file

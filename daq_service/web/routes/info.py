@@ -23,7 +23,10 @@ RIG_LABELS = {
 
 @router.get("/info", response_model=Info, responses=describe_errors(503))
 def get_info(context: ContextOf) -> JsonAnswer:
-    """Return identity, rig, clock, schedule, limits and positions of the test, and any pause or request."""
+    """Return identity, version, rig, clock, schedule, limits, supply and positions of the test.
+
+    Also its pause, the request to a person at present, the last event id and the freshness of the answer.
+    """
     settings = context.settings
     fresh = context.read_freshness()
     catalogue = context.catalogue()

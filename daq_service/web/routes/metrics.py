@@ -52,7 +52,10 @@ def get_metrics(request: Request, context: ContextOf) -> Response:
 
 
 def render_metrics(metrics: Iterable[Metric], request: Request) -> Response:
-    """Render metrics in OpenMetrics text format, followed by the response times of this service."""
+    """Render metrics in OpenMetrics text format, followed by the response times of this service.
+
+    The errors of the iterable ``metrics`` are raised.
+    """
     registry = CollectorRegistry()
     registry.register(_FixedMetrics(metrics))
     present, times = (
@@ -100,7 +103,10 @@ def collect_test(context: Context) -> Iterator[Metric]:
 
 
 def _collect_receiver_metrics(context: Context) -> Iterator[Metric]:
-    """Yield sent, failed and waiting messages of each receiver, counted since the start of the service."""
+    """Yield numbers of sent messages, failed attempts and waiting changes of each receiver.
+
+    They are counted since the start of the service.
+    """
     queues = context.notifications.queues.values()
     sent = CounterMetricFamily("solimon_notifications_sent", "Messages taken", labels=("receiver",))
     failed = CounterMetricFamily("solimon_notifications_failed", "Failed attempts", labels=("receiver",))

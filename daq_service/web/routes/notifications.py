@@ -96,7 +96,11 @@ def test_receiver(
 
 
 def _build_receiver_state(context: Context, queue: ReceiverQueue) -> dict[str, object]:
-    """Build the state of a receiver for an answer, without secrets; rules are counted from 1."""
+    """Build the state of a receiver for an answer: settings, rules, deliveries and heartbeat.
+
+    Its address is without secrets; rules are counted from 1; times are RFC 3339, and the age of the last sent
+    message is in s.
+    """
     settings, state, now_ns = (
         context.notifications.settings.receivers[queue.name],
         queue.state,

@@ -164,7 +164,7 @@ def list_shots(context: ContextOf, position: str, set_index: listing.SetOfPath) 
 def list_baselines(context: ContextOf, position: listing.PositionFilter = None) -> JsonAnswer:
     """List all baselines of each position, the newest last: lifecycle, statistics, limits, provenance.
 
-    A transducer without a baseline has the planned one that is collecting.
+    A transducer without a baseline has the planned one that is collecting. An unknown position: 404.
     """
     if position is not None:
         context.validate_position(position)

@@ -54,7 +54,7 @@ async def stream_events(
 ) -> StreamingResponse:
     """Stream events after `Last-Event-ID` (or `after`), or from the next event.
 
-    At most 2000 streams are open; more are answered with 503.
+    At most 2000 streams are open; more are answered with 503, an unknown topic or invalid id with 422.
     """
     selected = _parse_topics(topics)
     if context.open_streams() >= MOST_CLIENTS:

@@ -46,7 +46,7 @@ Form = Annotated[
 
 @router.get("/tables", tags=["tables"], response_model=TableList)
 def list_tables() -> JsonAnswer:
-    """List the tables, their columns with units, and the formats that this installation can write."""
+    """List the tables with their columns (form, unit), and the formats that this installation can write."""
     items = [
         {
             "table": name,

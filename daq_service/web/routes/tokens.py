@@ -47,7 +47,7 @@ def list_tokens(context: ContextOf) -> JsonAnswer:
 def create_access_token(
     token_request: TokenRequest, request: Request, person: PersonOf, context: ContextOf
 ) -> Response:
-    """Create a token; its secret text is only in this response.
+    """Create a token, and audit the request; its secret text is only in this response.
 
     Answered with 409 for an invalid name or one with a valid token, and before a first token exists.
     """
@@ -75,7 +75,10 @@ def create_access_token(
 def revoke_access_token(
     name: Annotated[str, Path(max_length=40)], request: Request, person: PersonOf, context: ContextOf
 ) -> Response:
-    """Revoke a token; its open streams end within seconds; 409 if there is no unrevoked one of this name."""
+    """Revoke a token, and audit the request; its open streams end within seconds.
+
+    Answered with 409 if there is no unrevoked token of this name.
+    """
     try:
         token = revoke_token(context.access_policy.tokens_path, name)
     except UsageError as error:

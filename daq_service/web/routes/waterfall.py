@@ -73,7 +73,8 @@ def get_waterfall(
     Octets: u32 header length, JSON header padded with spaces to a multiple of 8, then float32 (little-endian)
     of all minima by row, then of all maxima; NaN where there is no sample. No sample is lost, even with few
     rows and columns; edges of rows are at multiples of `row_sets`, so the first and last may exceed the
-    range. The time of a record counts from its anchor; a record without one is in no aligned image.
+    range. The time of a record counts from its anchor; a record without one is in no aligned image. The
+    difference to the baseline is answered with 404 before there is one.
     """
     method = context.settings.positions[context.validate_position(position)].method
     _check_parameters(method, align, from_s, to_s, rows * columns if form == "json" else 0)

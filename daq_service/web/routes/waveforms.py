@@ -45,7 +45,8 @@ ERRORS = describe_errors(404, 503)
 def get_live_waveform(position: str, context: ContextOf) -> Response:
     """Return the live figure: u32 header length, JSON header (volts = sum c[k] counts^k), samples.
 
-    Answered with 404 before the first record, and with 503 if the file is damaged.
+    X-Sequence and X-Written are its number and time. Answered with 404 before the first record, and with 503
+    if the file is damaged.
     """
     path = context.data_folder / "live" / f"{context.validate_position(position)}.bin"
     try:
