@@ -41,7 +41,8 @@ def stop_on_signals() -> Iterator[threading.Event]:
     Raises
     ------
     EndedByLibraryError
-        A driver or a library raised an exception that would end the process. Signals raise nothing here.
+        A driver or a library raised SystemExit, EOFError, or KeyboardInterrupt without a signal. Other
+        exceptions pass through; signals raise nothing here.
     """
     stop = threading.Event()
     # A signal may come while this thread holds the event's lock: a handler that sets the event would
@@ -218,7 +219,7 @@ def stop_when_pipe_closes(stop: threading.Event) -> threading.Event:
 
 
 def start_detached_process(command: Sequence[str], standard_input: bytes) -> subprocess.Popen[bytes]:
-    """Start a program that outlives this one and gets no signals from this one's terminal.
+    """Start a program that outlives this one, without signals of its terminal, and return the process.
 
     Its standard output and error are discarded. A program that ends before it reads its input is no error.
 

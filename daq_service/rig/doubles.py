@@ -61,7 +61,7 @@ def run_rig_doubles(rig: str, overrides: Mapping[str, object]) -> Iterator[DemoR
     Raises
     ------
     UsageError
-        This machine cannot run that rig: what is missing, and the remedy.
+        An override is rejected, or this machine cannot run that rig: what is missing, and the remedy.
     RigError
         The doubles did not start.
     """

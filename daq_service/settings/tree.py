@@ -372,9 +372,10 @@ class Settings(BaseSettings):
     @model_validator(mode="before")
     @classmethod
     def _fill_positions(cls, values: object) -> object:
-        """Fill each position's chain, plate and corrosion from the top-level tables of the same name.
+        """Return the values with each position's tables filled from the top-level ones of the same name.
 
-        Without ``positions`` the default ones are used; values of a wrong type are left to validation.
+        These are chain, plate and corrosion. Without ``positions`` the default ones are used; values of a
+        wrong type are left to validation.
         """
         if not isinstance(values, dict):
             return values

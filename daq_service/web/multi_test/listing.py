@@ -61,7 +61,7 @@ class Listing:
     def read_entries(self) -> list[dict[str, object]]:
         """Return the entries of all tests, with their age in s; read those again that may have changed.
 
-        Blocks while files are read, also for another thread that calls it.
+        In the order of the command line. Blocks while files are read, also for another thread that calls it.
         """
         with self._lock:
             for test in self._tests.all.values():

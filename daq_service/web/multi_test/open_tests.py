@@ -70,7 +70,7 @@ class ServedTests:
                 test.context.close_streams()
 
     def find(self, name: str) -> ServedTest:
-        """Return the test with this name in addresses.
+        """Return the test with this slug (name in URLs).
 
         Raises
         ------
@@ -83,7 +83,7 @@ class ServedTests:
 
     @asynccontextmanager
     async def use(self, test: ServedTest) -> AsyncIterator[Context]:
-        """Open a test unless it is open and yield its context; it is not closed until the block ends.
+        """Open a test unless it is open and yield its context; the test stays open until the block ends.
 
         Raises
         ------
@@ -145,9 +145,9 @@ class ServedTests:
             await self.close_idle_tests(for_s=IDLE_S)
 
     async def open_notifying_tests(self) -> None:
-        """Open the tests with receivers of notifications, which then stay open.
+        """Open the tests that have receivers of notifications; these tests then stay open.
 
-        A test that cannot be read is tried again at the next call.
+        A test that cannot be read or shown is tried again at the next call.
         """
         for test in self.all.values():
             with suppress(Problem, AbsentError):

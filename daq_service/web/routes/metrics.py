@@ -82,7 +82,7 @@ def collect_service() -> Iterator[Metric]:
 
 
 def collect_clients(context: Context) -> Iterator[Metric]:
-    """Yield the numbers of open event and waveform streams of a test."""
+    """Yield the numbers of open event streams and live waveform streams of a test."""
     yield _build_gauge("stream_clients", context.hub.clients)
     yield _build_gauge("waveform_clients", context.live.clients)
 
@@ -170,7 +170,7 @@ VALUES = (
 def _collect_positions(
     schedule: ScheduleSettings, thinnest_m: float, fresh: Freshness, summaries: Mapping[str, LatestRows]
 ) -> Iterator[Metric]:
-    """Yield the metrics of each position from its latest rows; ``thinnest_m`` is the alarm limit.
+    """Yield the metrics of each position from its latest rows; ``thinnest_m`` is the alarm limit in m.
 
     Values that are not available have no sample.
     """
@@ -219,7 +219,7 @@ def _read_quality(summary: LatestRows) -> str | None:
 
 
 def _compute_delay_s(summary: LatestRows) -> float | None:
-    """Return the time in s from the due time of the newest set to its start; None without one."""
+    """Return the delay of the start of the newest set after its due time, s; None if no set has started."""
     row = summary.last_set
     if row is None or row.started_utc_ns is None:
         return None
@@ -232,7 +232,7 @@ def _build_recorder_metric(status: str) -> Metric:
 
 
 def _build_counter(name: str, number: int) -> Metric:
-    """Build a counter without labels, named ``solimon_NAME``; raise KeyError without a description."""
+    """Build a counter ``solimon_NAME`` without labels; raise KeyError if the name has no description."""
     return CounterMetricFamily(f"solimon_{name}", DESCRIPTIONS[name], value=number)
 
 

@@ -44,7 +44,10 @@ class Followed:
         return self._closed
 
     async def changed(self) -> None:
-        """Wait until the data change or the source closes; return at once if it is closed."""
+        """Wait until the data change or the source closes; return at once if it is closed.
+
+        Called on the event loop. A change before the call is not noticed.
+        """
         if not self._closed:
             # One future per waiter: cancelling a shared one would cancel it for all.
             waiter = self._loop.create_future()

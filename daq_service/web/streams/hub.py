@@ -106,7 +106,7 @@ class EventHub(Followed):
         return self._events[-1].id if self._events else (self._complete_after or 0)
 
     def after(self, event_id: int, limit: int | None = None) -> list[EncodedEvent]:
-        """Return the oldest ``limit`` events of the ring after an id, ascending; None returns all."""
+        """Return the oldest ``limit`` events of the ring after an id, ascending; all if ``limit`` is None."""
         first = bisect.bisect_right(self._events, event_id, key=lambda event: event.id)
         return self._events[first : None if limit is None else first + limit]
 

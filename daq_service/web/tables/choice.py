@@ -189,5 +189,5 @@ def _convert_to_columns(rows_json: Sequence[Mapping[str, object]], names: Sequen
 
 
 def _convert_to_plain_value(value: object) -> object:
-    """Return a value as a file can hold it: dictionaries and lists become JSON text, others stay."""
+    """Return dictionaries and lists as JSON text, and other values unchanged: a file holds no nested ones."""
     return json.dumps(value) if isinstance(value, dict | list) else value

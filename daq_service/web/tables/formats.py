@@ -132,7 +132,7 @@ def _create_arrow_writer(kind: str) -> Write:
 def encode_arrow(
     arrow: Arrow, form: str, schema: Arrow, batches: Iterable[Sequence[Arrow]]
 ) -> Iterator[bytes]:
-    """Encode batches of arrays as ``parquet`` or ``arrow`` and yield the bytes after each batch.
+    """Encode batches as ``parquet`` or ``arrow`` (``form``) and yield the bytes written after each batch.
 
     The last part ends the file. Each batch has one array per field of the schema.
     """
