@@ -49,7 +49,7 @@ def format_rfc3339(utc_ns: int | None) -> str | None:
 def format_hour_as_rfc3339(epoch_utc_ns: int, hour: float) -> str | None:
     """Format an hour of the test as RFC 3339 text, rounded to whole seconds after the epoch.
 
-    Raises ValueError for NaN.
+    Raises ValueError for NaN and OverflowError for infinity.
     """
     return format_rfc3339(epoch_utc_ns + round(hour * 3600.0) * NS_PER_S)
 
@@ -57,7 +57,7 @@ def format_hour_as_rfc3339(epoch_utc_ns: int, hour: float) -> str | None:
 def format_hours_as_rfc3339(epoch_utc_ns: int, hours: Sequence[float]) -> list[str]:
     """Format a column of hours as RFC 3339 texts in one step, as `format_hour_as_rfc3339` does for one.
 
-    Raises ValueError for NaN or infinity.
+    The hours must be finite.
     """
     if not hours:
         return []

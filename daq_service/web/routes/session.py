@@ -38,7 +38,8 @@ async def get_session(request: Request) -> JsonAnswer:
 async def log_in(body: LogIn, request: Request, context: ContextOf) -> Response:
     """Log the page in: sets a cookie (HttpOnly, SameSite=Strict, over TLS Secure) for 30 days.
 
-    A wrong token is answered with 401, too many wrong ones with 429. Logins and wrong tokens are audited.
+    A wrong token is answered with 401, too many wrong ones with 429. Logins and wrong tokens are audited;
+    those answered with 429 are only counted.
     """
     try:
         person = context.access_policy.authenticate_token(body.token, find_client_address(request.scope))

@@ -49,7 +49,8 @@ def create_access_token(
 ) -> Response:
     """Create a token, and audit the request; its secret text is only in this response.
 
-    Answered with 409 for an invalid name or one with a valid token, and before a first token exists.
+    Answered with 409 for an invalid name or one with a valid token, and (not audited) before a first token
+    exists.
     """
     if person.role == CLAIMED:
         raise conflict(
