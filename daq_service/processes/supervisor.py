@@ -158,8 +158,8 @@ class Supervisor:
         """Supervise until ``stop``, a final exit code, or (unless ``stay``) the recorder's end.
 
         Returns the exit code; after ``stop`` the highest one of the ended children, 130 excluded. Before it
-        returns, all children are ended, and killed after ``leave_within_s``. Raises OSError if one cannot be
-        started.
+        returns, all children are ended, and killed after ``leave_within_s``. Raises OSError if a child cannot
+        be started.
         """
         self._stay = stay
         try:

@@ -150,7 +150,8 @@ def _execute_without_recorder(context: Context, command: kinds.StoredCommand) ->
 def _collect_facts(context: Context, catalogue: Catalogue) -> kinds.Facts:
     """Read the state of test, recorder, alarms and baselines that decides whether a command is possible.
 
-    Expired shelves are removed from the alarms. Raises a Problem (503) or StorageError if it cannot be read.
+    Expired shelves are removed from the alarms. Raises a Problem (503) or StorageError if the catalogue
+    cannot be read.
     """
     return kinds.Facts(
         recorder=context.read_freshness().recorder.status,
