@@ -41,7 +41,8 @@ def stop_on_signals() -> Iterator[threading.Event]:
     Raises
     ------
     EndedByLibraryError
-        A driver or a library raised an exception that would end the process. Signals raise nothing here.
+        A driver or a library raised SystemExit, EOFError, or KeyboardInterrupt without a signal. Other
+        exceptions pass through; signals raise nothing here.
     """
     stop = threading.Event()
     # A signal may come while this thread holds the event's lock: a handler that sets the event would
@@ -85,8 +86,9 @@ def stop_on_signals() -> Iterator[threading.Event]:
 def run_and_announce_exit(run: Callable[[], int], *, supervised: bool) -> int:
     """Run a child, announce its exit code (also after a SolimonError) to the supervisor, and return the code.
 
-    Other exceptions announce nothing. A code without announcement counts as a crash in the supervisor: a
-    library may end the process with any code. Without ``supervised`` nothing is announced.
+    A SolimonError is raised again after its announcement; other exceptions pass without one. A code without
+    announcement counts as a crash in the supervisor: a library may end the process with any code. Without
+    ``supervised`` nothing is announced.
     """
     announce = notify_supervisor if supervised else lambda event, **values: None
     try:
@@ -145,8 +147,8 @@ class LogFile(logging.handlers.RotatingFileHandler):
 def log_to_file(path: Path) -> None:
     """Log to a rotated file, and crashes below Python to a file with the suffix ``.crash``.
 
-    Sets the root logger to INFO and captures Python warnings. If the folder or a file cannot be created, a
-    warning is printed and the process continues.
+    Adds a handler to the root logger, sets it to INFO (Alembic and numba to WARNING) and captures Python
+    warnings. If the folder or a file cannot be created, a warning is printed and the process continues.
     """
     handler = LogFile(path)
     handler.setFormatter(
@@ -169,9 +171,9 @@ def log_to_file(path: Path) -> None:
 
 @contextmanager
 def log_in_thread(path: Path) -> Iterator[None]:
-    """Write the log as `log_to_file` does, but from a thread, so that a slow disk does not delay the caller.
+    """Log as `log_to_file` within a context, but write in a thread: a slow disk does not delay the caller.
 
-    On exit waits at most `FLUSHED_WITHIN_S` for queued lines; later ones are lost.
+    On exit waits at most `FLUSHED_WITHIN_S` (2 s) for queued lines; later ones are lost.
     """
     log_to_file(path)
     root = logging.getLogger()
@@ -217,7 +219,7 @@ def stop_when_pipe_closes(stop: threading.Event) -> threading.Event:
 
 
 def start_detached_process(command: Sequence[str], standard_input: bytes) -> subprocess.Popen[bytes]:
-    """Start a program that outlives this one and gets no signals from this one's terminal.
+    """Start a program that outlives this one, without signals of its terminal, and return the process.
 
     Its standard output and error are discarded. A program that ends before it reads its input is no error.
 
@@ -251,8 +253,9 @@ def start_detached_process(command: Sequence[str], standard_input: bytes) -> sub
 def notify_supervisor(event: str, **values: object) -> None:
     """Send a message from a child to its supervisor as one JSON line on standard output, without blocking.
 
-    A supervisor that is gone or suspended is no error here: a line that does not fit into the full pipe is
-    dropped (the kernel takes a line of this length completely or not at all) and logged.
+    ``values`` must be JSON-ready. A supervisor that is gone or suspended is no error here: a line that does
+    not fit into the full pipe is dropped (the kernel takes it completely or not at all) and logged. Standard
+    output stays non-blocking, except on Windows.
     """
     pipe = sys.stdout.fileno()
     if hasattr(os, "set_blocking") and sys.platform != "win32":

@@ -37,7 +37,7 @@ if sys.platform == "win32":
     import msvcrt
 
     def try_lock(file: IO[bytes]) -> None:
-        """Lock an open file for this process without waiting; OSError if another process holds it."""
+        """Lock an open file until it is closed, without waiting; OSError if another process holds it."""
         msvcrt.locking(file.fileno(), msvcrt.LK_NBLCK, 1)
 
     def is_locked(file: IO[bytes]) -> bool:
@@ -56,7 +56,7 @@ else:
     import fcntl
 
     def try_lock(file: IO[bytes]) -> None:
-        """Lock an open file for this process without waiting; OSError if another process holds it."""
+        """Lock an open file until it is closed, without waiting; OSError if another process holds it."""
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
 
     def is_locked(file: IO[bytes]) -> bool:
@@ -115,10 +115,10 @@ WRITE_TEST = ".write-test-"
 
 
 def read_identity(folder: Path) -> Mapping[str, object] | None:
-    """Read the identity of the test that a folder is a backup of.
+    """Read the identity of the test from which a backup folder was made: the row of its experiment.
 
-    Returns None if it is no backup, and an empty mapping if the file is invalid. Raises OSError if the file
-    cannot be read.
+    Returns None if the folder is no backup, and an empty mapping if `BACKUP_FILE` is invalid. Raises OSError
+    if it cannot be read.
     """
     try:
         found = orjson.loads(read_shared(folder / BACKUP_FILE))
@@ -145,6 +145,8 @@ def build_new_folder_path(purpose: str) -> Path:
 def prepare_data_folder(folder: Path, *, may_create: bool = True) -> None:
     """Create the data folder with its subfolders and check by a test file that it can be written.
 
+    If ``live`` or ``logs`` cannot be created, a warning is logged.
+
     Parameters
     ----------
     may_create
@@ -158,6 +160,8 @@ def prepare_data_folder(folder: Path, *, may_create: bool = True) -> None:
         It cannot be created or written.
     StorageError
         It holds only foreign files, or is on a network file system.
+    OSError
+        It cannot be listed.
     """
     # The lock is no evidence: a recorder that was killed during its start has not created it.
     if not may_create and not (folder / "sets").is_dir():
@@ -196,7 +200,7 @@ def prepare_data_folder(folder: Path, *, may_create: bool = True) -> None:
 
 
 def _create_optional_folder(folder: Path) -> None:
-    """Create a folder that the test can do without; an error of the disk is logged only."""
+    """Create a folder that the test can do without; an OSError is only logged, as a warning."""
     try:
         folder.mkdir(exist_ok=True)
     except OSError as error:
@@ -204,9 +208,10 @@ def _create_optional_folder(folder: Path) -> None:
 
 
 def remove_temporary_files(folder: Path) -> None:
-    """Delete temporary files that killed writers left; only the owner may call this, as only it writes hints.
+    """Delete the temporary files that killed writers left in a data folder and its ``live`` subfolder.
 
-    Files that cannot be deleted are logged.
+    Only the owner of the folder may call this: it is the only writer of such files. A file that cannot be
+    deleted within `PATIENCE_S` is logged and stays.
     """
     for directory in (folder, folder / "live"):
         for pattern in (f"*{HINT_SUFFIX}", f"{WRITE_TEST}*"):
@@ -215,9 +220,9 @@ def remove_temporary_files(folder: Path) -> None:
 
 
 def _find_foreign_file(folder: Path) -> str:
-    """Return the first foreign file name; empty if the folder is empty or holds any file of solimon.
+    """Return the first name in a folder that holds no file of solimon; empty for other or empty folders.
 
-    Raises OSError if the folder cannot be listed.
+    Files of the write test are ignored. Raises OSError if the folder cannot be listed.
     """
     names = {path.name for path in folder.iterdir() if not path.name.startswith(WRITE_TEST)}
     return min(names) if names and not names & OWN_NAMES else ""
@@ -246,7 +251,7 @@ def require_data_folder(folder: Path) -> None:
 
 
 def hold_recorder_lock(folder: Path, *, patience_s: float = PATIENCE_S) -> AbstractContextManager[object]:
-    """Hold the recorder's lock of a folder within a context, as `hold_lock`.
+    """Hold the recorder's lock of a folder within a context; its text names this process (`hold_lock`).
 
     Raises `BusyError` on entry if another recorder holds it for ``patience_s`` seconds, and
     StorageUnavailableError if the lock file cannot be opened.
@@ -267,21 +272,23 @@ def hold_lock(
 ) -> Iterator[IO[bytes]]:
     """Hold a lock of the folder within a context and yield its open file; ``text`` in it describes the owner.
 
+    A text that cannot be written, because the disk is full, is no error.
+
     Parameters
     ----------
     text
         First line: the owner, for a person. The rest is never shown.
     holder
-        Kind of process that holds the lock.
+        Kind of process that holds the lock, for the error message.
     mode
-        Rights of the file; None: those of the user's other files.
+        Permissions of the file; None: those of the user's other files.
     patience_s
         How long a held lock is retried: a check for a running recorder (`is_held`) holds it for an instant.
 
     Raises
     ------
     BusyError
-        Another process holds it.
+        Another process holds it after ``patience_s``.
     StorageUnavailableError
         The lock file cannot be opened.
     """
@@ -370,7 +377,7 @@ def read_lock_owner(folder: Path, name: str) -> str:
 
 
 def choose_folder(storage: StorageSettings, config: Path | None, data_dir: Path | None) -> Path:
-    """Return the absolute path ``--data-dir``, or else the configured folder.
+    """Return the absolute path of the option ``--data-dir``, or else of the configured folder.
 
     A relative configured folder counts from the configuration file, or from the working directory without
     one.
@@ -384,8 +391,8 @@ def choose_folder(storage: StorageSettings, config: Path | None, data_dir: Path 
 def load_settings_and_folder(config: Path | None, data_dir: Path | None) -> tuple[Settings, Path]:
     """Read the configuration and return it with the absolute path of its data folder.
 
-    The configuration file in a data folder is a hint: if it is torn, foreign or missing, the configuration
-    stored in the catalogue is used and a warning logged.
+    If ``config`` is the configuration file of a data folder and is rejected or missing, the configuration
+    stored next to it (`experiment.json` or catalogue) is used and a warning logged.
 
     Raises
     ------
@@ -408,7 +415,8 @@ def load_settings_and_folder(config: Path | None, data_dir: Path | None) -> tupl
 def load_settings_for_reading(config: Path | None, data_dir: Path | None) -> tuple[Settings, Path]:
     """Read the configuration for commands that only read, and return it with the absolute data folder.
 
-    If only ``data_dir`` is given, the configuration stored in that folder is read.
+    If only ``data_dir`` is given, the configuration stored in that folder is read; without a valid one, the
+    shipped configuration.
 
     Raises
     ------
@@ -424,7 +432,10 @@ def load_settings_for_reading(config: Path | None, data_dir: Path | None) -> tup
 
 
 def _stored_settings(folder: Path) -> Settings | None:
-    """Read the settings from experiment.json, or else from the catalogue; None if neither has valid ones."""
+    """Read the settings from experiment.json, or without that file from the catalogue.
+
+    Returns None if there are none or they are invalid in this version; the reason is logged at DEBUG.
+    """
     try:
         stored = read_experiment_file(folder)
         if stored is None:
@@ -437,10 +448,10 @@ def _stored_settings(folder: Path) -> Settings | None:
 
 
 def write_configuration(settings: Settings, folder: Path) -> Path:
-    """Write the configuration durably to the data folder and return the path of the file.
+    """Write the settings as JSON durably to `CONFIGURATION_FILE` in the data folder and return its path.
 
     Child processes and later starts read it. It replaces an earlier one: pace and end of a test may change.
-    Raises StorageUnavailableError if the disk refuses.
+    Raises StorageUnavailableError if it cannot be written.
     """
     config = folder / CONFIGURATION_FILE
     content = settings.model_dump_json(indent=1).encode()

@@ -53,8 +53,8 @@ def disk_space(
 ) -> DiskSpace:
     """Measure the free space of a folder's volume and determine its level (`LEVELS`).
 
-    A level reached ``before`` ends only above 1.1 times its limit (`LEAVES_AT`). Fractions refer to the
-    volume, or to ``volume_gb`` if that is smaller. Raises the OSError of ``usage``.
+    ``before`` is the level of the measurement before: it ends only above 1.1 times its limit (`LEAVES_AT`).
+    Fractions refer to the volume, or to ``volume_gb`` if that is smaller. Raises the OSError of ``usage``.
     """
     free, total = usage(folder)
     limits: dict[Level, float] = {
@@ -72,7 +72,7 @@ def disk_space(
 
 
 def refusal(space: DiskSpace, settings: StorageSettings) -> str:
-    """Return the reason why nothing is stored at present (level ``stop``) and the remedy; empty otherwise."""
+    """Return the reason why nothing is stored now, with the remedy; empty unless the level is ``stop``."""
     if space.level != "stop":
         return ""
     return (
@@ -108,6 +108,8 @@ def forecast_disk(
     """Forecast from the size of the newest set whether the remaining sets of the test fit on the disk.
 
     Without a set file (no set yet, or still in the journal) ``needed_bytes`` and ``full_at_h`` are None.
+    Raises the OSError of ``usage`` and of a file that vanishes, and CatalogueError if the catalogue cannot be
+    read.
     """
     space, newest = disk_space(folder, storage, usage=usage), catalogue.read_newest_recorded()
     forecast = Outlook(**asdict(space))

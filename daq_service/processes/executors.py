@@ -37,7 +37,7 @@ SAME_EVERYWHERE = ("solimon", "numpy", "scipy", "numba")
 
 
 def count_usable_cores() -> int:
-    """Count the cores that this process may use, by its affinity if the system has one; at least 1."""
+    """Count the processor cores that this process may use (its affinity, or else all cores); at least 1."""
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
@@ -167,14 +167,17 @@ class _ProcessExecutor(Executor):
         attempt.add_done_callback(partial(self._finish_attempt, task, pool))
 
     def _replace_pool(self, broken: ProcessPoolExecutor) -> ProcessPoolExecutor:
-        """Replace a pool if it is still the present one, and return the present pool."""
+        """Replace a broken pool, unless another thread has replaced it, and return the present pool."""
         with self._lock:
             if self._pool is broken:
                 self._pool = self._start_pool()
             return self._pool
 
     def _finish_attempt(self, task: _Task[T], pool: ProcessPoolExecutor, attempt: Future[T]) -> None:
-        """Set the result or exception of a task; submit it again if its pool broke and tries remain."""
+        """Set the result or exception of a task, or cancel it, as its attempt ended.
+
+        The task is submitted again if its pool broke, tries remain and the executor is open.
+        """
         if attempt.cancelled():
             Future.cancel(task)
             return
@@ -256,5 +259,8 @@ def _open_cluster(name: str) -> Iterator[Executor]:
 
 
 def _list_versions() -> dict[str, str]:
-    """Return the versions of Python and of the packages in `SAME_EVERYWHERE` in this process, by name."""
+    """Return the versions of Python and of the packages in `SAME_EVERYWHERE` in this process, by name.
+
+    Raises PackageNotFoundError if one is not installed.
+    """
     return {"python": sys.version.split()[0], **{name: version(name) for name in SAME_EVERYWHERE}}

@@ -67,7 +67,10 @@ class Freshness:
             self.wall_age_s = min((age_ns for age_ns in ages_ns if age_ns >= 0), default=0) / NS_PER_S
 
     def expire_shelf(self, row: AlarmRow) -> AlarmRow:
-        """Return an alarm without its shelf if that has expired, also while no recorder runs."""
+        """Return an alarm's row without its shelving if that has expired on the test's or the wall clock.
+
+        Else the same object is returned. The catalogue is not changed; this works while no recorder runs.
+        """
         return remove_expired_shelf(row, utc_ns=self.now_utc_ns, wall_utc_ns=time.time_ns())
 
     def expire_shelves(self, last: LatestRows) -> LatestRows:
@@ -75,5 +78,5 @@ class Freshness:
         return replace(last, active_alarms=[self.expire_shelf(row) for row in last.active_alarms])
 
     def age_h(self, due_h: float) -> float:
-        """Return the age in h of an hour of the test, on the test's clock; 0 for future hours."""
+        """Return how long ago an hour of the test was, in h on the test's clock; 0 for future hours."""
         return max(0.0, self.now_h - due_h)

@@ -157,14 +157,14 @@ def encode_heartbeat(beat: Beat) -> bytes:
 
 
 def _compute_crc32(values: Mapping[str, Any]) -> int:
-    """Compute the CRC-32 of values as JSON, in their order."""
+    """Compute the CRC-32 of values in their order, encoded as JSON."""
     return zlib.crc32(json.dumps(values).encode())
 
 
 def _overwrite_file(path: Path, content: bytes) -> None:
     """Write the content over the start of a file without truncating it; create a missing file.
 
-    Raises OSError.
+    Raises OSError if it cannot be opened or written.
     """
     descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | O_BINARY, 0o644)
     try:
@@ -174,7 +174,11 @@ def _overwrite_file(path: Path, content: bytes) -> None:
 
 
 def read_heartbeat(folder: Path, file: str = FILE_NAME) -> Beat | None:
-    """Read the newest heartbeat; None without a readable file, or (with a warning) if 3 reads are invalid."""
+    """Read the newest heartbeat from a file of the folder, in up to 3 reads without a pause.
+
+    Returns None without a readable file, or, with a warning (once for each problem), if all reads are
+    invalid.
+    """
     path = folder / file
     reason = ""
     for _ in range(LOOKS):
@@ -191,9 +195,10 @@ def read_heartbeat(folder: Path, file: str = FILE_NAME) -> Beat | None:
 
 
 def _decode_heartbeat(content: bytes) -> Beat:
-    """Decode the content of a heartbeat file.
+    """Decode the JSON content of a heartbeat file.
 
-    Raises ValueError if the checksum is wrong, or as `parse_beat`; older files have no checksum.
+    Raises ValueError if it is no JSON or its checksum is wrong, AttributeError if it is no object, or the
+    errors of `parse_beat`. Files of earlier versions have no checksum.
     """
     values = json.loads(content)
     crc32 = values.pop("crc32", None)  # an older version wrote none
@@ -236,8 +241,8 @@ def _warn_once(path: Path, problem: str) -> None:
 def compute_beat_age_s(beat: Beat, *, boot: str | None, mono_ns: int) -> float | None:
     """Return the age of a beat, s, at a monotonic time of a boot; None if it was written in another boot.
 
-    If a boot name is missing (`clock.boot_name`, or a file of an older version), only a time in the future
-    shows that.
+    If one of the two boot names is missing (`clock.boot_name`, or a file of an earlier version), only a beat
+    later than ``mono_ns`` counts as one of another boot.
     """
     other_boot = None not in (beat.boot, boot) and beat.boot != boot
     return None if other_boot or beat.mono_ns > mono_ns else (mono_ns - beat.mono_ns) / NS_PER_S
@@ -250,10 +255,10 @@ def create_web_beat() -> Beat:
 
 
 def read_web_state(folder: Path, *, machine: MachineClock = MACHINE) -> WebState:
-    """Return whether the web service of a folder responds, by its heartbeat file.
+    """Read from its heartbeat file whether the web service of a folder responds.
 
-    ``not_expected`` if it never ran or has ended in order; ``not_responding`` if its heartbeat is past its
-    deadline or of another boot.
+    Returns ``responding``; ``not_expected`` if it never ran or has ended in order; or ``not_responding`` if
+    its heartbeat is past its deadline or of another boot.
     """
     beat = read_heartbeat(folder, WEB_FILE)
     if beat is None or beat.stage == "ended":
@@ -271,7 +276,7 @@ class WebWatch:
         self._until_ns: float | None = self._next_ns + WEB_STARTS_WITHIN_S * NS_PER_S
 
     def is_missing(self) -> bool | None:
-        """Return whether the web service has not responded for 3 s (60 s after the start of the watch).
+        """Return whether the web service has been ``not_responding`` for 3 s (60 s after the watch starts).
 
         None if that is not confirmed yet, or if the last check was less than 1 s ago.
         """
@@ -287,9 +292,10 @@ class WebWatch:
 
 
 def extract_time_line(beat: Beat | None, *, boot: str | None, elapsed_ns: int) -> TimeLine | None:
-    """Return the pair of test time and elapsed boot time in a beat.
+    """Return the pair of test time (ns of UTC) and elapsed boot time (ns) in a beat.
 
-    None without a beat, without these times, or if the beat is of another boot.
+    None without a beat, without these times, or if the beat is not of this boot: ``boot`` is its name and
+    ``elapsed_ns`` its present elapsed time.
     """
     if beat is None or beat.utc_ns is None or beat.elapsed_ns is None:
         return None

@@ -16,8 +16,11 @@ from pathlib import Path
 def reset_inherited_settings() -> None:
     """Reset streams, encodings, file mask, signals, timers and limits that this process inherited.
 
-    Signals that are ignored stay ignored (`child.stop_on_signals`), but for SIGCHLD, without which the exit
-    code of every child would be read as 0. A deleted working directory is replaced by the root.
+    Closed standard streams are replaced by the null device, text that cannot be encoded is escaped, new files
+    are not writable by others, and a deleted working directory is replaced by the root. Not on Windows:
+    signals are unblocked, SIGTTOU is ignored, interval timers stop, and the soft limits of CPU time, file
+    size and memory become the hard ones. Ignored signals stay ignored (`child.stop_on_signals`), but for
+    SIGCHLD, without which the exit code of every child would be read as 0.
     """
     for descriptor, name in enumerate(("stdin", "stdout", "stderr")):
         try:

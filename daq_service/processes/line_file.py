@@ -28,6 +28,8 @@ Line = tuple[int, Mapping[str, Any]]
 def append_line(path: Path, table: str, row: Mapping[str, Any]) -> None:
     """Append a row as a numbered line with a checksum and sync the file, one process at a time.
 
+    Waits up to `PATIENCE_S` (5 s) for the lock of the file.
+
     Raises
     ------
     OSError
@@ -86,7 +88,7 @@ def read_newest_lines(
 
 
 def _yield_lines_reversed(file: BinaryIO, end: int | None) -> Iterator[tuple[int, bytes]]:
-    """Yield the lines before a byte, the last one first, each with the byte at which it starts.
+    """Yield the lines before byte ``end`` without their line ends, the last one first, each with its offset.
 
     Reads blocks of 64 KiB; None reads from the end of the file.
     """

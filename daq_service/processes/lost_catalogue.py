@@ -19,8 +19,8 @@ log = logging.getLogger(__name__)
 def is_catalogue_lost(folder: Path) -> bool:
     """Return whether a test was started here whose catalogue is missing, empty or without an experiment.
 
-    Evidence of a started test is the experiment file, the history or any set file. A catalogue that cannot be
-    opened for another reason is not lost.
+    Evidence of a started test is the experiment file (a damaged one is only logged), the history or any set
+    file. A catalogue that cannot be opened for another reason is not lost.
 
     Raises
     ------

@@ -15,9 +15,9 @@ FILED_WITHIN_S = 2.0
 
 
 def find_lost_sets(folder: Path, catalogue: Catalogue, *, newest_rows: int | None = None) -> dict[str, str]:
-    """Find the set files of the catalogue that are lost, each with ``is missing`` or ``is empty``.
+    """Find the set files of the catalogue that are lost: ``is missing`` or ``is empty`` by their path.
 
-    Sets that are still in the journal are not lost.
+    Paths count from ``folder``. Sets that are still in the journal are not lost.
 
     Parameters
     ----------
@@ -28,7 +28,7 @@ def find_lost_sets(folder: Path, catalogue: Catalogue, *, newest_rows: int | Non
     Raises
     ------
     CatalogueError, OSError
-        The folder cannot be read now.
+        Catalogue, folder or journal cannot be read now.
     """
     sets = folder / SETS_FOLDER
     if newest_rows is None:
@@ -53,14 +53,14 @@ def find_lost_sets(folder: Path, catalogue: Catalogue, *, newest_rows: int | Non
 
 
 def _list_file_names(sets: Path) -> list[str]:
-    """Return the names in the folder of set files, in any order; empty without the folder."""
+    """Return the names in the folder ``sets``, in any order; empty if there is no such folder."""
     return os.listdir(sets) if sets.is_dir() else []  # noqa: PTH208 - only names are needed
 
 
 def _has_changed_since(sets: Path, files: Sequence[str]) -> bool:
-    """Return whether the folder changed more than 2 s after the last of these files was written.
+    """Return whether the folder changed more than 2 s after the last file of a list was written.
 
-    True if there are no files or one is missing.
+    The paths of the files count from the data folder. True if there are no files or the last one is missing.
     """
     try:
         written_s = max((sets.parent / file).stat().st_mtime for file in files[-1:])
@@ -70,7 +70,7 @@ def _has_changed_since(sets: Path, files: Sequence[str]) -> bool:
 
 
 def _get_file_size(path: str) -> int | None:  # thousands of them: a `Path` takes longer than the call
-    """Return the size of a file in bytes; None if it is missing."""
+    """Return the size of a file in bytes; None if it is missing. Other OSErrors are raised."""
     try:
         return os.stat(path).st_size  # noqa: PTH116
     except FileNotFoundError:

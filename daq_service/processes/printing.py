@@ -23,7 +23,8 @@ HELD_AFTER_S = 2.0
 def print_line(text: str, *, err: bool = True) -> None:
     """Print a line on standard error, or on standard output, from a thread; wait for it at most 2 s.
 
-    A closed stream is no error. On a held stream the thread keeps waiting (`force_exit_if_needed`).
+    A closed stream is no error. If the stream accepts nothing (Ctrl-S), the thread keeps waiting after that;
+    the process must then end by `force_exit_if_needed`.
     """
 
     def write() -> None:
@@ -40,13 +41,17 @@ def print_line(text: str, *, err: bool = True) -> None:
 
 
 def print_result(result: object, lines: Iterable[str], *, as_json: bool) -> None:
-    """Print the result of a command on standard output: one JSON object, or lines for a person."""
+    """Print the result of a command on standard output: one JSON object, or lines for a person.
+
+    Blocks while the stream accepts nothing. Raises OSError if it is closed, and TypeError if ``result`` is
+    not JSON-ready.
+    """
     for line in [json.dumps(result)] if as_json else lines:
         click.echo(line)
 
 
 def discard_unwritten_output() -> None:
-    """Flush the standard streams and redirect one that fails to the null device.
+    """Flush standard output and error; redirect a stream that fails to the null device.
 
     Otherwise Python's last flush of it would change the exit code to 120.
     """
@@ -61,8 +66,8 @@ def discard_unwritten_output() -> None:
 def force_exit_if_needed(code: int) -> None:
     """End the process at once, without cleanup, if Python would not end with this exit code; else return.
 
-    A thread that prints on a held stream holds its lock, without which Python aborts the process; with
-    PYTHONINSPECT it would continue to read commands from standard input.
+    A thread of `print_line` that still waits holds the lock of its stream, so that Python would abort the
+    process; with PYTHONINSPECT it would continue to read commands from standard input.
     """
     if any(thread.name == PRINTING for thread in threading.enumerate()):
         os._exit(code)

@@ -52,17 +52,20 @@ class RecorderState:
 def determine_recorder_state(
     beat: Beat | None, kinds: Sequence[str], *, owned: bool | None, boot: str | None, mono_ns: int
 ) -> RecorderState:
-    """Determine the state of a recorder from the newest event, the folder's lock and the heartbeat.
+    """Determine the state of a recorder from its newest event, the folder's lock and the heartbeat.
 
-    Only the lock shows whether a recorder runs; the heartbeat, a hint, shows its activity and whether it
-    hangs. An event in `FAREWELLS` is the last one of its recorder: a running recorder without it is another.
+    The lock shows whether a recorder runs, the heartbeat its activity and whether it hangs. The end events
+    `FAREWELLS` count only if the heartbeat has the stage ``ended`` or no recorder runs: else a later recorder
+    runs.
 
     Parameters
     ----------
+    beat
+        Newest heartbeat; None if there is none.
     kinds
         Kinds of the newest events, oldest first; those not in `PROCESS_EVENTS` are ignored.
     owned
-        A process holds the folder's lock; None if that is unknown: then the heartbeat decides.
+        Whether a process holds the folder's lock; None if unknown: then a heartbeat in time shows it.
     boot, mono_ns
         This boot and its monotonic time, ns.
     """
@@ -96,7 +99,10 @@ def determine_recorder_state(
 def _describe_state(
     beat: Beat | None, age: float | None, *, is_running: bool, is_late: bool, has_started: bool
 ) -> str:
-    """Return a phrase for a person about a recorder that did not take leave; ``age`` of the beat in s."""
+    """Describe for a person a recorder that logged no end; ``age`` is that of the beat in s, or None.
+
+    None: the beat is of an earlier boot.
+    """
     if beat is None and is_running:
         return "running; no heartbeat of it can be read yet"
     if beat is None:
@@ -113,8 +119,8 @@ def _describe_state(
 def read_recorder_state(folder: Path, kinds: Sequence[str]) -> RecorderState:
     """Read the present state of the recorder of a folder; ``kinds`` as in `determine_recorder_state`.
 
-    ``not_responding`` if the folder is gone. A heartbeat of an earlier process than the lock's owner is
-    ignored.
+    ``not_responding`` if the folder of a started test (one with events) is gone. A heartbeat of another
+    process than the lock's owner is ignored.
     """
     if kinds and not folder.is_dir():
         description = (

@@ -84,7 +84,8 @@ class RecorderWatch:
     def _count_restarts(self, fresh: Freshness) -> None:
         """Record a restart if the process of the heartbeat changed without an announced end.
 
-        A recorder that starts after an announced end counts as started by a person and restarts the wait.
+        A recorder that runs after an announced end counts as started by a person: the next set is then
+        expected 2 intervals after this moment.
         """
         beat = fresh.recorder.beat
         if beat is None:
@@ -101,6 +102,8 @@ class RecorderWatch:
         """Return the evidence that the recorder is missing; empty without evidence.
 
         Evidence is 3 restarts within 600 s, or on a wall clock no stored set for 2 scheduled intervals.
+        Pauses, the end of the test, the first 60 s and a process that has run for 2 intervals are no
+        evidence. Updates the restarts and the hour from which intervals count.
         """
         now_s, status = self._machine.mono_s(), fresh.recorder.status
         if is_paused or status == "finished":
@@ -124,9 +127,10 @@ class RecorderWatch:
         return ""
 
     def _update_alarm(self, finding: str, fresh: Freshness) -> None:
-        """Update the alarm ``recorder_not_running`` in the catalogue; an empty finding clears it.
+        """Raise the alarm ``recorder_not_running`` in the catalogue; an empty finding clears it.
 
-        Writes nothing if the alarm does not change.
+        Writes nothing if the alarm does not change. Raises StorageError if the catalogue cannot be written
+        now.
         """
         moment = Moment(utc_ns=fresh.now_utc_ns, due_h=fresh.now_h, set_index=None)
         with open_for_command(self._folder) as catalogue:

@@ -52,8 +52,8 @@ Starter = Callable[[Sequence[str], Mapping[str, str]], "subprocess.Popen[bytes]"
 def start_process(command: Sequence[str], environment: Mapping[str, str]) -> subprocess.Popen[bytes]:
     """Start a program with pipes for its streams, and variables added to those of this process.
 
-    Output of a driver must not wait for this terminal, which a person may hold. Raises OSError if the program
-    cannot be started.
+    Without pipes, a driver that prints would wait for a terminal that a person holds. Raises OSError if the
+    program cannot be started.
     """
     pipe = subprocess.PIPE
     return subprocess.Popen(command, stdin=pipe, stdout=pipe, stderr=pipe, env={**os.environ, **environment})
@@ -158,7 +158,8 @@ class Supervisor:
         """Supervise until ``stop``, a final exit code, or (unless ``stay``) the recorder's end.
 
         Returns the exit code; after ``stop`` the highest one of the ended children, 130 excluded. Before it
-        returns, all children are ended, and killed after ``leave_within_s``.
+        returns, all children are ended, and killed after ``leave_within_s``. Raises OSError if a child cannot
+        be started.
         """
         self._stay = stay
         try:
@@ -185,9 +186,10 @@ class Supervisor:
             self._on_message(*self._messages.get())
 
     def _check_child(self, child: _Child, stop: threading.Event) -> int | None:
-        """Start or restart one child, or kill it if its heartbeat is overdue.
+        """Start, restart or finish one child, or kill it if its heartbeat is overdue; queue messages of it.
 
-        Returns None, or the exit code with which the supervision ends.
+        Returns None, or the exit code with which the supervision ends. Raises OSError if it cannot be
+        started.
         """
         if child.finished:
             return None
@@ -227,7 +229,7 @@ class Supervisor:
         return self._schedule_restart(child, code)
 
     def _schedule_restart(self, child: _Child, code: int) -> int | None:
-        """Schedule the restart of a child after the next delay and announce it; return None.
+        """Schedule the restart of a child after the next delay, log it and queue the message; return None.
 
         Returns exit code 1 instead if the supervisor may give up and all delays are used up.
         """
@@ -248,7 +250,10 @@ class Supervisor:
         return None
 
     def _start_child(self, child: _Child) -> None:
-        """Start the process of a child and the threads that read its standard error and output."""
+        """Start the process of a child and the threads that read its standard error and output.
+
+        Resets its beats, announced code and cause. Raises OSError if the program cannot be started.
+        """
         arguments = [argument.replace("{cause}", child.cause) for argument in child.plan.arguments]
         child.started_ns, child.cause = self._machine.mono_ns(), ""
         child.reported_beat = child.beat = child.announced = None
@@ -273,8 +278,8 @@ class Supervisor:
     def _read_messages(self, child: _Child, process: subprocess.Popen[bytes]) -> None:
         """Read the JSON lines of a child's standard output until it ends; queue or store them.
 
-        Beats and the announced exit code are stored; other lines are queued, beats only with a new activity.
-        A line that is no message is logged.
+        Beats, the announced exit code and the port of a web service (for its restart) are stored; other lines
+        are queued, beats only with a new activity. A line that is no message is logged.
         """
         assert process.stdout is not None
         with process.stdout as lines:
@@ -302,7 +307,7 @@ class Supervisor:
     def _find_overdue_reason(self, child: _Child) -> str:
         """Return the reason why a running child must be killed; empty while its heartbeat is in time.
 
-        Overdue is a beat past its deadline, or no beat within 60 s of the start.
+        Overdue is a beat past its deadline, or no beat within 60 s of the start. Updates ``child.beat``.
         """
         beats = (child.reported_beat, self._read_child_beat(child))
         now_ns = self._machine.mono_ns()
@@ -328,9 +333,9 @@ class Supervisor:
         )
 
     def _read_child_beat(self, child: _Child) -> Beat | None:
-        """Return the heartbeat in the file of a child; None without one.
+        """Return the heartbeat in the file of a child: of the folder's recorder, or of this web service.
 
-        None, too, if the file is of another process than this web service.
+        None if there is none, or if a web service with another process number wrote it.
         """
         if child.plan.watched:
             return self._read_beat(self._folder)
@@ -340,14 +345,17 @@ class Supervisor:
 
     @staticmethod
     def _close_pipe(child: _Child) -> None:
-        """Write the farewell to the standard input of a child and close it; a closed pipe is no error."""
+        """Write `FAREWELL` to the standard input of a child and close it; a closed pipe is no error."""
         if child.process is not None and child.process.stdin is not None:
             with suppress(OSError, ValueError):  # the child is gone, or its pipe is closed already
                 child.process.stdin.write(FAREWELL)
                 child.process.stdin.close()
 
     def _end_children(self) -> None:
-        """Close all pipes at once and wait up to ``leave_within_s``; kill children that do not end."""
+        """Close the pipes of all children and wait up to ``leave_within_s``; kill those that do not end.
+
+        Their last messages are then read, for at least 0.1 s each.
+        """
         for child in self._children:
             self._close_pipe(child)
         deadline_ns = self._machine.mono_ns() + round(self._leave_within_s * NS_PER_S)
@@ -371,5 +379,5 @@ class Supervisor:
 
 
 def _describe_exit_code(code: int) -> str:
-    """Describe how a process ended from its exit code: negative is the signal that killed it."""
+    """Return a phrase for how a process ended; a negative exit code is the signal that killed it."""
     return f"was killed by signal {-code}" if code < 0 else f"ended with exit code {code}"

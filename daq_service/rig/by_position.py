@@ -22,7 +22,7 @@ class Strikers:
     def strike(self, key: ShotKey) -> None:
         """Strike with the striker of the shot's position; that striker may instead request a strike by hand.
 
-        Raises ConfigurationError if no striker serves the position.
+        Raises ConfigurationError if no striker serves the position, or the error of the striker.
         """
         striker = _find_instrument(self._strikers, key, "striker")
         self._asking.set_next_shot(key)
@@ -49,7 +49,8 @@ class Digitizers:
     def arm(self, key: ShotKey) -> None:
         """Arm the digitizer of the shot's position for this shot.
 
-        Raises ConfigurationError if one is armed already or no digitizer serves the position.
+        Raises ConfigurationError if one is armed already or no digitizer serves the position, or the error of
+        the digitizer, which then does not count as armed.
         """
         digitizer = _find_instrument(self._digitizers, key, "digitizer")
         if self._armed is not None:
@@ -60,7 +61,8 @@ class Digitizers:
     def read(self, timeout_s: float) -> Acquired:
         """Wait at most ``timeout_s`` for the record of the armed digitizer, return it, and disarm.
 
-        The request to a person is withdrawn, also on an error. Raises ConfigurationError if nothing is armed.
+        The request to a person is withdrawn, also on an error. Raises ConfigurationError if nothing is armed,
+        or the error of the digitizer, such as AcquisitionTimeoutError.
         """
         key, self._armed = self._armed, None
         if key is None:
@@ -90,13 +92,16 @@ class PulseEchoUnits:
     def acquire(self, key: ShotKey, timeout_s: float) -> Echo:
         """Acquire an echo with the unit of the shot's position, in at most ``timeout_s`` seconds.
 
-        Raises ConfigurationError if no unit serves the position.
+        Raises ConfigurationError if no unit serves the position, or the error of the unit.
         """
         return _find_instrument(self._units, key, "pulse-echo unit").acquire(key, timeout_s)
 
 
 def _find_instrument(instruments: Mapping[str, T], key: ShotKey, what: str) -> T:
-    """Return the instrument that serves a shot's position; raise ConfigurationError if there is none."""
+    """Return the instrument that serves a shot's position; raise ConfigurationError if there is none.
+
+    ``what`` names the kind of instrument in the error.
+    """
     if key.position not in instruments:
         raise ConfigurationError(
             f"no {what} at position {key.position!r}; there are: {', '.join(instruments) or 'none'}; name "

@@ -61,7 +61,7 @@ def run_rig_doubles(rig: str, overrides: Mapping[str, object]) -> Iterator[DemoR
     Raises
     ------
     UsageError
-        This machine cannot run that rig: what is missing, and the remedy.
+        An override is rejected, or this machine cannot run that rig: what is missing, and the remedy.
     RigError
         The doubles did not start.
     """
@@ -94,7 +94,7 @@ def run_rig_doubles(rig: str, overrides: Mapping[str, object]) -> Iterator[DemoR
 
 
 def _build_library_path(folders: Sequence[Path]) -> dict[str, str]:
-    """Return the variable ``LD_LIBRARY_PATH`` with its present value, to which the folders are added.
+    """Return the present ``LD_LIBRARY_PATH``, to which `client_environment` adds the folders of the doubles.
 
     Empty if the variable is unset or no folder is given.
     """
@@ -105,7 +105,7 @@ def _build_library_path(folders: Sequence[Path]) -> dict[str, str]:
 def _describe_boards(settings: Settings) -> Description:
     """Describe the doubles' boards: one coil and input for each transducer, one channel for each probe.
 
-    Raises UsageError if the configuration has more transducers than the board has coils.
+    All transducers share one board. Raises UsageError if they are more than it has coils.
     """
     from simulator.doubles.chassis.description import (
         SIMULTANEOUS_16_BIT,
@@ -149,7 +149,8 @@ def _build_rig_table(
 ) -> dict[str, object]:
     """Build the values of the table ``[rig]`` for the doubles' boards, with the sampling of the twin.
 
-    ``[rig.niscope]`` is included only if ``has_probe``.
+    ``grpc`` is the address of the doubles' gRPC server, used with the transport ``grpc``. ``[rig.niscope]``
+    is included only if ``has_probe``.
     """
     from simulator.doubles.chassis.description import SIMULTANEOUS_16_BIT
 
@@ -196,7 +197,10 @@ def _build_rig_table(
 
 
 def _replace_rig(settings: Settings, tables: Mapping[str, object], dropped: Sequence[str]) -> Settings:
-    """Return a validated copy of the settings with these keys of ``[rig]`` replaced and positions removed."""
+    """Return a copy of the settings with the keys ``tables`` of ``[rig]`` replaced and positions removed.
+
+    Raises ValidationError if the result is invalid.
+    """
     values = settings.model_dump(mode="json")
     values["rig"] |= tables
     for name in dropped:
@@ -207,7 +211,8 @@ def _replace_rig(settings: Settings, tables: Mapping[str, object], dropped: Sequ
 def _compile_ni_doubles() -> list[Path]:
     """Compile the NI-DAQmx double, and the NI-SCOPE double if niscope is installed; return their folders.
 
-    Raises UsageError if this machine cannot build them.
+    Compiled doubles are cached. Raises UsageError if this machine cannot build them, and LibraryBuildError if
+    the compiler fails.
     """
     from simulator.doubles.transports.library import build_library, find_unavailability_reason
 

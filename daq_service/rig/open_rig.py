@@ -54,7 +54,7 @@ def open_rig(
     epoch_utc_ns
         Hour 0 of the test, ns since 1970 (UTC).
     preparing
-        Called by any thread.
+        Called by any thread with a slow one-time preparation, and whether it starts (True) or has ended.
 
     Raises
     ------
@@ -87,7 +87,8 @@ def open_rig(
 def open_supply(settings: Settings, clock: Clock) -> Iterator[PowerSupply]:
     """Open the supply of the corrosion cell without switching it; it is closed on exit.
 
-    Raises ConfigurationError if the kind opens no supply; ValueError if not exactly one is configured.
+    Raises UsageError if the configuration is rejected, ConfigurationError if the kind opens no supply,
+    ValueError if not exactly one is configured, and the InstrumentError of the driver.
     """
     (item,) = (item for item in list_instruments(settings) if "supply" in item.serves)
     with item.kind.open(item.parameters, build_opening(item, settings, clock)) as opened:
@@ -97,7 +98,10 @@ def open_supply(settings: Settings, clock: Clock) -> Iterator[PowerSupply]:
 
 
 def build_opening(item: Instrument, settings: Settings, clock: Clock) -> Opening:
-    """Build the context in which an instrument is opened or checked; by default it forwards no requests."""
+    """Build the context in which an instrument is opened or checked.
+
+    Its callbacks and epoch are the defaults of `Opening`; `open_rig` replaces them.
+    """
     return Opening(
         clock=clock,
         serves=item.serves,
@@ -108,7 +112,7 @@ def build_opening(item: Instrument, settings: Settings, clock: Clock) -> Opening
 
 
 def _require_roles(item: Instrument, opened: Opened) -> None:
-    """Raise ConfigurationError if an instrument was opened without a role that it serves."""
+    """Raise ConfigurationError if an instrument was opened without one of the roles that it must serve."""
     for role in item.serves:
         if getattr(opened, role) is None:
             raise ConfigurationError(
@@ -124,7 +128,10 @@ def _compose_rig(
     clock: Clock,
     asking: PersonRequests,
 ) -> Rig:
-    """Build the rig from the opened instruments: in a mixed rig by position, else the first of each role."""
+    """Build the rig from the opened instruments: in a mixed rig by position, else the first of each role.
+
+    ``opened`` is in the order of ``instruments``; ValueError if their numbers differ.
+    """
     pairs = list(zip(instruments, opened, strict=True))
 
     def at(role: Role) -> dict[str, Any]:
@@ -171,7 +178,7 @@ def _collect_identities(pairs: Sequence[tuple[Instrument, Opened]], *, named: bo
     """Merge the identities (makers, serial numbers, versions) of the instruments into one dictionary.
 
     With ``named`` (mixed rig) each key has the instrument's name as prefix, and the name itself gives its
-    kind.
+    kind and the package that offers it.
     """
     identity: dict[str, str] = {}
     for item, instrument in pairs:
@@ -190,7 +197,7 @@ class _Together:
     parts: list[SelfCalibrating]
 
     def self_calibrate(self) -> Mapping[str, str]:
-        """Calibrate the instruments one after the other and merge their summaries.
+        """Self-calibrate the instruments one after the other and merge their summaries by key; blocks.
 
         An error of one instrument is raised at once; the later ones are not calibrated.
         """
@@ -207,7 +214,8 @@ class _Together:
 def _announce_shots(rig: Rig, twin: TwinParameters, epoch_utc_ns: int) -> Iterator[Rig]:
     """Yield the rig with a digitizer and pulse-echo unit that announce each shot and its hour to the doubles.
 
-    Raises UsageError if the environment variable `CONTROL_VARIABLE` does not give the doubles' address.
+    Its identity gets their version and seed. Raises UsageError if the environment variable `CONTROL_VARIABLE`
+    does not give the doubles' address.
     """
     from simulator.doubles.transports.control import DoublesControl
     from simulator.experiment.corrosion import round_down_hour_h
@@ -239,7 +247,7 @@ class _AnnouncedDigitizer:
     announce: Announce
 
     def arm(self, key: ShotKey) -> None:
-        """Announce the strike to the doubles, then arm the digitizer."""
+        """Announce the strike to the doubles, then arm the digitizer; the errors of both pass through."""
         self.announce(key)
         self.digitizer.arm(key)
 
@@ -261,6 +269,9 @@ class _AnnouncedPulseEcho:
     announce: Announce
 
     def acquire(self, key: ShotKey, timeout_s: float) -> Echo:
-        """Announce the shot to the doubles, then acquire its echo in at most ``timeout_s`` seconds."""
+        """Announce the shot to the doubles, then acquire its echo in at most ``timeout_s`` seconds.
+
+        Raises the errors of the pulse-echo unit.
+        """
         self.announce(key)
         return self.pulse_echo.acquire(key, timeout_s)

@@ -111,7 +111,8 @@ class ArchivedShots:
     def find_next_moment(self, after_utc_ns: int) -> int | None:
         """Return the first recorded time after a time, ns since 1970 (UTC); None after the last one.
 
-        A recorded time is the start of a set or the time stamp of a record; sets are read as needed.
+        A recorded time is the start of a set or the time stamp of a record; sets are read as needed. Raises
+        ConfigurationError if a set file cannot be opened.
         """
         # A set may last into the next one's time, but not into that of the one after it.
         first = max(0, bisect_right(self._due_utc_ns, after_utc_ns) - 2)
@@ -122,9 +123,9 @@ class ArchivedShots:
         return None
 
     def _list_record_times(self, set_key: SetKey) -> list[int]:
-        """Return the start of a set and the time stamps of its records, ns since 1970, ascending.
+        """Return the start of a set and the time stamps of its records, ns since 1970, ascending; cached.
 
-        Empty if the set is completely corrupt.
+        Empty if the set is completely corrupt. Raises ConfigurationError if its file cannot be opened.
         """
         if set_key not in self._moments:
             self._shots.records_of_set(set_key)
@@ -145,7 +146,7 @@ class ArchivedShots:
         )
 
     def _read_set_records(self, set_key: SetKey) -> Iterable[Record]:
-        """Return the intact records of a set and cache its times.
+        """Return the intact records of a set; store its times, missed shots and a description of corruption.
 
         Empty if the file is missing or completely corrupt. Raises ConfigurationError if it cannot be opened.
         """
@@ -167,9 +168,10 @@ class ArchivedShots:
         return record.records
 
     def _read_intact_records(self, set_key: SetKey, file: SetReference) -> SetRecord:
-        """Read a set; of a corrupt one read the intact records and store a description of its corruption.
+        """Read a set; of a corrupt one keep the intact records and store a description of the corruption.
 
-        Raises CorruptArchiveError if not even these can be read.
+        Raises CorruptArchiveError if not even these can be read, and another ArchiveError if the file cannot
+        be opened.
         """
         try:
             return self._archive.read_set(file)
@@ -181,7 +183,7 @@ class ArchivedShots:
 
 
 def _find_positions(record: SetRecord) -> dict[str, str]:
-    """Return position to method: all positions of the stored configuration, and those of the set itself."""
+    """Return the method of each position: that of the set, else that of its stored configuration."""
     configured = record.provenance.get("configuration", {}).get("positions", {})
     return {
         **{name: place["method"] for name, place in configured.items()},
@@ -292,7 +294,7 @@ def _check_boards(parameters: PlaybackParameters, opening: Opening) -> Iterator[
 
 
 def _list_packages(parameters: PlaybackParameters) -> tuple[str, ...]:
-    """Return the packages that reading the recording needs: npTDMS for TDMS, none for a data folder."""
+    """Return the packages that are needed to read the recording: npTDMS for TDMS, none for a data folder."""
     return ("npTDMS",) if parameters.format == "tdms" else ()
 
 

@@ -72,7 +72,7 @@ def build_transducers(settings: Settings) -> dict[str, Transducer]:
 def start_twin_executor(settings: Settings, sender: Connection | None = None) -> ProcessPoolExecutor:
     """Start a worker process that builds the specimen and then runs `compute_records`.
 
-    The caller shuts it down.
+    Returns at once; the caller shuts it down. If the process dies, its tasks raise BrokenExecutor.
 
     Parameters
     ----------
@@ -105,7 +105,7 @@ def run_twin_process(settings: Settings, compiling: Callable[[bool], None]) -> I
 
 
 def _forward_messages(receiver: Connection, compiling: Callable[[bool], None]) -> None:
-    """Call ``compiling`` with each state that the worker sends, until its pipe closes.
+    """Call ``compiling`` with each state (True: it compiles) that the worker sends, until its pipe closes.
 
     If the worker ends during a compilation, ``compiling(False)`` is called last.
     """
@@ -119,10 +119,10 @@ def _forward_messages(receiver: Connection, compiling: Callable[[bool], None]) -
 
 
 def compute_records(settings_json: str, strikes: Sequence[tuple[ShotKey, float]]) -> list[Acquired | None]:
-    """Simulate the records of strikes, each a key and its hour, with their features, in the worker process.
+    """Simulate the records of strikes (key and test hour), with their features, in the worker process.
 
-    In the order of the strikes; None for a strike that misses the chain. If the extraction of features
-    fails, all records come without features.
+    In the order of the strikes; None for a strike that misses the chain. If the extraction of features fails,
+    all records come without features.
     """
     from daq_service.acquisition.shot_features import extract_record_features
 
@@ -131,7 +131,7 @@ def compute_records(settings_json: str, strikes: Sequence[tuple[ShotKey, float]]
 
 @cache
 def _build_specimen(settings_json: str) -> Specimen:
-    """Build the simulated specimen from the settings as JSON, once per process and text."""
+    """Build the simulated specimen from the settings as JSON; cached for each text in this process."""
     from simulator.specimen import build_specimen
 
     settings = Settings.model_validate_json(settings_json)
@@ -145,7 +145,10 @@ def _build_specimen(settings_json: str) -> Specimen:
 
 
 def _prepare_specimen(settings_json: str, sender: Connection | None) -> None:
-    """Initialize the worker: tie it to its parent, report compilations, build the specimen in advance."""
+    """Initialize the worker: end with the parent, send the states of compilations, build the specimen.
+
+    Without ``sender`` compilations are not reported.
+    """
     leave_with_parent()
     import daq_service.acquisition.shot_features  # noqa: F401 - while the recorder opens the test
 
@@ -168,9 +171,10 @@ class TwinOfTheExperiment:
 
 @contextmanager
 def _open_twin(parameters: TwinOfTheExperiment, opening: Opening) -> Iterator[Opened]:
-    """Open the twin as an instrument; long unpaced tests compute it in a separate process, else in a thread.
+    """Open the twin as an instrument; unpaced tests of 2000 strikes or more compute it in another process.
 
-    Raises UsageError if the specimen cannot be built as configured.
+    Others compute it in a thread. On exit pending work is canceled. Raises UsageError if the specimen cannot
+    be built as configured.
     """
     settings = Settings.model_validate(opening.experiment)
     places, schedule, serves = settings.positions, settings.schedule, opening.serves
@@ -229,7 +233,7 @@ def _open_twin(parameters: TwinOfTheExperiment, opening: Opening) -> Iterator[Op
 
 
 def _needs_own_process(settings: Settings, n_sets: int) -> bool:
-    """Return whether the test is unpaced and has at least `STRIKES_WORTH_A_PROCESS` planned strikes.
+    """Return whether the test is unpaced and has at least `STRIKES_WORTH_A_PROCESS` (2000) planned strikes.
 
     Below that, starting a process (a second or two) takes longer than it saves.
     """

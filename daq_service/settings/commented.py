@@ -64,11 +64,11 @@ def _comment_out_tables(lines: list[str], tables: Collection[KeyPath]) -> Iterat
 def _add_key_descriptions(values: Mapping[str, object], path: KeyPath, described: set[str]) -> Table:
     """Build a TOML table whose keys have their descriptions as comments; keys precede tables.
 
-    Texts in ``described`` are not repeated; new ones are added to it.
+    ``path`` is that of the table. Texts in ``described`` are not repeated; new ones are added to it.
     """
 
     def describe_new_key(*name: str) -> str:
-        """Return the description of a key below this table; empty if the same text was used before."""
+        """Return the description of a key below this table and note it; empty if the text was used before."""
         text = describe_key((*path, *name))
         new = text not in described
         described.add(text)
@@ -90,7 +90,10 @@ def _add_key_descriptions(values: Mapping[str, object], path: KeyPath, described
 
 
 def _add_comment(item: Item, assignment: str, description: str) -> None:
-    """Add a wrapped comment after the assignment, or above it if that exceeds `COMMENT_COLUMN`."""
+    """Add a wrapped comment to a TOML item: after ``assignment``, or above it if that is too long.
+
+    ``assignment`` is the item's text ``key = value``; it is too long if it exceeds `COMMENT_COLUMN`.
+    """
     if len(assignment) > COMMENT_COLUMN - 2:
         item.trivia.indent = "".join(f"{line}\n" for line in _wrap_comment(description))
         return
@@ -106,7 +109,7 @@ def _wrap_comment(text: str, width: int = WIDTH) -> list[str]:
 
 
 def _to_toml_item(value: object) -> Item:
-    """Convert a value to a TOML item, mappings inline; a float as a power of 1000 where that is shorter."""
+    """Convert a value to a TOML item, mappings to inline tables; a float to a power of 1000 if shorter."""
     match value:
         case float():
             powers = Decimal(repr(value)).normalize().to_eng_string().replace("E+", "e")

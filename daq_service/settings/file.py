@@ -84,9 +84,10 @@ def load_settings(path: Path | None, *, overrides: Mapping[str, object] | None =
 def validate_settings(
     values: Tables, path: Path, *, overrides: Mapping[str, object] | None = None
 ) -> Settings:
-    """Validate the tables of a file and return the settings; UsageError lists every rejected key.
+    """Validate the tables of a file and return the settings with the defaults of their instruments.
 
-    Relative file names count from the folder of ``path``. Placeholders are rejected except in JSON.
+    Relative file names count from the folder of ``path``; overrides replace values. Raises UsageError that
+    lists every rejected key; also for placeholders (except in JSON) and for an unknown SOLIMON_ variable.
     """
     _reject_unknown_variables()
     if path.suffix != ".json":
@@ -159,8 +160,8 @@ def _merge_tables(values: Mapping[str, object], overrides: Mapping[str, object])
 def _explain_rejections(problems: Sequence[Mapping[str, Any]], keys: Sequence[str], path: Path) -> str:
     """Format a message with one line for each rejected value: key, reason, value or similar known key.
 
-    Values of notification receivers are omitted (possible secrets), and so are errors that a position
-    inherits from a top-level table.
+    ``keys`` are the known names. Values of notification receivers are omitted (possible secrets), and so are
+    errors that a position inherits from a top-level table.
     """
     refused = {problem["loc"] for problem in problems}
     lines = []

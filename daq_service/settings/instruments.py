@@ -138,7 +138,7 @@ def fill_instrument_defaults(settings: Settings) -> Settings:
 
 
 def dump_parameters(instrument: Instrument) -> dict[str, object]:
-    """Convert all parameters of an instrument, defaults included, to values ready for JSON."""
+    """Convert all parameters of an instrument, defaults included, to JSON-ready values by key."""
     adapter: TypeAdapter[object] = TypeAdapter(instrument.kind.parameters)
     values: dict[str, object] = adapter.dump_python(instrument.parameters, mode="json")
     return values
@@ -147,7 +147,7 @@ def dump_parameters(instrument: Instrument) -> dict[str, object]:
 def _validate(
     name: str, table: str, kind_name: str, values: object, serves: Mapping[Role, tuple[str, ...]]
 ) -> Instrument:
-    """Find the kind of an instrument and validate its parameters (None counts as empty).
+    """Find the kind of an instrument, validate its parameters (None counts as empty), and return both.
 
     Raises ConfigurationError (unknown kind, or it rejects the served positions) or ParametersError.
     """

@@ -84,7 +84,10 @@ class MixedRig(BaseModel):
     @field_validator("instruments")
     @classmethod
     def _check_names(cls, instruments: dict[str, InstrumentSettings]) -> dict[str, InstrumentSettings]:
-        """Raise ValueError for a name that is not 1 to 40 ASCII letters, digits, ``-`` or ``_``."""
+        """Return the instruments; ValueError for a name with other characters than A-Z, a-z, 0-9, - and _.
+
+        A name has 1 to 40 characters.
+        """
         for name in instruments:
             if not re.fullmatch(r"[A-Za-z0-9_-]{1,40}", name):
                 raise ValueError(f"instrument name {name!r}: use up to 40 ASCII letters, digits, - and _")
@@ -92,7 +95,7 @@ class MixedRig(BaseModel):
 
     @model_validator(mode="after")
     def _check_named_instruments(self) -> Self:
-        """Raise ValueError if a position, the drive or the air names an undefined instrument."""
+        """Return the tables; ValueError if a position, the drive or the air names an undefined instrument."""
         named = {
             f"positions.{at}.{role}": name
             for at, place in self.positions.items()

@@ -77,7 +77,7 @@ class ReceiverSettings(_Table):
 
     @model_validator(mode="after")
     def _check_required_keys(self) -> Self:
-        """Raise ValueError unless exactly one address key and, for a webhook, one secret key is given.
+        """Return the table; ValueError unless it has exactly one address key and a webhook one secret key.
 
         A webhook's URL must be valid; apprise has no secret and a heartbeat of at least 3600 s.
         """
@@ -164,7 +164,7 @@ class NotificationSettings(_Table):
 
     @model_validator(mode="after")
     def _require_known_receivers(self) -> Self:
-        """Raise ValueError for the first rule that names a receiver that is not configured."""
+        """Return the table; raise ValueError for the first rule that names an unknown receiver."""
         for number, rule in enumerate(self.rules, start=1):
             if unknown := sorted(set(rule.receivers) - set(self.receivers)):
                 raise ValueError(

@@ -42,7 +42,7 @@ class RigSettings(MixedRig):
 
     @model_validator(mode="after")
     def _check_kind_tables(self) -> Self:
-        """Raise ValueError if the kind's table is missing, or a table or ``on_doubles`` does not fit it."""
+        """Return the table; raise ValueError unless its subtables and ``on_doubles`` fit the kind."""
         if self.kind == "daqmx" and self.daqmx is None:
             raise ValueError("kind is 'daqmx', which needs [rig.daqmx]; `solimon init rig` writes one")
         if self.kind == "playback" and self.playback is None:

@@ -23,13 +23,16 @@ log = logging.getLogger(__name__)
 
 @cache
 def _parse_classes(module: ModuleType | None) -> dict[str, ast.ClassDef]:
-    """Parse a module's source and return its top-level class definitions by name; empty for None. Cached."""
+    """Parse a module's source and return its top-level class definitions by name; empty for None. Cached.
+
+    Raises OSError if the source is not available.
+    """
     tree = ast.parse(inspect.getsource(module)) if module else ast.Module([], [])
     return {node.name: node for node in tree.body if isinstance(node, ast.ClassDef)}
 
 
 def _read_attribute_docstrings(kind: type) -> dict[str, str]:
-    """Return the text below each annotated attribute of a class, by attribute.
+    """Read the text below each annotated attribute of a class from its source, by attribute.
 
     Attributes without a text are left out. Raises KeyError if the class is not at the top level of its
     module.

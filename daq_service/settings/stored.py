@@ -144,7 +144,10 @@ def _find_unknown_keys(values: Tables) -> set[KeyPath]:
 
 
 def _is_hashed_out(path: KeyPath) -> bool:
-    """Return whether a key, or a table that contains it, is excluded from the configuration hash."""
+    """Return whether a key, or a table that contains it, is excluded from the configuration hash.
+
+    ``path`` is that of the key; `HASHED_OUT` lists what is excluded.
+    """
     below: object = HASHED_OUT
     for name in path:
         if not isinstance(below, Mapping | set) or name not in below:
@@ -156,7 +159,7 @@ def _is_hashed_out(path: KeyPath) -> bool:
 
 
 def _find_current_path(path: KeyPath) -> KeyPath | None:
-    """Return the current path of a stored key by `RENAMED`, itself if not renamed, None if it was removed."""
+    """Return the current path of a stored key (`RENAMED`): itself if not renamed, None if it was removed."""
     for old, new in RENAMED.items():
         names = old.split(".")
         if len(path) >= len(names) and all(a in ("*", b) for a, b in zip(names, path, strict=False)):

@@ -119,7 +119,7 @@ class ScheduleSettings(Section):
 
     @model_validator(mode="after")
     def _check_phase_order(self) -> Self:
-        """Raise ValueError unless the phases end at increasing hours, above 0."""
+        """Return the schedule; raise ValueError unless its phases end at increasing hours, above 0."""
         before = 0.0
         for phase in self.phases:
             if phase.until_h <= before:
@@ -148,7 +148,7 @@ class PositionSettings(Section):
 
 
 def _default_positions() -> dict[str, PositionSettings]:
-    """Build the default positions A to D of Table 1 of the paper."""
+    """Build the default positions A (ultrasonic probe) and B to D (transducers) of Table 1 of the paper."""
     small, large = CorrosionParameters(size_m=25.4e-3), CorrosionParameters(size_m=50.8e-3)
     return {
         "A": PositionSettings(method=PULSE_ECHO, label="Ultrasonic probe, 25.4 mm patch", corrosion=small),
@@ -265,14 +265,14 @@ class AlarmSettings(Section):
     @field_validator("kinds")
     @classmethod
     def _check_kind_delays(cls, kinds: dict[str, AlarmKindSettings]) -> dict[str, AlarmKindSettings]:
-        """Return the table; raise ValueError for a kind that may not have these delays or this deadband."""
+        """Return the table; raise ValueError for a kind that may not have its delays or its deadband."""
         for kind, rule in kinds.items():
             rule.require_valid_delays(kind)
         return kinds
 
     @model_validator(mode="after")
     def _check_k_of_n(self) -> Self:
-        """Raise ValueError if k exceeds n."""
+        """Return the table; raise ValueError if k exceeds n."""
         if self.k > self.n:
             raise ValueError(f"k is {self.k}; it must be at most n = {self.n}")
         return self
@@ -309,7 +309,7 @@ class StorageSettings(Section):
 
     @model_validator(mode="after")
     def _check_limit_order(self) -> Self:
-        """Raise ValueError unless stop, alarm and warn fraction are in ascending order."""
+        """Return the table; raise ValueError unless stop, alarm and warn fraction are in ascending order."""
         if not self.stop_free_fraction <= self.alarm_free_fraction <= self.warn_free_fraction:
             raise ValueError(
                 f"stop_free_fraction is {self.stop_free_fraction:g}, alarm_free_fraction "
@@ -372,9 +372,10 @@ class Settings(BaseSettings):
     @model_validator(mode="before")
     @classmethod
     def _fill_positions(cls, values: object) -> object:
-        """Fill each position's chain, plate and corrosion from the top-level tables of the same name.
+        """Return the values with each position's tables filled from the top-level ones of the same name.
 
-        Without ``positions`` the default ones are used; values of a wrong type are left to validation.
+        These are chain, plate and corrosion. Without ``positions`` the default ones are used; values of a
+        wrong type are left to validation.
         """
         if not isinstance(values, dict):
             return values
@@ -392,7 +393,7 @@ class Settings(BaseSettings):
     @field_validator("positions")
     @classmethod
     def _check_position_names(cls, positions: dict[str, PositionSettings]) -> dict[str, PositionSettings]:
-        """Raise ValueError for a position name that is not up to 16 ASCII letters and digits."""
+        """Return the positions; raise ValueError for a name that is not 1 to 16 ASCII letters and digits."""
         for name in positions:
             if not (name.isascii() and name.isalnum() and len(name) <= 16):
                 raise ValueError(f"position name {name!r}: use up to 16 ASCII letters and digits")
@@ -400,7 +401,11 @@ class Settings(BaseSettings):
 
     @model_validator(mode="after")
     def _check_tables_agree(self) -> Self:
-        """Raise ValueError if tables contradict each other: valid shots, clock, faults, wiring, overlap."""
+        """Return the settings; raise ValueError if tables contradict each other.
+
+        Checked are valid shots, clock, faults of the twin, positions of notification rules, wiring of boards,
+        roles of a mixed rig, and the overlap of sets.
+        """
         if self.baseline.minimum_valid_shots > self.schedule.shots_per_set:
             raise ValueError(
                 f"baseline.minimum_valid_shots is {self.baseline.minimum_valid_shots}; it must be at most "
@@ -518,7 +523,10 @@ class Settings(BaseSettings):
 
 
 def _inherit_tables(place: Mapping[str, object], common: Mapping[str, object]) -> dict[str, object]:
-    """Return a position's table whose chain, plate and corrosion are completed by the common tables."""
+    """Return a position's table whose chain, plate and corrosion are completed by the common tables.
+
+    Values of the position have priority. Tables of a wrong type stay, for validation to reject.
+    """
     filled = dict(place)
     for table in ("chain", "plate", "corrosion"):
         above, own = common.get(table, {}), filled.get(table, {})

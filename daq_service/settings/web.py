@@ -62,7 +62,7 @@ class WebSettings(BaseModel):
 
     @model_validator(mode="after")
     def _check_exposed_service(self) -> Self:
-        """Raise ValueError if a service that other computers reach has no encryption or no host name.
+        """Return the table; raise ValueError if other computers reach the service without encryption or name.
 
         Encryption is a certificate with its key, which need each other, or a proxy.
         """

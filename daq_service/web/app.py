@@ -75,7 +75,7 @@ class Service(FastAPI):
 
 
 def create_app(settings: Settings, data_folder: Path, *, no_person: bool = False) -> FastAPI:
-    """Create the application of one data folder; it writes only operator commands.
+    """Create the application of one data folder, with routes, middleware and background tasks.
 
     Parameters
     ----------
@@ -127,7 +127,7 @@ def build_versioned_router(resources: Iterable[ModuleType]) -> APIRouter:
 
 
 def add_guard_middleware(app: FastAPI, context: Context, *, has_tests: bool = False) -> None:
-    """Set the context of an application and add its middleware.
+    """Set the context and the response times of an application and add its middleware.
 
     From outside in: request checks, files of the page, authentication, compression, timing.
 

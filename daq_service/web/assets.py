@@ -47,7 +47,7 @@ class Asset:
 
 @cache
 def load_assets() -> dict[str, Asset]:
-    """Read and compress all files of the dashboard once; return them by their path in the URL.
+    """Read and compress all files of the dashboard once; return them by their path in the URL. Cached.
 
     The page gets links that preload the imported scripts. Raises OSError if a file cannot be read.
     """

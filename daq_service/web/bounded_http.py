@@ -79,7 +79,7 @@ class BoundedHttp(HttpToolsProtocol):
                 self._refuse_request(HTTPStatus.REQUEST_HEADER_FIELDS_TOO_LARGE)
 
     def _start_waiting(self) -> None:
-        """Reset the size of the headers and start the time limit of a request."""
+        """Reset the size of the headers and start the time limit of the next request of the connection."""
         self._headers_bytes, self._in_headers = 0, True
         self._since_s, self._n_checks = time.monotonic(), 0
         self._schedule_check()
@@ -99,7 +99,7 @@ class BoundedHttp(HttpToolsProtocol):
         return self.cycle is not None and not self.cycle.response_complete
 
     def _list_waiting(self) -> list[BoundedHttp]:
-        """Return the connections of the server that wait for a complete request."""
+        """Return the connections of the server, this one included, that wait for a complete request."""
         return [
             connection
             for connection in self.connections
@@ -131,7 +131,7 @@ class BoundedHttp(HttpToolsProtocol):
             self._schedule_check()
 
     def _refuse_request(self, status: HTTPStatus) -> None:
-        """Answer with an HTTP status, unless a response is being sent, and close the connection."""
+        """Close the connection; first send an HTTP status as plain text, unless a response is being sent."""
         self._stop_waiting()
         message = (
             f"{status.phrase}: a request's headers must come within {HEADERS_WITHIN_S:g} s and take at most "

@@ -42,7 +42,10 @@ class CatalogueEvents:
         self._epoch_utc_ns: int | None = None
 
     def last_id(self) -> int | None:
-        """Return the id of the newest event; None before the first record."""
+        """Return the id of the newest event; None before the first record.
+
+        Raises StorageError if the catalogue cannot be read.
+        """
         try:
             return self._access.get().last_event_id()
         except NoDataYetError:
@@ -51,7 +54,7 @@ class CatalogueEvents:
     def after(self, event_id: int, limit: int) -> Sequence[Mapping[str, Any]]:
         """Read at most ``limit`` events after an id, ascending, with RFC 3339 times.
 
-        Empty before the first record.
+        Empty before the first record. Raises StorageError if the catalogue cannot be read.
         """
         try:
             catalogue = self._access.get()
@@ -107,9 +110,9 @@ class Context:
 
     @asynccontextmanager
     async def run_background_tasks(self) -> AsyncIterator[None]:
-        """Follow events and live figures, and notify, while the context is open; then close the catalogue.
+        """Follow events and live figures, notify and write heartbeats while the context is open.
 
-        On exit open streams are ended and all tasks awaited.
+        On exit open streams are ended, all tasks awaited and the catalogue closed.
         """
         await self.hub.start()
         await self.live.start()
@@ -143,7 +146,7 @@ class Context:
         await to_thread(heartbeat.beat, "leaving", at_once=True)
 
     def catalogue(self) -> Catalogue:
-        """Return the open catalogue.
+        """Return the open catalogue, which is opened at the first call.
 
         Raises a Problem (503) before the first set or if the catalogue is lost, and StorageError if it cannot
         be read.
@@ -169,7 +172,10 @@ class Context:
         return True
 
     def close_streams(self) -> None:
-        """End every open stream without waiting; called before the server waits for its responses."""
+        """Request the end of event streams, live figures, waterfall reads and notifications, without waiting.
+
+        Called before the server waits for its responses.
+        """
         self.waterfall.close()
         self.hub.close()
         self.live.close()
@@ -228,7 +234,8 @@ class Freshness(freshness.Freshness):
     def row(self, row: Row, **extra_columns: object) -> dict[str, object]:
         """Convert a row of the catalogue for an answer: RFC 3339 times, and its age in h if it has an hour.
 
-        An alarm also gets its evidence as sentences; its expired shelf is removed.
+        ``extra_columns`` are added. An alarm also gets its evidence as sentences (StorageError if the
+        baselines cannot be read), and an expired shelf is removed.
         """
         if isinstance(row, AlarmRow):
             row = self.expire_shelf(row)
@@ -239,7 +246,7 @@ class Freshness(freshness.Freshness):
 
 
 def find_app_context(app: FastAPI) -> Context:
-    """Return the context (settings, catalogue, streams) that was set for an application."""
+    """Return the `Context` (settings, catalogue, streams) that was set for an application."""
     context = app.state.context
     assert isinstance(context, Context)
     return context

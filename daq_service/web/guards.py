@@ -121,7 +121,7 @@ async def _read_body(receive: Receive) -> bytes | None:
 
 
 def _replay_body(body: bytes, receive: Receive) -> Receive:
-    """Return a ``receive`` function that returns a body once, and then the messages of the server."""
+    """Build a ``receive`` function that returns a body once, and then the messages of the server."""
     unread = [body]
 
     async def receive_replayed() -> Message:
@@ -144,7 +144,10 @@ def _create_body_too_slow() -> Problem:
 
 
 def _find_request_problem(scope: Scope, headers: Headers, names: frozenset[str]) -> Problem | None:
-    """Check header size, host, origin and stated body size of a request; return the first problem or None."""
+    """Check header size, host, origin and stated body size of a request; return the first problem or None.
+
+    ``names`` are the host names of this service.
+    """
     if (header_bytes := sum(len(name) + len(value) for name, value in headers.raw)) > LARGEST_HEADERS_BYTES:
         return Problem(
             "headers-too-large",
@@ -178,9 +181,9 @@ def _parse_hostname(address: str) -> str | None:
 
 
 def _join_header(headers: Headers, name: str) -> str:
-    """Join all headers of a name with commas, since a proxy and this service might use different ones.
+    """Return all headers of a name joined with commas; empty without one.
 
-    Empty without the header.
+    A proxy and this service might otherwise use different ones.
     """
     return ", ".join(headers.getlist(name))
 

@@ -67,7 +67,7 @@ class _Server(uvicorn.Server):
         return await super().on_tick(counter)
 
     async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
-        """Close the streams, then shut down; uvicorn waits for every open response."""
+        """Close the streams, then shut down; uvicorn waits up to 1 s for open responses."""
         self._close_streams()
         await super().shutdown(sockets)
 
@@ -83,8 +83,8 @@ def bind_socket(host: str, port: int, *, locked: bool = False) -> socket.socket:
     Raises
     ------
     UsageError
-        The address is reachable from elsewhere without protection, is none of this computer, or its port is
-        reserved.
+        The address is reachable from elsewhere without protection, or the system refuses to listen: it is
+        none of this computer, or its port is reserved.
     BusyError
         Another process uses the port.
     """
@@ -121,7 +121,10 @@ def bind_socket(host: str, port: int, *, locked: bool = False) -> socket.socket:
 
 
 def raise_connection_limit() -> int:
-    """Raise the limit of open file handles as far as allowed; return how many connections fit (1 to 2500)."""
+    """Raise the limit of open file handles of this process to its maximum, if the system allows it.
+
+    Returns how many connections fit: 1 to 2500.
+    """
     if sys.platform == "win32":  # no such limit
         return MOST_CONNECTIONS
     import resource
@@ -147,7 +150,7 @@ def reduce_garbage_collection() -> None:
 
 
 def _create_event_loop(config: uvicorn.Config) -> asyncio.AbstractEventLoop:
-    """Create an event loop (uvloop if available) that limits TLS handshakes to 10 s."""
+    """Create an event loop (uvloop if available), which with TLS limits handshakes to 10 s."""
     factory = config.get_loop_factory()
     loop = asyncio.new_event_loop() if factory is None else factory()
     if config.is_ssl:  # uvicorn has no such option

@@ -58,7 +58,7 @@ def read_address(
 
 
 def hide_address_secrets(receiver: ReceiverSettings) -> str:
-    """Return scheme and host of a receiver's URL, or the variable or file name that holds the address."""
+    """Return scheme, host and port of a receiver's URL, or the name of the variable or file with it."""
     if receiver.url:
         parts = urlsplit(receiver.url)
         return f"{parts.scheme}://{parts.netloc}"
@@ -112,5 +112,5 @@ def _read_configured_text(
 
 
 def _build_receiver_error(name: str, problem: str) -> UsageError:
-    """Create, without raising it, the UsageError for an invalid receiver."""
+    """Create, without raising it, the UsageError for a receiver, with its key and the problem."""
     return UsageError(f"notifications.receivers.{name}: {problem}")

@@ -14,7 +14,7 @@ def deliver_by_apprise(address: Address, message: Message) -> Outcome:
     """Try once to deliver a message and return the outcome; apprise limits the time of its connections.
 
     Its log may repeat parts of an address and is disabled, so a failure is reported without its cause. Also
-    disables .netrc for this process.
+    disables .netrc for this process. Exceptions of apprise pass through.
     """
     import apprise
 

@@ -100,18 +100,21 @@ class DeliveryLog:
     def read(self, *, limit: int, end: int | None = None) -> tuple[list[tuple[int, Delivery]], int | None]:
         """Read at most ``limit`` of the newest lines before byte ``end`` with their numbers, newest first.
 
-        The second result is the ``end`` of the earlier lines; None: there are none.
+        The second result is the ``end`` of the earlier lines; None: there are none. Damaged lines are left
+        out.
 
         Raises
         ------
         OSError
             The file cannot be read.
+        KeyError, TypeError
+            A line has other fields than a delivery.
         """
         lines, previous_end = read_newest_lines(self.path, limit=limit, end=end)
         return [(number, _parse_delivery(row)) for number, row in lines], previous_end
 
     def find_last_heartbeat_ns(self, receiver: str) -> int | None:
-        """Find when the newest logged heartbeat message was attempted, ns of UTC; None without one.
+        """Find when the newest heartbeat message to a receiver was attempted, ns of UTC; None without one.
 
         Withheld heartbeats are ignored. Only the newest 20,000 lines are searched.
 
@@ -132,6 +135,8 @@ class DeliveryLog:
     def read_progress(self, receivers: Collection[str]) -> dict[str, Progress]:
         """Read the newest progress of each receiver; a receiver without a line is left out.
 
+        Reads backwards until all are found: for a receiver without a line, the complete log.
+
         Raises
         ------
         OSError
@@ -150,7 +155,7 @@ class DeliveryLog:
 
 
 def _parse_delivery(row: object) -> Delivery:
-    """Convert the row of a line, also of an earlier version, to a delivery.
+    """Convert the row of a line, also of an earlier version (then ``row`` is updated), to a delivery.
 
     Raises KeyError or TypeError if the row has other fields.
     """

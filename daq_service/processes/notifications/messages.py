@@ -74,8 +74,8 @@ class AlarmChange:
 def parse_alarm_change(event: EventRow) -> AlarmChange | None:
     """Convert an event to a change of an alarm.
 
-    Returns None for other events, suppressed or acknowledged alarms that do not end, and very old events.
-    Raises KeyError if the payload lacks a field.
+    Returns None for other events, for suppressed or acknowledged alarms that do not end, and for events of
+    old folders, which lack the alarm's row. Raises KeyError if the payload lacks another field.
     """
     change, payload = CHANGES.get(event.kind), event.payload
     # An event of a very old folder does not carry its alarm's row.
@@ -118,7 +118,10 @@ class Test:
 
 
 def identify_test(row: ExperimentRow, page: str) -> Test:
-    """Build the test's identity; its mark is a hash of name, configuration hash and time of creation."""
+    """Build the identity of a test for messages, with the URL ``page`` of its page.
+
+    Its mark is the start (12 hexadecimal digits) of a hash of name, configuration hash and time of creation.
+    """
     identity = f"{row.name}\n{row.configuration_hash}\n{row.created_utc_ns}"
     return Test(name=row.name, mark=hashlib.sha256(identity.encode()).hexdigest()[:12], page=page)
 
@@ -134,15 +137,15 @@ class Message:
     facts: Mapping[str, object]
 
     def encode_body(self) -> bytes:
-        """Encode the message as the JSON body of a webhook."""
+        """Encode the message as the JSON body of a webhook: version, key, kind, title, text and the facts."""
         header = {"version": FORMAT_VERSION, "key": self.key, "kind": self.kind}
         return orjson.dumps({**header, "title": self.title, "text": self.text, **self.facts})
 
 
 def derive_key(test: Test, receiver: str, event_ids: Sequence[int]) -> str:
-    """Compute the key of a message from test, receiver and one or more event ids.
+    """Compute the idempotency key of a message from test, receiver and one or more event ids.
 
-    A repeated message has the same key.
+    A repeated message has the same key; it shows the first id, and for more a hash of all.
     """
     first, others = event_ids[0], ",".join(map(str, event_ids))
     group_suffix = f"-{hashlib.sha256(others.encode()).hexdigest()[:8]}" if len(event_ids) > 1 else ""
@@ -152,12 +155,12 @@ def derive_key(test: Test, receiver: str, event_ids: Sequence[int]) -> str:
 def build_alarm_message(
     test: Test, receiver: str, changes: Sequence[AlarmChange], qualities: Mapping[int, str], *, now_ns: int
 ) -> Message:
-    """Build one message about changes of alarms; the first 20 are written out, the others counted.
+    """Build one message about one or more changes of alarms; the first 20 are written out, others counted.
 
     Parameters
     ----------
     qualities
-        Quality of the set with which an alarm was raised, by event id.
+        Quality of the set with which an alarm was raised, by event id; ``unknown`` where it is missing.
     now_ns
         Wall clock, ns of UTC, for the age of the changes.
     """
@@ -202,7 +205,7 @@ class HeartbeatFacts(TypedDict):
 
 
 def build_heartbeat_message(test: Test, receiver: str, facts: HeartbeatFacts, *, now_ns: int) -> Message:
-    """Build a heartbeat message from `source.Source.read_heartbeat_facts`; ``now_ns`` is UTC in ns."""
+    """Build a heartbeat message from recorder status and ages; ``now_ns`` is UTC in ns."""
     age_h = facts["last_set_age_h"]
     last_set_text = (
         "no set is stored yet" if age_h is None else f"the last set is {_format_age(age_h * 3600.0)} old"
@@ -228,13 +231,13 @@ def build_test_message(test: Test, receiver: str, author: str, *, now_ns: int) -
 
 
 def _format_headline(item: AlarmChange) -> str:
-    """Format priority, kind, position and change of an alarm as one line."""
+    """Format priority, kind, position (if any) and change of an alarm as one line."""
     at = f" at {item.position}" if item.position else ""
     return f"{item.priority.upper()} {item.kind}{at} {_CHANGE_TEXTS[item.change]}"
 
 
 def _format_counts(changes: Sequence[AlarmChange]) -> str:
-    """Format the counts of changes by priority and kind of change, the highest priority first."""
+    """Format the number of changes for each priority and kind of change, the highest priority first."""
     counts = Counter((item.priority, item.change) for item in changes)
     order = sorted(counts, key=lambda pair: -PRIORITIES.index(pair[0]))
     return ", ".join(f"{counts[pair]} {pair[0]} {pair[1]}" for pair in order)
@@ -243,7 +246,11 @@ def _format_counts(changes: Sequence[AlarmChange]) -> str:
 def _describe_alarm_change(
     test: Test, item: AlarmChange, quality: str | None, now_ns: int
 ) -> dict[str, object]:
-    """Collect the fields of a change of an alarm for a message, with its age in s, link and full text."""
+    """Build the entry of an alarm's change in a message: its fields, quality, UTC, age (s), link and text.
+
+    ``now_ns`` is UTC. Without ``quality`` the text has ``unknown``. An alarm that returned to normal is
+    described without evidence and guidance.
+    """
     age_s = max(0.0, (now_ns - item.wall_utc_ns) / NS_PER_S)
     at_set = "" if item.set_key is None else f", set {item.set_key}, quality {quality or 'unknown'}"
     sentences = [
@@ -267,7 +274,7 @@ def _describe_alarm_change(
 
 
 def _link_to_alarm(test: Test, item: AlarmChange) -> str | None:
-    """Return the URL of the page with the alarm's position and set; None if the page has no address."""
+    """Build the URL of the page with the alarm's position and set; None if the page has no address."""
     if not test.page:
         return None
     view = {"position": item.position, "set": item.set_key}

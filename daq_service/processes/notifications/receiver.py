@@ -101,7 +101,7 @@ class ReceiverQueue:
         self._test_lock = threading.Lock()
 
     def start(self, progress: Progress | None) -> None:
-        """Continue at the logged progress, or else after the newest event: old alarms are not sent."""
+        """Start at the logged progress, else after the newest event, or at the first of a new test."""
         if progress is not None and self._source.written_ns(progress.cursor) == progress.cursor_wall_utc_ns:
             self._last_read_id, self._settled = progress.cursor, set(progress.settled)
             self.state.began = f"went on behind event {progress.cursor}"
@@ -122,7 +122,7 @@ class ReceiverQueue:
         self._started = True
 
     def step(self) -> float:
-        """Send at most one due message and one heartbeat; return the time to the next step, s.
+        """Read new events, send at most one due message and one heartbeat; return the s to the next step.
 
         Raises StorageError if the catalogue cannot be read now, and OSError if the delivery log cannot.
         """
@@ -153,7 +153,7 @@ class ReceiverQueue:
     # Incoming events
 
     def _read_events(self) -> None:
-        """Read up to 200 new alarm events unless 500 changes wait; log those that are not sent."""
+        """Read up to 200 new alarm events unless 500 changes wait; settle and log those not sent."""
         if len(self._waiting) >= MOST_WAITING:
             return
         rows = self._source.alarm_events(self._last_read_id, PAGE_EVENTS)
@@ -195,7 +195,7 @@ class ReceiverQueue:
     # Outgoing messages
 
     def _deliver(self) -> None:
-        """Send the due changes as one message or retry the failed one; give up when refused or too old."""
+        """Send due changes as one message or retry it; give up after 5 refusals or ``give_up_h``."""
         if self._current is None:
             changes = self._waiting.due(self._machine.mono_s())
             if not changes:
@@ -243,7 +243,7 @@ class ReceiverQueue:
             log.warning("notifications do not reach %s, tried again: %s", self.name, outcome.description)
 
     def _close(self, message: _OpenMessage) -> None:
-        """Mark the events of the message in progress as settled, so that the next one can be sent."""
+        """Mark the events of the message in progress as settled and end it; the next one can be sent."""
         self._settled |= set(message.event_ids)
         self._current = None
         self.state.next_attempt_utc_ns = None
@@ -294,7 +294,7 @@ class ReceiverQueue:
         return (self._receiver.heartbeat_s or 0.0) >= SHORTEST_FOR_PEOPLE_S
 
     def _resume_heartbeat(self) -> None:
-        """Set when the next heartbeat is due from the last logged one, if each is logged."""
+        """Compute the due time of the next heartbeat from the last logged one, if each is logged."""
         every_s = self._receiver.heartbeat_s
         if every_s is not None and self._logs_each_heartbeat:
             last_ns = self._delivery_log.find_last_heartbeat_ns(self.name)
@@ -310,7 +310,7 @@ class ReceiverQueue:
     # Progress
 
     def _resume_message(self, event_ids: list[int]) -> None:
-        """Make these events the message in progress, without those that the catalogue does not have."""
+        """Make stored events the message in progress; ids without an alarm change are left out."""
         found = map(messages.parse_alarm_change, self._source.events(event_ids))
         changes = [change for change in found if change is not None]
         if changes:
@@ -318,7 +318,7 @@ class ReceiverQueue:
             self._settled |= set(event_ids)  # not read a second time
 
     def _build_progress(self) -> Progress:
-        """Return the present progress; settled ids up to the cursor are forgotten."""
+        """Build the present progress; settled ids up to the cursor are deleted from memory."""
         ids_in_progress = self._current.event_ids if self._current else []
         unsettled = [*self._waiting.event_ids(), *ids_in_progress]
         cursor = min(unsettled) - 1 if unsettled else self._last_read_id
@@ -361,7 +361,7 @@ class ReceiverQueue:
         )
 
     def _compute_pause_s(self) -> float:
-        """Return the time until something can be due, s: at most 0.5, at least 0."""
+        """Return the time until something can be due, s, from 0 to 0.5."""
         now_s = self._machine.mono_s()
         due = [LOOK_EVERY_S + now_s]
         if self._current is not None:

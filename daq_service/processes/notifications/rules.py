@@ -53,7 +53,7 @@ class WaitingChanges:
         return sorted(self._items)
 
     def add(self, change: AlarmChange, rule: int, *, now_s: float, age_s: float) -> list[int]:
-        """Add a change of an alarm to the waiting ones, or cancel the alarm if it ended within its delay.
+        """Add a change of an alarm to the waiting ones, or remove those of one that ended within its delay.
 
         Parameters
         ----------
@@ -86,7 +86,8 @@ class WaitingChanges:
     def due(self, now_s: float) -> list[AlarmChange]:
         """Return the changes of the first rule whose group is complete at ``now_s``, by event id.
 
-        They form one message and stay in the queue; empty if none is due.
+        ``now_s`` is monotonic time, s. The changes form one message and stay in the queue; empty if none is
+        due.
         """
         for rule in range(len(self._rules)):
             if (group_end_s := self._compute_group_end_s(rule)) is not None and group_end_s <= now_s:
@@ -106,6 +107,6 @@ class WaitingChanges:
         return [item.event_id for item in changes]
 
     def _compute_group_end_s(self, rule: int) -> float | None:
-        """Return when the waiting changes of a rule are sent, s of monotonic time; None without any."""
+        """Return when the changes of a rule (index) are due as one message, monotonic s; None without any."""
         first_s = min((item.due_s for item in self._items.values() if item.rule == rule), default=None)
         return None if first_s is None else first_s + self._rules[rule].group_s

@@ -82,7 +82,7 @@ class Notifications:
     def start(self) -> None:
         """Start the thread that sends whenever no other process of this test does; return at once.
 
-        Nothing starts in a backup, or without receivers and monitoring.
+        Nothing starts in a backup (`silent_reason` is set), or without receivers and monitoring.
         """
         if not (self._folder / BACKUP_FILE).exists():
             if self.queues or self._watch:
@@ -112,7 +112,7 @@ class Notifications:
         return thread
 
     def _create_queues(self) -> dict[str, ReceiverQueue]:
-        """Create an idle queue for each receiver, with switches that abort its messages and test messages."""
+        """Create an idle queue for each receiver, with switches with which `close` aborts its deliveries."""
         parts, queues = (self.settings, self._source, self.deliveries), dict[str, ReceiverQueue]()
         for name, receiver in self.settings.receivers.items():
             send, send_test = (
@@ -127,7 +127,10 @@ class Notifications:
         return self._cuts[-1]
 
     def _send_message(self, name: str, receiver: ReceiverSettings, cut: Cut, message: Message) -> Outcome:
-        """Try once to deliver a message by webhook or apprise; raise UsageError if the address is invalid."""
+        """Try once to deliver a message by webhook or apprise; ``cut`` aborts a webhook.
+
+        Raises UsageError if the address or secret of the receiver is missing or invalid.
+        """
         address = read_address(name, receiver)
         if receiver.kind == "apprise":
             return deliver_by_apprise(address, message)
@@ -136,7 +139,8 @@ class Notifications:
     def _send_while_owner(self) -> None:
         """Send while this process holds the lock, until `close`; wait while another process sends.
 
-        Problems are logged and tried again after 1 s or 5 s.
+        A standby waits also while the web service responds. Problems are logged and tried again after 1 s or
+        5 s.
         """
         while not self._stop.is_set():
             if self._is_web_service_sending():
@@ -157,7 +161,8 @@ class Notifications:
     def _send_until_released(self, lock: IO[bytes]) -> None:
         """Run a thread for each receiver and monitor the recorder until `close`, or another process sends.
 
-        Waits for the threads at the end.
+        Also ends if the lock file is removed. Errors of the monitoring are logged. Waits for the threads at
+        the end.
         """
         self.silent_reason, released = "" if self.queues else NO_RECEIVERS, threading.Event()
         self.queues = self._create_queues()  # another process may have sent since: the log holds the progress
@@ -181,7 +186,10 @@ class Notifications:
         return self._is_standby and read_web_state(self._folder) == "responding"
 
     def _is_lock_held(self, lock: IO[bytes]) -> bool:
-        """Return whether the lock file still has its name, which is removed for a stalled process."""
+        """Return whether the open lock file still has its name; it is removed to replace a suspended process.
+
+        False, too, if the file cannot be examined.
+        """
         try:
             return os.path.samestat(os.fstat(lock.fileno()), (self._folder / LOCK_FILE).stat())
         except OSError:

@@ -28,7 +28,7 @@ class Source:
         self._settings, self._folder, self._catalogue = settings, folder, catalogue
 
     def has_started(self) -> bool:
-        """Return whether the test has a catalogue with a first record."""
+        """Return whether the test has a catalogue with a first record; other errors of opening are raised."""
         try:
             self._catalogue()
         except NoDataYetError:
@@ -36,7 +36,10 @@ class Source:
         return True
 
     def test(self) -> Test:
-        """Return name, mark and page of the test; before its first record with the configured name."""
+        """Return name, mark and page of the test; before its first record with the configured name.
+
+        Raises StorageError if the catalogue cannot be read now.
+        """
         page = read_page_address(self._settings.web)
         try:
             return identify_test(self._catalogue().read_experiment(), page)
@@ -44,35 +47,45 @@ class Source:
             return Test(name=self._settings.name, mark="not-begun", page=page)
 
     def last_event_id(self) -> int:
-        """Return the id of the newest event; `NoDataYetError` before the first record."""
+        """Return the id of the newest event; raise `NoDataYetError` before the first record."""
         return self._catalogue().last_event_id()
 
     def count_active_alarms(self) -> int:
-        """Return the number of active alarms; `NoDataYetError` before the first record."""
+        """Return the number of active alarms; raise `NoDataYetError` before the first record."""
         return len(self._catalogue().rows(AlarmRow, active=True))
 
     def written_ns(self, event_id: int) -> int | None:
-        """Return when an event was written, ns of UTC; 0 for id 0, None if there is no such event."""
+        """Return when an event was written, ns of UTC; 0 for id 0, None if there is no such event.
+
+        Raises `NoDataYetError` before the first record, except for id 0.
+        """
         if event_id == 0:
             return 0
         return next((row.wall_utc_ns for row in self.events([event_id])), None)
 
     def alarm_events(self, after: int, limit: int) -> Sequence[EventRow]:
-        """Read at most ``limit`` events of alarms after an id, ascending; none before the first record."""
+        """Read at most ``limit`` events of alarms after an id, ascending; none before the first record.
+
+        Raises StorageError if the catalogue cannot be read now.
+        """
         try:
             return self._catalogue().rows(EventRow, after_id=after, topic="alarms", limit=limit)
         except NoDataYetError:
             return []
 
     def events(self, event_ids: Sequence[int]) -> list[EventRow]:
-        """Read the events with these ids, in the given order, without missing ones."""
+        """Read the events with these ids, in the given order, without missing ones.
+
+        Raises `NoDataYetError` before the first record.
+        """
         read = partial(self._catalogue().read_events_after, limit=1)
         return [row for event_id in event_ids for row in read(event_id - 1) if row.id == event_id]
 
     def read_qualities(self, changes: Sequence[AlarmChange]) -> dict[int, str]:
         """Read the quality of the set with which each alarm was raised, by event id.
 
-        Alarms without a position or set, and unmeasured sets, are left out.
+        Alarms without a position or set, and unmeasured sets, are left out. Raises StorageError if the
+        catalogue cannot be read now.
         """
         qualities: dict[int, str] = {}
         for item in changes:
@@ -93,9 +106,10 @@ class Source:
         return qualities
 
     def read_heartbeat_facts(self) -> HeartbeatFacts:
-        """Read the status of the recorder and the ages of the last set (h of the test) and write (s).
+        """Read status and activity of the recorder and the ages of last set (h of the test) and write (s).
 
-        Ages are None without a set or event; before the first record the status is ``not_started``.
+        Ages are None without a set or event; before the first record the status is ``not_started``. Raises
+        StorageError if the catalogue cannot be read now.
         """
         try:
             catalogue = self._catalogue()
@@ -121,7 +135,10 @@ class Source:
 
 
 def read_page_address(web: WebSettings) -> str:
-    """Return the URL of the page for other computers; empty if no host name is configured."""
+    """Build the URL of the page for other computers from the first host name; empty if none is configured.
+
+    The port is left out behind a proxy, and if it is 443 or chosen by the system.
+    """
     if not web.host_names:
         return ""
     port = "" if web.proxy or web.port in (0, 443) else f":{web.port}"

@@ -93,7 +93,7 @@ def _shut_connection(connection: socket.socket) -> None:
 
 
 def sign_body(secret: bytes, time_s: int, body: bytes) -> str:
-    """Return the value of the signature header, ``t=TIME,v1=HEX``: HMAC-SHA256 of ``TIME.BODY``."""
+    """Return the signature ``t=TIME,v1=HEX``: HMAC-SHA256 of ``TIME.BODY``, TIME in s since 1970."""
     digest = hmac.new(secret, b"%d." % time_s + body, hashlib.sha256).hexdigest()
     return f"t={time_s},v1={digest}"
 
@@ -172,7 +172,10 @@ def _connect_to_receiver(scheme: str, host: str, port: int, cut: Cut) -> socket.
 
 
 def _convert_response(status: int, retry_after: str | None, now_s: float) -> Outcome:
-    """Convert status and Retry-After header to an outcome: 2xx is delivered, 400, 413 and 422 are refused."""
+    """Convert status and Retry-After header to an outcome: 2xx is delivered, 400, 413 and 422 are refused.
+
+    ``now_s`` is the present time, s since 1970.
+    """
     if 200 <= status < 300:
         return Outcome(ok=True, description=f"taken ({status})", status=status)
     description = f"the receiver answers {status} {http.client.responses.get(status, '')}".rstrip()
@@ -188,7 +191,10 @@ def _convert_response(status: int, retry_after: str | None, now_s: float) -> Out
 
 
 def _parse_retry_after_s(text: str | None, now_s: float) -> float:
-    """Parse a ``Retry-After`` header (seconds or a date) to a pause in s, 0 to 3600; 0 if unreadable."""
+    """Parse a ``Retry-After`` header (seconds or a date) to a pause of 0 to 3600 s; 0 if it is unreadable.
+
+    ``now_s`` is the present time, s since 1970.
+    """
     if text is None:
         return 0.0
     try:
@@ -200,7 +206,7 @@ def _parse_retry_after_s(text: str | None, now_s: float) -> float:
 
 
 def _describe_error(error: Exception) -> str:
-    """Return a description of an error without a library's text, which may repeat the address."""
+    """Describe why a delivery failed, without most texts of libraries, which may repeat the address."""
     match error:
         case ssl.SSLCertVerificationError():
             return f"its certificate is refused: {error.verify_message}"

@@ -20,6 +20,8 @@ def encode_cursor(listing: str, after: int) -> str:
 def decode_cursor(listing: str, cursor: str | None) -> int | None:
     """Decode a cursor to the number of the row after which a page starts; None for the first page.
 
+    ``listing`` is that of `encode_cursor`.
+
     Raises
     ------
     Problem

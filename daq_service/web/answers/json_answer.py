@@ -47,12 +47,18 @@ def format_rfc3339(utc_ns: int | None) -> str | None:
 
 
 def format_hour_as_rfc3339(epoch_utc_ns: int, hour: float) -> str | None:
-    """Format an hour of the test as RFC 3339 text, rounded to whole seconds after the epoch."""
+    """Format an hour of the test as RFC 3339 text, rounded to whole seconds after the epoch.
+
+    Raises ValueError for NaN and OverflowError for infinity.
+    """
     return format_rfc3339(epoch_utc_ns + round(hour * 3600.0) * NS_PER_S)
 
 
 def format_hours_as_rfc3339(epoch_utc_ns: int, hours: Sequence[float]) -> list[str]:
-    """Format a column of hours as RFC 3339 texts in one step, as `format_hour_as_rfc3339` does for one."""
+    """Format a column of hours as RFC 3339 texts in one step, as `format_hour_as_rfc3339` does for one.
+
+    The hours must be finite.
+    """
     if not hours:
         return []
     whole, rest = divmod(epoch_utc_ns, NS_PER_S)

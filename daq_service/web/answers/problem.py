@@ -87,12 +87,15 @@ def create_no_data() -> Problem:
 
 
 def create_catalogue_lost(detail: str) -> Problem:
-    """Create, without raising it, the error that the catalogue is lost and must be rebuilt (503)."""
+    """Create, without raising it, the error that the catalogue is lost and must be rebuilt (503).
+
+    ``detail`` describes the loss and its remedy (`describe_loss`); it must not be empty.
+    """
     return Problem("catalogue-lost", f"{detail[0].upper()}{detail[1:]}.")
 
 
 def not_found(what: str, hint: str) -> Problem:
-    """Create, without raising it, the error that a resource does not exist (404)."""
+    """Create, without raising it, the error (404) that a resource does not exist: ``what`` states it."""
     return Problem("not-found", what, hint)
 
 
@@ -116,7 +119,8 @@ def build_problem_response(
 ) -> Response:
     """Build the response of an error as problem details (RFC 9457), with its status and headers.
 
-    Depending on the status it has Retry-After (429, 503), WWW-Authenticate (401) or Connection: close (408).
+    ``errors`` are the invalid parts of a request. Depending on the status it has Retry-After (429, 503),
+    WWW-Authenticate (401) or Connection: close (408).
     """
     body: dict[str, object] = {
         "type": TYPE_PREFIX + problem.name,
@@ -165,7 +169,8 @@ def _list_allowed_methods(app: FastAPI, of_request: Scope) -> list[str]:
 def install_error_handlers(app: FastAPI) -> None:
     """Install the handlers that answer every error of the application with problem details.
 
-    Problem: its own status; invalid parameters: 422; StorageError: 503; any other exception: 500.
+    Problem and HTTPException: their own status; invalid parameters: 422; StorageError: 503; any other
+    exception: 500. The last two are logged.
     """
 
     async def answer_problem(request: Request, error: Exception) -> Response:
@@ -188,7 +193,7 @@ def install_error_handlers(app: FastAPI) -> None:
         return build_problem_response(request.scope, problem, errors)
 
     async def answer_http_error(request: Request, error: Exception) -> Response:
-        """Answer an error of the router: unknown path (404), wrong method (405), malformed request (400)."""
+        """Answer an error of the router: unknown path (404), method (405, with Allow), bad request (400)."""
         assert isinstance(error, HTTPException)
         names = {404: "not-found", 405: "method-not-allowed", 400: "bad-request"}
         problem = Problem(

@@ -11,7 +11,7 @@ API_VERSION = "1.0.0"
 
 @cache  # each call would parse a file of some kB
 def read_installed_version() -> str:
-    """Return the version of the installed solimon, or "unknown" in a bare checkout."""
+    """Return the version of the installed solimon, or "unknown" in a bare checkout. Cached."""
     try:
         return version("solimon")
     except PackageNotFoundError:

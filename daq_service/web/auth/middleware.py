@@ -70,7 +70,9 @@ class AccessPolicy:
         return f"__Host-{self._cookie}" if is_encrypted(scope) else self._cookie
 
     def authenticate_request(self, scope: Scope) -> Person | None:
-        """Return the person of a request; None without a token, where one is required.
+        """Return the person of a request; None if it has no token although one is required.
+
+        Where none is required, the person has the role `CLAIMED` and no name.
 
         Raises
         ------
@@ -104,7 +106,10 @@ class AccessPolicy:
         raise Problem("wrong-token", f"{reason[0].upper()}{reason[1:]}.")
 
     def has_access(self, person: Person) -> bool:
-        """Return whether a person still has access with this role; open streams check it again."""
+        """Return whether a person still has access; open streams check it again.
+
+        `CLAIMED` has access while no token is required, others while they have a valid token with their role.
+        """
         if person.role == CLAIMED:
             return self.is_open
         return self.tokens.has_valid_token(person.name, person.role)
@@ -142,7 +147,10 @@ class AccessPolicy:
         return None if morsel is None else morsel.value
 
     def _refuse_unencrypted(self, scope: Scope, headers: Headers) -> None:
-        """Raise a Problem (403) if a reachable service gets an unencrypted request that is not local."""
+        """Raise a Problem (403) if a reachable service gets an unencrypted request that is not local.
+
+        Local means that both host and client address are those of the loopback.
+        """
         if not self._web.is_reachable or is_encrypted(scope):
             return
         host = urlsplit(f"//{headers.get('host', '')}").hostname
@@ -154,9 +162,9 @@ class AccessPolicy:
             )
 
     def _find_allowance(self, address: str) -> Allowance:
-        """Return the rate limit for wrong tokens from an address; create it at the first wrong one.
+        """Return the rate limit for wrong tokens of an address; create it at the first wrong one.
 
-        The limits of the latest 1000 addresses are kept.
+        The limits of the 1000 addresses that were wrong last are kept.
         """
         allowance = self._wrong.pop(address, None) or Allowance(MOST_WRONG, WRONG_EVERY_S)
         self._wrong[address] = allowance
@@ -227,7 +235,7 @@ def create_token_required_error() -> Problem:
 
 
 def read_request_person(connection: HTTPConnection) -> Person:
-    """Return the person that the middleware stored with a request.
+    """Return the person that `AuthenticationMiddleware` stored with a request.
 
     Raises
     ------
@@ -247,7 +255,10 @@ def is_encrypted(scope: Scope) -> bool:
 
 
 def find_client_address(scope: Scope) -> str:
-    """Return the network address of a client, from a trusted proxy's header if any; else ``unknown``."""
+    """Return the network address of a client as the server reports it (behind a trusted proxy, the header's).
+
+    ``unknown`` without one.
+    """
     client = scope.get("client")
     return str(client[0]) if client else "unknown"
 

@@ -63,7 +63,7 @@ _FILE = TypeAdapter(tuple[Token, ...])
 
 
 def find_tokens_file(web: WebSettings, data_folder: Path) -> Path:
-    """Return the absolute path of the configured tokens file, or else that in the data folder."""
+    """Return the path of the configured tokens file, made absolute, or else of that in the data folder."""
     return Path(web.tokens_file).absolute() if web.tokens_file else data_folder / FILE_NAME
 
 
@@ -146,7 +146,8 @@ def revoke_token(path: Path, name: str) -> Token:
 def _edit_tokens(path: Path) -> Iterator[list[Token]]:
     """Lock the tokens file, yield its tokens for changes in place, and write them durably at the end.
 
-    Nothing is written if the context raises. Raises StorageError if the file cannot be read or written.
+    Nothing is written if the context raises. Waits up to 5 s for the lock. Raises StorageError if the file
+    cannot be locked, read or written.
     """
     try:
         with lock_for_change(path):
@@ -228,7 +229,7 @@ class KnownTokens:
 
 
 def _compute_file_mark(path: Path) -> tuple[int, ...]:
-    """Return time (ns), size and inode of a file, to detect changes; the error number if it is unreadable."""
+    """Return time (ns), size and inode of a file, to detect changes; if unreadable, the error number."""
     try:
         status = os.stat(path)  # noqa: PTH116 - the seam is os
     except OSError as error:

@@ -61,7 +61,7 @@ class Listing:
     def read_entries(self) -> list[dict[str, object]]:
         """Return the entries of all tests, with their age in s; read those again that may have changed.
 
-        Blocks while files are read, also for another thread that calls it.
+        In the order of the command line. Blocks while files are read, also for another thread that calls it.
         """
         with self._lock:
             for test in self._tests.all.values():
@@ -82,7 +82,10 @@ class Listing:
         return sum(cached.entry.state == "shown" for cached in list(self._cached.values()))
 
     def _read_entry(self, test: ServedTest) -> ListedTest:
-        """Read the entry of a test, without writing: its present state, or why it cannot be shown."""
+        """Read the entry of a test, without writing: its present state, or why it cannot be shown.
+
+        Updates ``test.title`` if the settings could be read. Other errors than `AbsentError` pass through.
+        """
         page = f"/tests/{test.name}/"
         standing, absence = None, None
         try:
@@ -107,7 +110,10 @@ class Listing:
 
 
 def _compute_folder_mark(folder: Path) -> tuple[int, ...]:
-    """Return modification times (ns) and sizes of the files of a test, 0 if unreadable, to detect changes."""
+    """Return modification times (ns) and sizes of the files `MARKS` of a test; they differ if it changed.
+
+    A file that cannot be read has 0 and 0.
+    """
     marks: list[int] = []
     for name in MARKS:
         try:
@@ -120,7 +126,10 @@ def _compute_folder_mark(folder: Path) -> tuple[int, ...]:
 
 
 def _read_present_state(settings: Settings, folder: Path, catalogue: Catalogue) -> Standing:
-    """Read the present state of a test, the worst of its positions, from its catalogue and recorder."""
+    """Read the present state of a test, which is that of its worst position, from catalogue and recorder.
+
+    Last set and age are None without a measured set. Raises StorageError if the catalogue cannot be read.
+    """
     fresh = Freshness(folder, catalogue, settings.clock.kind)
     latest = read_latest_rows(catalogue, fresh, settings.positions)
     hours = list_due_hours(settings.schedule.phases, end_h=settings.schedule.end_h)

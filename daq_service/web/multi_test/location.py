@@ -47,7 +47,7 @@ def is_configuration(path: Path) -> bool:
 
 
 def find_folder(path: Path) -> Path:
-    """Return the absolute data folder of a configuration or folder; of an invalid configuration, its path."""
+    """Return the absolute data folder of a configuration or folder; of a rejected configuration, its path."""
     if not is_configuration(path):
         return path.absolute()
     try:
@@ -57,7 +57,7 @@ def find_folder(path: Path) -> Path:
 
 
 def read_title(path: Path) -> str:
-    """Read the name of a test; if that is impossible, return the name of its folder or file."""
+    """Read the name of a test from its settings; if that is impossible, return that of its folder or file."""
     try:
         with translate_to_absent():
             return _read_settings_and_folder(path)[0].name
@@ -76,7 +76,7 @@ def locate_test(path: Path, access_policy: AccessPolicy) -> tuple[Settings, Path
     Raises
     ------
     AbsentError
-        The test cannot be shown now.
+        The test cannot be shown now; its ``state`` gives the kind of reason.
     """
     with translate_to_absent():
         settings, folder = _read_settings_and_folder(path)

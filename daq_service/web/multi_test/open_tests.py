@@ -64,13 +64,13 @@ class ServedTests:
         return sum(test.context.hub.clients for test in self.all.values() if test.context is not None)
 
     def close_streams(self) -> None:
-        """End every open stream, before the server waits for its responses."""
+        """Request the end of every open stream without waiting, before the server waits for its responses."""
         for test in self.all.values():
             if test.context is not None:
                 test.context.close_streams()
 
     def find(self, name: str) -> ServedTest:
-        """Return the test with this name in addresses.
+        """Return the test with this slug (name in URLs).
 
         Raises
         ------
@@ -83,7 +83,7 @@ class ServedTests:
 
     @asynccontextmanager
     async def use(self, test: ServedTest) -> AsyncIterator[Context]:
-        """Open a test unless it is open and yield its context; it is not closed until the block ends.
+        """Open a test unless it is open and yield its context; the test stays open until the block ends.
 
         Raises
         ------
@@ -118,7 +118,8 @@ class ServedTests:
     async def close_idle_tests(self, *, keep: int = MOST_IDLE, for_s: float = 0.0) -> None:
         """Close idle tests except the ``keep`` most recent ones, and all idle for ``for_s`` seconds or more.
 
-        With ``for_s`` 0 only ``keep`` counts. Tests that send notifications stay open.
+        With ``for_s`` 0 only ``keep`` counts. Tests that send notifications or have requests stay open. Waits
+        until the tests are closed.
         """
         now_s = time.monotonic()
         shown = [test for test in self.all.values() if test.context is not None and not test.notifies]
@@ -144,9 +145,9 @@ class ServedTests:
             await self.close_idle_tests(for_s=IDLE_S)
 
     async def open_notifying_tests(self) -> None:
-        """Open the tests with receivers of notifications, which then stay open.
+        """Open the tests that have receivers of notifications; these tests then stay open.
 
-        A test that cannot be read is tried again at the next call.
+        A test that cannot be read or shown is tried again at the next call.
         """
         for test in self.all.values():
             with suppress(Problem, AbsentError):
@@ -158,7 +159,7 @@ class ServedTests:
                         pass
 
     async def close(self) -> None:
-        """Close all tests, also those in use."""
+        """Close all tests, also those in use, and wait for their background tasks."""
         for test in self.all.values():
             async with test.changing:
                 await self._close_test(test)

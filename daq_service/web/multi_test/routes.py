@@ -67,7 +67,11 @@ def get_readiness(request: Request) -> JsonAnswer:
 
 
 def _build_liveness(request: Request) -> dict[str, object]:
-    """Build the answer of the liveness check, with the numbers of all and of shown tests."""
+    """Build the body of the liveness and readiness answers, with the numbers of all and of shown tests.
+
+    ``status`` is ``ok``, and ``data`` is whether any test is shown. The shown tests are those of the last
+    read of the list: 0 before the first.
+    """
     shown = _find_listing(request).shown()
     return {"status": "ok", "data": shown > 0, "tests": len(request.app.state.tests.all), "shown": shown}
 
@@ -97,7 +101,7 @@ def get_metrics(request: Request) -> Response:
 def _collect_test_metrics(tests: ServedTests, name: str) -> Iterator[Metric]:
     """Yield the metrics of a test without opening it, so that scraping does not keep every test open.
 
-    Yields none if the test cannot be shown.
+    Yields none if the test cannot be shown. Raises the errors of `collect_test`.
     """
     try:
         settings, folder = locate_test(tests.all[name].path, tests.access_policy)

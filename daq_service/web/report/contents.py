@@ -160,9 +160,13 @@ def read_report_contents(
     Raises
     ------
     UsageError
-        The range is empty, or has more than `MOST_SETS` sets.
+        The range is empty, or has more than `MOST_SETS` sets of a position.
     StorageError
         There is no test, or it cannot be read.
+    ValidationError
+        This version does not accept the stored configuration.
+    OSError
+        The audit log cannot be read.
     """
     with open_catalogue(folder) as catalogue:
         experiment = catalogue.read_experiment()
@@ -241,7 +245,10 @@ def _build_position_report(
     sets: Sequence[SetRow],
     filters: Filters,
 ) -> PositionReport:
-    """Read the present state of a position and the columns of its sets in the range."""
+    """Read the present state of a position and the columns of its sets in the range.
+
+    ``sets`` are those of the range, ``last`` its newest rows, ``filters`` the range in hours.
+    """
     name, age_h = last.position, find_data_age_h(last, fresh)
     position_settings = settings.positions[name]
     is_probe = position_settings.method == PULSE_ECHO
@@ -269,7 +276,10 @@ def _build_position_report(
 
 
 def _group_gaps(sets: Sequence[SetRow]) -> list[Gap]:
-    """Group sets that are not done: consecutive ones with the same state and reason become one gap."""
+    """Group the sets of a position that are not done, in order.
+
+    Consecutive ones with the same state and reason become one gap.
+    """
     incomplete = [row for row in sets if row.state != "done"]
     runs: list[list[SetRow]] = []
     for before, row in pairwise([None, *incomplete]):

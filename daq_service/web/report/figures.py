@@ -105,7 +105,10 @@ def _draw_echo_panels(contents: Contents, position: PositionReport, axes: Sequen
 
 
 def _draw_points(axis: Axes, columns: Columns, name: str, factor: float, label: str) -> None:
-    """Draw each set as a point, or as a cross if its quality is not good; ``factor`` converts the unit."""
+    """Draw each set as a point, or as a cross if its quality is not good; ``factor`` converts the unit.
+
+    ``label`` names the axis. The legend appears only with crosses.
+    """
     for gid, good, style in (
         (name, True, {"linestyle": "none", "marker": "o", "color": BLUE}),
         (f"{name}-poor", False, {"linestyle": "none", "marker": "x", "color": VERMILLION, "label": POOR}),
@@ -130,7 +133,8 @@ def _draw_line(
 ) -> None:
     """Draw a column times ``factor``, or only the selected rows of it, over the hours.
 
-    Missing values are left out and do not interrupt the line.
+    Missing values are left out and do not interrupt the line. ``style`` are options of `Axes.plot`; ``gid``
+    is the id in the SVG, by default the column's name.
     """
     wanted = [True] * len(columns[name]) if rows is None else rows
     cells = zip(columns["due_h"], columns[name], wanted, strict=True)
@@ -139,9 +143,9 @@ def _draw_line(
 
 
 def _mark_gaps_and_alarms(contents: Contents, position: PositionReport, axis: Axes) -> None:
-    """Mark the gaps, alarms and annotations of a position, and those without one, in a panel.
+    """Mark gaps (shaded), alarms (dashed) and annotations (dotted) of a position in a panel.
 
-    Withdrawn annotations are left out.
+    Alarms and annotations without a position are marked, too; withdrawn annotations are left out.
     """
     for gap in contents.gaps:
         if gap.position == position.name:

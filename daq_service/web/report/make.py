@@ -18,6 +18,8 @@ def build_report_page(
         The range is empty, or has too many sets.
     StorageError
         There is no test, or it cannot be read.
+    ValidationError, OSError
+        Stored configuration, or audit log: as `contents.read_report_contents`.
     """
     # Imports matplotlib, which nothing else of the service needs.
     from daq_service.web.report.figures import draw_position_figure

@@ -87,7 +87,11 @@ def _list_alarm_rules(
 
 
 def _build_newest_row(position: PositionReport, alarms: AlarmSettings) -> Row:
-    """Return the newest value of a position and its limit as table cells, thickness in mm."""
+    """Return the newest value of a position and its limit as table cells.
+
+    A thickness is in mm; else the squared distance D², or the reason why it is missing, and the chart's
+    statistic.
+    """
     assessment, thickness = position.last.last_assessment, position.last.last_thickness
     if thickness is not None:
         return format_quantity(thickness.thickness_m, 1e3, 3, "mm"), format_quantity(
@@ -103,7 +107,7 @@ def _build_newest_row(position: PositionReport, alarms: AlarmSettings) -> Row:
 
 
 def _build_series_rows(position: PositionReport) -> Iterator[Row]:
-    """Yield a table row with statistics over the range for each measured quantity of a position."""
+    """Yield for each measured quantity of a position a table row with its statistics over the range."""
     if position.assessments is None:
         yield _build_series_row("Wall thickness", position.values, "thickness_m", 1e3, 4, "mm")
         yield _build_series_row("Lost thickness", position.values, "thickness_loss_m", 1e6, 2, "µm")

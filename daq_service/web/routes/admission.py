@@ -20,7 +20,10 @@ TOKEN_OPERATIONS = frozenset({"log_in", "log_out", "create_token", "revoke_token
 
 
 async def _provide_person(connection: HTTPConnection) -> Person:
-    """Return `read_request_person` as dependency of routes; as a coroutine it needs no thread of the pool."""
+    """Return `read_request_person` as dependency of routes; as a coroutine it needs no thread of the pool.
+
+    Raises a Problem (401) without login.
+    """
     return read_request_person(connection)
 
 

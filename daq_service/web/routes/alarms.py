@@ -21,7 +21,7 @@ ERRORS = models.describe_errors(404, 503)
 
 @router.get("/alarms/{alarm_id}", response_model=models.AlarmRow, responses=ERRORS)
 def get_alarm(alarm_id: RowId, context: ContextOf) -> JsonAnswer:
-    """Return one alarm with its evidence, its age in h and its state at present."""
+    """Return one alarm with its evidence, its age in h and its state at present; 404 without it."""
     return JsonAnswer(context.read_freshness().row(_read_alarm(context, alarm_id)))
 
 

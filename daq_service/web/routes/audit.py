@@ -88,7 +88,10 @@ def list_audit(
 
 
 def _parse_operations(what: str | None) -> frozenset[str] | None:
-    """Parse the comma-separated operations; None selects all. Raises a Problem (422) for an unknown one."""
+    """Parse comma-separated operations; None selects all.
+
+    Raises a Problem (422) that names the unknown ones.
+    """
     kinds = None if what is None else frozenset(what.split(","))
     if kinds is not None and not kinds <= set(AUDITED_OPERATIONS):
         unknown = ", ".join(sorted(kinds - set(AUDITED_OPERATIONS)))
@@ -119,13 +122,13 @@ def _convert_to_utc_ns(moment: datetime | None) -> int | None:
 
 
 def _build_audit_item(context: Context, number: int, entry: AuditEntry) -> dict[str, object]:
-    """Convert an audit entry for an answer, with its number and the outcome of its command."""
+    """Convert an audit entry for an answer, with number (``id``), RFC 3339 time and result of its command."""
     outcome = None if entry.command_id is None else _read_outcome(context, entry.command_id)
     return add_utc({"id": number, **asdict(entry), "outcome": outcome}, 0)
 
 
 def _read_outcome(context: Context, command_id: int) -> str | None:
-    """Return state and result of a command as text; None if it is unknown or the catalogue is unavailable."""
+    """Return ``STATE: RESULT`` of a command; None if it is unknown or the catalogue cannot be read."""
     try:
         state_and_time = read_command_state(context.catalogue_access.get(), command_id)
     except SolimonError:

@@ -63,7 +63,7 @@ def create_command(command: AnyCommand, execute: ExecuteOf) -> Response:
     """Store a command; the recorder executes it within 60 s, or it expires (see its `state`).
 
     Without a recorder, a command that only changes stored data (an acknowledgement) is executed before the
-    response; any other is refused (409). With a token, the author is that of the token.
+    response; any other is refused (409). With a token, the author is that of the token. Each is audited.
     """
     return execute(command)
 
@@ -77,7 +77,10 @@ def acknowledge_alarm(alarm_id: RowId, body: Acknowledgement, execute: ExecuteOf
 
 @router.get("/commands/{command_id}", response_model=CommandRow, responses=describe_errors(404, 503))
 def get_command(command_id: RowId, context: ContextOf) -> JsonAnswer:
-    """Return a command with its state, its result and, while pending, the time in s until it expires."""
+    """Return a command with its state, its result and, while pending, the time in s until it expires.
+
+    Answered with 404 if it does not exist.
+    """
     return JsonAnswer(_read_command_row(context, command_id))
 
 
@@ -114,7 +117,8 @@ def _execute_audited(context: Context, request: Request, person: Person, command
 def _store_or_execute(context: Context, command: kinds.Command) -> tuple[int, Result]:
     """Store a command for the recorder, or execute one that only changes data if no recorder runs.
 
-    Returns its id, and ``accepted`` or ``done``. Raises a Problem (404, 409) if it is not possible now.
+    Returns its id, and ``accepted`` or ``done``. Raises a Problem (404, 409) if it is not possible now, and
+    StorageError if the catalogue cannot be written.
     """
     catalogue = context.catalogue()
     try:
@@ -131,7 +135,7 @@ def _store_or_execute(context: Context, command: kinds.Command) -> tuple[int, Re
 def _execute_without_recorder(context: Context, command: kinds.StoredCommand) -> int:
     """Execute a command in the web service, without a recorder; return its id.
 
-    Raises BusyError if a recorder has started meanwhile.
+    Raises BusyError if a recorder has started meanwhile, and CommandRejectedError if it is not possible now.
     """
 
     def read_moment() -> Moment:
@@ -144,7 +148,11 @@ def _execute_without_recorder(context: Context, command: kinds.StoredCommand) ->
 
 
 def _collect_facts(context: Context, catalogue: Catalogue) -> kinds.Facts:
-    """Read the state of test, recorder, alarms and baselines that decides whether a command is possible."""
+    """Read the state of test, recorder, alarms and baselines that decides whether a command is possible.
+
+    Expired shelves are removed from the alarms. Raises a Problem (503) or StorageError if the catalogue
+    cannot be read.
+    """
     return kinds.Facts(
         recorder=context.read_freshness().recorder.status,
         recorded=is_held(context.data_folder) is not False,
@@ -160,9 +168,9 @@ def _collect_facts(context: Context, catalogue: Catalogue) -> kinds.Facts:
 
 
 def _read_command_row(context: Context, command_id: int) -> dict[str, object]:
-    """Read a command with the time in s until it expires (None unless pending).
+    """Read a command for an answer, with the time in s until it expires (None unless pending).
 
-    Raises a Problem (404) if it does not exist.
+    Raises a Problem (404) if it does not exist, or (503) without data.
     """
     state_and_time = read_command_state(context.catalogue(), command_id)
     if state_and_time is None:

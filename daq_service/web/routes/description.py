@@ -19,9 +19,10 @@ OpenApi = dict[str, Any]
 
 
 def describe_roles(document: OpenApi) -> None:
-    """Add security schemes, roles and error answers to an OpenAPI document, in place.
+    """Add security schemes to an OpenAPI document, and role and error answers to each operation, in place.
 
-    The empty alternative: a service on loopback requires no token before the first one is created.
+    An operation without an entry in `OPERATIONS` needs admin. Without a token (``{}`` in the list) a service
+    on loopback accepts requests before the first token is created. Commands get ``x-role-by-kind``.
     """
     document["components"]["securitySchemes"] = VOCABULARY.schemes
     for item in document["paths"].values():
@@ -41,7 +42,7 @@ def describe_roles(document: OpenApi) -> None:
 
 @cache
 def load_examples() -> OpenApi:
-    """Load the stored example answers by operation once (`python tests/contract/test_openapi.py`).
+    """Load the stored example answers by operation (`python tests/contract/test_openapi.py`). Cached.
 
     Raises OSError if the file cannot be read.
     """
@@ -52,7 +53,7 @@ def load_examples() -> OpenApi:
 
 
 def describe_names(document: OpenApi) -> None:
-    """Add descriptions of names, units of numbers, and examples to an OpenAPI document, in place."""
+    """Add tags, descriptions of names, units of numbers, and examples to an OpenAPI document, in place."""
     operations = [operation for item in document["paths"].values() for operation in item.values()]
     used = {tag for operation in operations for tag in operation.get("tags", ())}
     document["tags"] = [

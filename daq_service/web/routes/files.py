@@ -37,7 +37,8 @@ def get_file(
 ) -> Response:
     """Send the finished file of a set, or ranges of its bytes; it never changes.
 
-    Answered with 404 while the set is only in the journal, and with 416 for a range outside of the file.
+    Answered with 404 while the set is only in the journal, with 304 if the client has it (ETag), and with 416
+    for a range outside of the file.
     """
     row = _find_set_of_file(context, name)
     path = None if row is None or row.file is None else context.data_folder / row.file
@@ -80,7 +81,10 @@ def _find_set_of_file(context: Context, name: str) -> SetRow | None:
 
 
 def _check_byte_range(byte_range: str, n_bytes: int) -> None:
-    """Raise a Problem (416) if the header is malformed or the file does not have the byte range."""
+    """Raise a Problem (416) unless the header names one byte range that the file has at least in part.
+
+    ``byte_range`` is the header Range; ``n_bytes`` is the size of the file.
+    """
     match = RANGE.fullmatch(byte_range.replace(" ", ""))
     first, last = match.groups() if match else ("", "")
     is_valid = int(last or 0) > 0 if not first else int(first) < n_bytes and int(first) <= int(last or first)

@@ -23,7 +23,10 @@ RIG_LABELS = {
 
 @router.get("/info", response_model=Info, responses=describe_errors(503))
 def get_info(context: ContextOf) -> JsonAnswer:
-    """Return identity, rig, clock, schedule, limits and positions of the test, and any pause or request."""
+    """Return identity, version, rig, clock, schedule, limits, supply and positions of the test.
+
+    Also its pause, the request to a person at present, the last event id and the freshness of the answer.
+    """
     settings = context.settings
     fresh = context.read_freshness()
     catalogue = context.catalogue()
@@ -85,7 +88,7 @@ def get_info(context: ContextOf) -> JsonAnswer:
 
 
 def _list_limits() -> list[dict[str, str]]:
-    """Return name, description, statistic and unit of every limit."""
+    """List every limit: its name, description, statistic (``of``) and unit."""
     from analysis.statistics.named_limits import LIMITS  # with SciPy, which is slow to import
 
     return [
@@ -95,9 +98,9 @@ def _list_limits() -> list[dict[str, str]]:
 
 
 def _read_current_request(catalogue: Catalogue, fresh: Freshness) -> dict[str, object] | None:
-    """Return the request of a running recorder to a person, with the remaining time in s; None without one.
+    """Return the latest request of a running recorder to a person, with the remaining time in s.
 
-    A request whose time is over counts as none.
+    None without one, or if it was withdrawn or its time is over.
     """
     event = catalogue.read_last_service_event("asked", "asked_over")
     if event is None or event.kind != "asked" or fresh.recorder.status != "running":

@@ -52,7 +52,10 @@ def get_metrics(request: Request, context: ContextOf) -> Response:
 
 
 def render_metrics(metrics: Iterable[Metric], request: Request) -> Response:
-    """Render metrics in OpenMetrics text format, followed by the response times of this service."""
+    """Render metrics in OpenMetrics text format, followed by the response times of this service.
+
+    The errors of the iterable ``metrics`` are raised.
+    """
     registry = CollectorRegistry()
     registry.register(_FixedMetrics(metrics))
     present, times = (
@@ -79,7 +82,7 @@ def collect_service() -> Iterator[Metric]:
 
 
 def collect_clients(context: Context) -> Iterator[Metric]:
-    """Yield the numbers of open event and waveform streams of a test."""
+    """Yield the numbers of open event streams and live waveform streams of a test."""
     yield _build_gauge("stream_clients", context.hub.clients)
     yield _build_gauge("waveform_clients", context.live.clients)
 
@@ -87,7 +90,8 @@ def collect_clients(context: Context) -> Iterator[Metric]:
 def collect_test(context: Context) -> Iterator[Metric]:
     """Yield the present metrics of a test; without data, only receivers and the status of its recorder.
 
-    Raises StorageError or a Problem if the catalogue becomes unreadable meanwhile.
+    Raises StorageError or a Problem if the catalogue becomes unreadable meanwhile, and OSError if the free
+    disk space cannot be read.
     """
     yield from _collect_receiver_metrics(context)
     has_data = context.has_data()
@@ -99,7 +103,10 @@ def collect_test(context: Context) -> Iterator[Metric]:
 
 
 def _collect_receiver_metrics(context: Context) -> Iterator[Metric]:
-    """Yield sent, failed and waiting messages of each receiver, counted since the start of the service."""
+    """Yield numbers of sent messages, failed attempts and waiting changes of each receiver.
+
+    They are counted since the start of the service.
+    """
     queues = context.notifications.queues.values()
     sent = CounterMetricFamily("solimon_notifications_sent", "Messages taken", labels=("receiver",))
     failed = CounterMetricFamily("solimon_notifications_failed", "Failed attempts", labels=("receiver",))
@@ -116,7 +123,11 @@ COUNTS = ("sets", "missed_sets", "partial_sets", "shots", "pulse_echo_records")
 
 
 def _collect_data_metrics(context: Context, fresh: Freshness) -> Iterator[Metric]:
-    """Yield the metrics of recorder, stored data, disk, active alarms and positions."""
+    """Yield the metrics of recorder, stored data, disk, active alarms and positions.
+
+    Raises StorageError or a Problem if the catalogue cannot be read, and OSError if the free disk space
+    cannot.
+    """
     catalogue = context.catalogue()
     yield _build_recorder_metric(fresh.recorder.status)
     yield _build_gauge("heartbeat_age_seconds", fresh.recorder.beat_age_s)
@@ -159,7 +170,7 @@ VALUES = (
 def _collect_positions(
     schedule: ScheduleSettings, thinnest_m: float, fresh: Freshness, summaries: Mapping[str, LatestRows]
 ) -> Iterator[Metric]:
-    """Yield the metrics of each position from its latest rows; ``thinnest_m`` is the alarm limit.
+    """Yield the metrics of each position from its latest rows; ``thinnest_m`` is the alarm limit in m.
 
     Values that are not available have no sample.
     """
@@ -208,7 +219,7 @@ def _read_quality(summary: LatestRows) -> str | None:
 
 
 def _compute_delay_s(summary: LatestRows) -> float | None:
-    """Return the time in s from the due time of the newest set to its start; None without one."""
+    """Return the delay of the start of the newest set after its due time, s; None if no set has started."""
     row = summary.last_set
     if row is None or row.started_utc_ns is None:
         return None
@@ -221,17 +232,20 @@ def _build_recorder_metric(status: str) -> Metric:
 
 
 def _build_counter(name: str, number: int) -> Metric:
-    """Build a counter without labels, named ``solimon_NAME``; raise KeyError without a description."""
+    """Build a counter ``solimon_NAME`` without labels; raise KeyError if the name has no description."""
     return CounterMetricFamily(f"solimon_{name}", DESCRIPTIONS[name], value=number)
 
 
 def _build_gauge(name: str, number: float | None) -> Metric:
-    """Build a gauge without labels, named ``solimon_NAME``; without a value it has no sample."""
+    """Build a gauge without labels, named ``solimon_NAME``; without a value it has no sample.
+
+    Raises KeyError if the name has no description.
+    """
     return _build_labeled_gauge(name, {(): number})
 
 
 def _build_labeled_gauge(name: str, samples: Mapping[Labels, float | None], *labels: str) -> Metric:
-    """Build a gauge with a sample for each combination of labels; None values are left out.
+    """Build a gauge ``solimon_NAME`` with a sample for each combination of labels; None has no sample.
 
     Raises KeyError if the name has no description.
     """
@@ -247,7 +261,7 @@ def _build_state_gauge(
 ) -> Metric:
     """Build a state metric: one sample per known state, 1 for the present one and 0 for the others.
 
-    Combinations of labels without a state have no sample.
+    ``present`` gives the state by the values of ``labels``; combinations without a state have no sample.
     """
     samples = {
         (*of_labels, state): float(state == status)

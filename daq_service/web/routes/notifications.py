@@ -67,7 +67,10 @@ def list_deliveries(context: ContextOf, cursor: CursorText = None, limit: Limit 
 def test_receiver(
     receiver: Annotated[str, Path(max_length=32)], request: Request, person: PersonOf, context: ContextOf
 ) -> JsonAnswer:
-    """Send one test message at once, and return its result and duration; 409 while another one is sent."""
+    """Send one test message at once, and return its result and duration; the attempt is audited.
+
+    Answered with 404 for an unknown receiver, and with 409 while another test message is sent.
+    """
     queue = context.notifications.queues.get(receiver)
     if queue is None:
         names = ", ".join(context.notifications.queues) or "none"
@@ -93,7 +96,11 @@ def test_receiver(
 
 
 def _build_receiver_state(context: Context, queue: ReceiverQueue) -> dict[str, object]:
-    """Build the state of a receiver for an answer, without secrets; rules are counted from 1."""
+    """Build the state of a receiver for an answer: settings, rules, deliveries and heartbeat.
+
+    Its address is without secrets; rules are counted from 1; times are RFC 3339, and the age of the last sent
+    message is in s.
+    """
     settings, state, now_ns = (
         context.notifications.settings.receivers[queue.name],
         queue.state,
@@ -117,14 +124,17 @@ def _build_receiver_state(context: Context, queue: ReceiverQueue) -> dict[str, o
 
 
 def _name_delivery_state(state: State, now_ns: int) -> str:
-    """Return the state of deliveries: ``dead`` or ``failing``, else ``waiting`` or ``idle``."""
+    """Return the state of deliveries at UTC ``now_ns``: ``failing`` or ``dead`` (for over 600 s).
+
+    Without a failure since the last success: ``waiting`` if there are changes, else ``idle``.
+    """
     if state.failing_since_utc_ns is not None:
         return "dead" if is_receiver_dead(state, now_ns) else "failing"
     return "waiting" if state.waiting else "idle"
 
 
 def _build_heartbeat_state(settings: ReceiverSettings, state: State) -> dict[str, object] | None:
-    """Build the state of a receiver's heartbeat for an answer; None if it has none."""
+    """Build the state of a receiver's heartbeat messages for an answer; None if it gets none."""
     if settings.heartbeat_s is None:
         return None
     return add_utc(

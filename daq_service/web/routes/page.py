@@ -26,7 +26,10 @@ KEPT_S = 0.5
 
 @router.get("/")
 async def get_dashboard(request: Request) -> Response:
-    """Serve the page with the session embedded, and for a logged-in person the first answers."""
+    """Serve the HTML page of the dashboard with the session embedded as JSON.
+
+    For a logged-in person, the first answers (`_get_embedded_answers`) are embedded, too.
+    """
     answers = {b"/api/v1/session": bytes((await get_session(request)).body)}
     if request.state.person is not None and _has_test(request):
         answers |= await _get_embedded_answers(find_request_context(request))

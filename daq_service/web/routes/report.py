@@ -34,7 +34,7 @@ def get_report(
     """Return a report: identity, present state, trends, gaps, alarms, annotations and commands.
 
     It contains the audit log for persons who may read it. One report is created at a time, in a separate
-    process; a second request is answered with 503.
+    process; a second request is answered with 503. An empty range, or one with too many sets: 422.
     """
     find_last_hour(from_h, to_h)
     context.catalogue()

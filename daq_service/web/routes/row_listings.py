@@ -58,7 +58,11 @@ def add_listing_route(
     """
 
     def answer_page(context: Context, cursor: str | None, limit: int, **query: Any) -> JsonAnswer:
-        """Return one page of the rows that pass the filters, with the cursor of the next page."""
+        """Return one page of the rows that pass the filters, with the cursor of the next page.
+
+        Raises a Problem for an unknown position (404), an invalid cursor or range (422), or without data
+        (503).
+        """
         if query.get("position") is not None:
             context.validate_position(query["position"])
         name = listing.build_listing_name(resource, **query)
@@ -101,7 +105,10 @@ def add_listing_route(
 def add_quality(
     context: Context, fresh: Freshness, assessments: Sequence[rows.AssessmentRow]
 ) -> list[dict[str, object]]:
-    """Convert assessments for an answer, each with the quality of its feature or thickness, or None."""
+    """Convert assessments for an answer, each with the quality of its feature or thickness, or None.
+
+    Raises a Problem (503) or StorageError if the catalogue cannot be read.
+    """
     methods = {name: place.method for name, place in context.settings.positions.items()}
     qualities = find_assessed_qualities(context.catalogue(), methods, assessments)
     return [fresh.row(row, quality=quality) for row, quality in zip(assessments, qualities, strict=True)]
@@ -157,7 +164,7 @@ def list_shots(context: ContextOf, position: str, set_index: listing.SetOfPath) 
 def list_baselines(context: ContextOf, position: listing.PositionFilter = None) -> JsonAnswer:
     """List all baselines of each position, the newest last: lifecycle, statistics, limits, provenance.
 
-    A transducer without a baseline has the planned one that is collecting.
+    A transducer without a baseline has the planned one that is collecting. An unknown position: 404.
     """
     if position is not None:
         context.validate_position(position)

@@ -38,7 +38,8 @@ async def get_session(request: Request) -> JsonAnswer:
 async def log_in(body: LogIn, request: Request, context: ContextOf) -> Response:
     """Log the page in: sets a cookie (HttpOnly, SameSite=Strict, over TLS Secure) for 30 days.
 
-    A wrong token is answered with 401, too many wrong ones with 429.
+    A wrong token is answered with 401, too many wrong ones with 429. Logins and wrong tokens are audited;
+    those answered with 429 are only counted.
     """
     try:
         person = context.access_policy.authenticate_token(body.token, find_client_address(request.scope))
@@ -65,7 +66,10 @@ async def log_in(body: LogIn, request: Request, context: ContextOf) -> Response:
 
 @router.delete("/session", response_model=Session, responses=describe_errors(403))
 async def log_out(request: Request, context: ContextOf) -> Response:
-    """Log the page out by deleting its cookie; the token stays valid until it is revoked."""
+    """Log the page out by deleting its cookie; the token stays valid until it is revoked.
+
+    The logout of a person with a token is audited.
+    """
     person = request.state.person
     if person is not None and person.role != CLAIMED:
         await to_thread(write_audit_entry, request, person, "log_out", "done")

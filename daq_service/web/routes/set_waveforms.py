@@ -35,7 +35,8 @@ def get_set_waveforms(request: Request, context: ContextOf, position: str, set_i
     """Return the accepted waveforms of a set: u32 header length, JSON header, then all samples.
 
     The header names each record (shot_index, sequence, dtype, n_samples, sample_rate_hz, pretrigger_samples;
-    volts = sum of coefficients_v[k] counts^k) and the windows in which pulses or echoes are searched.
+    volts = sum of coefficients_v[k] counts^k) and the windows in which pulses or echoes are searched, and
+    counts unreadable records (n_damaged). Answered with 404 if none is stored.
     """
     catalogue, key = context.catalogue(), SetKey.parse(set_index)._asdict()
     set_row = next(iter(catalogue.rows(SetRow, position=context.validate_position(position), **key)), None)
@@ -81,7 +82,7 @@ def get_set_waveforms(request: Request, context: ContextOf, position: str, set_i
 
 
 def _compute_windows_s(context: Context, set_row: SetRow) -> dict[str, tuple[float, float]]:
-    """Return the search windows of a set by name, as start and end in s from the trigger.
+    """Return the search windows of a set by name of pulse or echo, as start and end in s from the trigger.
 
     Empty without a reference time (first pulse, or first thickness of the test).
     """

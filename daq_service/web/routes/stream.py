@@ -54,7 +54,7 @@ async def stream_events(
 ) -> StreamingResponse:
     """Stream events after `Last-Event-ID` (or `after`), or from the next event.
 
-    At most 2000 streams are open; more are answered with 503.
+    At most 2000 streams are open; more are answered with 503, an unknown topic or invalid id with 422.
     """
     selected = _parse_topics(topics)
     if context.open_streams() >= MOST_CLIENTS:
@@ -120,7 +120,8 @@ async def generate_frames(
     """Yield frames to one client until the hub closes, the client leaves or its token is invalid.
 
     Starts after the event ``start_after`` (None: with the next event). A client that is too slow, or whose id
-    is unknown, gets a gap; a heartbeat is sent at each interval. The last frame is ``bye``.
+    is unknown, gets a gap; a heartbeat is sent at each interval. The last frame is ``bye``. Meanwhile the
+    client is counted in ``hub.clients``.
     """
     hub.clients += 1
     try:

@@ -46,7 +46,7 @@ Form = Annotated[
 
 @router.get("/tables", tags=["tables"], response_model=TableList)
 def list_tables() -> JsonAnswer:
-    """List the tables, their columns with units, and the formats that this installation can write."""
+    """List the tables with their columns (form, unit), and the formats that this installation can write."""
     items = [
         {
             "table": name,
@@ -73,7 +73,7 @@ def get_table(
     """Export a table or a range of it, always with hour, quality and the columns that identify rows.
 
     Formats that hold all rows (npz, mat, h5) are limited to 100,000 rows; two are created at a time (else
-    503).
+    503). An unknown table is answered with 404, an invalid selection or too many rows with 422.
     """
     if table not in TABLES:
         raise not_found(f"There is no table {table!r}.", f"The tables are {', '.join(TABLES)}.")
@@ -119,15 +119,15 @@ def get_waveforms(
 ) -> Response:
     """Export the accepted waveforms of a range in volts, with hour, flags and quality of each.
 
-    All must have the same length and rate, and at most 32 MB in volts; their features are in the table
-    `shot_features`.
+    All must have the same length and rate, and at most 32 MB in volts (else 422); their features are in the
+    table `shot_features`. Answered with 404 if none is stored; two files are created at a time (else 503).
     """
     context.validate_position(position)
     name = form or choose_format(request.headers.get("accept", ""))
     catalogue, fresh = context.catalogue(), context.read_freshness()
 
     def export_selected() -> bytes:
-        """Read the selected waveforms and encode them as a file."""
+        """Read the selected waveforms, encode them as a file, and set its name in the headers."""
         choice = RecordChoice(
             position=position, from_h=from_h, to_h=to_h, first_set=first_set, last_set=last_set
         )
@@ -164,9 +164,9 @@ def choose_format(accept: str) -> str:
 
 
 def run_unless_busy(make: Callable[[], bytes]) -> bytes:
-    """Call ``make`` and return its file, unless two calls run already: each holds all rows in memory.
+    """Call ``make`` and return the bytes of its file, unless two calls run already; does not wait for them.
 
-    Does not wait.
+    Each call holds all rows in memory.
 
     Raises
     ------

@@ -47,9 +47,10 @@ def list_tokens(context: ContextOf) -> JsonAnswer:
 def create_access_token(
     token_request: TokenRequest, request: Request, person: PersonOf, context: ContextOf
 ) -> Response:
-    """Create a token; its secret text is only in this response.
+    """Create a token, and audit the request; its secret text is only in this response.
 
-    Answered with 409 for an invalid name or one with a valid token, and before a first token exists.
+    Answered with 409 for an invalid name or one with a valid token, and (not audited) before a first token
+    exists.
     """
     if person.role == CLAIMED:
         raise conflict(
@@ -75,7 +76,10 @@ def create_access_token(
 def revoke_access_token(
     name: Annotated[str, Path(max_length=40)], request: Request, person: PersonOf, context: ContextOf
 ) -> Response:
-    """Revoke a token; its open streams end within seconds; 409 if there is no unrevoked one of this name."""
+    """Revoke a token, and audit the request; its open streams end within seconds.
+
+    Answered with 409 if there is no unrevoked token of this name.
+    """
     try:
         token = revoke_token(context.access_policy.tokens_path, name)
     except UsageError as error:
@@ -86,7 +90,7 @@ def revoke_access_token(
 
 
 def build_token_row(token: Token) -> dict[str, object]:
-    """Return the public data of a token for an answer, without the hash of its text."""
+    """Return name, role, state and times of a token for an answer, without the hash of its text."""
     return {
         name: getattr(token, name)
         for name in ("name", "role", "state", "created_utc", "expires_utc", "revoked_utc")

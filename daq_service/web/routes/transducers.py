@@ -78,7 +78,8 @@ def get_latest_environment(context: ContextOf) -> JsonAnswer:
 def _build_state(context: Context, fresh: Freshness, last: LatestRows) -> dict[str, object]:
     """Build the present state of a position with its newest rows and numbers of alarms.
 
-    The highest priority is that of alarms that are not suppressed.
+    Suppressed alarms are counted apart and not in the highest priority; ``shelved_until_utc`` is the first
+    end of a shelf.
     """
     place = context.settings.positions[last.position]
     assessment, alarms = last.last_assessment, last.active_alarms
@@ -104,7 +105,7 @@ def _build_state(context: Context, fresh: Freshness, last: LatestRows) -> dict[s
 def assess_position(
     place: PositionSettings, schedule: ScheduleSettings, fresh: freshness.Freshness, last: LatestRows
 ) -> PositionStanding:
-    """Return the status of a position from its latest rows: state, hour and age of the data, stale or not."""
+    """Build the status of a position from its newest rows: state, hour and age of the data, stale or not."""
     age_h = find_data_age_h(last, fresh)
     return PositionStanding(
         position=last.position,

@@ -43,7 +43,7 @@ FieldName = Annotated[
 
 
 def find_unit(field: str) -> str:
-    """Return the unit of a column from the suffix of its name; "1" is a pure number."""
+    """Return the unit of a column from the suffix of its name; "1" if no suffix names a unit."""
     for suffix, unit in (("_v_s", "V s"), ("_s", "s"), ("_v", "V"), ("_m", "m"), ("_h", "h")):
         if field.endswith(suffix):
             return unit
@@ -84,7 +84,7 @@ def get_trend(
 
     Where the range has more sets than points, an entry is a bin of `bin_sets` planned sets: the columns
     hold means, the worst quality, the first set and hour, and whether any set is an outlier. A narrower
-    range has smaller bins, at last single sets.
+    range has smaller bins, at last single sets. An unknown position: 404; an unknown column: 422.
     """
     method = context.settings.positions[context.validate_position(position)].method
     field_list = None if fields is None else ",".join(fields)
@@ -123,7 +123,7 @@ def get_trend(
 
 
 def estimate_entry_bytes(fields: Sequence[str]) -> tuple[int, int]:
-    """Return the maximum size in bytes of a set and of a bin in an answer with these columns."""
+    """Return the maximum size in bytes of a set and of a bin in an answer with these columns (``fields``)."""
     numbers = [name for name in fields if name not in _UNITLESS]
     words = _WORD_BYTES * (len(fields) - len(numbers))
     of_set = _SET_BYTES + words + _NUMBER_BYTES * len(numbers) + _REASON_BYTES * ("reason" in fields)
@@ -137,7 +137,10 @@ _UNITLESS = frozenset({"outlier", "outlier_mean_3sd", "in_baseline", "reason"})
 def read_measured_columns(
     context: Context, position: str, names: Sequence[str], first_h: float | None, last_h: float | None
 ) -> Columns:
-    """Read columns of the measured values of a position, one entry per set in order; both hours included."""
+    """Read columns of the measured values of a position, one entry per scheduled set in order.
+
+    Both hours are included; None is open. Raises StorageError if the catalogue cannot be read.
+    """
     method = METHODS[context.settings.positions[position].method]
     filters: Filters = {"position": position, "first_h": first_h, "last_h": last_h, **method.of_sets}
     return context.catalogue().columns(method.row, names, **filters)
@@ -146,9 +149,10 @@ def read_measured_columns(
 def read_trend_columns(
     context: Context, position: str, fields: Sequence[str], from_h: float | None, last_h: float | None
 ) -> Columns:
-    """Read `COMMON` and the selected columns, one entry per measured set; both hours are included.
+    """Read `COMMON` and the selected columns, one entry per measured scheduled set in order.
 
-    A set without an assessment has None in its columns.
+    Both hours are included; None is open. A set without an assessment has None in its columns. Raises
+    StorageError if the catalogue cannot be read.
     """
     measured_names = [
         name for name in fields if name in METHODS[context.settings.positions[position].method].values
@@ -182,9 +186,10 @@ _SETS_IN_A_BIN = {
 
 
 def build_bin_columns(kind: Kind, bins: NDArray[np.void], fields: Sequence[str]) -> Columns:
-    """Build the columns of `read_trend_columns` from bins, with one entry per bin.
+    """Build the columns of `read_trend_columns` from bins of sets (`kind`: class of the measured rows).
 
-    Values are means, quality is the worst one, flags are true if any set has them, ``reason`` is None.
+    One entry per bin: values are means, quality is the worst one, flags are true if any set has them, index
+    and hour are those of the first set, and ``reason`` is None.
     """
     columns: Columns = {
         "set_index": bins["first_set"].astype(int).tolist(),
@@ -208,7 +213,7 @@ def build_bin_columns(kind: Kind, bins: NDArray[np.void], fields: Sequence[str])
 
 
 def _compute_means(bins: NDArray[np.void], column: int) -> list[float]:
-    """Return the mean of a value column in each bin; NaN for a bin without values."""
+    """Return the mean of a value column (its index) in each bin; NaN for a bin without values."""
     count, total = bins["count"][:, column], bins["sum"][:, column]
     mean = np.divide(total, count, out=np.full(bins.size, np.nan), where=count > 0.0)
     # The mean of equal numbers is that number, not its neighbour.
@@ -216,7 +221,11 @@ def _compute_means(bins: NDArray[np.void], column: int) -> list[float]:
 
 
 def build_published_bins(kind: Kind, bins: NDArray[np.void], fields: Sequence[str]) -> dict[str, object]:
-    """Build the extremes, counts, first outliers and alarms of bins for an answer; None without a value."""
+    """Build the further values of bins for an answer: extremes, counts, last set and hour.
+
+    Also the first outlier and alarm of each bin; None without a value. ``kind`` is the class of the measured
+    rows.
+    """
     names = [name for name in list_bin_value_names(kind) if name in fields]
     column_of = {name: list_bin_value_names(kind).index(name) for name in names}
     return {
@@ -247,7 +256,8 @@ def get_fit(
 ) -> JsonAnswer:
     """Fit a second-order polynomial to the sets in the range; sets without a value (null) are excluded.
 
-    With too few sets the coefficients are null, and `reason` states why.
+    With too few sets the coefficients are null, and `reason` states why. An unknown position is answered with
+    404, a column that its method does not have with 422.
     """
     from analysis.errors import NotEnoughPointsError
     from analysis.statistics.trend import fit_trend_of_part

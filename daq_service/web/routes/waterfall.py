@@ -73,7 +73,8 @@ def get_waterfall(
     Octets: u32 header length, JSON header padded with spaces to a multiple of 8, then float32 (little-endian)
     of all minima by row, then of all maxima; NaN where there is no sample. No sample is lost, even with few
     rows and columns; edges of rows are at multiples of `row_sets`, so the first and last may exceed the
-    range. The time of a record counts from its anchor; a record without one is in no aligned image.
+    range. The time of a record counts from its anchor; a record without one is in no aligned image. The
+    difference to the baseline is answered with 404 before there is one.
     """
     method = context.settings.positions[context.validate_position(position)].method
     _check_parameters(method, align, from_s, to_s, rows * columns if form == "json" else 0)
@@ -157,11 +158,14 @@ class _CatalogueIndex:
         return next((SetReference(row.file) for row in rows if row.file is not None), None)
 
     def read_anchors(self, set_index: int) -> Mapping[int, float]:
-        """Read the time of the first pulse or echo of each shot of a set, s, by record; empty without any."""
+        """Read the time of the first pulse or echo of each shot of a scheduled set, s, by record number.
+
+        Empty without any.
+        """
         return extract_anchors(read_set_results(self._catalogue, SetKey(set_index)))
 
     def list_first_files(self) -> list[SetReference]:
-        """List the files of the first 50 sets of the position, without those that have none."""
+        """List the files of the first 50 attempted sets of the position, without those that have none."""
         rows = self._catalogue.rows(SetRow, position=self._position, tried=True, limit=_MOST_FIRST_SETS)
         return [SetReference(row.file) for row in rows if row.file is not None]
 
@@ -238,7 +242,7 @@ def _stack_planes(picture: Picture, *, normalised: bool) -> NDArray[np.float32]:
 def _compute_row_ends_h(picture: Picture) -> list[float]:
     """Return the end of each row in h: its last hour plus the interval of the sets around it.
 
-    1 h is the interval if only one set is known.
+    The interval is that to the next row, else that within the row, else the one before; 1 h if there is none.
     """
     rows, ends, step_h = picture.rows, [], math.nan
     for row, following in zip(rows, [*rows[1:], None][: len(rows)], strict=True):

@@ -45,7 +45,8 @@ ERRORS = describe_errors(404, 503)
 def get_live_waveform(position: str, context: ContextOf) -> Response:
     """Return the live figure: u32 header length, JSON header (volts = sum c[k] counts^k), samples.
 
-    Answered with 404 before the first record, and with 503 if the file is damaged.
+    X-Sequence and X-Written are its number and time. Answered with 404 before the first record, and with 503
+    if the file is damaged.
     """
     path = context.data_folder / "live" / f"{context.validate_position(position)}.bin"
     try:
@@ -182,7 +183,10 @@ def find_extremes_per_bin(values: NDArray[np.float64], points: int) -> NDArray[n
 
 
 def _find_quality(context: Context, position: str, set_key: SetKey, sequence: int) -> str | None:
-    """Return the quality of the features or the thickness of a record; None without a result."""
+    """Return the quality of a record from its features or thickness; None without a result.
+
+    ``sequence`` is the number of the record in the test.
+    """
     kind: type[FeatureRow] | type[ThicknessRow] = METHODS[context.settings.positions[position].method].row
     rows = context.catalogue().rows(kind, position=position, **set_key._asdict())
     return next((row.quality for row in rows if row.sequence == sequence), None)

@@ -22,7 +22,7 @@ class Followed:
         self.clients = 0
 
     async def start(self) -> None:
-        """Start the thread that follows the source; called on the event loop that clients use."""
+        """Start the daemon thread that follows the source; called on the event loop that clients use."""
         self._loop = asyncio.get_running_loop()
         self._thread = threading.Thread(target=self._follow, name=self._thread_name, daemon=True)
         self._thread.start()
@@ -44,7 +44,10 @@ class Followed:
         return self._closed
 
     async def changed(self) -> None:
-        """Wait until the data change or the source closes; return at once if it is closed."""
+        """Wait until the data change or the source closes; return at once if it is closed.
+
+        Called on the event loop. A change before the call is not noticed.
+        """
         if not self._closed:
             # One future per waiter: cancelling a shared one would cancel it for all.
             waiter = self._loop.create_future()
@@ -52,7 +55,7 @@ class Followed:
             await waiter
 
     def _wake_clients(self) -> None:
-        """Wake all clients that wait for a change."""
+        """Wake all clients that wait for a change; called on the event loop."""
         woken, self._waiting = self._waiting, []
         for waiter in woken:
             if not waiter.done():

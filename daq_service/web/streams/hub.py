@@ -54,7 +54,10 @@ class EventSource(Protocol):
 
 
 def encode_event(row: Mapping[str, Any]) -> EncodedEvent:
-    """Encode a row as a frame of server-sent events (WHATWG HTML) with id, topic and JSON data."""
+    """Encode a row as a frame of server-sent events (WHATWG HTML) with id, topic and JSON data.
+
+    Raises KeyError if the row has no id or topic.
+    """
     data = orjson.dumps(row)
     frame = b"id: %d\nevent: %s\ndata: %s\n\n" % (row["id"], row["topic"].encode(), data)
     return EncodedEvent(row["id"], row["topic"], frame)
@@ -82,12 +85,12 @@ class EventHub(Followed):
         self._heartbeat: asyncio.TimerHandle | None = None
 
     async def start(self) -> None:
-        """Start to follow events and to wake clients for heartbeats."""
+        """Start the thread that follows events, and wake clients for heartbeats, the first time at once."""
         await super().start()
         self._send_heartbeat()
 
     def close(self) -> None:
-        """End every stream with ``bye`` and the heartbeats; may be called again."""
+        """End every stream with ``bye`` and the heartbeats, without waiting; may be called again."""
         super().close()
         if self._heartbeat is not None:
             self._heartbeat.cancel()
@@ -103,7 +106,7 @@ class EventHub(Followed):
         return self._events[-1].id if self._events else (self._complete_after or 0)
 
     def after(self, event_id: int, limit: int | None = None) -> list[EncodedEvent]:
-        """Return the oldest ``limit`` events of the ring after an id, ascending; None returns all."""
+        """Return the oldest ``limit`` events of the ring after an id, ascending; all if ``limit`` is None."""
         first = bisect.bisect_right(self._events, event_id, key=lambda event: event.id)
         return self._events[first : None if limit is None else first + limit]
 
@@ -118,7 +121,7 @@ class EventHub(Followed):
         self._heartbeat = self._loop.call_later(self.heartbeat_interval_s, self._send_heartbeat)
 
     def _fill_ring(self, event_id: int, events: list[EncodedEvent]) -> None:
-        """Set the events of the ring, complete after ``event_id``, and wake the clients."""
+        """Replace the events of the ring, which has all after ``event_id``, and wake the clients."""
         self._complete_after, self._events = event_id, events
         self._wake_clients()
 
@@ -132,7 +135,10 @@ class EventHub(Followed):
         self._wake_clients()
 
     def _read_stored_events(self, event_id: int, last: int) -> list[EncodedEvent]:
-        """Read and encode all events after ``event_id``, at least up to the id ``last``, page by page."""
+        """Read and encode all events after ``event_id``, at least up to the id ``last``, page by page.
+
+        Raises the errors of the source.
+        """
         events: list[EncodedEvent] = []
         while event_id < last and (rows := self._source.after(event_id, PAGE_EVENTS)):
             events += map(encode_event, rows)

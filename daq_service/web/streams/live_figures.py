@@ -40,7 +40,10 @@ class LiveFigures(Followed):
         self._pictures: dict[str, Picture] = {}
 
     def find_newer_figures(self, seen: Mapping[str, int]) -> dict[str, Picture]:
-        """Return the figures that are newer than the versions in ``seen``, by position; empty without any."""
+        """Return the figures that are newer than the versions in ``seen`` (by position), by position.
+
+        Empty if there are none; positions that are not in ``seen`` are left out.
+        """
         return {
             position: picture
             for position, version in seen.items()
@@ -80,7 +83,7 @@ class LiveFigures(Followed):
 
 
 def decode_figure_header(content: bytes) -> dict[str, Any]:
-    """Decode the JSON header of a live figure.
+    """Decode the JSON header of a live figure (u32 length, header, samples).
 
     Raises
     ------

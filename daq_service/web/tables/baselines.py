@@ -29,7 +29,7 @@ def list_published_baselines(
     """List the baselines of a position (None: of all), the newest last, each with hours and temperatures.
 
     A transducer without a stored baseline gets its first one as planned; a collecting baseline counts the
-    usable sets so far.
+    usable sets so far. Raises StorageError if the catalogue cannot be read.
     """
     rows = catalogue.rows(BaselineRow, position=position)
     positions_with_baseline = {row.position for row in rows}
@@ -55,7 +55,7 @@ def list_published_baselines(
 
 
 def _count_usable_sets(catalogue: Catalogue, row: BaselineRow) -> int:
-    """Count the sets of a baseline that have every feature and a quality other than bad."""
+    """Count the scheduled sets of a baseline that have every feature and a quality other than bad."""
     first, last = row.first_set_index, row.last_set_index
     columns = catalogue.columns(
         FeatureRow,
@@ -72,7 +72,7 @@ def _count_usable_sets(catalogue: Catalogue, row: BaselineRow) -> int:
 
 
 def _read_temperatures_c(catalogue: Catalogue, first: int, last: int) -> list[float] | None:
-    """Return the minimum and maximum temperature around sets, degC; None if none was measured.
+    """Return minimum and maximum of the temperature around sets, degC, as list; None if none was measured.
 
     Both set indices are included.
     """

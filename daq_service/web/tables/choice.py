@@ -119,7 +119,7 @@ def read_pages(catalogue: Catalogue, fresh: Freshness, choice: Choice) -> Iterat
     """Yield the selected rows as columns, in pages of `PAGE_ROWS`, in the order of the table; at least one.
 
     Baselines are one page. Alarms are in their state at the moment of ``fresh``; a page of them may have
-    fewer rows, or none.
+    fewer rows, or none. Raises StorageError if the catalogue cannot be read.
     """
     experiment = catalogue.read_experiment()
     kind, names = TABLES[choice.table], [column.name for column in choice.columns]
@@ -177,7 +177,7 @@ def find_last_hour_inside(to_h: float | None) -> float | None:
 
 
 def _is_in_selected_hours(choice: Choice, first_h: float, last_h: float) -> bool:
-    """Return whether the hours ``first_h`` to ``last_h`` overlap the selected hours."""
+    """Return whether the hours ``first_h`` to ``last_h``, both included, overlap the selected hours."""
     return (choice.from_h is None or last_h >= choice.from_h) and (
         choice.to_h is None or first_h < choice.to_h
     )
@@ -189,5 +189,5 @@ def _convert_to_columns(rows_json: Sequence[Mapping[str, object]], names: Sequen
 
 
 def _convert_to_plain_value(value: object) -> object:
-    """Return a value as a file can hold it: dictionaries and lists become JSON text, others stay."""
+    """Return dictionaries and lists as JSON text, and other values unchanged: a file holds no nested ones."""
     return json.dumps(value) if isinstance(value, dict | list) else value

@@ -60,7 +60,7 @@ def _limit_rows(read: Iterator[Columns], form: str, most_rows: int) -> Iterator[
 
 
 def build_facts(experiment: ExperimentRow, fresh: Freshness, about: Facts) -> Facts:
-    """Return the facts of an exported file: ``about``, and test, present time, recorder and versions."""
+    """Return the facts of an exported file: ``about``, and test, present time, recorder and version."""
     return {
         **about,
         "test": experiment.name,

@@ -60,7 +60,7 @@ def format_facts(facts: Facts) -> str:
 
 
 def _write_csv(choice: Choice, facts: Facts, pages: Iterable[Columns]) -> Iterator[bytes]:
-    """Encode a table as CSV with a header row (UTF-8) and yield the bytes of each page."""
+    """Encode a table as CSV with a header row (UTF-8) and yield the bytes of each page; None is empty."""
     names = [column.name for column in choice.columns]
     text = io.StringIO(newline="")
     writer = csv.writer(text)
@@ -114,7 +114,7 @@ class _Drain(io.RawIOBase):
 
 
 def _create_arrow_writer(kind: str) -> Write:
-    """Return the function that writes tables as ``parquet`` or ``arrow``."""
+    """Return the function that writes tables in the format ``kind``, ``parquet`` or ``arrow``."""
 
     def write_arrow(choice: Choice, facts: Facts, pages: Iterable[Columns]) -> Iterator[bytes]:
         """Encode a table and yield the bytes of each page; raise UsageError without pyarrow."""
@@ -132,7 +132,7 @@ def _create_arrow_writer(kind: str) -> Write:
 def encode_arrow(
     arrow: Arrow, form: str, schema: Arrow, batches: Iterable[Sequence[Arrow]]
 ) -> Iterator[bytes]:
-    """Encode batches of arrays as ``parquet`` or ``arrow`` and yield the bytes after each batch.
+    """Encode batches as ``parquet`` or ``arrow`` (``form``) and yield the bytes written after each batch.
 
     The last part ends the file. Each batch has one array per field of the schema.
     """
@@ -158,7 +158,10 @@ def build_arrow_field(arrow: Arrow, column: PublishedColumn) -> Arrow:
 
 
 def to_arrow(arrow: Arrow, of_type: Arrow, values: Sequence[object]) -> Arrow:
-    """Convert the values of a column to an Arrow array; None becomes null, RFC 3339 text a time."""
+    """Convert the values of a column to an Arrow array of a type; None becomes null.
+
+    RFC 3339 text is converted if the type is a time. Raises a pyarrow error for a value of another type.
+    """
     if arrow.types.is_timestamp(of_type):
         return arrow.array(values, type=arrow.string()).cast(of_type)
     return arrow.array(values, type=of_type)

@@ -17,7 +17,8 @@ def find_assessed_qualities(
 ) -> list[str | None]:
     """Return the quality of the feature or thickness of each assessment, in their order; None if unknown.
 
-    ``methods`` gives the method of each position; KeyError is raised for a missing one.
+    ``methods`` gives the method of each position; KeyError is raised for a missing one. Raises StorageError
+    if the catalogue cannot be read.
     """
     if not rows:
         return []

@@ -32,7 +32,7 @@ UNITS = {"time_s": "s", "voltage_v": "V", **{column.name: column.unit for column
 def encode_records(
     catalogue: Catalogue, fresh: Freshness, choice: RecordChoice, records: RecordSlice, form: str
 ) -> bytes:
-    """Encode waveforms as a complete file in one of `formats.FORMATS`.
+    """Encode waveforms as a complete file in one of `formats.FORMATS` (``form``), with facts except in CSV.
 
     Raises
     ------

@@ -27,7 +27,7 @@ BYTES_A_SAMPLE = 8
 
 
 def _build_column(name: str, form: Form, unit: str = "") -> PublishedColumn:
-    """Create a column of the table of records; only ``quality`` may be missing."""
+    """Build the description of a column of facts about records; only ``quality`` may be missing."""
     return PublishedColumn(name=name, form=form, unit=unit, nullable=name in ("quality",))
 
 
@@ -169,9 +169,9 @@ def read_record_slice(
 def _read_waveforms(
     archive: FolderSetReader, position: str, sets: Mapping[int, SetRow]
 ) -> Iterator[tuple[int, Waveform]]:
-    """Yield sequence and waveform of each readable record, one set file at a time.
+    """Yield sequence and waveform of each readable record, one set file at a time, in the order of sets.
 
-    Unreadable files and records are left out.
+    Unreadable files and records are left out. ``sets`` are rows with a file, by index.
     """
     for row in sets.values():
         assert row.file is not None, "only such sets are asked for"
@@ -183,7 +183,7 @@ def _read_waveforms(
 
 
 def _require_same_sampling(position: str, first: Waveform, other: Waveform) -> None:
-    """Raise UsageError if two records differ in length, rate or pretrigger: one file has one time axis."""
+    """Raise UsageError if two waveforms differ in length, rate or pretrigger: one file has one time axis."""
     if (first.counts.size, first.sample_rate_hz, first.pretrigger_samples) != (
         *(other.counts.size, other.sample_rate_hz, other.pretrigger_samples),
     ):

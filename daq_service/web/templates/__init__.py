@@ -33,7 +33,7 @@ def render_template(template: str, **context: object) -> bytes:
 
 @cache
 def _create_environment() -> Environment:
-    """Create the Jinja environment of the templates with its filters, once; it escapes HTML."""
+    """Create the Jinja environment of the templates with its filters; it escapes HTML. Cached."""
     environment = Environment(
         loader=FileSystemLoader(Path(__file__).parent),
         autoescape=True,
@@ -54,7 +54,7 @@ def _create_environment() -> Environment:
 
 
 def format_quantity(value: float | None, factor: float = 1.0, digits: int = 2, unit: str = "") -> str:
-    """Format a value times ``factor`` with ``digits`` decimals and its unit; `NOT_KNOWN` for None."""
+    """Format a value times ``factor`` with ``digits`` decimals and ``unit``; `NOT_KNOWN` for None."""
     if value is None:
         return NOT_KNOWN
     return f"{value * factor:.{digits}f} {unit}".rstrip()
@@ -66,7 +66,10 @@ def format_significant(value: float | None, digits: int = 4) -> str:
 
 
 def format_plain_text(value: object) -> str:
-    """Format any value of a row as text: items of collections joined by commas, None as `NOT_KNOWN`."""
+    """Format any value of a row as text: items of collections joined by commas, None as `NOT_KNOWN`.
+
+    A float has four significant digits.
+    """
     if isinstance(value, Mapping):
         return ", ".join(f"{name} {format_plain_text(item)}" for name, item in value.items())
     if isinstance(value, list | tuple):
