@@ -22,7 +22,7 @@ Counts = NDArray[np.int16] | NDArray[np.int32]
 
 
 def _copy_read_only(values: NDArray[np.generic]) -> NDArray[np.generic]:
-    """Return a copy of an array whose elements cannot be assigned."""
+    """Return a copy of an array, with the same shape and type, whose elements cannot be assigned."""
     copy = np.array(values, copy=True)
     copy.flags.writeable = False
     return copy
@@ -125,7 +125,7 @@ class Waveform:
     def clipped(self) -> bool:
         """Return whether any sample is at an end of the ADC's range; False without samples.
 
-        Some boards clip at the same code on both sides, one short of the lowest: that counts too.
+        The code next to the lowest one counts too: some boards clip there.
         """
         low, high = self.calibration.full_scale_counts
         return bool(self.counts.size and (self.counts.min() <= low + 1 or self.counts.max() >= high))
@@ -158,7 +158,7 @@ class SetKey(NamedTuple):
 
     @classmethod
     def parse(cls, text: str) -> SetKey:
-        """Parse the text of a key, ``12`` or ``12.1``; ValueError if a part is not an integer."""
+        """Parse the text of a set key, ``12`` or ``12.1``; ValueError if a part is not an integer."""
         return cls(*map(int, text.split(".", 1)))
 
     @property
@@ -168,7 +168,7 @@ class SetKey(NamedTuple):
 
     @property
     def number(self) -> int:
-        """Return the key as one integer: ``unscheduled_index * 10_000_000 + set_index``.
+        """Return the key as one integer, ``unscheduled_index * 10_000_000 + set_index``.
 
         Frames of the journal and the twin's random numbers use it.
         """
@@ -176,9 +176,9 @@ class SetKey(NamedTuple):
 
     @classmethod
     def from_number(cls, number: int) -> SetKey:
-        """Return the key of a `number`; the inverse of that property.
+        """Return the key of a number that `number` returned; the inverse of that property.
 
-        Data of earlier versions store it as the index of the set.
+        Data of earlier versions store that number as the index of the set.
         """
         unscheduled_index, set_index = divmod(number, _SCHEDULED_SETS)
         return cls(set_index, unscheduled_index)
@@ -200,7 +200,7 @@ class OfSet:
 
     @property
     def set_key(self) -> SetKey:
-        """Return the key of the set, made of its two indices."""
+        """Return the key of the set, built from `set_index` and `unscheduled_index`."""
         return SetKey(self.set_index, self.unscheduled_index)
 
 
@@ -241,7 +241,7 @@ class ShotKey(OfSet):
 
     @classmethod
     def from_set(cls, set_key: SetKey, position: str, shot_index: int, attempt: int = 0) -> ShotKey:
-        """Return the key of one attempt at a shot of a set; ValueError if an index is negative."""
+        """Build the key of an attempt (0: first) at a shot of a set; ValueError if an index is negative."""
         return cls(
             position=position,
             set_index=set_key.set_index,
@@ -361,7 +361,7 @@ class ClimateReading:
 def compute_crc32(waveform: Waveform) -> int:
     """Return the CRC-32 (zlib's, 0 to 2**32 - 1) of a record's counts as little-endian bytes.
 
-    Cached, since file, acknowledgement and catalogue need the CRC-32 of the same, immutable waveform.
+    The last 64 results are cached, as file, acknowledgement and catalogue need that of the same waveform.
     """
     counts = waveform.counts
     return zlib.crc32(counts.astype(counts.dtype.newbyteorder("<"), order="C", copy=False).data)
@@ -466,7 +466,7 @@ class SetRecord(OfSet):
 
     @property
     def due(self) -> DueSet:
-        """Return when the set was due, with the position of an unscheduled set (None: scheduled)."""
+        """Return index, due time and, for an unscheduled set, position of the set, without its records."""
         return DueSet(
             set_index=self.set_index,
             unscheduled_index=self.unscheduled_index,
@@ -477,25 +477,28 @@ class SetRecord(OfSet):
 
     @property
     def records(self) -> list[Shot | PulseEchoRecord]:
-        """Return shots and pulse-echo records in the order of acquisition (by `sequence`)."""
+        """Return shots and pulse-echo records in the order of acquisition, which is that of `sequence`."""
         return sorted((*self.shots, *self.echoes), key=lambda record: record.sequence)
 
     def n_missed(self, position: str) -> int:
-        """Count the strikes or echoes of a position without a record, repetitions included."""
+        """Count the strikes or echoes of a position without a record, repetitions of a shot included."""
         return sum(item.key.position == position for item in self.missed)
 
     def n_tried(self, position: str) -> int:
-        """Count a position's first attempts: its shots with or without a record, without repetitions.
+        """Count the first attempts at a position's shots, with or without a record; repetitions do not count.
 
         A missed echo counts, a recorded one does not.
         """
         return self._list_attempts(position).count(0)
 
     def n_restrikes(self, position: str) -> int:
-        """Count the repetitions of a position's shots, with or without a record."""
+        """Count the repeated attempts at a position's shots, with or without a record."""
         return sum(attempt > 0 for attempt in self._list_attempts(position))
 
     def _list_attempts(self, position: str) -> list[int]:
-        """Return the attempt number (0: first strike) of a position's shots, then of its missed ones."""
+        """Return the attempt numbers (0: first) of a position's shots with a record, then of those without.
+
+        A missed echo is among the latter.
+        """
         tried: list[Shot | MissedShot] = [*self.shots, *self.missed]
         return [item.key.attempt for item in tried if item.key.position == position]

@@ -139,7 +139,7 @@ class AnnotationArguments(Strict):
 
     @model_validator(mode="after")
     def _check_range_order(self) -> Self:
-        """Return the arguments; ValueError if the range ends before it begins."""
+        """Return the arguments; raise ValueError if the last hour is before the first one."""
         if self.to_h is not None and self.to_h < self.from_h:
             raise ValueError(f"the range ends at {self.to_h:g} h, before {self.from_h:g} h; let it end later")
         return self
@@ -197,8 +197,8 @@ class Command(Strict):
     def find_refusal(self, facts: Facts) -> Refusal | None:
         """Return the refusal of the command in this state of the test; None if it can be executed.
 
-        A command that needs a recorder is refused if none runs or it has ended; each kind adds its own
-        conditions.
+        A command that needs a recorder is refused if none holds the lock, or if the recorder has finished or
+        stopped; each kind adds its own conditions.
         """
         ended = f"the recorder has {facts.recorder}" if facts.recorder in {"finished", "stopped"} else ""
         if self.needs_recorder and (ended or not facts.recorded):
@@ -209,7 +209,7 @@ class Command(Strict):
         return self._find_refusal(facts)
 
     def carry_out(self, test: RunningTest, order_id: int, facts: Facts) -> str | PendingAnswer:
-        """Execute the command and return its result, or a function that polls an instrument for it.
+        """Execute the command; return its result as text, or a function that polls an instrument for it.
 
         Raises
         ------
@@ -234,11 +234,14 @@ class Command(Strict):
             raise CommandRejectedError(refusal)
 
     def _find_refusal(self, facts: Facts) -> Refusal | None:
-        """Return the kind's own refusal in this state; None, the default, allows the command."""
+        """Return the refusal that is specific to this kind; None allows the command, as by default."""
         return None
 
     def _carry_out(self, test: RunningTest, order_id: int) -> str | PendingAnswer:
-        """Execute the command and return its result or a polling function. Each kind implements it."""
+        """Execute an allowed command; return its result as text, or a function that polls for it.
+
+        Each kind implements it; the default raises NotImplementedError.
+        """
         raise NotImplementedError
 
 
@@ -249,7 +252,7 @@ class FinishNow(Command):
     arguments: NoArguments = NoArguments()
 
     def _find_refusal(self, facts: Facts) -> Refusal | None:
-        """Return the refusal unless the test runs on a simulated clock; None if it does."""
+        """Return the refusal unless the test's clock can skip time (simulated and paced); else None."""
         if facts.can_skip_time:
             return None
         return Refusal(
@@ -259,7 +262,7 @@ class FinishNow(Command):
         )
 
     def _carry_out(self, test: RunningTest, order_id: int) -> str:
-        """Run the simulated clock without pacing from now on; return the result as text."""
+        """End the pacing of the simulated clock from now on; return the result as text."""
         assert isinstance(test.clock, SimulatedClock), "another clock forbids it"
         test.clock.finish_now()
         return "no pacing from here on"
@@ -284,11 +287,14 @@ class StoredCommand(Command):
     rows_only = True
 
     def _carry_out(self, test: RunningTest, order_id: int) -> str:
-        """Execute `carry_out_stored`, which also works without a recorder, and return its text."""
+        """Execute the command as `carry_out_stored` does, here in the recorder; return its result as text."""
         return self.carry_out_stored(test)
 
     def carry_out_stored(self, test: StoredTest) -> str:
-        """Execute the command in one transaction; return its result as text. Each kind implements it."""
+        """Execute an allowed command in one transaction, also without a recorder; return the result as text.
+
+        Each kind implements it; the default raises NotImplementedError.
+        """
         raise NotImplementedError
 
 
@@ -299,7 +305,10 @@ class AcknowledgeAlarm(StoredCommand):
     arguments: AlarmArguments
 
     def _find_refusal(self, facts: Facts) -> Refusal | None:
-        """Return the refusal of an unknown alarm, or one whose state needs no acknowledgement; else None."""
+        """Return the refusal of an unknown alarm, or of one whose state cannot be acknowledged; else None.
+
+        An unknown alarm is marked as ``missing``.
+        """
         wanted = self.arguments.alarm_id
         state = next((row.state for row in facts.alarms if row.id == wanted), None)
         if state in AFTER_ACKNOWLEDGEMENT:
@@ -313,7 +322,7 @@ class AcknowledgeAlarm(StoredCommand):
         )
 
     def carry_out_stored(self, test: StoredTest) -> str:
-        """Store the alarm as acknowledged, with its event; return the result as text."""
+        """Store the alarm as acknowledged by the author, with its event; return ``acknowledged``."""
         (row,) = (row for row in test.alarms.values() if row.id == self.arguments.alarm_id)
         moment = test.moment()
         test.store_alarm_changes(moment, acknowledge_alarm(row, self.author, self.arguments.note, moment))
@@ -333,7 +342,10 @@ class Pause(Command):
         return Refusal(reason, "Resume it first; a pause has one reason.") if facts.paused else None
 
     def _carry_out(self, test: RunningTest, order_id: int) -> str:
-        """Store the event that pauses the test, with author and reason; return the result as text."""
+        """Store the event that pauses the test, with author and reason; return the result as text.
+
+        The pause lasts over restarts until `Resume`.
+        """
         text = f"paused by {self.author}: {self.arguments.note}"
         test.store_event("pause", {"paused": text, "author": self.author})
         return "paused: nothing strikes until the test is resumed; due sets are missed"
@@ -364,7 +376,7 @@ class TrustClock(Command):
     arguments: NoteArguments = NoteArguments()
 
     def _find_refusal(self, facts: Facts) -> Refusal | None:
-        """Return the refusal unless the alarm `CLOCK_UNVERIFIED` is active; None if it is."""
+        """Return the refusal unless alarm ``clock_unverified`` is active, acknowledged or not; else None."""
         standing = ("unacknowledged", "acknowledged")
         if any(row.kind == CLOCK_UNVERIFIED and row.state in standing for row in facts.alarms):
             return None
@@ -373,7 +385,10 @@ class TrustClock(Command):
         )
 
     def _carry_out(self, test: RunningTest, order_id: int) -> str:
-        """Accept the computer's clock as test time; return the result as text."""
+        """Accept the computer's UTC as test time; return the result as text.
+
+        Raise ValueError if the clock is verified already.
+        """
         assert isinstance(test.clock, WallClock), "no other clock is doubted"
         return test.clock.accept_system_clock()
 
@@ -385,9 +400,9 @@ class TransducerCommand(Command):
     arguments: TransducerArguments
 
     def _find_refusal(self, facts: Facts) -> Refusal | None:
-        """Return the refusal of a position that is no solitary-wave transducer, else that of its state.
+        """Return the refusal of an unknown transducer, else what `_find_refusal_at` returns for its state.
 
-        None if the command is allowed there.
+        None allows the command; only solitary-wave transducers are known.
         """
         position = self.arguments.position
         if position not in facts.positions:
@@ -397,9 +412,9 @@ class TransducerCommand(Command):
         return self._find_refusal_at(position, states.find_disabled(facts.alarms).get(position))
 
     def _find_refusal_at(self, position: str, disabled: str | None) -> Refusal | None:
-        """Return the refusal if the position is disabled, for the reason given; None if it is enabled.
+        """Return the refusal of a disabled position; None if it is enabled. Kinds may override it.
 
-        Kinds override it.
+        ``disabled`` is the reason why it is disabled; None: it is enabled.
         """
         reason, hint = f"{position} is disabled", "Enable it when it is repaired."
         return None if disabled is None else Refusal(reason, hint, f"{reason}: {disabled}.")
@@ -411,7 +426,7 @@ class Disable(TransducerCommand):
     kind: Literal["disable"]
 
     def _carry_out(self, test: RunningTest, order_id: int) -> str:
-        """Raise the latched alarm that disables the transducer, and store it; return the result as text."""
+        """Store a latched alarm ``transducer_disabled`` for the position; return the result as text."""
         position, moment = self.arguments.position, test.moment()
         condition = states.Condition(
             position=position,
@@ -434,12 +449,15 @@ class Enable(TransducerCommand):
     kind: Literal["enable"]
 
     def _find_refusal_at(self, position: str, disabled: str | None) -> Refusal | None:
-        """Return the refusal of a position that is not disabled; None if it is."""
+        """Return the refusal of a position that is enabled (``disabled`` is None); None if it is disabled."""
         reason, hint = f"{position} is not disabled", "/api/v1/transducers lists which are, and why."
         return Refusal(reason, hint) if disabled is None else None
 
     def _carry_out(self, test: RunningTest, order_id: int) -> str:
-        """Reset the alarms that disable the transducer, and store them; return the result as text."""
+        """Reset the alarms that disable the transducer, store them, and enable it; return the result as text.
+
+        It strikes from the next set on.
+        """
         position, moment = self.arguments.position, test.moment()
         standing = [
             row
@@ -465,7 +483,10 @@ class Strike(TransducerCommand):
         return super()._find_refusal(facts)
 
     def _carry_out(self, test: RunningTest, order_id: int) -> str:
-        """Store the request for an unscheduled set; return the result as text. The set is taken later."""
+        """Store the request for an unscheduled set at the position; return the result as text.
+
+        The set is taken later. Raise ValueError if such a set cannot be requested.
+        """
         position = self.arguments.position
         reason = self.arguments.note or f"{self.author} wants to know"
         test.store(test.confirmation(position, self.author, reason))
@@ -492,7 +513,10 @@ class SupplyOn(_SupplyCommand):
     arguments: SupplyArguments = SupplyArguments()
 
     def _carry_out(self, test: RunningTest, order_id: int) -> PendingAnswer:
-        """Send the command to the supply without waiting; return a function that polls for its answer."""
+        """Send the command on to the supply without waiting; return a function that polls for its answer.
+
+        ValueError if the supply rejects it, here or from that function. None: values as configured.
+        """
         volts, amperes = self.arguments.voltage_v, self.arguments.current_limit_a
         return test.switch.supply_on(
             self.author, test.moment().due_h, voltage_v=volts, current_limit_a=amperes
@@ -506,7 +530,10 @@ class SupplyOff(_SupplyCommand):
     arguments: NoteArguments = NoteArguments()
 
     def _carry_out(self, test: RunningTest, order_id: int) -> PendingAnswer:
-        """Send the command to the supply without waiting; return a function that polls for its answer."""
+        """Send the command off to the supply without waiting; return a function that polls for its answer.
+
+        ValueError if the supply rejects it, here or from that function.
+        """
         return test.switch.supply_off(self.author, test.moment().due_h)
 
 
@@ -517,7 +544,7 @@ class Annotate(StoredCommand):
     arguments: AnnotationArguments
 
     def _find_refusal(self, facts: Facts) -> Refusal | None:
-        """Return the refusal of an unknown position; None for a known one or the complete test."""
+        """Return the refusal of an unknown position (``missing``); None for a known one or the whole test."""
         position = self.arguments.position
         if position is None or position in facts.places:
             return None
@@ -528,7 +555,10 @@ class Annotate(StoredCommand):
         )
 
     def carry_out_stored(self, test: StoredTest) -> str:
-        """Store the annotation with its event; an instant has equal first and last hour. Return the text."""
+        """Store the annotation with its event, in one transaction; return ``noted``.
+
+        An annotation of an instant gets equal first and last hours.
+        """
         arguments = self.arguments
         row = AnnotationRow(
             position=arguments.position,
@@ -549,7 +579,7 @@ class WithdrawAnnotation(StoredCommand):
     arguments: WithdrawalArguments
 
     def _find_refusal(self, facts: Facts) -> Refusal | None:
-        """Return the refusal of an annotation that is unknown or withdrawn already; else None."""
+        """Return the refusal of an annotation that is unknown (``missing``) or was withdrawn; else None."""
         wanted = self.arguments.annotation_id
         row = next((row for row in facts.annotations if row.id == wanted), None)
         if row is None:
@@ -564,7 +594,7 @@ class WithdrawAnnotation(StoredCommand):
         )
 
     def carry_out_stored(self, test: StoredTest) -> str:
-        """Store time and author of the withdrawal; the annotation is kept. Return the result as text."""
+        """Store time and author of the withdrawal, with its event; return ``withdrawn``. The row is kept."""
         (row,) = (row for row in test.annotations() if row.id == self.arguments.annotation_id)
         withdrawn = replace(row, withdrawn_utc_ns=test.moment().utc_ns, withdrawn_by=self.author)
         test.store_annotation(withdrawn, "annotation_withdrawn")

@@ -29,14 +29,18 @@ class SupplySwitch(Protocol):
     def supply_on(
         self, author: str, hour: float, *, voltage_v: float | None, current_limit_a: float | None
     ) -> PendingAnswer:
-        """Switch the supply on; voltage and limit as configured if None.
+        """Send the command on without waiting; return a function that polls for the answer.
 
-        Return a function that polls for the answer. ``hour`` is the test time of the command.
+        Voltage in V and current limit in A are as configured if None; ``hour`` is the test hour of the
+        command. Raise ValueError if it is rejected.
         """
         ...
 
     def supply_off(self, author: str, hour: float) -> PendingAnswer:
-        """Switch the supply off; return a function that polls for the answer. ``hour`` is the test time."""
+        """Send the command off without waiting; return a function that polls for the answer.
+
+        ``hour`` is the test hour of the command. Raise ValueError if it is rejected.
+        """
         ...
 
 
@@ -72,9 +76,9 @@ class StoredTest:
         self.store(transaction)
 
     def find_alarm(self, alarm_id: int) -> AlarmRow:
-        """Return the current alarm with this id; a shelf that has expired is removed from it.
+        """Return the current alarm with this id, without its shelf if that has expired; nothing is stored.
 
-        ValueError if no current alarm has the id.
+        Raise ValueError if no current alarm has the id.
         """
         (row,) = (row for row in self.alarms.values() if row.id == alarm_id)
         return remove_expired_shelf(row, utc_ns=self.moment().utc_ns, wall_utc_ns=time.time_ns())
@@ -143,6 +147,6 @@ class RunningTest(StoredTest):
 
     @property
     def switch(self) -> SupplySwitch:
-        """Return the switch of the supply; AssertionError for a test without one."""
+        """Return the switch of the supply; AssertionError if the test has no supply."""
         assert self.supply is not None, "a test without one forbids the command"
         return self.supply

@@ -102,9 +102,9 @@ def send_command(
 
 
 def _require_listening_recorder(folder: Path, catalogue: Catalogue) -> None:
-    """Raise BusyError unless a recorder of the folder runs and executes commands.
+    """Raise BusyError unless a recorder of the folder runs and accepts commands.
 
-    The message states whether none runs, or its rig is not open yet.
+    The message states whether no recorder runs, or its rig is not open yet.
     """
     event = catalogue.read_last_service_event(*PROCESS_EVENTS)
     recorder = read_recorder_state(folder, [event.kind] if event else [])
@@ -125,7 +125,8 @@ def _wait_for_answer(
 ) -> CommandRow:
     """Poll a command every `LOOK_EVERY_S` until it is answered or has expired, and return its row.
 
-    A row whose state is still ``started`` is returned ``carried_out_within_s`` after the start was seen.
+    A command that is still ``started`` is returned so ``carried_out_within_s`` after its start was seen. A
+    pending one is waited for until its deadline. Errors of the catalogue pass through.
     """
     started_s: float | None = None
     while True:

@@ -51,16 +51,16 @@ class KindContract:
 
     @pytest.fixture
     def open_kind(self, kind: Kind[object], parameters: object, opening: Opening) -> Open:
-        """Return a function that returns the context manager of the opened instrument."""
+        """Return a function whose call gives the context manager that opens the instrument."""
         return lambda: kind.open(parameters, opening)
 
     def test_unknown_parameters_are_refused(self, kind: Kind[object], table: Mapping[str, object]) -> None:
-        """Check that an unknown key is a ValidationError that names it."""
+        """Check that an unknown key raises pydantic's ValidationError with the name of the key."""
         with pytest.raises(ValidationError, match=NO_KEY):
             TypeAdapter(kind.parameters).validate_python({**table, NO_KEY: 1})
 
     def test_parameters_cannot_be_changed(self, parameters: object) -> None:
-        """Check that assigning any parameter raises."""
+        """Check that assigning any parameter raises AttributeError or pydantic's ValidationError."""
         for name in TypeAdapter(type(parameters)).dump_python(parameters):
             with pytest.raises((AttributeError, ValidationError)):
                 setattr(parameters, name, getattr(parameters, name))
@@ -76,7 +76,7 @@ class KindContract:
     def test_the_kind_describes_its_parameters_correctly(
         self, kind: Kind[object], parameters: object
     ) -> None:
-        """Check that ``reached_by`` names parameters, packages are texts, and the longest call is finite."""
+        """Check that ``reached_by`` names parameters, packages are texts, the longest call is >= 0 s."""
         keys = TypeAdapter(kind.parameters).dump_python(parameters)
         assert all(path.partition(".")[0] in keys for path in kind.reached_by), "reached_by names parameters"
         assert all(isinstance(name, str) and name for name in kind.packages(parameters))
@@ -140,5 +140,5 @@ class _FailureAtTheRigError(Exception):
 
 
 def _normalize(distribution: str) -> str:
-    """Return a distribution's name in lower case with hyphens for underscores, to be compared."""
+    """Normalize a distribution's name for comparison: lower case, hyphens for underscores."""
     return distribution.lower().replace("_", "-")

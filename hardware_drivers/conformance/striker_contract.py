@@ -43,7 +43,7 @@ class StrikerContract:
             assert list(coil_levels())[before:] == [(key.position, ON), (key.position, OFF)]
 
     def test_an_unknown_position_is_refused_by_name(self, striker: Striker, unknown_key: ShotKey) -> None:
-        """Check that a strike at an unknown position is a ConfigurationError with its name."""
+        """Check that a strike at an unknown position raises ConfigurationError with its name."""
         with pytest.raises(ConfigurationError, match=unknown_key.position):
             striker.strike(unknown_key)
 

@@ -57,7 +57,7 @@ class ClientLock:
 
 
 def _lock_first_byte(file: IO[bytes]) -> None:
-    """Lock a file (Windows: its first byte) for this process, without waiting; OSError if it is taken."""
+    """Lock a file (Windows: its first byte) for this process without waiting; OSError if it is locked."""
     if sys.platform == "win32":
         import msvcrt
 

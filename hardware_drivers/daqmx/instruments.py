@@ -26,17 +26,16 @@ class DaqmxBoards:
         self._lands_at = 0.0
 
     def arm(self, key: ShotKey) -> None:
-        """Start the acquisition: its pre-trigger fills from now on, or after the coil's ringing.
+        """Start the acquisition of a position; its pre-trigger fills from now on, or after the holdoff.
 
-        A striker of an earlier strike that no one recorded is left to land first: its wave belongs to no
-        shot.
+        Blocks until a striker of an earlier strike without a record has landed: its wave belongs to no shot.
 
         Raises
         ------
         ConfigurationError
             Already armed, a position without input here, or a call from another thread.
         BusyError, ConnectionLostError
-            Another program holds the board, or it does not answer.
+            Another program holds the board, or it does not answer; nothing is armed.
         """
         chassis = self._chassis
         chassis.require_own_thread()
@@ -54,7 +53,7 @@ class DaqmxBoards:
         self._armed = key
 
     def read(self, timeout_s: float) -> Acquired:
-        """Wait for the record and disarm; an error leaves nothing running.
+        """Wait for the record and disarm; after an error no task is left.
 
         A complete record is returned even if ending its acquisition fails; that is logged.
 
@@ -91,7 +90,7 @@ class DaqmxBoards:
         return acquired
 
     def disarm(self) -> None:
-        """Stop waiting; harmless when not armed, and when the connection is lost.
+        """Disarm and clear the tasks; harmless when not armed, and when the connection is lost.
 
         Raise ConfigurationError in another thread than the one that opened the boards.
         """
@@ -101,7 +100,7 @@ class DaqmxBoards:
             self._chassis.clear_tasks()
 
     def strike(self, key: ShotKey) -> None:
-        """Pulse the coil once; on return it is off. In a dry run nothing moves.
+        """Pulse the coil of a position once; on return it is off. In a dry run nothing moves.
 
         Raises
         ------
@@ -132,18 +131,20 @@ class DaqmxBoards:
             self._lands_at = chassis.coil_off_at + parameters.fall_s + parameters.fall_margin_s
 
     def make_safe(self) -> None:
-        """Switch off every coil that may be on; disarm the armed acquisition.
+        """Switch off every coil that may be on, and disarm.
 
-        Raise ConnectionLostError if a coil's state is unknown; its counter ends the pulse in any case.
+        Raise ConnectionLostError if a coil's state is unknown (its counter ends the pulse in any case),
+        ConfigurationError in another thread.
         """
         self._chassis.require_own_thread()
         self._armed = None
         self._chassis.make_safe()
 
     def self_calibrate(self) -> Mapping[str, str]:
-        """Calibrate every digitizer board and read its scaling; return date and temperature by serial number.
+        """Calibrate every digitizer board; return date and temperature, as one text, by serial number.
 
-        Raise ConfigurationError while armed; other errors are those of a record.
+        Raise ConfigurationError while armed or in another thread; other instrument errors are those of a
+        record.
         """
         chassis = self._chassis
         chassis.require_own_thread()
@@ -164,14 +165,15 @@ def _require_wired_position(key: ShotKey, role: str, positions: Collection[str])
 
 @contextmanager
 def open_daqmx(parameters: DaqmxParameters) -> Iterator[Opened]:
-    """Find and check the boards, and yield the instruments; at the end the coil is off and no task is left.
+    """Find and check the boards, and yield the instruments; on exit the coil is off and no task is left.
 
     The thread that opens them is the only one that may call them.
 
     Raises
     ------
     ConfigurationError
-        No driver, a board that cannot do what is asked, wiring that does not exist.
+        No driver, a board that cannot do what is asked, wiring that does not exist, or a simulated board
+        without a dry run.
     BusyError
         Another program holds a board, named in the message.
     ConnectionLostError

@@ -204,9 +204,9 @@ class DaqmxParameters:
         self._check_watchdogs()
 
     def _check_record(self) -> None:
-        """Raise ValueError for a pre-trigger not shorter than the record, or no transducer.
+        """Raise ValueError for a pre-trigger not shorter than the record, or without a transducer.
 
-        So too for a trigger level that is not inside the range of a digitized position.
+        So too if the trigger level is not inside the range of a digitized position.
         """
         check_field_relation(self, "pretrigger_samples", "less than", "record_samples")
         if not self.transducers:
@@ -219,7 +219,7 @@ class DaqmxParameters:
                 )
 
     def check_holdoff(self, holdoff_s: float | None) -> None:
-        """Raise ValueError for a holdoff, as requested or as timed by a board, that cannot work.
+        """Raise ValueError for a holdoff (s), as requested or as timed by a board, that cannot work.
 
         It must be longer than ``ringing_s`` and shorter than the fall less the pre-trigger; None is valid
         only without ringing.
@@ -243,7 +243,10 @@ class DaqmxParameters:
             )
 
     def _check_holdoff_counter(self) -> None:
-        """Raise ValueError for a holdoff without input or coil's counter, which starts it."""
+        """Raise ValueError if a holdoff is set and a digitized position has no counter to start it.
+
+        So too if no position is digitized here.
+        """
         if self.holdoff_s is None:
             return
         alone = [name for name, wiring in self.transducers.items() if wiring.digitizes and not wiring.strikes]
@@ -270,10 +273,10 @@ class DaqmxParameters:
         )
 
     def _check_wiring(self) -> None:
-        """Raise ValueError for two transducers on one input, counter or terminal.
+        """Raise ValueError if two transducers share an input, a counter or an output terminal of one board.
 
-        A counter cannot serve two coils in turn: a route that a task has given up may stay connected, and
-        then both coils would pulse.
+        Two coils cannot use one counter in turn: its route to the earlier terminal may stay connected, and
+        both coils would then pulse.
         """
         taken: dict[tuple[int, str], str] = {}
         for position, wiring in self.transducers.items():
@@ -296,11 +299,11 @@ class DaqmxParameters:
 
     @property
     def all_watchdogs(self) -> tuple[WatchdogWiring, ...]:
-        """Return the watchdogs of all boards, in either notation; empty without any."""
+        """Return the watchdogs of all boards, from ``watchdog`` or ``watchdogs``; empty without any."""
         return (self.watchdog,) if self.watchdog is not None else self.watchdogs or ()
 
     def _check_watchdogs(self) -> None:
-        """Raise ValueError for two watchdogs of one board, or both notations at once.
+        """Raise ValueError for two watchdogs of one board, or both ``watchdog`` and ``watchdogs``.
 
         So too for a watchdog that `_check_watchdog` rejects.
         """
@@ -317,7 +320,7 @@ class DaqmxParameters:
             self._check_watchdog(watchdog)
 
     def _check_watchdog(self, watchdog: WatchdogWiring) -> None:
-        """Raise ValueError for a watchdog not longer than a strike, or of a board that drives no coil."""
+        """Raise ValueError if a watchdog's timeout is within a strike's time, or its board drives no coil."""
         if watchdog.timeout_s <= self.longest_strike_s:
             raise ValueError(
                 f"watchdog.timeout_s is {watchdog.timeout_s} s; it must be longer than a strike "
@@ -346,10 +349,7 @@ class DaqmxParameters:
 
     @property
     def initial_delay_s(self) -> float:
-        """Return the delay in s from the counter's start to the coil's pulse.
-
-        Twice the pre-trigger, which fills then.
-        """
+        """Return the delay in s from the counter's start to the coil's pulse: twice the pre-trigger."""
         return 2.0 * self.pretrigger_samples / self.sample_rate_hz
 
     @property
@@ -365,6 +365,9 @@ class DaqmxParameters:
 
 
 def _require_match(name: str, value: str, pattern: re.Pattern[str], wanted: str) -> None:
-    """Raise ValueError, with key, value and the required form, unless the pattern matches the value."""
+    """Raise ValueError, with key, value and the required form, unless the value begins with the pattern.
+
+    The patterns of this module end with the end of the text.
+    """
     if not pattern.match(value):
         raise ValueError(f"{name} is {value!r}; it must be {wanted}")

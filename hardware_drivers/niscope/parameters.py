@@ -84,10 +84,7 @@ class NiscopeParameters:
         self._check_shared_boards()
 
     def _check_shared_boards(self) -> None:
-        """Check the probes that share a board.
-
-        Raise ValueError if their serial number or other resources differ, or if two use one channel.
-        """
+        """Raise ValueError if probes of one board share a channel, or differ in the board's other keys."""
         first_on: dict[str, str] = {}
         wired: dict[tuple[str, str], str] = {}
         for position, wiring in self.probes.items():

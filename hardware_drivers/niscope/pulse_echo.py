@@ -87,12 +87,12 @@ class NiscopePulseEchoUnit:
         )
 
     def self_calibrate(self) -> Mapping[str, str]:
-        """Run the self-calibration of each board once, between sets, and configure it again.
+        """Run the self-calibration of each board once, and configure it again.
 
         Returns
         -------
         Mapping
-            By serial number: date and temperature of the calibration as the board reports them.
+            By serial number: date and temperature of the calibration as the board reports them, as one text.
 
         Raises
         ------
@@ -128,16 +128,19 @@ class NiscopePulseEchoUnit:
         return named
 
     def serial_number(self, position: str) -> str:
-        """Return the serial number that a position's board reported; empty if it was never opened."""
+        """Return the serial number that a position's board reported; empty if it was never opened.
+
+        KeyError for a position without a probe.
+        """
         board = self._connections[self._parameters.probes[position].resource].board
         return "" if board is None else board.serial_number
 
 
 @contextlib.contextmanager
 def open_niscope(parameters: NiscopeParameters) -> Iterator[NiscopePulseEchoUnit]:
-    """Open the boards of all probes and configure each once, so that a wrong value shows at the start.
+    """Open the boards of all probes, configure each probe once, and yield the unit; close all on exit.
 
-    All boards are closed on exit.
+    So a wrong value of any probe shows at the start.
 
     Raises
     ------
@@ -161,9 +164,10 @@ def open_niscope(parameters: NiscopeParameters) -> Iterator[NiscopePulseEchoUnit
 def _collect_settings(
     wiring: ProbeWiring, board: Board, setup: Setup, fetched: Fetched, averaged: AveragedRecord, warned: str
 ) -> dict[str, float | str]:
-    """Collect the settings stored with a record: board, input, trigger, calibration; SI units in the names.
+    """Collect the settings stored with a record by name, with SI units in the names.
 
-    ``driver_warnings`` is there only if the driver warned.
+    They are board, versions, input, trigger, times of the first samples (mean and spread), gain, clipped
+    records and calibration; ``driver_warnings`` only if the driver warned.
     """
     settings: dict[str, float | str] = {
         "board_serial": board.serial_number,

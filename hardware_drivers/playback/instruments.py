@@ -32,7 +32,10 @@ class Recording(StruckDigitizer):
         self._source = source
 
     def require_recorded(self, key: ShotKey, method: str) -> None:
-        """Raise ConfigurationError, with the recorded positions, unless this method was recorded there."""
+        """Raise ConfigurationError unless the key's position was recorded by this method.
+
+        The message names the positions that were.
+        """
         known = self._source.positions
         if known.get(key.position) != method:
             recorded = sorted(name for name in known if known[name] == method)
@@ -49,7 +52,8 @@ class Recording(StruckDigitizer):
     def record_of(self, key: ShotKey) -> Acquired:
         """Return the recorded shot; its ``last_attempt`` is True if no further attempt was recorded.
 
-        AcquisitionTimeoutError, with the same attribute, if this attempt has no record.
+        Raise AcquisitionTimeoutError, with the same attribute, if this attempt has no record; errors of the
+        source pass through.
         """
         last_attempt = not self._source.has_attempt(replace(key, attempt=key.attempt + 1))
         try:
@@ -59,7 +63,11 @@ class Recording(StruckDigitizer):
             raise
 
     def find(self, key: ShotKey) -> Acquired:
-        """Return the record of a shot; AcquisitionTimeoutError (a missed strike) if it was not recorded."""
+        """Return the record of a shot or echo.
+
+        Raise AcquisitionTimeoutError (a missed strike) if it was not recorded. Errors of the source pass
+        through.
+        """
         acquired = self._source.find(key)
         if acquired is None:
             raise AcquisitionTimeoutError(
@@ -102,7 +110,7 @@ class RecordedStriker:
         return tuple(self._switchings)
 
     def strike(self, key: ShotKey) -> None:
-        """Make the armed digitizer play back this shot, and record the coil's two switchings.
+        """Make the armed digitizer play back this shot, and record the two switchings of a coil, on and off.
 
         Raise ConfigurationError for a position without recorded solitary waves.
         """

@@ -129,9 +129,9 @@ class PlaybackParameters:
 
 
 def _list_named_groups(name: str, pattern: str) -> set[str]:
-    """Return the named groups of a pattern; empty if it has none.
+    """Return the named groups of a regular expression; empty if it has none.
 
-    Raise ValueError for no regular expression, or a group that is not in `KEY_PARTS`.
+    Raise ValueError, with the key ``name``, for no regular expression or a group that is not in `KEY_PARTS`.
     """
     try:
         parts = set(re.compile(pattern).groupindex)

@@ -118,7 +118,10 @@ class SupplyParameters(DriveParameters):
 
     @property
     def longest_order_s(self) -> float:
-        """Return 2 x `ORDER_REPLIES` reply timeouts: a command in s, and switching off if it fails."""
+        """Return the longest time in s of a command, with that of switching off again if it fails.
+
+        It is twice `ORDER_REPLIES` reply timeouts.
+        """
         return 2.0 * ORDER_REPLIES * self.line.reply_timeout_s
 
     def __post_init__(self) -> None:
@@ -170,7 +173,7 @@ class ClimateParameters(LogParameters):
 
 
 def check_identity_pattern(pattern: str) -> None:
-    """Raise ValueError for an identity that is no regular expression or that matches an empty text."""
+    """Raise ValueError for a pattern that is no regular expression, or that matches any text."""
     try:
         matches_anything = re.match(pattern, "") is not None
     except re.error as error:
@@ -180,7 +183,7 @@ def check_identity_pattern(pattern: str) -> None:
 
 
 def check_query_text(name: str, query: str) -> None:
-    """Raise ValueError, naming the key, for a text that is not one query.
+    """Raise ValueError, with the key ``name``, for a text that is not one query.
 
     It must be printable ASCII without a semicolon, and not blank.
     """
