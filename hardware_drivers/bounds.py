@@ -49,9 +49,9 @@ def _resolve_bounds(parameters: type) -> dict[str, list[_Bound]]:
 
 
 def _find_bounds(hint: Any) -> list[_Bound]:
-    """Return the bounds of a type hint as tuples of relation, limit and comparison; empty if it has none.
+    """Return the bounds of a type hint as tuples (relation, limit, comparison); empty if it has none.
 
-    Bounds of the parts of a union count too: ``Annotated[float, Gt(0.0)] | None``.
+    Bounds of the members of a union count too: ``Annotated[float, Gt(0.0)] | None``.
     """
     marks = getattr(hint, "__metadata__", ())
     if not marks:

@@ -69,12 +69,14 @@ class Digitizer(Protocol):
     """Digitizer that samples one transducer's sensor around a trigger."""
 
     def arm(self, key: ShotKey) -> None:
-        """Start waiting for the trigger; the pre-trigger buffer fills in time for the wave.
+        """Start waiting for the trigger of a shot; the pre-trigger buffer fills in time for the wave.
 
         Raises
         ------
         ConfigurationError
             Already armed, or no such position.
+        BusyError, ConnectionLostError
+            Another program holds the instrument, or it does not answer; nothing is armed.
         """
 
     def read(self, timeout_s: float) -> Acquired:
@@ -85,7 +87,9 @@ class Digitizer(Protocol):
         AcquisitionTimeoutError
             Nothing triggered in time; the digitizer is disarmed.
         ConfigurationError
-            Not armed.
+            Not armed, or the timeout is not positive.
+        ConnectionLostError
+            The digitizer does not answer.
         """
 
     def disarm(self) -> None:
@@ -128,14 +132,16 @@ class PulseEchoUnit(Protocol):
     """Pulse-echo unit that fires an ultrasonic probe and returns one averaged record."""
 
     def acquire(self, key: ShotKey, timeout_s: float) -> Echo:
-        """Fire the pulser and return the averaged echo of a position; waits up to ``timeout_s``.
+        """Fire the probe of a position and return the averaged echo; wait up to ``timeout_s`` (s).
 
         Raises
         ------
         AcquisitionTimeoutError
             No record in time.
         ConfigurationError
-            No such position.
+            No such position, or the timeout is not positive.
+        BusyError, ConnectionLostError
+            Another program holds the unit, or it does not answer.
         """
 
 
@@ -144,12 +150,16 @@ class PowerSupply(Protocol):
     """Corrosion supply. Only `energise` switches it on, and only a person requests that."""
 
     def read(self, timeout_s: float) -> SupplyReading:
-        """Measure voltage in V and current in A within ``timeout_s``; never switches anything.
+        """Measure voltage in V and current in A, and read the output's state, within ``timeout_s``.
+
+        Nothing is ever switched.
 
         Raises
         ------
+        ConfigurationError
+            The timeout is not positive.
         ConnectionLostError
-            The supply does not answer: what its output does is unknown.
+            The supply does not answer: the state of its output is unknown.
         """
 
     def energise(self, voltage_v: float, current_limit_a: float) -> None:
@@ -169,7 +179,7 @@ class PowerSupply(Protocol):
         Raises
         ------
         ConnectionLostError
-            The supply does not answer: what its output does is unknown.
+            The supply does not answer: the state of its output is unknown.
         """
 
     def identity(self) -> Mapping[str, str]:
@@ -188,6 +198,8 @@ class ClimateProbe(Protocol):
 
         Raises
         ------
+        ConfigurationError
+            The timeout is not positive.
         ConnectionLostError
             The probe does not answer.
         """

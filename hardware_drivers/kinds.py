@@ -199,7 +199,7 @@ def build_error_finding(subject: str, check: str, error: InstrumentError, otherw
 
 
 def _list_no_packages(parameters: object) -> Iterable[str]:
-    """Return an empty tuple: the default of `Kind.packages`, for a kind that needs no distributions."""
+    """Return an empty tuple: the default of `Kind.packages`, for a kind without further distributions."""
     return ()
 
 
@@ -209,7 +209,7 @@ def _return_zero_s(parameters: object) -> float:
 
 
 def _accept_all_positions(parameters: Any, serves: Mapping[Role, tuple[str, ...]]) -> None:
-    """Accept all positions: the default of `Kind.require`, for parameters that name no position."""
+    """Do nothing, so that all positions are accepted: the default of `Kind.require`."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

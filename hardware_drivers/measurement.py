@@ -62,7 +62,7 @@ class Calibration:
         object.__setattr__(self, "coefficients_v", _copy_read_only(coefficients))
 
     def volts(self, counts: Counts) -> NDArray[np.float64]:
-        """Convert counts of any shape into volts (float64, same shape) with the calibration polynomial."""
+        """Convert counts of any shape to volts (float64, same shape) by the polynomial `coefficients_v`."""
         code = counts.astype(np.float64)
         # Horner's rule in place, as numpy's polyval computes it: every shot passes here.
         volts: NDArray[np.float64] = self.coefficients_v[-1] * code

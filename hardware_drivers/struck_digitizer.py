@@ -25,7 +25,7 @@ class StruckDigitizer(ABC):
 
     @abstractmethod
     def require_transducer(self, key: ShotKey) -> None:
-        """Raise ConfigurationError for a position that has no solitary-wave transducer."""
+        """Raise ConfigurationError if the key's position has no solitary-wave transducer."""
 
     @abstractmethod
     def record_of(self, key: ShotKey) -> Acquired:

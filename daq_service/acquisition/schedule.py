@@ -22,12 +22,12 @@ class PhaseLike(Protocol):
 
     @property
     def until_h(self) -> float:
-        """Return the hour of the test at which the phase ends; its last set is due then."""
+        """Return the test hour at which the phase ends; a set due then still belongs to it."""
         ...
 
     @property
     def interval_h(self) -> float:
-        """Return the hours between two sets of the phase."""
+        """Return the interval in h between two sets of the phase."""
         ...
 
 

@@ -139,19 +139,19 @@ def read_audit(
     end: int | None = None,
     wanted: Callable[[AuditEntry], bool] = lambda entry: True,
 ) -> tuple[list[tuple[int, AuditEntry]], int | None]:
-    """Read the newest entries that ``wanted`` accepts, newest first, as `read_newest_lines` does.
+    """Read the newest audit entries that ``wanted`` accepts, newest first; damaged lines are left out.
 
     Parameters
     ----------
     limit
-        Maximum number of entries.
+        Maximum number of entries; at most `MOST_LINES` lines are searched for them.
     end
         Byte at which the requested lines end; None: the end of the file.
 
     Returns
     -------
     tuple
-        Entries with their numbers, and the ``end`` of the earlier ones; None: there are none.
+        Entries with their line numbers, and the ``end`` of the earlier ones; None: there are none.
 
     Raises
     ------

@@ -222,12 +222,12 @@ class Command(Strict):
         return self._carry_out(test, order_id)
 
     def require_allowed(self, facts: Facts) -> None:
-        """Raise an error if these facts do not allow the command; else do nothing.
+        """Raise an error if these facts do not allow the command; otherwise do nothing.
 
         Raises
         ------
         CommandRejectedError
-            The command cannot be executed, with the reason.
+            The command cannot be executed; the error has the refusal.
         """
         refusal = self.find_refusal(facts)
         if refusal is not None:
@@ -275,7 +275,10 @@ class Stop(Command):
     arguments: NoArguments = NoArguments()
 
     def _carry_out(self, test: RunningTest, order_id: int) -> str:
-        """Set the recorder's stop request and return at once; it ends after the shot being taken."""
+        """Set the recorder's stop request and return the result as text at once.
+
+        The recorder ends after the shot being taken.
+        """
         test.stop.set()
         return "stopping after the shot being taken"
 
@@ -364,7 +367,7 @@ class Resume(Command):
         return None if facts.paused else Refusal("the test is not paused", hint)
 
     def _carry_out(self, test: RunningTest, order_id: int) -> str:
-        """Store the event that ends the pause; return the result as text."""
+        """Store the event that ends the pause, with author and note; return the result as text."""
         test.store_event("resume", {"paused": "", "author": self.author, "note": self.arguments.note})
         return "resumed: the next due set is taken"
 
@@ -476,7 +479,7 @@ class Strike(TransducerCommand):
     kind: Literal["strike"]
 
     def _find_refusal(self, facts: Facts) -> Refusal | None:
-        """Return the refusal if the test is paused or the transducer unknown or disabled; else None."""
+        """Return the refusal if the test is paused or the transducer unknown or disabled; None allows it."""
         if facts.paused:
             reason = f"the test is {facts.paused}"
             return Refusal(reason, "Resume it when all hands are out of the rig.")

@@ -66,11 +66,17 @@ class StoredTest:
     store: Callable[[SetCommit], None]
 
     def store_event(self, kind: str, payload: Mapping[str, object]) -> None:
-        """Store an event of the stream ``service``, in a transaction of its own, at the present moment."""
+        """Store one event of this kind, topic ``service``, at the present moment in its own transaction.
+
+        Errors of `store` pass through.
+        """
         self.store(SetCommit(events=[self.moment().event("service", kind, payload)]))
 
     def store_annotation(self, row: AnnotationRow, kind: str) -> None:
-        """Store a new or changed annotation together with its event of this kind in one transaction."""
+        """Store a new or changed annotation together with its event of this kind in one transaction.
+
+        Errors of `store` pass through.
+        """
         transaction = SetCommit()
         transaction.add_annotation(row, self.moment().event("annotations", kind, {}, position=row.position))
         self.store(transaction)
@@ -84,7 +90,10 @@ class StoredTest:
         return remove_expired_shelf(row, utc_ns=self.moment().utc_ns, wall_utc_ns=time.time_ns())
 
     def store_alarm_changes(self, moment: Moment, *changes: Change) -> None:
-        """Store changed alarms with their events in one transaction; no change makes an empty one."""
+        """Store changed alarms with their events in one transaction, also without any change.
+
+        Errors of `store` pass through.
+        """
         transaction = SetCommit()
         for change in changes:
             transaction.add_alarm(change.row, change.event(moment))

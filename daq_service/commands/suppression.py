@@ -96,7 +96,7 @@ class UnshelveAlarm(_AlarmOrder):
     arguments: AlarmArguments
 
     def _apply_change(self, row: AlarmRow, moment: states.Moment) -> states.Change:
-        """Return the change that ends the alarm's shelving; ValueError if it is not shelved."""
+        """Return the change that unshelves the alarm, not stored; ValueError if it is not shelved."""
         return end_suppression(row, "shelved", self.author, self.arguments.note, moment)
 
 

@@ -46,9 +46,9 @@ def integrate_charge(
 
 
 def compute_elapsed_s(before: Stamp, after: Stamp) -> float:
-    """Compute the time between two stamps in s: monotonic within a boot, UTC across boots.
+    """Compute the time in s from one time stamp to another: monotonic within a boot, UTC across boots.
 
-    Negative if the clock was set back between boots.
+    Negative if ``after`` is earlier, as when the clock was set back between boots.
     """
     if before.boot_id == after.boot_id:
         return (after.mono_ns - before.mono_ns) / NS_PER_S

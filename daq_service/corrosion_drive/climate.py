@@ -84,5 +84,5 @@ class ClimateLog:
 
 
 def _read_climate_values(reading: ClimateReading) -> tuple[float, float]:
-    """Return the temperature in degrees Celsius and the relative humidity of a reading."""
+    """Return temperature (degrees Celsius) and relative humidity (0 to 1) of a reading, to be compared."""
     return reading.temperature_c, reading.relative_humidity

@@ -104,7 +104,7 @@ class SupplyLogger:
 
     @property
     def state(self) -> DriveState:
-        """Return the state that the next supply process restores."""
+        """Return the state (charge, command, trip, pending switch-off) from which a restart continues."""
         return DriveState(
             charge=self._charge,
             command=self._command,
@@ -116,7 +116,7 @@ class SupplyLogger:
 
     @property
     def window_length(self) -> int:
-        """Return the number of readings since `restart_means`, over which the row's means are taken."""
+        """Return the number of readings since `restart_means`, from which `build_row` takes its means."""
         return len(self._window)
 
     # Called by its owner continuously ------------------------------------------------------------
@@ -267,14 +267,14 @@ class SupplyLogger:
     def energise(
         self, author: str, *, voltage_v: float | None = None, current_limit_a: float | None = None
     ) -> Reply:
-        """Switch the output on at a person's command, and reset the interlock.
+        """Switch the output on at a person's command, and reset the interlock; blocks for the supply.
 
         Parameters
         ----------
         author
             Author of the command.
         voltage_v, current_limit_a
-            As configured where not given.
+            Voltage in V and current limit in A; None: as configured.
 
         Raises
         ------

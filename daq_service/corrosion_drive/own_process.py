@@ -63,9 +63,9 @@ Jobs = Callable[[Callable[[], None]], None]
 
 @cache
 def hash_supply_settings(parameters: DriveParameters) -> str:
-    """Return the SHA-256 (hexadecimal) of solimon's version and the parameters; cached.
+    """Return the SHA-256 (hexadecimal) of solimon's version and the supply's parameters; cached.
 
-    It must be the same in a recorder and in its supply process.
+    If it differs between recorder and supply process, the recorder asks the process to hand over.
     """
     return hashlib.sha256(f"{version('solimon')} {parameters!r}".encode()).hexdigest()
 

@@ -32,7 +32,7 @@ class ReadingLog:
         self._due_ns += (missed + 1) * self._interval_ns
 
     def schedule_now(self, now_ns: int) -> None:
-        """Schedule the next attempt for now; `is_due` is True until it is recorded."""
+        """Schedule the next attempt for now; `is_due` is True until `record_attempt`."""
         self._due_ns = now_ns
 
     def schedule_within(self, now_ns: int, seconds: float) -> None:
@@ -48,7 +48,7 @@ class ReadingLog:
         return (now_ns - (self._started_ns if self._read_ns is None else self._read_ns)) / NS_PER_S
 
     def age_s(self, now_ns: int) -> float | None:
-        """Return the age of the newest reading in s; None without a reading."""
+        """Return the age in s of the newest successful reading; None if there was none."""
         return None if self._read_ns is None else self.silent_s(now_ns)
 
     def is_too_old(self, now_ns: int) -> bool:

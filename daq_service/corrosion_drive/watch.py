@@ -165,7 +165,10 @@ class DriveWatch:
         """
 
         def energise(drive: SupplyDrive) -> Reply:
-            """Command the output on with the given voltage in V and current limit in A."""
+            """Command the output on with the given voltage (V) and current limit (A); return its reply.
+
+            Errors of the drive pass through.
+            """
             return drive.energise(author, voltage_v=voltage_v, current_limit_a=current_limit_a)
 
         done, failed = "the supply is on, read back as commanded", "the supply was not switched on: {error}"

@@ -79,7 +79,7 @@ class DigitizerContract:
     def test_counts_are_read_only_codes_of_their_calibration(
         self, digitizer: Digitizer, strike: Strike, keys: Keys, timeout_s: float
     ) -> None:
-        """Check that counts are read-only and within the codes of the resolution."""
+        """Check that a record can be stored and its counts are within the codes of the ADC's resolution."""
         acquired = _acquire_record(digitizer, strike, keys[0], timeout_s)
         require_storable_record(acquired)
         lowest, highest = acquired.waveform.calibration.full_scale_counts

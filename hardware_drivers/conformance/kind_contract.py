@@ -46,7 +46,7 @@ class KindContract:
 
     @pytest.fixture
     def parameters(self, kind: Kind[object], table: Mapping[str, object]) -> object:
-        """Return the validated parameters of the kind; ValidationError if the table is not valid."""
+        """Return the parameters validated from the table; pydantic's ValidationError if it is not valid."""
         return TypeAdapter(kind.parameters).validate_python(table)
 
     @pytest.fixture
@@ -104,7 +104,7 @@ class KindContract:
                 assert isinstance(getattr(opened, role), PROTOCOLS[role]), f"it opens no {role}"
 
     def test_the_identity_is_reported(self, open_kind: Open) -> None:
-        """Check that names and values of the identity are texts and not empty."""
+        """Check that all names and values of the identity are texts that are not empty."""
         with open_kind() as opened:
             identity = opened.identity
         assert all(isinstance(text, str) and text for item in identity.items() for text in item), identity
@@ -112,7 +112,10 @@ class KindContract:
     def test_a_check_returns_findings_with_remedies(
         self, kind: Kind[object], parameters: object, opening: Opening
     ) -> None:
-        """Check that the kind's check yields findings, with a remedy for each that is not ok."""
+        """Check that the kind's check yields findings, each with a remedy unless its state is ``ok``.
+
+        An InstrumentError may end the check.
+        """
         found: list[Finding] = []
         with suppress(InstrumentError):  # ends the look as a failed finding
             found.extend(kind.check(parameters, opening))
@@ -128,7 +131,7 @@ class KindContract:
     def test_an_error_passes_through_and_it_can_be_opened_again(
         self, open_kind: Open, opening: Opening
     ) -> None:
-        """Check that closing hides no error of the block, and that the instrument opens again after it."""
+        """Check that an error raised while it is open passes through its closing, and that it opens again."""
         with pytest.raises(_FailureAtTheRigError), open_kind():
             raise _FailureAtTheRigError
         with open_kind() as opened:

@@ -121,7 +121,7 @@ def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter, config: p
 
 
 def _list_faults(config: pytest.Config) -> tuple[str, ...]:
-    """Return the faults that the chosen double can inject; none without a double."""
+    """Return the names of the faults that the chosen double can inject; empty without a double."""
     double = config.stash.get(DOUBLE, None)
     return () if double is None else double.faults
 
@@ -143,5 +143,5 @@ def _find_suite_role(item: pytest.Item) -> str | None:
 
 
 def _format_rule(nodeid: str) -> str:
-    """Format a test's name as words: ``test_reading_disarms`` becomes ``reading disarms``."""
+    """Format a test's node id as words of the rule: ``test_reading_disarms`` becomes ``reading disarms``."""
     return nodeid.rpartition("::")[2].removeprefix("test_").replace("_", " ")

@@ -68,7 +68,7 @@ class PowerSupplyContract:
         assert not any(supply.read(TIMEOUT_S).output_on for _ in range(3))
 
     def test_energise_switches_on_at_the_requested_values(self, supply: PowerSupply, order: Order) -> None:
-        """Check that `energise` switches on, within 1 % of the voltage and not above the current limit."""
+        """Check that `energise` switches on; voltage within 1 %, current positive and not above the limit."""
         supply.make_safe()
         voltage_v, current_limit_a = order
         supply.energise(voltage_v, current_limit_a)
@@ -106,7 +106,7 @@ class PowerSupplyContract:
             assert not supply.read(TIMEOUT_S).output_on
 
     def test_the_identity_is_reported(self, supply: PowerSupply) -> None:
-        """Check that the identity has maker and model, texts only, and is the same in a second query."""
+        """Check that a supply reports maker and model, as texts, and the same in a second query."""
         identity = supply.identity()
         assert identity["maker"]
         assert identity["model"]

@@ -101,7 +101,7 @@ class SafetyContract:
     def test_after_an_error_every_coil_is_off(
         self, bench: Bench, open_kind: Open, opening: Opening, fault: str
     ) -> None:
-        """Check that every coil is off after each failed strike and `make_safe`.
+        """Check that every coil is off after each strike and `make_safe` of a faulty instrument.
 
         Skipped if the bench does not report the coils.
         """
@@ -116,7 +116,10 @@ class SafetyContract:
     def test_after_a_fault_it_can_be_opened_again(
         self, bench: Bench, open_kind: Open, opening: Opening, fault: str
     ) -> None:
-        """Check that an instrument left while it fails can be opened and called again after the fault."""
+        """Check that an instrument closed while faulty can be opened again after the fault.
+
+        Every call that needs no strike then succeeds.
+        """
         with ExitStack() as still, _open_faulty_instrument(open_kind) as opened:
             # Ended last: the instrument is left while it fails.
             still.enter_context(_inject_fault(bench, fault))
@@ -162,7 +165,10 @@ def _capture_error(name: str, call: Call) -> InstrumentError | None:
 
 
 def _make_key(role: Role, opening: Opening) -> ShotKey:
-    """Return the key of shot 0 of set 0 at the first position that the instrument serves in a role."""
+    """Return the key of shot 0 of set 0 at the first position that the instrument serves in a role.
+
+    KeyError or IndexError if it serves none.
+    """
     return ShotKey(position=opening.serves[role][0], set_index=0, shot_index=0)
 
 

@@ -50,7 +50,7 @@ class StrikerContract:
     def test_a_refused_strike_moves_nothing(
         self, striker: Striker, coil_levels: CoilLevels, unknown_key: ShotKey
     ) -> None:
-        """Check that a rejected strike switches no coil on."""
+        """Check that a strike at an unknown position is refused and switches no coil on."""
         before = len(coil_levels())
         with pytest.raises(ConfigurationError):
             striker.strike(unknown_key)
@@ -64,7 +64,7 @@ class StrikerContract:
     def test_making_safe_is_never_a_pulse(
         self, striker: Striker, coil_levels: CoilLevels, keys: Keys
     ) -> None:
-        """Check that `make_safe` switches no coil on, and that it is off after a strike."""
+        """Check that `make_safe` switches no coil on, and that the struck coil is off after it."""
         before = len(coil_levels())
         striker.make_safe()
         assert all(level is OFF for _, level in coil_levels()[before:])

@@ -46,7 +46,7 @@ class OnTheBench:
 
     @pytest.fixture
     def chosen(self, pytestconfig: pytest.Config) -> ChosenInstrument:
-        """Return the instrument that the options of the command name."""
+        """Return the instrument, not opened, that the options of the command name."""
         return pytestconfig.stash[CHOSEN]
 
     @pytest.fixture
@@ -61,7 +61,7 @@ class OnTheBench:
 
     @pytest.fixture
     def parameters(self, kind: Kind[object], table: Mapping[str, object]) -> object:
-        """Return the validated parameters of the instrument; ValidationError if they are not valid."""
+        """Return the parameters validated from the table; pydantic's ValidationError if it is invalid."""
         return TypeAdapter(kind.parameters).validate_python(table)
 
     @pytest.fixture
@@ -87,7 +87,7 @@ class OnTheBench:
 
     @pytest.fixture
     def opened(self, open_kind: Open) -> Iterator[Opened]:
-        """Yield the opened instrument; it is closed at the end of the rule."""
+        """Yield the opened instrument; close it at the end of the rule. Instrument errors pass through."""
         with open_kind() as opened:
             yield opened
 
@@ -115,7 +115,7 @@ class OnTheBench:
 
     @pytest.fixture
     def coil_levels(self, bench: Bench) -> CoilLevels:
-        """Return the bench's function that reads the coils' switchings; skip the rule if it has none."""
+        """Return the bench's function that reads the switchings of coils; skip the rule if it has none."""
         if bench.coil_levels is None:
             pytest.skip("it has no coil, or nobody knows what its coils did: a double's Bench.coil_levels")
         return bench.coil_levels
@@ -128,7 +128,7 @@ class TestKind(OnTheBench, KindContract):
 
     @pytest.fixture
     def module(self, chosen: ChosenInstrument) -> str:
-        """Return the module that its entry points name."""
+        """Return the name of the module that the entry point of the kind's first role names."""
         return next(iter(chosen.offer.by_role.values())).module
 
 

@@ -213,7 +213,7 @@ def _configure_task(
 
 
 def _count_record_samples(parameters: DaqmxParameters, record: Record) -> int:
-    """Return the number of samples of a record: a complete strike for ``pulse``, else the configured one."""
+    """Return the samples of a record: those of a complete strike for ``pulse``, else ``record_samples``."""
     return parameters.whole_strike_samples if record == "pulse" else parameters.record_samples
 
 

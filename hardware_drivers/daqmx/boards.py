@@ -51,7 +51,7 @@ class Board:
 
     @property
     def label(self) -> str:
-        """Return product and serial number, the name of the board in messages."""
+        """Return product and serial number, which name the board in messages."""
         return f"{self.product} {self.serial}"
 
 
@@ -150,7 +150,7 @@ def describe_board(serial: str, device: Device) -> Board:
 
 
 def _format_board_names(boards: Mapping[str, Device]) -> str:
-    """Format serial numbers and names of boards for a message; ``none`` without boards."""
+    """Format serial numbers and names of boards as a list for a message; ``none`` without boards."""
     return ", ".join(f"{serial} ({device.name})" for serial, device in boards.items()) or "none"
 
 

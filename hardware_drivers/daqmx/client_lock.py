@@ -50,7 +50,7 @@ class ClientLock:
         self._file.flush()
 
     def release(self) -> None:
-        """Release the name by closing the lock file, which stays; harmless when done before."""
+        """Release the client name by closing the lock file, which is kept; repeated calls have no effect."""
         file, self._file = self._file, None
         if file is not None:
             file.close()

@@ -80,9 +80,10 @@ class Coil:
             self._stop_watchdog(self.watchdog)
 
     def _stop_watchdog(self, watchdog: WatchdogTask) -> None:
-        """Stop the watchdog and clear an expiration.
+        """Stop the watchdog; if it has expired, clear the expiration.
 
-        Raise AcquisitionTimeoutError if it expired: it pulled the coil low, so the strike was missed.
+        Raise AcquisitionTimeoutError if it had expired: it pulled the coil low, so the strike was missed.
+        InstrumentError if the driver fails.
         """
         with translate_errors(f"stopping the watchdog of {self.position!r}"):
             expired = bool(watchdog.expired)

@@ -79,7 +79,7 @@ def _check_grpc_server(address: str) -> Finding:
 
 
 def _check_driver_version(text: str) -> Finding:
-    """Return the finding on the driver's version; failed if it is older than `OLDEST_DRIVER`."""
+    """Return the finding on NI-DAQmx's version (``24.8.0``); failed if older than `OLDEST_DRIVER`."""
     oldest = ".".join(map(str, OLDEST_DRIVER))
     fits = tuple(int(part) for part in re.findall(r"\d+", text)) >= OLDEST_DRIVER
     return Finding(
@@ -93,7 +93,7 @@ def _check_driver_version(text: str) -> Finding:
 
 
 def _check_watchdog(parameters: DaqmxParameters, watchdog: WatchdogWiring) -> Finding:
-    """Return the finding on a watchdog; failed unless it pulls the line of each coil of its board low."""
+    """Return the finding on a watchdog; failed if the line of a coil of its board is not among its lines."""
     board = int(watchdog.board_serial, 16)
     uncovered = [
         f"{wiring.output_terminal} (position {position})"

@@ -259,7 +259,10 @@ class DaqmxParameters:
             )
 
     def _check_transport(self) -> None:
-        """Raise ValueError for an address, client name or encryption that does not fit the transport."""
+        """Raise ValueError for an address, client name or encryption that does not fit the transport.
+
+        ``grpc`` needs an address HOST:PORT; ``library`` allows neither address nor encryption.
+        """
         if self.transport == "grpc":
             _require_match("grpc_address", self.grpc_address, _ADDRESS, "host:port, like chassis.lab:31763")
         elif self.grpc_address:
@@ -354,12 +357,12 @@ class DaqmxParameters:
 
     @property
     def whole_strike_samples(self) -> int:
-        """Return the samples from the coil's switching on to the wave's end, with margin for friction."""
+        """Return the number of samples from the coil's switching on to the wave's end, friction included."""
         return math.ceil((self.longest_strike_s - self.initial_delay_s) * self.sample_rate_hz)
 
     @property
     def longest_strike_s(self) -> float:
-        """Return the time in s from the counter's start to the last sample, with margin for friction."""
+        """Return the time in s from the counter's start to the last sample, margin for friction included."""
         record_s = self.record_samples / self.sample_rate_hz
         return self.initial_delay_s + self.pulse_s + self.fall_s + self.fall_margin_s + record_s
 

@@ -63,5 +63,5 @@ class FreeInput:
         return record
 
     def close(self) -> None:
-        """Switch the coil off, clear every task and end the connection; harmless when done before."""
+        """Switch the coil off, clear every task and close the connection; repeated calls have no effect."""
         self._chassis.close()

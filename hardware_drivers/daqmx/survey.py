@@ -111,7 +111,7 @@ class Survey:
 
     @property
     def boards(self) -> tuple[BoardFacts, ...]:
-        """Return the facts of each board that answered, in the order of the survey."""
+        """Return the facts of each board that answered, in the order in which the driver lists them."""
         return tuple(self.facts_by_serial.values())
 
     def connect_driver(self, stack: ExitStack) -> Connection | None:
@@ -265,7 +265,7 @@ class Survey:
             self._rate_noise(position, board)
 
     def _check_terminal(self, subject: str, wiring: TransducerWiring, board: BoardFacts) -> None:
-        """Add the finding on the coil's output terminal; failed if its board does not have it."""
+        """Add the finding on the coil's output terminal; failed if the board does not list that terminal."""
         terminal = f"/{board.name}/{wiring.output_terminal}"
         known = terminal in board.terminals
         self._add_result(

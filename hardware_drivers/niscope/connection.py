@@ -61,7 +61,7 @@ class BoardConnection:
 
     @property
     def board(self) -> Board | None:
-        """Return the board's description from when it was last opened; None if it never was."""
+        """Return the board's description as read when it was last opened; None if it never was."""
         return self._board
 
     def prepare(self, position: str, wiring: ProbeWiring) -> tuple[Board, Setup]:
@@ -98,9 +98,9 @@ class BoardConnection:
             return board, setup, fetched, "; ".join(noted)
 
     def self_calibrate(self) -> Board:
-        """Open the board if necessary, run its self-calibration, and return its description.
+        """Open the board if necessary, run its self-calibration, and return the board's description.
 
-        It is configured again before the next record. Raise as `prepare` does.
+        It is configured again before the next record. Raise InstrumentError as `prepare` does.
         """
         with self._close_on_loss():
             board = self._open_board()

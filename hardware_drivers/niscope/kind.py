@@ -88,7 +88,10 @@ def _check_record(subject: str, echo: Echo) -> Iterator[Finding]:
 
 
 def _check_served_probes(parameters: NiscopeParameters, serves: Mapping[Role, tuple[str, ...]]) -> None:
-    """Raise ValueError for a served position without a probe, or a probe without a position."""
+    """Raise ValueError if a served position has no probe in the parameters, or a probe no served position.
+
+    ``serves`` has the positions of each role; that of the probes is ``pulse_echo``.
+    """
     wanted = set(serves.get("pulse_echo", ()))
     if missing := sorted(wanted - set(parameters.probes)):
         raise ValueError(f"probes has no {missing[0]!r}, which it serves; wire it in probes.{missing[0]}")

@@ -31,7 +31,7 @@ class NiscopePulseEchoUnit:
         self._connections = connections
 
     def acquire(self, key: ShotKey, timeout_s: float) -> Echo:
-        """Record one averaged echo.
+        """Record one averaged echo of a position; the pulser fires by itself.
 
         Parameters
         ----------
@@ -46,13 +46,13 @@ class NiscopePulseEchoUnit:
         Raises
         ------
         ConfigurationError
-            No such position, or the board cannot do what is asked.
+            No such position, the timeout is not positive, or the board cannot do what is asked.
         AcquisitionTimeoutError
             The pulser's sync did not come often enough.
         BusyError
             Another program uses the board.
         ConnectionLostError
-            The board does not answer; the next call climbs a rung of the recovery ladder.
+            The board does not answer; the next call takes the next recovery step.
         """
         require_timeout(timeout_s)
         wiring = self._parameters.probes.get(key.position)

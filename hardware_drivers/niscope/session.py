@@ -369,5 +369,5 @@ def _check_record_times(
 
 
 def read_package_version() -> str:
-    """Return the version of the installed `niscope` package."""
+    """Return the version of the installed `niscope` package; PackageNotFoundError if it is not installed."""
     return version("niscope")

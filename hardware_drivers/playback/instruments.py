@@ -46,7 +46,7 @@ class Recording(StruckDigitizer):
             )
 
     def require_transducer(self, key: ShotKey) -> None:
-        """Raise ConfigurationError for a position without recorded solitary waves."""
+        """Raise ConfigurationError if no solitary waves were recorded at the key's position."""
         self.require_recorded(key, SOLITARY_WAVE)
 
     def record_of(self, key: ShotKey) -> Acquired:
@@ -84,7 +84,7 @@ class Recording(StruckDigitizer):
         AcquisitionTimeoutError
             This echo was not recorded.
         ConfigurationError
-            No pulse-echo position was recorded there, its record is no echo, or the timeout is not positive.
+            No pulse-echo records of this position, its record is no echo, or the timeout is not positive.
         """
         require_timeout(timeout_s)
         self.require_recorded(key, PULSE_ECHO)
@@ -119,7 +119,7 @@ class RecordedStriker:
         self._recording.strike(key)
 
     def make_safe(self) -> None:
-        """Do nothing: no coil is ever energised after a strike."""
+        """Do nothing: there is no coil."""
 
 
 def build_instruments(source: ShotSource, *, wanted: Mapping[str, str] | None = None) -> Opened:
@@ -128,7 +128,7 @@ def build_instruments(source: ShotSource, *, wanted: Mapping[str, str] | None = 
     Parameters
     ----------
     wanted
-        Positions and methods that will be asked for: refused now rather than at their first strike.
+        Positions that will be used, and their method; they are checked here, not at their first strike.
 
     Raises
     ------

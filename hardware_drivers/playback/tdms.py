@@ -148,7 +148,7 @@ def open_tdms(
     Parameters
     ----------
     positions
-        Positions that will be asked for and their method. Where no pattern or property says otherwise, files
+        Positions that will be used, and their method. Unless the mapping identifies shots otherwise, files
         with all channels in one group are played by the channels' names.
 
     Raises
@@ -348,5 +348,5 @@ def _collect_settings(
 
 
 def _find_method(position: str, mapping: TdmsMapping) -> str:
-    """Return ``pulse_echo`` for a position listed in the mapping as such, else ``solitary_wave``."""
+    """Return ``pulse_echo`` if the mapping lists the position as such, else ``solitary_wave``."""
     return PULSE_ECHO if position in mapping.pulse_echo_positions else SOLITARY_WAVE

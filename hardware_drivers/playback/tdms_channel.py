@@ -56,7 +56,7 @@ class Channel:
 
     @property
     def where(self) -> str:
-        """Return file, group and channel as the beginning of a message."""
+        """Return file, group and channel as text, the beginning of a message."""
         return f"{self.path}, group {self.group!r}, channel {self.name!r}"
 
     @property
@@ -249,14 +249,14 @@ def _read_scaling(channel: Channel) -> NDArray[np.float64] | None:
 
 
 def sample_rate_hz(channel: Channel, mapping: TdmsMapping) -> float:
-    """Return the sample rate in Hz: the mapping's, else the reciprocal of the increment property.
+    """Return the sample rate in Hz: the mapping's, else the reciprocal of the increment property (s).
 
-    A rate within 1e-12 of a whole number of hertz is rounded to it.
+    A rate within 1e-12 (relative) of a whole number of hertz is rounded to it.
 
     Raises
     ------
     ConfigurationError
-        Neither is there, or the increment is not positive.
+        Neither is there, or the increment is no positive number.
     """
     if mapping.sample_rate_hz is not None:
         return mapping.sample_rate_hz

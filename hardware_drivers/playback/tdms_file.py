@@ -119,9 +119,9 @@ def _describe_channel(path: Path, file: TdmsFile, group: TdmsGroup, channel: Tdm
 
 
 def _read_raw_values(channel: TdmsChannel, first: int, n_samples: int) -> NDArray[np.generic]:
-    """Read ``n_samples`` unscaled values from sample ``first`` on, fewer at the channel's end.
+    """Read ``n_samples`` unscaled values from sample ``first`` on, 1-D; fewer at the channel's end.
 
-    Raise ConfigurationError if the channel has several DAQmx scalers.
+    Raise ConfigurationError if the channel has several DAQmx scalers; errors of npTDMS pass through.
     """
     values = channel.read_data(offset=first, length=n_samples, scaled=False)
     if isinstance(values, dict):
@@ -136,9 +136,9 @@ def _read_raw_values(channel: TdmsChannel, first: int, n_samples: int) -> NDArra
 def _require_complete_values(
     path: Path, channel: TdmsChannel, statuses: Mapping[str, ChannelSegmentStatus]
 ) -> None:
-    """Raise ConfigurationError if values of a channel are missing.
+    """Raise ConfigurationError if values of a channel are missing at the end of its last segment.
 
-    npTDMS fills them with zeros or omits them; only its status shows that.
+    npTDMS fills them with zeros or omits them; only its status, in ``statuses`` by path, shows that.
     """
     status = statuses.get(channel.path)
     if status is not None and status.read_length < status.expected_length:

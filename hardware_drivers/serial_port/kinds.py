@@ -29,7 +29,7 @@ def _list_packages(parameters: SupplyParameters | ClimateParameters) -> tuple[st
 
 @contextmanager
 def _open_supply(parameters: SupplyParameters, opening: Opening) -> Iterator[Opened]:
-    """Yield the supply and close it on exit; its first call opens the port."""
+    """Yield the supply, not connected, and close it on exit; its first call opens the port."""
     from hardware_drivers.serial_port.power_supply import ScpiPowerSupply
 
     with closing(ScpiPowerSupply(parameters, stamp=opening.stamp)) as supply:
@@ -38,7 +38,7 @@ def _open_supply(parameters: SupplyParameters, opening: Opening) -> Iterator[Ope
 
 @contextmanager
 def _open_climate_probe(parameters: ClimateParameters, opening: Opening) -> Iterator[Opened]:
-    """Yield the climate probe and close it on exit; its first call opens the port."""
+    """Yield the climate probe, not connected, and close it on exit; its first call opens the port."""
     from hardware_drivers.serial_port.climate_probe import ScpiClimateProbe
 
     with closing(ScpiClimateProbe(parameters, stamp=opening.stamp)) as probe:

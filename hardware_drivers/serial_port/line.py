@@ -98,19 +98,19 @@ class SerialLine:
     # Opening -------------------------------------------------------------------------------------
 
     def connect(self, deadline_s: float, *, at_once: bool = False) -> bool:
-        """Open the port and query the identity, unless the line is in step already.
+        """Open the port and verify the instrument's identity, unless the line is in step already.
 
         Parameters
         ----------
         deadline_s
             Monotonic time of the machine at which the call must have ended.
         at_once
-            Do not heed the wait after a failed attempt: for a person's order and for switching off.
+            Ignore the wait after a failed attempt: for a person's command and for switching off.
 
         Returns
         -------
         bool
-            True if this call brought the line into step.
+            True if this call brought the line into step; False if it was.
 
         Raises
         ------
@@ -119,7 +119,7 @@ class SerialLine:
         ConfigurationError
             No right to open it, no serial port, or another instrument is there.
         ConnectionLostError
-            No such port now, no answer, or still waiting for the next attempt.
+            No such port now, or no response. An attempt that comes too early raises the last error again.
         """
         if self.in_step:
             return False
@@ -295,16 +295,18 @@ class SerialLine:
         header: str = "",
         stray: str = "",
     ) -> float:
-        """Send a query whose response is a finite number.
+        """Send a query and return its response, a finite number.
 
         Parameters
         ----------
+        deadline_s
+            Monotonic time at which the call must have ended.
         units
-            May stand behind it, as they are or with the prefix k, m or u.
+            May follow the number, as they are or with the prefix k, m or u, which scales it.
         header
-            May stand before it; so may the question's own.
+            May precede the number; so may the query's own header.
         stray
-            May stand behind it and means nothing.
+            May follow the number and is ignored.
 
         Raises
         ------
@@ -333,20 +335,20 @@ class SerialLine:
         )
 
     def query_flag(self, question: str, deadline_s: float, *, mask: int = 0, raw: bool = False) -> bool:
-        """Send a query whose response is yes or no.
+        """Send a query whose response is yes (True) or no, and return it.
 
         Parameters
         ----------
         mask
-            The answer is a register, and any of these bits means yes; 0: it is 0 or 1 (some say OFF or ON,
-            NO or YES).
+            The response is a register, and any of these bits means yes; 0: it is 0 or 1 (or OFF or ON, NO or
+            YES).
         raw
             The register comes as one byte instead of a decimal number.
 
         Raises
         ------
         ConnectionLostError
-            As `query`, and for any other answer.
+            As `query`, and for any other response.
         """
         if raw:
             byte = self._query_bytes(question, deadline_s)
@@ -461,9 +463,9 @@ def _decode_response(raw: bytes | bytearray) -> str | None:
 
 
 def _is_instrument_name(reply: str) -> bool:
-    """Return whether a reply may be another instrument's name: it contains a letter.
+    """Return whether a response may be another instrument's name: it contains a letter.
 
-    False for a number, ON, OFF or an entry of an error queue: late responses of the right one.
+    False for a number, ON, OFF or an entry of an error queue: late responses of the right instrument.
     """
     if _ERROR_QUEUE_ENTRY.match(reply) or reply.upper() in {"ON", "OFF"}:
         return False

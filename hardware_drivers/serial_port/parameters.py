@@ -65,7 +65,7 @@ class SerialLineParameters:
 
     @property
     def address(self) -> tuple[str, int]:
-        """Return host and port of a ``tcp:`` line; ValueError if it is no HOST:PORT, 1 to 65,535."""
+        """Return host and port number of a ``tcp:HOST:PORT`` line; ValueError for any other form."""
         found = _TCP_ADDRESS.fullmatch(self.port.removeprefix(TCP_PREFIX))
         if found is None or not 0 < int(found[2]) < 65_536:
             raise ValueError(

@@ -105,7 +105,7 @@ class TcpPort:
         """Do nothing: data is never queued here."""
 
     def close(self) -> None:
-        """Close the connection; harmless when closed."""
+        """Close the connection; repeated calls have no effect."""
         self._socket.close()
 
     def _receive(self, size: int) -> bytes:
@@ -120,7 +120,9 @@ class TcpPort:
 
 
 def open_port(parameters: SerialLineParameters) -> Port:
-    """Open the serial port, TCP socket or VISA resource that the parameters name.
+    """Open the serial port, TCP socket or VISA resource that the parameters name, and return it.
+
+    A TCP connection is waited for up to the reply timeout.
 
     Raises
     ------

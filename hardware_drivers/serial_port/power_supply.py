@@ -249,7 +249,7 @@ class ScpiPowerSupply(SerialInstrument[SupplyParameters]):
             )
 
     def _check_output(self, voltage_v: float, current_limit_a: float, deadline_s: float) -> None:
-        """Measure after switching on; ConfigurationError if off or above its settings and tolerances."""
+        """Measure after switching on; ConfigurationError if off, or above set values plus tolerance."""
         parameters = self._parameters
         reading = self._measure(deadline_s)
         if not reading.output_on:
