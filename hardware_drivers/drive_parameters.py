@@ -89,6 +89,7 @@ class DriveParameters(ABC):
                 )
 
     def __post_init__(self) -> None:
+        """Raise ValueError if voltage or current limit is above its cap."""
         check_field_relation(self, "voltage_v", "at most", "voltage_cap_v")
         check_field_relation(self, "current_limit_a", "at most", "current_cap_a")
 

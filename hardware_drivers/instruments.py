@@ -225,6 +225,7 @@ class PersonRequests:
     """Requests of an instrument to a person, and their listeners."""
 
     def __init__(self) -> None:
+        """Start without a request, a shot and a listener."""
         self._text = ""
         self._key: ShotKey | None = None
         self._hear: Callable[[str, ShotKey | None], None] = lambda text, key: None
@@ -280,9 +281,11 @@ class Rig:
     identity: Mapping[str, str] = field(default_factory=dict)
 
     def __enter__(self) -> Rig:
+        """Return the rig itself."""
         return self
 
     def __exit__(self, *_: object) -> None:
+        """Make the rig safe; errors of that are raised."""
         self.make_safe()
 
     def make_safe(self) -> None:

@@ -50,6 +50,11 @@ class Calibration:
     date: str = ""
 
     def __post_init__(self) -> None:
+        """Copy the coefficients, read-only.
+
+        Raise ValueError for another shape, a resolution outside 2 to 32 bits, or a range that is not
+        positive.
+        """
         coefficients = np.atleast_1d(np.asarray(self.coefficients_v, dtype=np.float64))
         if coefficients.ndim != 1 or coefficients.size < 2:
             raise ValueError(
@@ -99,6 +104,11 @@ class Waveform:
     calibration: Calibration
 
     def __post_init__(self) -> None:
+        """Copy the counts, read-only.
+
+        Raise ValueError for another type or shape, a rate that is not positive, or a pre-trigger outside the
+        record.
+        """
         counts = np.asarray(self.counts)
         if counts.dtype not in (np.dtype(np.int16), np.dtype(np.int32)) or counts.ndim != 1:
             raise ValueError(
@@ -154,6 +164,7 @@ class SetKey(NamedTuple):
     unscheduled_index: int = 0
 
     def __str__(self) -> str:
+        """Return the key as text, ``12`` or, for an unscheduled set, ``12.1``."""
         return f"{self.set_index}.{self.unscheduled_index}" if self.unscheduled_index else str(self.set_index)
 
     @classmethod
@@ -221,6 +232,7 @@ class DueSet(OfSet):
     unscheduled_index: int = 0
 
     def __str__(self) -> str:
+        """Return the set in words for messages: ``set 12``, or ``a confirmation set at B``."""
         return f"set {self.set_index}" if self.position is None else f"a confirmation set at {self.position}"
 
 
@@ -235,6 +247,7 @@ class ShotKey(OfSet):
     unscheduled_index: int = 0
 
     def __post_init__(self) -> None:
+        """Raise ValueError if an index or the attempt is negative."""
         for name in ("set_index", "shot_index", "attempt", "unscheduled_index"):
             if getattr(self, name) < 0:
                 raise ValueError(f"{name} is {getattr(self, name)}; it must not be negative")
@@ -283,6 +296,7 @@ class _Record:
     settings: Mapping[str, float | str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
+        """Copy truth and settings into read-only mappings."""
         object.__setattr__(self, "truth", MappingProxyType(dict(self.truth)))
         object.__setattr__(self, "settings", MappingProxyType(dict(self.settings)))
 
@@ -447,6 +461,7 @@ class SetRecord(OfSet):
     unscheduled_index: int = 0
 
     def __post_init__(self) -> None:
+        """Copy positions and measurements into tuples; raise ValueError as the class describes."""
         for name in ("positions", "shots", "echoes", "missed"):
             object.__setattr__(self, name, tuple(getattr(self, name)))
         records = self.records

@@ -20,6 +20,7 @@ class StruckDigitizer(ABC):
     """What a person should do about a strike that did not come, behind a semicolon."""
 
     def __init__(self) -> None:
+        """Start disarmed, without a stored strike."""
         self._armed: ShotKey | None = None
         self._struck: ShotKey | None = None
 

@@ -70,6 +70,7 @@ class Allowance:
     """Rate limit: a burst of a maximum size, then one in each interval."""
 
     def __init__(self, most: int, every_s: float, *, machine: MachineClock = MACHINE) -> None:
+        """Start with ``most`` uses left; one use is refilled every ``every_s`` seconds."""
         self._most, self._every_s, self._machine = most, every_s, machine
         self._left, self._at_s = float(most), machine.mono_s()
 
@@ -91,6 +92,7 @@ class Audit:
     """Writer of the audit log of a data folder; thread-safe."""
 
     def __init__(self, folder: Path, *, machine: MachineClock = MACHINE) -> None:
+        """Prepare writing to ``audit.jsonl`` in the folder; no file is opened here."""
         self._path, self._machine = folder / AUDIT_FILE, machine
         self._allowances: dict[str, Allowance] = {}
         self._left_out = 0

@@ -59,6 +59,7 @@ class CommandExecutor:
         left_s: Callable[[CommandRow], float] = remaining_now_s,
         adopt: Callable[[], None] = lambda: None,
     ) -> None:
+        """Read from the catalogue whether the test is paused; no command is executed here."""
         self._catalogue = catalogue
         self._test = test
         self._left_s, self._adopt = left_s, adopt

@@ -180,6 +180,7 @@ class CommandRejectedError(ValueError):
     """Error of a command that cannot be executed now, with its ``refusal``."""
 
     def __init__(self, refusal: Refusal) -> None:
+        """Store the refusal; its reason becomes the text of the error."""
         super().__init__(refusal.reason)
         self.refusal = refusal
 

@@ -52,6 +52,7 @@ class Connection:
     """Non-blocking end of a connected socket."""
 
     def __init__(self, connected: socket.socket, key: bytes) -> None:
+        """Take over a connected socket, make it non-blocking, and store the key that signs its messages."""
         connected.setblocking(False)
         self.socket, self._key, self._pending = connected, key, b""
 
@@ -114,6 +115,7 @@ class Server:
     """Server for clients with the key; listens on a free ``port``."""
 
     def __init__(self, key: bytes) -> None:
+        """Listen on a free port of the loopback interface; OSError if that fails."""
         self._key = key
         self._listener = socket.create_server((HOST, 0))
         self._listener.setblocking(False)
@@ -122,9 +124,11 @@ class Server:
         self._selector.register(self._listener, selectors.EVENT_READ, None)
 
     def __enter__(self) -> Self:
+        """Return the server itself, which already listens."""
         return self
 
     def __exit__(self, *_: object) -> None:
+        """Close all connections and the listening socket."""
         for entry in list(self._selector.get_map().values()):
             if entry.data is not None:
                 entry.data.close()

@@ -21,6 +21,7 @@ class ClimateLog:
     """Reads the probe and rates its newest reading."""
 
     def __init__(self, probe: ClimateProbe, clock: Clock, parameters: LogParameters) -> None:
+        """Schedule the first reading for now; the probe is not read here."""
         self._probe, self._clock, self._parameters = probe, clock, parameters
         self._log = ReadingLog(parameters.log_interval_s, clock.mono_ns())
         self._reading: ClimateReading | None = None

@@ -88,6 +88,7 @@ class SupplyLogger:
     def __init__(
         self, supply: PowerSupply, clock: Clock, parameters: DriveParameters, state: DriveState
     ) -> None:
+        """Continue from ``state`` and schedule the first reading for now; nothing is sent here."""
         self._supply, self._parameters = supply, parameters
         self._clock = clock
         now_ns = clock.mono_ns()

@@ -13,6 +13,7 @@ class FileThread:
     """Thread that runs the newest job; a pending job is replaced by a newer one."""
 
     def __init__(self) -> None:
+        """Create the thread; it starts when the context is entered."""
         self._changed = threading.Condition()
         self._job: Callable[[], None] | None = None
         self._busy = self._closed = False

@@ -39,6 +39,7 @@ class DriveGuard:
         check_every_s: float,
         machine: MachineClock = MACHINE,
     ) -> None:
+        """Count the output as checked now; nothing is started here."""
         self._folder, self._remote, self._machine = folder, remote, machine
         self._check_every_s = check_every_s
         self._next_s = self._checked_s = machine.mono_s()

@@ -122,6 +122,10 @@ class DriveProcess:
         clock: Clock | None = None,
         jobs: Jobs = lambda job: job(),
     ) -> None:
+        """Take the lock, open the supply's port, and continue from the stored state of the folder.
+
+        Errors of ``take_lock`` and ``open_supply`` pass through; lock and port are then released.
+        """
         self._clock = clock or WallClock()
         self._parameters, self._folder, self._stays = parameters, folder, stays
         self._open_supply, self._supply_port, self._jobs = open_supply, supply_port, jobs

@@ -13,6 +13,7 @@ class ReadingLog:
     """Schedule of the readings of one instrument, and quality of the newest one."""
 
     def __init__(self, interval_s: float, now_ns: int) -> None:
+        """Schedule readings from ``now_ns`` (monotonic, ns) on, every ``interval_s`` seconds."""
         self._interval_ns = round(interval_s * NS_PER_S)
         self._longest_ns = round(LONGEST_GAP_INTERVALS * interval_s * NS_PER_S)
         self._due_ns = self._started_ns = now_ns

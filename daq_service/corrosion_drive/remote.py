@@ -94,6 +94,7 @@ class RemoteDrive:
         machine: MachineClock = MACHINE,
         kill: Callable[[int], None] = lambda process: os.kill(process, KILL),
     ) -> None:
+        """Store the settings of the connection; the first `tick` connects or starts the process."""
         self._parameters, self._folder, self._start = parameters, folder, start
         self._supply_port, self._watches = supply_port, watches
         self._machine, self._kill = machine, kill
@@ -111,6 +112,7 @@ class RemoteDrive:
         self._tripped: str | None = None
 
     def __enter__(self) -> Self:
+        """Return the drive itself; nothing is connected here."""
         return self
 
     def __exit__(self, *_: object) -> None:

@@ -65,6 +65,10 @@ class DriveWatch:
         store: Callable[[SetCommit], None],
         remote: RemoteDrive | None = None,
     ) -> None:
+        """Restore the supply's state from the catalogue; read neither supply nor climate probe.
+
+        With ``remote`` that state is written for its process, unless one has written its own.
+        """
         self._update_alarm = update_alarm
         self._store = store
         self._clock = rig.clock

@@ -64,6 +64,7 @@ class Chassis:
     """
 
     def __init__(self, parameters: DaqmxParameters) -> None:
+        """Connect, find the boards and commit each transducer once; after an error nothing is left."""
         self.parameters = parameters
         self.driver_version = ""
         self._thread = threading.get_ident()

@@ -26,6 +26,10 @@ class ClientLock:
     """
 
     def __init__(self, address: str, client: str) -> None:
+        """Lock the file of a client name on a server (HOST:PORT) without waiting.
+
+        The file is in the temporary folder; this process's number is written to it.
+        """
         key = hashlib.sha256(f"{address} {client}".encode()).hexdigest()[:16]
         path = Path(tempfile.gettempdir()) / f"solimon-daqmx-{key}.lock"
         refusal = (

@@ -61,6 +61,7 @@ class Connection:
     """
 
     def __init__(self, parameters: DaqmxParameters) -> None:
+        """Create the gRPC channel, or nothing for the local library; the driver is not called here."""
         self._parameters = parameters
         self._channel: Channel | None = None
         # In the library a name is seen by this process only; on a server a later process must know it.

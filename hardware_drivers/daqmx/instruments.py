@@ -21,6 +21,7 @@ class DaqmxBoards:
     """Boards of one chassis as a digitizer that samples each wave, and a striker that pulses one coil."""
 
     def __init__(self, chassis: Chassis) -> None:
+        """Use the boards of an opened chassis; nothing is armed."""
         self._chassis = chassis
         self._armed: ShotKey | None = None
         self._lands_at = 0.0

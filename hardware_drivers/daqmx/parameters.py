@@ -64,6 +64,10 @@ class TransducerWiring:
     """Terminal the pulse leaves the board at (home of `ctr0`: X, M Series PFI12, S Series Ctr0Out)."""
 
     def __post_init__(self) -> None:
+        """Raise ValueError for a serial number, input, counter or terminal of the wrong form.
+
+        So too for a ``striker_serial`` unless input and counter are both given, or if neither is given.
+        """
         _require_match("board_serial", self.board_serial, _SERIAL, "1 to 8 hexadecimal digits, like 01A2B3C4")
         if self.striker_serial:
             _require_match(
@@ -108,6 +112,7 @@ class WatchdogWiring:
     """Time without a sign of life after which the lines go low (the board's limit is about 34 s)."""
 
     def __post_init__(self) -> None:
+        """Raise ValueError for a serial number or a line of the wrong form, or without any line."""
         _require_match("board_serial", self.board_serial, _SERIAL, "1 to 8 hexadecimal digits, like 01A2B3C4")
         if not self.lines:
             raise ValueError("lines is empty; name the digital lines of the coils, like port2/line4")
@@ -133,6 +138,7 @@ class GrpcTls:
     """Name in the server's certificate, where it is not the host of `grpc_address`; empty: it is."""
 
     def __post_init__(self) -> None:
+        """Raise ValueError if only one of certificate and private key is given."""
         if (self.certificate is None) != (self.private_key is None):
             raise ValueError("certificate and private_key belong together: give both, or neither")
 
@@ -195,6 +201,7 @@ class DaqmxParameters:
     """Instead of `watchdog`, where several boards drive coils: one `[[rig.daqmx.watchdogs]]` for each."""
 
     def __post_init__(self) -> None:
+        """Copy the transducers; raise ValueError for fields that do not fit each other."""
         object.__setattr__(self, "transducers", dict(self.transducers))
         self._check_record()
         self.check_holdoff(self.holdoff_s)

@@ -29,6 +29,7 @@ class FreeInput:
     """
 
     def __init__(self, parameters: DaqmxParameters, position: str, timeout_s: float) -> None:
+        """Open and check the boards; raise as the class describes."""
         if parameters.dry_run:
             raise ConfigurationError("dry_run is true: no coil is ever energised; set it to false")
         self.position, self.parameters = position, parameters

@@ -45,6 +45,7 @@ class Deadlines(grpc.UnaryUnaryClientInterceptor):  # type: ignore[misc] # grpc 
     """
 
     def __init__(self, call_timeout_s: float) -> None:
+        """Store the time in s that a call may take in addition to its own wait."""
         self._call_timeout_s = call_timeout_s
 
     def intercept_unary_unary(
@@ -84,6 +85,10 @@ class Channel:
     def __init__(
         self, address: str, *, call_timeout_s: float, record_samples: int, tls: GrpcTls | None = None
     ) -> None:
+        """Create the channel to a server (HOST:PORT); it connects at the first call.
+
+        Raise ConfigurationError for a TLS file that cannot be read or is no PEM.
+        """
         largest = BYTES_PER_SAMPLE * record_samples + OTHER_BYTES
         options: list[tuple[str, int | str]] = [
             ("grpc.max_receive_message_length", largest),

@@ -107,6 +107,7 @@ class Survey:
 
     def __post_init__(self) -> None:
         # A rehearsal's settings would leave the trigger unchecked.
+        """Note a dry run, then clear it in the parameters, so that the trigger is checked, too."""
         self._rehearsal, self.parameters = self.parameters.dry_run, replace(self.parameters, dry_run=False)
 
     @property

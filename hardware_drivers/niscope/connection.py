@@ -49,6 +49,7 @@ class BoardConnection:
     """
 
     def __init__(self, niscope: ModuleType, parameters: NiscopeParameters, wiring: ProbeWiring) -> None:
+        """Store names and serial number of the board; the first call opens it."""
         self._niscope = niscope
         self._parameters = parameters
         self._names: Sequence[str] = (wiring.resource, *wiring.other_resources)

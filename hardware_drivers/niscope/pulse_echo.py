@@ -27,6 +27,7 @@ class NiscopePulseEchoUnit:
     """
 
     def __init__(self, parameters: NiscopeParameters, connections: Mapping[str, BoardConnection]) -> None:
+        """Use opened connections, given by the resource name of their board."""
         self._parameters = parameters
         self._connections = connections
 

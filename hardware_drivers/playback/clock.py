@@ -28,6 +28,7 @@ class RecordedClock:
     def __init__(
         self, clock: Clock, next_moment: Callable[[int], int | None], *, tolerance_s: float = 2.0
     ) -> None:
+        """Store clock and recorded moments; ValueError if ``tolerance_s`` (s) is negative or NaN."""
         if not tolerance_s >= 0.0:
             raise ValueError(f"tolerance_s is {tolerance_s}; it must be at least 0")
         self._clock = clock

@@ -28,6 +28,7 @@ class Recording(StruckDigitizer):
     """Digitizer and pulse-echo unit that play back the records of a source."""
 
     def __init__(self, source: ShotSource) -> None:
+        """Play back the records of ``source``; none is read here."""
         super().__init__()
         self._source = source
 
@@ -101,6 +102,7 @@ class RecordedStriker:
     """Striker without a coil: it selects the next shot, and records what a coil would have done."""
 
     def __init__(self, recording: Recording) -> None:
+        """Strike for this recording; no switching is recorded yet."""
         self._recording = recording
         self._switchings: deque[tuple[str, bool]] = deque(maxlen=SWITCHINGS_KEPT)
 

@@ -70,6 +70,7 @@ class ShotsBySet:
     """
 
     def __init__(self, positions: Mapping[str, str], read: Callable[[SetKey], Iterable[Record]]) -> None:
+        """Store the positions and the reader of sets; no set is read here."""
         self._positions = dict(positions)
 
         @lru_cache(maxsize=SETS_KEPT)

@@ -55,6 +55,7 @@ class _RecordLocation:
     utc_ns: int | None
 
     def __str__(self) -> str:
+        """Return file, group and channel as text, the beginning of a message."""
         return f"{self.path}, group {self.group!r}, channel {self.channel!r}"
 
 
@@ -70,6 +71,7 @@ class TdmsShots:
     """
 
     def __init__(self, places: Mapping[ShotKey, _RecordLocation], mapping: TdmsMapping) -> None:
+        """Collect positions and recorded times from the locations; no file is opened here."""
         self.places = places
         self._mapping = mapping
         self._positions = {key.position: _find_method(key.position, mapping) for key in places}
@@ -134,9 +136,11 @@ class TdmsShots:
         self._reader.close()
 
     def __enter__(self) -> TdmsShots:
+        """Return the recording itself."""
         return self
 
     def __exit__(self, *_: object) -> None:
+        """Close the file that is open, if any."""
         self.close()
 
 

@@ -62,6 +62,7 @@ class ValuesReader:
     """Reader of values; keeps the last file open."""
 
     def __init__(self) -> None:
+        """Start without an open file."""
         self._open: tuple[Path, TdmsFile] | None = None
         self._closing = ExitStack()
 

@@ -36,6 +36,7 @@ class SerialInstrument(Generic[Parameters]):
         stamp: Callable[[], Stamp],
         monotonic_s: Callable[[], float] = time.monotonic,
     ) -> None:
+        """Build the line to the instrument; nothing is opened or sent here."""
         self._parameters = parameters
         self._stamp = stamp
         self._line = SerialLine(

@@ -82,6 +82,7 @@ class SerialLine:
         identity_query: str = "*IDN?",
         monotonic_s: Callable[[], float] = time.monotonic,
     ) -> None:
+        """Start out of step with the instrument, with the port closed."""
         self.monotonic_s = monotonic_s
         self.parameters = parameters
         self._identity = re.compile(identity)

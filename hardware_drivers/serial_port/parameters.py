@@ -74,6 +74,10 @@ class SerialLineParameters:
         return found[1].strip("[]"), int(found[2])
 
     def __post_init__(self) -> None:
+        """Raise ValueError for a blank or incomplete port, or a ``tcp:`` line without HOST:PORT.
+
+        So too if the longest wait between attempts is shorter than the first.
+        """
         name = self.port.removeprefix(USB_SERIAL_PREFIX)
         if not name or name != name.strip() or not name.isprintable():
             raise ValueError(
@@ -125,6 +129,11 @@ class SupplyParameters(DriveParameters):
         return 2.0 * ORDER_REPLIES * self.line.reply_timeout_s
 
     def __post_init__(self) -> None:
+        """Raise ValueError for an invalid identity, query or setup command, or a value above its cap.
+
+        So too for a channel or protection level that the dialect does not have, and an over-voltage level not
+        above the voltage.
+        """
         DriveParameters.__post_init__(self)
         check_identity_pattern(self.identity)
         for query in self.protection_queries or ():
@@ -167,6 +176,7 @@ class ClimateParameters(LogParameters):
     """Unit in which the probe tells its relative humidity."""
 
     def __post_init__(self) -> None:
+        """Raise ValueError for an invalid identity pattern or query."""
         check_identity_pattern(self.identity)
         for name in ("identity_query", "temperature_query", "humidity_query"):
             check_query_text(name, getattr(self, name))

@@ -74,6 +74,7 @@ class TcpPort:
     """A socket gives what there is."""
 
     def __init__(self, address: tuple[str, int], timeout_s: float) -> None:
+        """Connect within ``timeout_s`` (s), which also limits each write; OSError if that fails."""
         self._timeout_s = timeout_s
         self._socket = socket.create_connection(address, timeout_s)
         self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)

@@ -43,6 +43,7 @@ class VisaPort:
     """A resource gives what there is."""
 
     def __init__(self, name: str, parameters: SerialLineParameters) -> None:
+        """Open the resource within the reply timeout; raise as the class describes."""
         self._streams = name.upper().endswith("::SOCKET")
         self._wait_ms = 1e3 * (POLL_S if self._streams else parameters.reply_timeout_s)
         self._write_ms = 1e3 * parameters.reply_timeout_s
