@@ -89,7 +89,7 @@ def _resolve(source: int, properties: Mapping[str, Any], *, limit: int) -> Polyn
     def resolve_input(name: str) -> Polynomial:
         """Return the polynomial of this scale's named input; that of the raw values if it names none.
 
-        Raise ScalingError as `_resolve` does.
+        Raise ScalingError as the enclosing function does.
         """
         return _resolve(int(properties.get(f"{prefix}{name}_Input_Source", RAW)), properties, limit=source)
 
