@@ -107,9 +107,9 @@ def check_field_relation(parameters: Any, name: str, relation: str, other: str, 
     name, other
         Fields of `parameters`; the message names both, their values and what the first must be.
     relation
-        A key of `_PAIRS`, such as ``at most``.
+        A key of `_PAIRS`, such as ``at most``; any other is a KeyError.
     unit
-        As printed behind a value, with its space.
+        Unit as printed after a value, with its space.
     """
     value, limit = getattr(parameters, name), getattr(parameters, other)
     if not _PAIRS[relation](value, limit):

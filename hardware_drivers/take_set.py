@@ -143,7 +143,9 @@ def take_set(
 def _acquire_shot(
     rig: Rig, plan: SetPlan, key: ShotKey, sequence: Iterator[int], boot_id: str
 ) -> tuple[Shot | MissedShot, ConnectionLostError | None, bool]:
-    """Arm, strike and read one shot; after any error the rig is made safe.
+    """Arm, strike and read one shot, stamped at its start; after any error the rig is made safe.
+
+    A record takes the next number of ``sequence``; a missed shot takes none.
 
     Returns
     -------
@@ -197,7 +199,8 @@ def _acquire_echo(
 ) -> PulseEchoRecord | MissedShot:
     """Acquire one averaged pulse-echo record; return a `MissedShot` after a timeout or a lost connection.
 
-    Any other instrument error is raised.
+    A record takes the next number of ``sequence``; a missed one takes none. Any other instrument error is
+    raised.
     """
     assert rig.pulse_echo is not None, "open_rig gives every pulse-echo position its unit"
     stamp = _read_time_stamp(rig, boot_id)
@@ -221,5 +224,5 @@ def _acquire_echo(
 
 
 def _read_time_stamp(rig: Rig, boot_id: str) -> Stamp:
-    """Return the present test UTC and monotonic time (ns) of the rig's clock as a time stamp of this boot."""
+    """Return test UTC and monotonic time (ns) of the rig's clock as a stamp of boot ``boot_id``."""
     return Stamp(utc_ns=rig.clock.utc_ns(), mono_ns=rig.clock.mono_ns(), boot_id=boot_id)

@@ -51,8 +51,8 @@ def build_unscheduled_set(number: int, after: DueSet, utc_ns: int, position: str
 def list_due_hours(phases: Sequence[PhaseLike], *, end_h: float | None = None) -> list[float]:
     """Return the test hours of all scheduled sets in ascending order; sets after ``end_h`` are left out.
 
-    A phase's sets are counted from its start, the first one an interval after it, so that rounding errors do
-    not add up.
+    ``phases`` follow each other from hour 0. The first set of a phase is an interval after its start; hours
+    are counted from there, so that rounding errors do not add up.
     """
     hours = _compute_phase_hours(tuple((phase.until_h, phase.interval_h) for phase in phases))
     return list(hours if end_h is None else hours[: bisect_right(hours, end_h)])

@@ -20,6 +20,8 @@ def build_strike_predictor(
         Every planned set; the set of index k is the k-th.
     positions
         Solitary-wave positions, in the order in which they are struck.
+    shot_interval_s
+        Time between two strikes of a set, repetitions not counted.
 
     Returns
     -------

@@ -117,10 +117,10 @@ class CommandExecutor:
                 self._store_answer(row, answer)
 
     def _store_answer(self, row: CommandRow, answer: Answer) -> None:
-        """Store a command's state and result; then forget the remembered answer.
+        """Store a command's state and result, then forget the remembered answer.
 
-        An expired or failed command is logged as a warning. StorageError, as if the command has an answer
-        already (CatalogueConflictError), passes through and keeps the remembered answer.
+        An expired or failed command is logged as a warning. A StorageError passes through, such as
+        CatalogueConflictError for a command that has an answer already; the remembered answer is then kept.
         """
         self._catalogue.finish_command(row.id, *answer)
         self._answers.pop(row.id, None)
@@ -167,9 +167,9 @@ class CommandExecutor:
         return None
 
     def _poll_answer(self, row: CommandRow, awaited: PendingAnswer) -> Answer | None:
-        """Poll the answer of an instrument to a command that was sent to it; None while there is none.
+        """Poll an instrument's answer to a command by calling ``awaited``; return None while there is none.
 
-        A ValueError of the poll is returned as state ``rejected``. An answered command is polled no further.
+        A ValueError of the call is returned as state ``rejected``. An answered command is polled no further.
         """
         try:
             if (result := awaited()) is None:

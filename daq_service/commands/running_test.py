@@ -68,7 +68,7 @@ class StoredTest:
     def store_event(self, kind: str, payload: Mapping[str, object]) -> None:
         """Store one event of this kind, topic ``service``, at the present moment in its own transaction.
 
-        Errors of `store` pass through.
+        ``payload`` is the event's data. Errors of `store` pass through.
         """
         self.store(SetCommit(events=[self.moment().event("service", kind, payload)]))
 

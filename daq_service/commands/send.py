@@ -126,8 +126,8 @@ def _wait_for_answer(
 ) -> CommandRow:
     """Poll a command every `LOOK_EVERY_S` until it is answered or has expired, and return its row.
 
-    A command that is still ``started`` is returned so ``carried_out_within_s`` after its start was seen. A
-    pending one is waited for until its deadline. Errors of the catalogue pass through.
+    A row whose state is still ``started`` is returned ``carried_out_within_s`` after its start was seen. A
+    pending command is waited for until its deadline. Errors of the catalogue pass through.
     """
     started_s: float | None = None
     while True:

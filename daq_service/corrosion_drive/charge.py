@@ -46,7 +46,7 @@ def integrate_charge(
 
 
 def compute_elapsed_s(before: Stamp, after: Stamp) -> float:
-    """Compute the time in s from one time stamp to another: monotonic within a boot, UTC across boots.
+    """Compute the time in s from the stamp ``before`` to ``after``: monotonic in one boot, else by UTC.
 
     Negative if ``after`` is earlier, as when the clock was set back between boots.
     """

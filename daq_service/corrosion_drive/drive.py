@@ -451,7 +451,8 @@ class SupplyLogger:
     def build_row(self, set_index: int, due_h: float) -> EnvironmentRow:
         """Build the environment row of a set: means since `restart_means`, totals since hour 0.
 
-        Voltages (V) and currents (A) are None without a reading since then; the climate is marked as absent.
+        ``due_h`` is the set's test hour. Voltages (V) and currents (A) are None without a reading since then;
+        the climate is marked as absent.
         """
         now_ns, reading_log = self._clock.mono_ns(), self._supply_log
         voltages_v = [reading.voltage_v for reading in self._window]
@@ -482,7 +483,10 @@ class SupplyLogger:
 
 
 def row_without_supply(set_index: int, due_h: float) -> EnvironmentRow:
-    """Build the environment row of a set in which supply and climate probe are marked as absent."""
+    """Build the environment row of a set, due at test hour ``due_h``, without supply and climate probe.
+
+    Both are marked as ``absent``; measured columns are None.
+    """
     return EnvironmentRow(
         set_index=set_index,
         due_h=due_h,

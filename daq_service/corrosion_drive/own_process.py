@@ -258,11 +258,12 @@ class DriveProcess:
     # Hand-over ---------------------------------------------------------------------------------------
 
     def _hand_over(self, successor_port: str) -> None:
-        """Release port and lock for a successor; before that, switch off a supply that it cannot reach.
+        """Release port and lock for a successor that uses ``successor_port``; switch off before if it must.
 
-        A supply that was never read at this port is released at once. With another port this process then
-        ends. Nothing is released before a pending switch-off is done and the state is written (unless the
-        disk fails): the next step tries again. An instrument error is logged.
+        A supply that was never read at this port is released at once. With another port, the output is
+        switched off first and this process then ends. Nothing is released before a pending switch-off is done
+        and the state is written (unless the disk fails): the next step tries again. An instrument error is
+        logged.
         """
         is_off = self._drive.state.command is None and self._drive.find_output_state() == "off"
         other_port, was_read = successor_port != self._supply_port, self._last_read_port == self._supply_port
@@ -284,7 +285,8 @@ class DriveProcess:
     def _await_successor(self, released_ns: int) -> None:
         """Set `leaves` once the successor has read the supply; after `SUCCEEDED_WITHIN_S`, switch off here.
 
-        It looks every `KEEP_AGAIN_S`, through the file thread; a switch-off that fails is tried again then.
+        That time counts from the release at ``released_ns`` (monotonic). It looks every `KEEP_AGAIN_S`,
+        through the file thread; a switch-off that fails is tried again then.
         """
         now_ns = self._clock.mono_ns()
         if self._succeeded:
@@ -387,9 +389,10 @@ class DriveProcess:
 
 
 def _restore_state(before: StoredState | None, watchdog_timeout_s: float, now_ns: int) -> DriveState:
-    """Return the stored state with which to continue; the default state without a stored one.
+    """Return the state ``before`` with which to continue; the default state without one.
 
-    Its command is dropped after another boot, or if the file is older than ``watchdog_timeout_s``.
+    Its command is dropped after another boot, or if the file is older than ``watchdog_timeout_s`` at
+    ``now_ns`` (time of the boot).
     """
     if before is None:
         return DriveState()
@@ -420,6 +423,10 @@ def run_supply_process(
 
     Parameters
     ----------
+    open_supply, supply_port
+        Opens the supply's port, and the name of that port.
+    stays
+        The process does not end by itself.
     beat
         Called every second by the loop, as a sign of life.
 

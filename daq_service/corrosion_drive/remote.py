@@ -323,7 +323,7 @@ class RemoteDrive:
         return False
 
     def _queue_command(self, do: str, **values: object) -> Reply:
-        """Queue a command and send it at once if connected; return the object that receives its reply.
+        """Queue the command ``do``, send it at once if connected, and return the object for its reply.
 
         A command `energise` carries the boot time after which it must not be executed.
         """
@@ -371,10 +371,10 @@ class RemoteDrive:
     # Readings and conditions ---------------------------------------------------------------------
 
     def list_conditions(self) -> tuple[DriveCondition, ...]:
-        """Return the conditions of the newest answer, replaced by those that this side knows better.
+        """Return the conditions of the newest answer, updated by what this process knows.
 
-        These are a trip or switch-off that the process has not confirmed, and ``supply_not_responding`` if it
-        does not answer.
+        That is a trip or switch-off that the supply process has not confirmed, and ``supply_not_responding``
+        if it does not answer.
         """
         answered = () if self._newest is None else self._newest["conditions"]
         conditions = {condition["name"]: DriveCondition(**condition) for condition in answered}
@@ -401,7 +401,8 @@ class RemoteDrive:
     def build_row(self, set_index: int, due_h: float) -> EnvironmentRow:
         """Build the environment row of a set from the newest answer, its age in s added; send no request.
 
-        Without a recent answer the output is unknown; without any, all measured columns are None.
+        ``due_h`` is the set's test hour. Without a recent answer the output is unknown; without any, all
+        measured columns are None.
         """
         unknown = replace(
             row_without_supply(set_index, due_h),

@@ -150,7 +150,10 @@ class DriveWatch:
             self._drive.restart_means()
 
     def _build_environment_row(self, set_index: int, due_h: float) -> EnvironmentRow:
-        """Build the environment row of a set; a missing supply or climate probe is marked as absent."""
+        """Build the environment row of a set, due at test hour ``due_h``.
+
+        A missing supply or climate probe is marked as absent.
+        """
         row = (
             row_without_supply(set_index, due_h)
             if self._drive is None
@@ -165,7 +168,8 @@ class DriveWatch:
     ) -> PendingReply:
         """Command the supply on for a person, with voltage in V and current limit in A; None: as configured.
 
-        Return a function that polls the reply. Both raise ValueError as `_send_command` describes.
+        Return a function that polls the reply; both raise ValueError as `_send_command` describes. ``hour``
+        is the test hour of the command.
         """
 
         def energise(drive: SupplyDrive) -> Reply:
@@ -179,7 +183,7 @@ class DriveWatch:
         return self._send_command(energise, hour, done, failed)
 
     def supply_off(self, author: str, hour: float) -> PendingReply:
-        """Command the supply off for a person; return a function that polls the reply.
+        """Command the supply off for a person at test hour ``hour``; return a function that polls the reply.
 
         Both raise ValueError as `_send_command` describes.
         """
@@ -191,7 +195,8 @@ class DriveWatch:
     ) -> PendingReply:
         """Send a command to the supply; return a function that polls its reply.
 
-        The function returns None before the reply and ``done`` after success, when alarms are updated.
+        The function returns None before the reply and ``done`` after success, when alarms are updated at test
+        hour ``hour``.
 
         Raises
         ------

@@ -120,7 +120,7 @@ def _read_parameters(table: Mapping[str, object]) -> dict[str, object]:
 
 
 def _read_table(file: Path) -> Mapping[str, Any]:
-    """Read and parse a TOML file; ConfigurationError if it cannot be read or is no TOML."""
+    """Read and parse a TOML file; ConfigurationError if it cannot be read, is no UTF-8 or no TOML."""
     try:
         return tomllib.loads(file.read_text(encoding="utf-8"))
     except OSError as error:

@@ -36,7 +36,7 @@ class StrikerContract:
     def test_a_strike_is_one_pulse_of_its_own_coil(
         self, striker: Striker, coil_levels: CoilLevels, keys: Keys
     ) -> None:
-        """Check that a strike switches the coil of its position on, then off, and no other."""
+        """Check that each strike switches the coil of its position on once, then off, and no other."""
         for key in keys:
             before = len(coil_levels())
             striker.strike(key)

@@ -366,8 +366,8 @@ def _collect_settings(
 ) -> dict[str, float | str]:
     """Collect the settings that are stored with each record by name, with SI units in the names.
 
-    They are board, input, trigger, clock, pulse, calibration and transport. ``trigger_level_v`` is NaN for a
-    record without trigger; ``holdoff_s`` and ``dry_run`` are there only where they apply.
+    They are board, input, trigger, clock, pulse, calibration and transport. A record that is not
+    ``triggered`` has the level NaN; ``holdoff_s`` and ``dry_run`` are there only where they apply.
     """
     settings: dict[str, float | str] = {
         "board_serial": board.serial,

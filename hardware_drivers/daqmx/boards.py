@@ -189,5 +189,5 @@ def check_board(board: Board, wiring: TransducerWiring, parameters: DaqmxParamet
 
 
 def is_requested_value(given: float, requested: float) -> bool:
-    """Return whether the value that the driver reports is the requested one, within 1e-6 of either."""
+    """Return whether the value ``given`` by the driver is the requested one, within 1e-6 of the larger."""
     return math.isclose(given, requested, rel_tol=RELATIVE_AGREEMENT)

@@ -144,7 +144,7 @@ class Connection:
         return f"solimon-{self._client}-" in owner
 
     def _build_task_name(self, role: str, mark: int | str) -> str:
-        """Return the name of a task of this client: ``solimon-CLIENT-ROLE-MARK``."""
+        """Build the name of a task of this client, ``solimon-CLIENT-ROLE-MARK`` (mark: number or text)."""
         return f"solimon-{self._client}-{role}-{mark}"
 
     def clear_leftover_tasks(self, roles: Sequence[str]) -> bool:
@@ -181,14 +181,16 @@ class Connection:
     def _create_task(
         self, kind: type[T], doing: str, *arguments: object, session: str = "", attach: bool = False
     ) -> T:
-        """Create one of NI's task objects, and return it; an error half-way clears what was created.
+        """Create an object of one of NI's task classes and return it; after an error it is cleared.
+
+        Raise InstrumentError if that fails; the message begins with ``doing``.
 
         Parameters
         ----------
         session
             Name of a watchdog's session; empty: a task, named by the first argument.
         attach
-            Take the server's task of this name if there is one.
+            Use the server's task of this name if there is one.
         """
         # NI's constructors create first and ask for the task's name then; if that fails, the object is
         # lost and its task stays. So the object is kept apart from its construction.
@@ -219,7 +221,8 @@ def _build_options(channel: Channel, name: str, *, attach: bool) -> GrpcSessionO
 def clear_task(task: Task | WatchdogTask, doing: str) -> bool:
     """Abort and clear a task in any state; return True if it was cleared, False with a debug log entry.
 
-    Aborting first releases the hardware even if clearing then fails. Nothing is raised.
+    Aborting first releases the hardware even if clearing then fails. Nothing is raised; ``doing`` is the
+    operation in the log entry.
     """
     from nidaqmx.constants import TaskMode
 
@@ -238,7 +241,7 @@ def clear_watchdog(watchdog: WatchdogTask, doing: str) -> bool:
 def _run_cleanup_step(step: Callable[[], None], doing: str) -> bool:
     """Run one step of a clean-up; return True if it succeeds, False with a debug log entry if it raises.
 
-    NI's warnings are suppressed meanwhile, in the whole process.
+    The entry names the operation ``doing``. NI's warnings are suppressed meanwhile, in the whole process.
     """
     with warnings.catch_warnings():
         # A task that was never created needs no clearing; NI warns of that.
@@ -253,7 +256,7 @@ def _run_cleanup_step(step: Callable[[], None], doing: str) -> bool:
 
 
 def _is_name_taken(error: ConnectionLostError) -> bool:
-    """Return whether an error has NI's status -200089: a task of this name exists already."""
+    """Return whether an error was caused by NI's status -200089: a task of this name exists already."""
     return getattr(error.__cause__, "error_code", 0) == NAME_TAKEN
 
 

@@ -156,7 +156,10 @@ class DaqmxBoards:
 
 
 def _require_wired_position(key: ShotKey, role: str, positions: Collection[str]) -> None:
-    """Raise ConfigurationError unless a key's position is among those that are wired for a role."""
+    """Raise ConfigurationError unless the key's position is one of ``positions``, those wired for the role.
+
+    The message lists them.
+    """
     if key.position not in positions:
         raise ConfigurationError(
             f"no {role} at position {key.position!r}; there are: {', '.join(sorted(positions))}; wire it in "

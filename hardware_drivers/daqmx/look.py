@@ -26,7 +26,8 @@ LARGEST_DUTY = 0.25
 def yield_board_findings(parameters: DaqmxParameters, *, shot_interval_s: float) -> Iterator[Finding]:
     """Yield findings on duty cycle, server, driver, boards, every transducer's wiring and the watchdogs.
 
-    Without a connection to the gRPC server that finding is the last one. Nothing strikes.
+    ``shot_interval_s`` is the time between two strikes. Without a connection to the gRPC server that finding
+    is the last one. Nothing strikes.
     """
     if any(wiring.strikes for wiring in parameters.transducers.values()):
         yield _check_duty_cycle(parameters.pulse_s, shot_interval_s)

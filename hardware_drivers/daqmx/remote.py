@@ -51,7 +51,10 @@ class Deadlines(grpc.UnaryUnaryClientInterceptor):  # type: ignore[misc] # grpc 
     def intercept_unary_unary(
         self, continuation: Callable[..., grpc.Call], details: grpc.ClientCallDetails, request: Any
     ) -> grpc.Call:
-        """Send the request with the deadline of `deadline_s` in place of the caller's; return the call."""
+        """Send the request with the deadline of `deadline_s` in place of the caller's; return the call.
+
+        ``continuation`` sends it; the other details of the call stay.
+        """
         bounded = _CallDetails(
             details.method,
             self.deadline_s(details.method, request),

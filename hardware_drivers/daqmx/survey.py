@@ -62,7 +62,8 @@ class BoardFacts(Board):
 def survey_boards(transport: Literal["library", "grpc"] = "library", grpc_address: str = "") -> Survey:
     """Survey driver and boards before anything is wired; return the survey with its findings.
 
-    Instrument errors become failed findings and are not raised. Nothing strikes.
+    ``grpc_address`` (HOST:PORT) is used with ``grpc`` only. Instrument errors become failed findings and are
+    not raised. Nothing strikes.
     """
     no_wiring = {"": TransducerWiring(board_serial="0")}
     survey = Survey(DaqmxParameters(transducers=no_wiring, transport=transport, grpc_address=grpc_address))

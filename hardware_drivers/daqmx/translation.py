@@ -146,7 +146,7 @@ def read_metadata(read: Callable[[], T], unknown: T, subject: str) -> T:
 
 
 def _build_status_error(error: Exception, doing: str) -> InstrumentError:
-    """Build the error of a DAQmx status from the driver's text, the owner of a busy resource, and the remedy.
+    """Build the error of a DAQmx status: ``doing``, the driver's text, the owner if busy, and the remedy.
 
     A status that is not in `CLASS_OF_STATUS` becomes an UnknownStatusError. Nothing is raised.
     """
@@ -166,7 +166,7 @@ def _find_reason(error: BaseException | None) -> str:
 
 
 def _build_rpc_error(code: str, text: str, doing: str) -> InstrumentError:
-    """Build the error of a gRPC code from the text and the remedy; nothing is raised.
+    """Build the error of a gRPC code: ``doing``, code, text and remedy; nothing is raised.
 
     ConfigurationError for a code in `RPC_CONFIGURATION`, else ConnectionLostError.
     """

@@ -108,8 +108,10 @@ def sum_records(
         Counts, shape (n_records, record_samples).
     gain_v, offset_v
         Volts of a single record: ``gain_v * count + offset_v``.
-    range_v
-        Input range -range_v .. +range_v.
+    codes
+        Range of the ADC's codes; a sample at either end is clipped.
+    range_v, calibration_date
+        Input range -range_v .. +range_v, and ISO date, for the calibration.
 
     Returns
     -------

@@ -212,5 +212,5 @@ class BoardConnection:
 
 
 def _normalize_serial(serial_number: str) -> str:
-    """Return a serial number without surrounding spaces, leading zeros and difference of letter case."""
+    """Normalize a serial number for comparison: no outer spaces, no leading zeros, case-folded."""
     return serial_number.strip().lstrip("0").casefold()

@@ -63,9 +63,10 @@ def import_niscope() -> ModuleType:
 
 
 def open_session(niscope: ModuleType, resource: str) -> Session:
-    """Open a board without resetting it, and return its session; nothing stays open if that fails half-way.
+    """Open the board named ``resource`` without resetting it, and return its session.
 
-    Raise ConfigurationError if NI-SCOPE is not installed; other errors of the package pass through.
+    Nothing stays open if that fails half-way. Raise ConfigurationError if NI-SCOPE is not installed; other
+    errors of the package pass through.
     """
     session = niscope.Session.__new__(niscope.Session)
     try:
@@ -346,8 +347,9 @@ def _check_record_times(
 ) -> None:
     """Raise ConnectionLostError unless time zero of each record is the firing pulse, one firing per record.
 
-    The driver's times decide: a wrong sample interval, a start more than two samples from ``firing_delay_s``,
-    or equal time stamps of two records. Boards without time stamps pass the last one.
+    The driver's times decide: a wrong sample interval, a start (``first_sample_s``, after the trigger) more
+    than two samples from ``firing_delay_s``, or equal time stamps of two records. Boards without time stamps
+    pass the last check.
     """
     step_s = 1.0 / setup.sample_rate_hz
     steps = {waveform.x_increment for waveform in waveforms}

@@ -298,7 +298,8 @@ def _yield_appended_records(
 ) -> Iterator[tuple[ShotKey, _RecordLocation]]:
     """Yield key and location of a channel's first record and of those appended to it, in file order.
 
-    The shot index rises by 1 for each, the time by ``shot_interval_s`` (None if the file has no time).
+    ``key`` and ``place`` are those of the first one, ``n_samples`` all samples of the channel. The shot index
+    rises by 1 for each, the time by ``shot_interval_s`` (None if the file has no time).
     """
     for number in range(n_samples // place.n_samples):
         later_ns = round(number * mapping.shot_interval_s * NS_PER_S)

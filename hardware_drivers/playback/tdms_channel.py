@@ -279,7 +279,12 @@ def pretrigger_samples(
 ) -> int:
     """Return the number of samples before the trigger: the mapping's, else from the start offset.
 
-    It is 0 for pulse-echo records, which start at the firing pulse.
+    It is 0 for pulse-echo records (``method``), which start at the firing pulse.
+
+    Parameters
+    ----------
+    rate_hz, record_samples
+        Sample rate, and length of the record.
 
     Raises
     ------

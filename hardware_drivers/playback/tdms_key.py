@@ -49,9 +49,9 @@ def build_shot_key(channel: Channel, names: Mapping[str, str | None], mapping: T
 
 
 def _read_index(channel: Channel, part: str, values: Any, first: int) -> int:
-    """Convert the number of a set, shot or attempt to an index from 0, ``values - first``; None becomes 0.
+    """Convert the number of a ``part`` (set, shot or attempt) to an index from 0; None becomes 0.
 
-    Raise ConfigurationError for no whole number, or one below ``first``.
+    The index is the number less ``first``. Raise ConfigurationError for no whole number, or one below it.
     """
     if values is None:
         return 0

@@ -79,7 +79,7 @@ class SerialInstrument(Generic[Parameters]):
     def _connect(self, deadline_s: float, *, at_once: bool = False) -> None:
         """Open the line and verify the instrument's name, unless the line is in step already.
 
-        Raise as `SerialLine.connect` does.
+        ``at_once`` ignores the wait after a failed attempt. Raise as `SerialLine.connect` does.
         """
         self._line.connect(deadline_s, at_once=at_once)
 

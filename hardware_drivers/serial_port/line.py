@@ -432,7 +432,8 @@ class SerialLine:
     def _translate_errors(self, doing: str) -> Iterator[None]:
         """Run a block on the port; raise its errors as ConnectionLostError, with the line out of step.
 
-        A port that is gone is closed; after a write timeout it stays open.
+        A port that is gone is closed; after a write timeout it stays open. ``doing`` completes "could not
+        ..." in the message.
         """
         try:
             yield
