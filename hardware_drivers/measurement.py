@@ -181,7 +181,7 @@ class SetKey(NamedTuple):
     def number(self) -> int:
         """Return the key as one integer, ``unscheduled_index * 10_000_000 + set_index``.
 
-        Frames of the journal and the twin's random numbers use it.
+        Frames of the journal, and random numbers of the simulated rig, use it.
         """
         return self.unscheduled_index * _SCHEDULED_SETS + self.set_index
 

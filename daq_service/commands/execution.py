@@ -72,7 +72,7 @@ class CommandExecutor:
     def close_earlier_commands(self) -> None:
         """Close the commands that an earlier recorder left open, without executing them, as `close` does.
 
-        The first call that succeeds does so; later calls do nothing.
+        After a call that succeeded, later calls do nothing.
         """
         if not self._has_started:
             self.close("it was given before this recorder began")

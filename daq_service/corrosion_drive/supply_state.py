@@ -110,7 +110,10 @@ def read_process_number(folder: Path) -> int:
 
 
 def stamp_state(state: DriveState, **values: Any) -> StoredState:
-    """Build a stored state with the present time stamps; ``values`` set further fields or replace stamps."""
+    """Build a stored state with present time stamps: UTC and boot time in ns, and name of the boot.
+
+    ``values`` set further fields of `StoredState`, or replace stamps.
+    """
     now_ns = elapsed_ns()
     stamps = {"utc_ns": time.time_ns(), "boot_ns": now_ns, "boot_id": boot_name(), "heard_boot_ns": now_ns}
     return StoredState(state=state, **{**stamps, **values})

@@ -66,7 +66,7 @@ class TransducerWiring:
     def __post_init__(self) -> None:
         """Raise ValueError for a serial number, input, counter or terminal of the wrong form.
 
-        So too for a ``striker_serial`` unless input and counter are both given, or if neither is given.
+        Also for a ``striker_serial`` unless input and counter are both given, or if neither is given.
         """
         _require_match("board_serial", self.board_serial, _SERIAL, "1 to 8 hexadecimal digits, like 01A2B3C4")
         if self.striker_serial:
@@ -213,7 +213,7 @@ class DaqmxParameters:
     def _check_record(self) -> None:
         """Raise ValueError for a pre-trigger not shorter than the record, or without a transducer.
 
-        So too if the trigger level is not inside the range of a digitized position.
+        Also if the trigger level is not inside the range of a digitized position.
         """
         check_field_relation(self, "pretrigger_samples", "less than", "record_samples")
         if not self.transducers:
@@ -252,7 +252,7 @@ class DaqmxParameters:
     def _check_holdoff_counter(self) -> None:
         """Raise ValueError if a holdoff is set and a digitized position has no counter to start it.
 
-        So too if no position is digitized here.
+        Also if no position is digitized here.
         """
         if self.holdoff_s is None:
             return
@@ -315,7 +315,7 @@ class DaqmxParameters:
     def _check_watchdogs(self) -> None:
         """Raise ValueError for two watchdogs of one board, or both ``watchdog`` and ``watchdogs``.
 
-        So too for a watchdog that `_check_watchdog` rejects.
+        Also for a watchdog that `_check_watchdog` rejects.
         """
         if self.watchdog is not None and self.watchdogs:
             raise ValueError(

@@ -163,8 +163,9 @@ class Survey:
     def check_boards(self, connection: Connection) -> None:
         """Add findings on the driver's list and on every listed board, then on the configured boards.
 
-        A configured board gets a failed finding if it is absent or, as a warning in a dry run, simulated;
-        each one that answers gets a finding on its calibration. Instrument errors become findings.
+        A configured board that is absent or simulated by NI's driver gets a failed finding (simulated in a
+        dry run: a warning); each one that answers gets a finding on its calibration. Instrument errors become
+        findings.
         """
         ours = set(map(normalize_serial, list_board_serials(self.parameters)))
         listed = self.list_boards(connection, ours)

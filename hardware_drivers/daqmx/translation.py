@@ -69,7 +69,7 @@ def translate_error(error: Exception, doing: str) -> InstrumentError:
     Parameters
     ----------
     doing
-        What was tried, as the beginning of a sentence: "starting the acquisition of B".
+        Operation, as the beginning of a sentence: "starting the acquisition of B".
     """
     from nidaqmx import errors as vendor
 

@@ -72,7 +72,7 @@ def translate_error(niscope: ModuleType, error: Exception, doing: str) -> Instru
     Parameters
     ----------
     doing
-        What was tried, as the beginning of a sentence: "opening 'PXI1Slot4'".
+        Operation, as the beginning of a sentence: "opening 'PXI1Slot4'".
     """
     if isinstance(error, niscope.errors.DriverError):
         kind = find_error_class(error.code, error.description)

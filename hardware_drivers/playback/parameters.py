@@ -88,7 +88,7 @@ class TdmsMapping:
     def __post_init__(self) -> None:
         """Raise ValueError if a part of the key has two sources, the position none, or a pattern is invalid.
 
-        So too for appended records whose shot is named, a single or non-finite coefficient, and
+        Also for appended records whose shot is named, a single or non-finite coefficient, and
         ``volts_per_unit`` of 0.
         """
         sources = [

@@ -76,7 +76,7 @@ class SerialLineParameters:
     def __post_init__(self) -> None:
         """Raise ValueError for a blank or incomplete port, or a ``tcp:`` line without HOST:PORT.
 
-        So too if the longest wait between attempts is shorter than the first.
+        Also if the longest wait between attempts is shorter than the first.
         """
         name = self.port.removeprefix(USB_SERIAL_PREFIX)
         if not name or name != name.strip() or not name.isprintable():
@@ -131,7 +131,7 @@ class SupplyParameters(DriveParameters):
     def __post_init__(self) -> None:
         """Raise ValueError for an invalid identity, query or setup command, or a value above its cap.
 
-        So too for a channel or protection level that the dialect does not have, and an over-voltage level not
+        Also for a channel or protection level that the dialect does not have, and an over-voltage level not
         above the voltage.
         """
         DriveParameters.__post_init__(self)
