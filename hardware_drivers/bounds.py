@@ -38,9 +38,9 @@ _resolved: dict[type, dict[str, list[_Bound]]] = {}
 
 
 def _resolve_bounds(parameters: type) -> dict[str, list[_Bound]]:
-    """Return the bounds of each field of a parameter class by field name.
+    """Return the bounds of each field of a parameter class by field name, as `_find_bounds` does.
 
-    Resolved once per class and cached: every shot with its own scatter checks them.
+    They are resolved once per class and cached.
     """
     if parameters not in _resolved:
         hints = get_type_hints(parameters, include_extras=True)
@@ -49,9 +49,9 @@ def _resolve_bounds(parameters: type) -> dict[str, list[_Bound]]:
 
 
 def _find_bounds(hint: Any) -> list[_Bound]:
-    """Return the bounds of a type hint as tuples of relation, limit and comparison; empty if it has none.
+    """Return the bounds of a type hint as tuples (relation, limit, comparison); empty if it has none.
 
-    Bounds of the parts of a union count too: ``Annotated[float, Gt(0.0)] | None``.
+    Bounds of the members of a union count too: ``Annotated[float, Gt(0.0)] | None``.
     """
     marks = getattr(hint, "__metadata__", ())
     if not marks:
@@ -65,7 +65,7 @@ def _find_bounds(hint: Any) -> list[_Bound]:
 
 
 def check_bounds(parameters: Any) -> None:
-    """Raise ValueError that names the first field whose value breaks a bound, the value and the limit.
+    """Raise ValueError for the first field, in order, whose value breaks a bound; name it, value and limit.
 
     A float that is not finite breaks every bound, None breaks no bound.
     """
@@ -76,7 +76,7 @@ def check_bounds(parameters: Any) -> None:
 
 
 def check_value_bounds(parameters: type, values: Mapping[str, Any]) -> None:
-    """Check values by field name against a class's bounds, before the parameters are made.
+    """Check values, given by field name, against the bounds of a parameter class without building it.
 
     Raise ValueError as `check_bounds` does, KeyError for a name that is no field.
     """
@@ -85,7 +85,10 @@ def check_value_bounds(parameters: type, values: Mapping[str, Any]) -> None:
 
 
 def _check_named_values(checked: Iterable[tuple[str, list[_Bound], Any]]) -> None:
-    """Raise ValueError for the first value that is not finite or breaks a bound; None breaks no bound."""
+    """Raise ValueError for the first value that breaks one of its bounds, or is a float that is not finite.
+
+    ``checked`` has name, bounds and value of each; None breaks no bound.
+    """
     for name, bounds, value in checked:
         if value is None:
             continue
@@ -104,9 +107,9 @@ def check_field_relation(parameters: Any, name: str, relation: str, other: str, 
     name, other
         Fields of `parameters`; the message names both, their values and what the first must be.
     relation
-        A key of `_PAIRS`, such as ``at most``.
+        A key of `_PAIRS`, such as ``at most``; any other is a KeyError.
     unit
-        As printed behind a value, with its space.
+        Unit as printed after a value, with its space.
     """
     value, limit = getattr(parameters, name), getattr(parameters, other)
     if not _PAIRS[relation](value, limit):
@@ -117,14 +120,14 @@ def check_field_relation(parameters: Any, name: str, relation: str, other: str, 
 def bounded(parameters: type[Parameters]) -> type[Parameters]:
     """Make a class a frozen, keyword-only dataclass with slots whose values obey their bounds.
 
-    Construction raises ValueError as `check_bounds` does. What only the class knows, two values that must
-    fit each other, it checks in a `__post_init__` of its own, which runs after the bounds. Embedded in a
-    pydantic model the class refuses unknown keys.
+    Construction raises ValueError as `check_bounds` does. Relations between fields are checked by the class's
+    own `__post_init__`, which runs after the bounds. Embedded in a pydantic model the class rejects unknown
+    keys.
     """
     own_checks: Callable[[Parameters], None] | None = getattr(parameters, "__post_init__", None)
 
     def check(parameters_object: Parameters) -> None:
-        """Check the bounds, then what only the class knows."""
+        """Check the bounds, then run the class's own `__post_init__`; ValueError of either passes through."""
         check_bounds(parameters_object)
         if own_checks is not None:
             own_checks(parameters_object)

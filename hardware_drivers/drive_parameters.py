@@ -68,15 +68,15 @@ class DriveParameters(ABC):
     @property
     @abstractmethod
     def longest_order_s(self) -> float:
-        """Return the longest time of a command in s, with that of switching off again where it fails."""
+        """Return the longest time in s of a command, with that of switching off again if it fails."""
 
     def require_within_caps(self, voltage_v: float, current_limit_a: float) -> None:
-        """Compare a command's voltage and current limit with their caps before anything is sent.
+        """Raise an error unless voltage in V and current limit in A of a command are within their caps.
 
         Raises
         ------
         ConfigurationError
-            A value is not above 0, or is above its cap.
+            A value is not above 0, or is above its cap; nothing was sent.
         """
         for name, value, cap_name, cap in (
             ("voltage_v", voltage_v, "voltage_cap_v", self.voltage_cap_v),
@@ -89,6 +89,7 @@ class DriveParameters(ABC):
                 )
 
     def __post_init__(self) -> None:
+        """Raise ValueError if voltage or current limit is above its cap."""
         check_field_relation(self, "voltage_v", "at most", "voltage_cap_v")
         check_field_relation(self, "current_limit_a", "at most", "current_cap_a")
 
@@ -104,7 +105,7 @@ class NamedSupply(DriveParameters):
 
     @property
     def longest_order_s(self) -> float:
-        """Return twice ``order_timeout_s``: a command in s, and switching off again where it fails."""
+        """Return twice ``order_timeout_s``, in s: for a command, and for switching off again if it fails."""
         return 2.0 * self.order_timeout_s
 
 

@@ -15,7 +15,7 @@ from hardware_drivers.measurement import ClimateReading, ShotKey, SupplyReading,
 
 
 def require_timeout(timeout_s: float) -> None:
-    """Raise for a timeout that is not a positive number.
+    """Raise an error unless a timeout is a positive number.
 
     Raises
     ------
@@ -31,16 +31,16 @@ class Clock(Protocol):
     """Clock of the test. Driver deadlines use the monotonic clock of the machine instead."""
 
     def utc_ns(self) -> int:
-        """Return test time, ns since 1970-01-01T00:00Z."""
+        """Return the test time (UTC) in ns since 1970-01-01T00:00Z."""
 
     def mono_ns(self) -> int:
         """Return monotonic test time in ns; never steps back within one ``boot_id``."""
 
     def wait_until(self, utc_ns: int, idle: Callable[[], bool]) -> bool:
-        """Wait until ``utc_ns``: True once it is reached, False as soon as ``idle()`` returns False.
+        """Wait until ``utc_ns``: return True once it is reached, False as soon as ``idle()`` returns False.
 
-        ``idle`` is called at least every 0.2 s of wall time while waiting; it is where the caller
-        advances its heartbeat and notices a request to stop.
+        ``idle`` is called at least every 0.2 s of wall time while waiting: the caller sends its heartbeat and
+        checks for a request to stop in it. A past time is reached at once.
         """
 
 
@@ -69,12 +69,14 @@ class Digitizer(Protocol):
     """Digitizer that samples one transducer's sensor around a trigger."""
 
     def arm(self, key: ShotKey) -> None:
-        """Start waiting for the trigger; the pre-trigger buffer fills in time for the wave.
+        """Start waiting for the trigger of a shot; the pre-trigger buffer fills in time for the wave.
 
         Raises
         ------
         ConfigurationError
             Already armed, or no such position.
+        BusyError, ConnectionLostError
+            Another program holds the instrument, or it does not answer; nothing is armed.
         """
 
     def read(self, timeout_s: float) -> Acquired:
@@ -85,7 +87,9 @@ class Digitizer(Protocol):
         AcquisitionTimeoutError
             Nothing triggered in time; the digitizer is disarmed.
         ConfigurationError
-            Not armed.
+            Not armed, or the timeout is not positive.
+        ConnectionLostError
+            The digitizer does not answer.
         """
 
     def disarm(self) -> None:
@@ -97,16 +101,21 @@ class Striker(Protocol):
     """Striker that lifts and drops a mass by a pulse of bounded length."""
 
     def strike(self, key: ShotKey) -> None:
-        """Pulse the coil once; on return it is off.
+        """Pulse the coil of the key's position once; on return it is off.
 
         Raises
         ------
         ConfigurationError
-            No such position.
+            No such position; nothing moved.
+        AcquisitionTimeoutError, BusyError, ConnectionLostError
+            The pulse failed.
         """
 
     def make_safe(self) -> None:
-        """De-energise every coil; harmless when already safe, allowed at any time."""
+        """De-energise every coil; harmless when already safe, allowed at any time.
+
+        ConnectionLostError if the state of a coil is unknown.
+        """
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -123,14 +132,16 @@ class PulseEchoUnit(Protocol):
     """Pulse-echo unit that fires an ultrasonic probe and returns one averaged record."""
 
     def acquire(self, key: ShotKey, timeout_s: float) -> Echo:
-        """Fire the pulser and return the averaged echo of a position; waits up to ``timeout_s``.
+        """Fire the probe of a position and return the averaged echo; wait up to ``timeout_s`` (s).
 
         Raises
         ------
         AcquisitionTimeoutError
             No record in time.
         ConfigurationError
-            No such position.
+            No such position, or the timeout is not positive.
+        BusyError, ConnectionLostError
+            Another program holds the unit, or it does not answer.
         """
 
 
@@ -139,23 +150,27 @@ class PowerSupply(Protocol):
     """Corrosion supply. Only `energise` switches it on, and only a person requests that."""
 
     def read(self, timeout_s: float) -> SupplyReading:
-        """Measure voltage in V and current in A within ``timeout_s``; never switches anything.
+        """Measure voltage in V and current in A, and read the output's state, within ``timeout_s``.
+
+        Nothing is ever switched.
 
         Raises
         ------
+        ConfigurationError
+            The timeout is not positive.
         ConnectionLostError
-            The supply does not answer: what its output does is unknown.
+            The supply does not answer: the state of its output is unknown.
         """
 
     def energise(self, voltage_v: float, current_limit_a: float) -> None:
-        """Set voltage in V and limit in A, read both back, then switch the output on.
+        """Set voltage in V and current limit in A, read both back, then switch the output on.
 
         Raises
         ------
         ConfigurationError
             Beyond the configured caps, or not read back as set; the output stays off.
         ConnectionLostError
-            The supply does not answer.
+            The supply does not answer: the state of its output may be unknown.
         """
 
     def make_safe(self) -> None:
@@ -164,11 +179,14 @@ class PowerSupply(Protocol):
         Raises
         ------
         ConnectionLostError
-            The supply does not answer: what its output does is unknown.
+            The supply does not answer: the state of its output is unknown.
         """
 
     def identity(self) -> Mapping[str, str]:
-        """Return maker, model, serial number and firmware as the supply reports them, by name of the item."""
+        """Return maker, model, serial number and firmware as the supply reports them, by name of the item.
+
+        ConnectionLostError if it does not answer.
+        """
 
 
 @runtime_checkable
@@ -180,6 +198,8 @@ class ClimateProbe(Protocol):
 
         Raises
         ------
+        ConfigurationError
+            The timeout is not positive.
         ConnectionLostError
             The probe does not answer.
         """
@@ -190,7 +210,7 @@ class SelfCalibrating(Protocol):
     """Instrument that adjusts itself to its temperature; between sets only."""
 
     def self_calibrate(self) -> Mapping[str, str]:
-        """Calibrate and read the scaling; return date and temperature of each board by serial number.
+        """Calibrate each board; return date and temperature of its calibration by serial number.
 
         Raises
         ------
@@ -205,23 +225,24 @@ class PersonRequests:
     """Requests of an instrument to a person, and their listeners."""
 
     def __init__(self) -> None:
+        """Start without a request, a shot and a listener."""
         self._text = ""
         self._key: ShotKey | None = None
         self._hear: Callable[[str, ShotKey | None], None] = lambda text, key: None
 
     def listen(self, hear: Callable[[str, ShotKey | None], None]) -> None:
-        """Set the one listener, called with text and shot of each request; it replaces the former one.
+        """Set the listener, called with text and shot of each request; it replaces the former one.
 
-        An empty text means that nothing is left to do; the shot is None before the first `about`.
+        An empty text means that nothing is left to do; the shot is None before the first `set_next_shot`.
         """
         self._hear = hear
 
     def set_next_shot(self, key: ShotKey) -> None:
-        """Set the shot that the next requests belong to; nothing is sent."""
+        """Set the shot with which the next requests are sent; nothing is sent here."""
         self._key = key
 
     def ask(self, text: str) -> None:
-        """Send a request to the listener; the same text as last time is not sent again."""
+        """Send a request, with the shot that was set, to the listener, unless its text is the last one."""
         if text != self._text:
             self._text = text
             self._hear(text, self._key)
@@ -260,13 +281,18 @@ class Rig:
     identity: Mapping[str, str] = field(default_factory=dict)
 
     def __enter__(self) -> Rig:
+        """Return the rig itself."""
         return self
 
     def __exit__(self, *_: object) -> None:
+        """Make the rig safe; errors of that are raised."""
         self.make_safe()
 
     def make_safe(self) -> None:
-        """De-energise strikers, then disarm, also if the striker fails; errors of either are raised."""
+        """De-energise the strikers, then disarm the digitizer, also if the striker fails.
+
+        Errors of either are raised.
+        """
         try:
             self.striker.make_safe()
         finally:

@@ -68,11 +68,11 @@ Value = float | str | bool | None
 
 
 def _ignore_request(what: str) -> None:
-    """Ignore a request to a person: the default where there is no one to ask."""
+    """Do nothing with a request to a person: the default where there is no person to ask."""
 
 
 def _ignore_notice(what: str, begins: bool) -> None:
-    """Ignore the notice that a long operation begins or ends: the default without a listener."""
+    """Do nothing with the notice that a long operation begins or ends: the default without a listener."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -117,7 +117,7 @@ class Opening:
         return tuple(dict.fromkeys(name for names in self.serves.values() for name in names))
 
     def stamp(self) -> Stamp:
-        """Return a time stamp of now (test UTC, monotonic time, boot) for readings of supply and climate."""
+        """Return the present time stamp (test UTC and monotonic time in ns, boot) for a reading."""
         return Stamp(utc_ns=self.clock.utc_ns(), mono_ns=self.clock.mono_ns(), boot_id=self.boot_id)
 
 
@@ -176,10 +176,10 @@ class Finding:
 
 
 def build_error_finding(subject: str, check: str, error: InstrumentError, otherwise: str) -> Finding:
-    """Build the failed finding of an instrument's error.
+    """Build the failed finding on an instrument's error.
 
-    The message's text after its last ``; `` is the remedy, the text before it the detail. A `BusyError`
-    names the owner: its detail is the complete message, and `held` is True.
+    The message's text after its last ``; `` is the remedy, the text before it the detail. A `BusyError` names
+    the owner: its detail is the complete message, and `held` is True.
 
     Parameters
     ----------
@@ -199,7 +199,7 @@ def build_error_finding(subject: str, check: str, error: InstrumentError, otherw
 
 
 def _list_no_packages(parameters: object) -> Iterable[str]:
-    """Return an empty tuple: the default of `Kind.packages`, for a kind that needs no distributions."""
+    """Return an empty tuple: the default of `Kind.packages`, for a kind without further distributions."""
     return ()
 
 
@@ -209,7 +209,7 @@ def _return_zero_s(parameters: object) -> float:
 
 
 def _accept_all_positions(parameters: Any, serves: Mapping[Role, tuple[str, ...]]) -> None:
-    """Accept all positions: the default of `Kind.require`, for parameters that name no position."""
+    """Do nothing, so that all positions are accepted: the default of `Kind.require`."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -22,7 +22,7 @@ Counts = NDArray[np.int16] | NDArray[np.int32]
 
 
 def _copy_read_only(values: NDArray[np.generic]) -> NDArray[np.generic]:
-    """Return a copy of an array whose elements cannot be assigned."""
+    """Return a copy of an array, with the same shape and type, whose elements cannot be assigned."""
     copy = np.array(values, copy=True)
     copy.flags.writeable = False
     return copy
@@ -50,6 +50,11 @@ class Calibration:
     date: str = ""
 
     def __post_init__(self) -> None:
+        """Copy the coefficients, read-only.
+
+        Raise ValueError for another shape, a resolution outside 2 to 32 bits, or a range that is not
+        positive.
+        """
         coefficients = np.atleast_1d(np.asarray(self.coefficients_v, dtype=np.float64))
         if coefficients.ndim != 1 or coefficients.size < 2:
             raise ValueError(
@@ -62,7 +67,7 @@ class Calibration:
         object.__setattr__(self, "coefficients_v", _copy_read_only(coefficients))
 
     def volts(self, counts: Counts) -> NDArray[np.float64]:
-        """Convert counts of any shape into volts (float64, same shape) with the calibration polynomial."""
+        """Convert counts of any shape to volts (float64, same shape) by the polynomial `coefficients_v`."""
         code = counts.astype(np.float64)
         # Horner's rule in place, as numpy's polyval computes it: every shot passes here.
         volts: NDArray[np.float64] = self.coefficients_v[-1] * code
@@ -99,6 +104,11 @@ class Waveform:
     calibration: Calibration
 
     def __post_init__(self) -> None:
+        """Copy the counts, read-only.
+
+        Raise ValueError for another type or shape, a rate that is not positive, or a pre-trigger outside the
+        record.
+        """
         counts = np.asarray(self.counts)
         if counts.dtype not in (np.dtype(np.int16), np.dtype(np.int32)) or counts.ndim != 1:
             raise ValueError(
@@ -125,7 +135,7 @@ class Waveform:
     def clipped(self) -> bool:
         """Return whether any sample is at an end of the ADC's range; False without samples.
 
-        Some boards clip at the same code on both sides, one short of the lowest: that counts too.
+        The code next to the lowest one counts too: some boards clip there.
         """
         low, high = self.calibration.full_scale_counts
         return bool(self.counts.size and (self.counts.min() <= low + 1 or self.counts.max() >= high))
@@ -154,11 +164,12 @@ class SetKey(NamedTuple):
     unscheduled_index: int = 0
 
     def __str__(self) -> str:
+        """Return the key as text, ``12`` or, for an unscheduled set, ``12.1``."""
         return f"{self.set_index}.{self.unscheduled_index}" if self.unscheduled_index else str(self.set_index)
 
     @classmethod
     def parse(cls, text: str) -> SetKey:
-        """Parse the text of a key, ``12`` or ``12.1``; ValueError if a part is not an integer."""
+        """Parse the text of a set key, ``12`` or ``12.1``; ValueError if a part is not an integer."""
         return cls(*map(int, text.split(".", 1)))
 
     @property
@@ -168,17 +179,17 @@ class SetKey(NamedTuple):
 
     @property
     def number(self) -> int:
-        """Return the key as one integer: ``unscheduled_index * 10_000_000 + set_index``.
+        """Return the key as one integer, ``unscheduled_index * 10_000_000 + set_index``.
 
-        Frames of the journal and the twin's random numbers use it.
+        Frames of the journal, and random numbers of the simulated rig, use it.
         """
         return self.unscheduled_index * _SCHEDULED_SETS + self.set_index
 
     @classmethod
     def from_number(cls, number: int) -> SetKey:
-        """Return the key of a `number`; the inverse of that property.
+        """Return the key of a number that `number` returned; the inverse of that property.
 
-        Data of earlier versions store it as the index of the set.
+        Data of earlier versions store that number as the index of the set.
         """
         unscheduled_index, set_index = divmod(number, _SCHEDULED_SETS)
         return cls(set_index, unscheduled_index)
@@ -200,7 +211,7 @@ class OfSet:
 
     @property
     def set_key(self) -> SetKey:
-        """Return the key of the set, made of its two indices."""
+        """Return the key of the set, built from `set_index` and `unscheduled_index`."""
         return SetKey(self.set_index, self.unscheduled_index)
 
 
@@ -221,6 +232,7 @@ class DueSet(OfSet):
     unscheduled_index: int = 0
 
     def __str__(self) -> str:
+        """Return the set in words for messages: ``set 12``, or ``a confirmation set at B``."""
         return f"set {self.set_index}" if self.position is None else f"a confirmation set at {self.position}"
 
 
@@ -235,13 +247,14 @@ class ShotKey(OfSet):
     unscheduled_index: int = 0
 
     def __post_init__(self) -> None:
+        """Raise ValueError if an index or the attempt is negative."""
         for name in ("set_index", "shot_index", "attempt", "unscheduled_index"):
             if getattr(self, name) < 0:
                 raise ValueError(f"{name} is {getattr(self, name)}; it must not be negative")
 
     @classmethod
     def from_set(cls, set_key: SetKey, position: str, shot_index: int, attempt: int = 0) -> ShotKey:
-        """Return the key of one attempt at a shot of a set; ValueError if an index is negative."""
+        """Build the key of an attempt (0: first) at a shot of a set; ValueError if an index is negative."""
         return cls(
             position=position,
             set_index=set_key.set_index,
@@ -283,6 +296,7 @@ class _Record:
     settings: Mapping[str, float | str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
+        """Copy truth and settings into read-only mappings."""
         object.__setattr__(self, "truth", MappingProxyType(dict(self.truth)))
         object.__setattr__(self, "settings", MappingProxyType(dict(self.settings)))
 
@@ -361,7 +375,7 @@ class ClimateReading:
 def compute_crc32(waveform: Waveform) -> int:
     """Return the CRC-32 (zlib's, 0 to 2**32 - 1) of a record's counts as little-endian bytes.
 
-    Cached, since file, acknowledgement and catalogue need the CRC-32 of the same, immutable waveform.
+    The last 64 results are cached, as file, acknowledgement and catalogue need that of the same waveform.
     """
     counts = waveform.counts
     return zlib.crc32(counts.astype(counts.dtype.newbyteorder("<"), order="C", copy=False).data)
@@ -447,6 +461,7 @@ class SetRecord(OfSet):
     unscheduled_index: int = 0
 
     def __post_init__(self) -> None:
+        """Copy positions and measurements into tuples; raise ValueError as the class describes."""
         for name in ("positions", "shots", "echoes", "missed"):
             object.__setattr__(self, name, tuple(getattr(self, name)))
         records = self.records
@@ -466,7 +481,7 @@ class SetRecord(OfSet):
 
     @property
     def due(self) -> DueSet:
-        """Return when the set was due, with the position of an unscheduled set (None: scheduled)."""
+        """Return index, due time and, for an unscheduled set, position of the set, without its records."""
         return DueSet(
             set_index=self.set_index,
             unscheduled_index=self.unscheduled_index,
@@ -477,25 +492,28 @@ class SetRecord(OfSet):
 
     @property
     def records(self) -> list[Shot | PulseEchoRecord]:
-        """Return shots and pulse-echo records in the order of acquisition (by `sequence`)."""
+        """Return shots and pulse-echo records in the order of acquisition, which is that of `sequence`."""
         return sorted((*self.shots, *self.echoes), key=lambda record: record.sequence)
 
     def n_missed(self, position: str) -> int:
-        """Count the strikes or echoes of a position without a record, repetitions included."""
+        """Count the strikes or echoes of a position without a record, repetitions of a shot included."""
         return sum(item.key.position == position for item in self.missed)
 
     def n_tried(self, position: str) -> int:
-        """Count a position's first attempts: its shots with or without a record, without repetitions.
+        """Count the first attempts at a position's shots, with or without a record; repetitions do not count.
 
         A missed echo counts, a recorded one does not.
         """
         return self._list_attempts(position).count(0)
 
     def n_restrikes(self, position: str) -> int:
-        """Count the repetitions of a position's shots, with or without a record."""
+        """Count the repeated attempts at a position's shots, with or without a record."""
         return sum(attempt > 0 for attempt in self._list_attempts(position))
 
     def _list_attempts(self, position: str) -> list[int]:
-        """Return the attempt number (0: first strike) of a position's shots, then of its missed ones."""
+        """Return the attempt numbers (0: first) of a position's shots with a record, then of those without.
+
+        A missed echo is among the latter.
+        """
         tried: list[Shot | MissedShot] = [*self.shots, *self.missed]
         return [item.key.attempt for item in tried if item.key.position == position]

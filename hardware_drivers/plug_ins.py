@@ -40,7 +40,7 @@ class Offer:
         return tuple(self.by_role)
 
     def load(self) -> Kind[Any]:
-        """Import the kind of all its roles and return it.
+        """Import the kind from the entry points of all its roles and return it.
 
         Raises
         ------
@@ -61,9 +61,9 @@ class Offer:
         return next(iter(kinds.values()))
 
     def _import_kind(self, entry_point: EntryPoint) -> Kind[Any]:
-        """Import the kind that an entry point names.
+        """Import the kind that an entry point names, and return it.
 
-        Raise ConfigurationError if the import fails in any way, or gives no `Kind`.
+        Raise ConfigurationError for any exception of the import, SystemExit included, or if it is no `Kind`.
         """
         offered = f"{self.distributions[0]} offers {entry_point.value} as the kind {self.name!r}"
         try:
@@ -82,9 +82,9 @@ class Offer:
 
 
 def find_offers() -> Mapping[str, Offer]:
-    """Return the installed kinds by name in alphabetical order, none of them imported.
+    """Find the installed kinds, by name in alphabetical order; none of them is imported.
 
-    Cached; the installed packages are searched again only if `sys.path` has changed.
+    Cached: installed packages are searched again only if `sys.path` has changed.
     """
     return _read_offers(tuple(sys.path))
 
@@ -109,12 +109,12 @@ def _read_offers(path: tuple[str, ...]) -> Mapping[str, Offer]:
 
 
 def find_kind(name: str) -> tuple[Kind[Any], Offer]:
-    """Import the kind of a name; return it with its offer.
+    """Find the installed kind of a name, import it, and return it with its offer.
 
     Raises
     ------
     ConfigurationError
-        No one offers it, or as `Offer.load`.
+        No installed package offers it; the message lists the names. Or as `Offer.load`.
     """
     known = find_offers()
     if name not in known:
@@ -127,7 +127,7 @@ def find_kind(name: str) -> tuple[Kind[Any], Offer]:
 
 
 def _format_kind_names(known: Iterable[Offer]) -> str:
-    """Format the kinds' names as a list with commas; those of other packages with name and version.
+    """Format the names of kinds as one text with commas; those of other packages with package and version.
 
     Without any kind, return a text that asks to install solimon again.
     """

@@ -12,7 +12,7 @@ from hardware_drivers.errors import InstrumentError
 def read_status_classes(
     file: Path, classes: Iterable[type[InstrumentError]]
 ) -> dict[int, type[InstrumentError]]:
-    """Read the error class of each vendor status from a TOML file with one table per class.
+    """Read the error class of each vendor status number from a TOML file with one table per class.
 
     Parameters
     ----------
@@ -23,6 +23,8 @@ def read_status_classes(
     ------
     KeyError
         A table is named after no class of `classes`.
+    OSError, ValueError
+        The file cannot be read, is no TOML, or a status is no integer.
     """
     tables: dict[str, dict[str, str]] = tomllib.loads(file.read_text(encoding="utf-8"))
     by_name = {kind.__name__: kind for kind in classes}

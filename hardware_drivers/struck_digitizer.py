@@ -20,21 +20,25 @@ class StruckDigitizer(ABC):
     """What a person should do about a strike that did not come, behind a semicolon."""
 
     def __init__(self) -> None:
+        """Start disarmed, without a stored strike."""
         self._armed: ShotKey | None = None
         self._struck: ShotKey | None = None
 
     @abstractmethod
     def require_transducer(self, key: ShotKey) -> None:
-        """Raise ConfigurationError for a position that has no solitary-wave transducer."""
+        """Raise ConfigurationError if the key's position has no solitary-wave transducer."""
 
     @abstractmethod
     def record_of(self, key: ShotKey) -> Acquired:
-        """Return the record of the strike `key`, which was the first at the armed position."""
+        """Return the record of the strike `key`, which was the first at the armed position.
+
+        Raise AcquisitionTimeoutError if it has none.
+        """
 
     def arm(self, key: ShotKey) -> None:
         """Arm for the next strike at the key's position.
 
-        Raise ConfigurationError if already armed, or if the position has no transducer.
+        Raise ConfigurationError if already armed, or if the position has no solitary-wave transducer.
         """
         self.require_transducer(key)
         if self._armed is not None:
@@ -51,7 +55,7 @@ class StruckDigitizer(ABC):
     def strike(self, key: ShotKey) -> bool:
         """Store a strike, and return True, if it is the first at the armed position since arming.
 
-        Any other strike is ignored (False).
+        Any other strike is ignored: return False.
         """
         recorded = self._armed is not None and self._armed.position == key.position and self._struck is None
         if recorded:
@@ -59,15 +63,14 @@ class StruckDigitizer(ABC):
         return recorded
 
     def read(self, timeout_s: float) -> Acquired:
-        """Return the record of the stored strike and disarm.
+        """Return the record of the stored strike at once, and disarm.
 
-        ``timeout_s`` is checked but never waited for; the time that reading takes never makes a strike a
-        missed one.
+        ``timeout_s`` is checked but never waited for: the time to read a record makes no strike a missed one.
 
         Raises
         ------
         AcquisitionTimeoutError
-            No strike at the armed position since the digitizer was armed; it is disarmed.
+            No strike at the armed position since the digitizer was armed, or one without a record.
         ConfigurationError
             Not armed, or the timeout is not positive.
         """

@@ -47,7 +47,7 @@ class SetPlan:
     read_timeout_s: float
 
     def list_positions(self, method: str) -> Sequence[str]:
-        """Return the active positions of one measuring method in the order of measurement."""
+        """Return the active positions of one measuring method, in the order in which they are measured."""
         return [name for name, its_method in self.positions.items() if its_method == method]
 
 
@@ -81,13 +81,18 @@ def take_set(
     wants_restrike: Callable[[Shot | MissedShot], bool] = lambda _: False,
     may_strike: Callable[[str], bool] = lambda _: True,
 ) -> Iterator[Measurement]:
-    """Record a set and yield its measurements; end early when ``idle()`` returns False.
+    """Record a set and yield its measurements as they are made; end early when ``idle()`` returns False.
+
+    Pulse-echo positions come first, then the strikes of one position after the other. Blocks while waiting
+    for their slots.
 
     Parameters
     ----------
     progress
         Progress of an earlier process: only the remaining measurements are made, in their original slots if
         these are not over.
+    first_sequence
+        Number of the first record; the following ones are counted from it.
     wants_restrike
         Called after each strike that can be repeated; True repeats it.
     may_strike
@@ -97,7 +102,7 @@ def take_set(
     ------
     InstrumentError
         Any error but a missed record; the measurements yielded before are complete. A lost connection is
-        raised only after `LOST_IN_A_ROW` consecutive records, when the driver has tried every recovery.
+        raised only after `LOST_IN_A_ROW` consecutive strikes, when the driver has tried every recovery.
     """
     sequence = itertools.count(first_sequence)
     progress = progress or ProgressOfSet(
@@ -138,12 +143,15 @@ def take_set(
 def _acquire_shot(
     rig: Rig, plan: SetPlan, key: ShotKey, sequence: Iterator[int], boot_id: str
 ) -> tuple[Shot | MissedShot, ConnectionLostError | None, bool]:
-    """Arm, strike and read; after any error the coil is off and the digitizer disarmed.
+    """Arm, strike and read one shot, stamped at its start; after any error the rig is made safe.
+
+    A record takes the next number of ``sequence``; a missed shot takes none.
 
     Returns
     -------
     tuple
-        Shot or missed shot, error of a lost connection, and whether the shot cannot be repeated.
+        Shot or missed shot, error of a lost connection (None without one), and whether the shot cannot be
+        repeated.
 
     Raises
     ------
@@ -176,9 +184,9 @@ def _acquire_shot(
 
 
 def _make_reachable_instruments_safe(rig: Rig, error: ConnectionLostError) -> None:
-    """Switch off the instruments that respond; an error of those that do not is added to ``error`` as a note.
+    """Make the rig safe after a lost connection; an instrument error of that is added to ``error`` as a note.
 
-    Hardware ends the pulse of an unreachable coil.
+    It is not raised: hardware ends the pulse of an unreachable coil.
     """
     try:
         rig.make_safe()
@@ -189,9 +197,10 @@ def _make_reachable_instruments_safe(rig: Rig, error: ConnectionLostError) -> No
 def _acquire_echo(
     rig: Rig, plan: SetPlan, key: ShotKey, sequence: Iterator[int], boot_id: str
 ) -> PulseEchoRecord | MissedShot:
-    """Acquire one averaged record; a timeout or lost connection yields a `MissedShot` and is not raised.
+    """Acquire one averaged pulse-echo record; return a `MissedShot` after a timeout or a lost connection.
 
-    Any other instrument error is raised.
+    A record takes the next number of ``sequence``; a missed one takes none. Any other instrument error is
+    raised.
     """
     assert rig.pulse_echo is not None, "open_rig gives every pulse-echo position its unit"
     stamp = _read_time_stamp(rig, boot_id)
@@ -215,5 +224,5 @@ def _acquire_echo(
 
 
 def _read_time_stamp(rig: Rig, boot_id: str) -> Stamp:
-    """Read test UTC and monotonic time of the rig's clock as a time stamp of this boot."""
+    """Return test UTC and monotonic time (ns) of the rig's clock as a stamp of boot ``boot_id``."""
     return Stamp(utc_ns=rig.clock.utc_ns(), mono_ns=rig.clock.mono_ns(), boot_id=boot_id)

@@ -27,10 +27,10 @@ _UNITS = {
 
 
 def find_unit(name: str) -> str:
-    """Return the unit of a name such as ``drop_height_m`` or ``velocity_m_per_s``; empty where it has none.
+    """Return the unit of a name such as ``drop_height_m`` or ``velocity_m_per_s``; empty if it has none.
 
-    The suffix after the last ``_per_`` is the denominator. NeXus writes a number without unit, such as a
-    fraction, with an empty unit.
+    The suffix after the last ``_per_`` is the denominator; an unknown one gives no unit. The unit is that of
+    NeXus (UDUNITS), where a number without unit has an empty one.
     """
     numerator, _, denominator = name.rpartition("_per_")
     if numerator:

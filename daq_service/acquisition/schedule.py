@@ -22,19 +22,20 @@ class PhaseLike(Protocol):
 
     @property
     def until_h(self) -> float:
-        """Return the hour of the test at which the phase ends; its last set is due then."""
+        """Return the test hour at which the phase ends; a set due then still belongs to it."""
         ...
 
     @property
     def interval_h(self) -> float:
-        """Return the hours between two sets of the phase."""
+        """Return the interval in h between two sets of the phase."""
         ...
 
 
 def build_unscheduled_set(number: int, after: DueSet, utc_ns: int, position: str) -> DueSet:
-    """Build the ``number``-th unscheduled set after a scheduled one, due at ``utc_ns`` (UTC in ns).
+    """Build the ``number``-th unscheduled set of a position after a scheduled set, due at ``utc_ns``.
 
-    The hour is counted from the scheduled set, so both give the same hour 0.
+    ``utc_ns`` is UTC in ns. The set has the index of the scheduled one; its test hour is counted from that
+    set, so that both have the same hour 0.
     """
     due_h = after.due_h + (utc_ns - after.due_utc_ns) / NS_PER_H
     epoch_ns = after.due_utc_ns - round(after.due_h * NS_PER_H)
@@ -48,9 +49,10 @@ def build_unscheduled_set(number: int, after: DueSet, utc_ns: int, position: str
 
 
 def list_due_hours(phases: Sequence[PhaseLike], *, end_h: float | None = None) -> list[float]:
-    """Return the hours of all sets in ascending order; ``end_h`` ends the schedule early (inclusive).
+    """Return the test hours of all scheduled sets in ascending order; sets after ``end_h`` are left out.
 
-    Each hour is counted from its phase's start, so no rounding error piles up.
+    ``phases`` follow each other from hour 0. The first set of a phase is an interval after its start; hours
+    are counted from there, so that rounding errors do not add up.
     """
     hours = _compute_phase_hours(tuple((phase.until_h, phase.interval_h) for phase in phases))
     return list(hours if end_h is None else hours[: bisect_right(hours, end_h)])
@@ -58,7 +60,10 @@ def list_due_hours(phases: Sequence[PhaseLike], *, end_h: float | None = None) -
 
 @lru_cache(maxsize=16)
 def _compute_phase_hours(phases: tuple[tuple[float, float], ...]) -> tuple[float, ...]:
-    """Compute the hours of all sets from (end, interval) in h of each phase; cached."""
+    """Compute the ascending test hours of all sets from (end, interval) in h of each phase; cached.
+
+    The first set of a phase is an interval after its start; the last one is not after its end.
+    """
     # A year has many sets, and each answer of the web service needs them.
     hours: list[float] = []
     start_h = 0.0
@@ -73,7 +78,7 @@ def _compute_phase_hours(phases: tuple[tuple[float, float], ...]) -> tuple[float
 def plan_sets(phases: Sequence[PhaseLike], epoch_utc_ns: int, *, end_h: float | None = None) -> list[DueSet]:
     """Return all scheduled sets, in order, of a test whose hour 0 is ``epoch_utc_ns`` (UTC in ns).
 
-    ``end_h`` ends the schedule early (inclusive).
+    Sets due after ``end_h`` (test hour) are left out.
     """
     return [
         DueSet(set_index=index, due_h=hour, due_utc_ns=epoch_utc_ns + round(hour * NS_PER_H))

@@ -28,9 +28,10 @@ class AnalysedWaveform(Waveform):
 
 
 def extract_record_features(acquired: Sequence[Acquired | None]) -> list[Acquired | None]:
-    """Return the records with the features of their waveforms, extracted together; None stays None.
+    """Return copies of the records with the features of their waveforms, extracted together; None stays None.
 
-    If the extraction fails for one, all records are returned without features; nothing is raised.
+    If the extraction fails for any of them, the records are returned without features, and no error is raised
+    or logged.
     """
     waveforms = [one.waveform for one in acquired if one is not None]
     try:
@@ -39,7 +40,7 @@ def extract_record_features(acquired: Sequence[Acquired | None]) -> list[Acquire
         return list(acquired)
 
     def attach_features(waveform: Waveform) -> AnalysedWaveform:
-        """Return a copy of a waveform with the next features; called in the order of the waveforms."""
+        """Return a copy of a waveform with its features; must be called in the order of the waveforms."""
         parts = {part.name: getattr(waveform, part.name) for part in fields(waveform)}
         return AnalysedWaveform(**parts, features=next(features))
 
@@ -47,9 +48,10 @@ def extract_record_features(acquired: Sequence[Acquired | None]) -> list[Acquire
 
 
 def extract_shot_features(shot: Shot) -> ShotFeatures:
-    """Return the features that came with a shot's waveform, else extract them.
+    """Return the features that came with a shot's waveform, else extract them; never raise an Exception.
 
-    If the analysis fails, log it and return features with the flag `NOT_ANALYSED`, not valid.
+    If the extraction fails, log the traceback and return features that are not valid, with the flag
+    ``not_analysed``.
     """
     if isinstance(shot.waveform, AnalysedWaveform):
         return shot.waveform.features
@@ -61,9 +63,9 @@ def extract_shot_features(shot: Shot) -> ShotFeatures:
 
 
 def extract_features_of_shots(shots: Sequence[Shot]) -> list[ShotFeatures]:
-    """Extract the features of many shots together, in their order.
+    """Extract the features of many shots together, in their order, also where a waveform has some.
 
-    If that fails, each is extracted by `extract_shot_features`, which logs and flags the one that fails.
+    If that fails, each shot is treated as by `extract_shot_features`, which flags and logs a failed one.
     """
     try:
         return extract_all([shot.waveform for shot in shots])
@@ -72,6 +74,9 @@ def extract_features_of_shots(shots: Sequence[Shot]) -> list[ShotFeatures]:
 
 
 def compute_rehearsal_features(shot: Shot) -> ShotFeatures:
-    """Return the only feature of a rehearsal's noise: its RMS about the mean, in V."""
+    """Return features of a rehearsal's record: only the RMS of its noise about the mean, in V.
+
+    They are not valid, with the flag ``dry_run``.
+    """
     noise_rms_v = float(np.std(shot.waveform.volts()))
     return ShotFeatures(flags=(DRY_RUN,), valid=False, quality="bad", noise_rms_v=noise_rms_v)

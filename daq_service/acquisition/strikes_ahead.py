@@ -12,7 +12,7 @@ from hardware_drivers.nanoseconds import NS_PER_S
 def build_strike_predictor(
     sets: Sequence[DueSet], positions: Sequence[str], *, shots_per_set: int, shot_interval_s: float
 ) -> Callable[[ShotKey, int], Iterator[tuple[ShotKey, int]]]:
-    """Build a function that predicts the strikes of `take_set` after a given strike.
+    """Build a function that predicts the strikes that `take_set` makes after a given strike.
 
     Parameters
     ----------
@@ -20,12 +20,14 @@ def build_strike_predictor(
         Every planned set; the set of index k is the k-th.
     positions
         Solitary-wave positions, in the order in which they are struck.
+    shot_interval_s
+        Time between two strikes of a set, repetitions not counted.
 
     Returns
     -------
     Callable
         Takes a strike's key and its time (UTC in ns); yields the keys and times of those after it,
-        through all later sets. Nothing for a position or shot that is not struck.
+        through all later sets. It yields nothing for a position or shot that is not struck.
     """
     order = list(itertools.product(positions, range(shots_per_set)))
     slots_ns = [round(slot * shot_interval_s * NS_PER_S) for slot in range(len(order))]

@@ -70,11 +70,15 @@ class Allowance:
     """Rate limit: a burst of a maximum size, then one in each interval."""
 
     def __init__(self, most: int, every_s: float, *, machine: MachineClock = MACHINE) -> None:
+        """Start with ``most`` uses left; one use is refilled every ``every_s`` seconds."""
         self._most, self._every_s, self._machine = most, every_s, machine
         self._left, self._at_s = float(most), machine.mono_s()
 
     def try_take(self) -> bool:
-        """Use one of the remaining uses, refilled with time; return False, and use none, if none is left."""
+        """Take one use from the allowance and return True; return False, and take none, if none is left.
+
+        Uses are refilled with time: one per interval, up to the maximum.
+        """
         now_s = self._machine.mono_s()
         self._left = min(self._most, self._left + (now_s - self._at_s) / self._every_s)
         self._at_s = now_s
@@ -88,20 +92,25 @@ class Audit:
     """Writer of the audit log of a data folder; thread-safe."""
 
     def __init__(self, folder: Path, *, machine: MachineClock = MACHINE) -> None:
+        """Prepare writing to ``audit.jsonl`` in the folder; no file is opened here."""
         self._path, self._machine = folder / AUDIT_FILE, machine
         self._allowances: dict[str, Allowance] = {}
         self._left_out = 0
         self._lock = threading.Lock()
 
     def count_omitted_rejection(self) -> None:
-        """Count a rejection that is not written; the next entry has the number as ``left_out``."""
+        """Count a rejection that is not written to the audit log.
+
+        The next written entry has the number of rejections before it as ``left_out``. Thread-safe.
+        """
         with self._lock:
             self._left_out += 1
 
     def add(self, **fields: Any) -> None:
-        """Append an entry with these fields of `AuditEntry` to the file.
+        """Append an audit entry with these fields of `AuditEntry` to the file, and sync it to disk.
 
-        A rejection above its rate limit is only counted. An OSError is logged, not raised.
+        A rejection above its rate limit is only counted; the next written entry has the count as
+        ``left_out``. An OSError is logged as a warning, not raised, and the entry is lost.
         """
         entry = AuditEntry(**fields)
         with self._lock:
@@ -115,9 +124,9 @@ class Audit:
             log.warning("not in %s: %s %s %s: %s", AUDIT_FILE, entry.what, entry.result, entry.author, error)
 
     def _find_rate_limit(self, entry: AuditEntry) -> Allowance:
-        """Return the rate limit of an entry's author; of its role if the author is claimed or unknown.
+        """Return the rate limit of rejections for an entry's author, created on first use.
 
-        It is created on first use.
+        All claimed authors share one limit, and all requests without a role another.
         """
         name = entry.author if entry.role not in ("", "claimed") else entry.role
         if name not in self._allowances:
@@ -132,19 +141,19 @@ def read_audit(
     end: int | None = None,
     wanted: Callable[[AuditEntry], bool] = lambda entry: True,
 ) -> tuple[list[tuple[int, AuditEntry]], int | None]:
-    """Read the newest entries that ``wanted`` accepts, newest first, as `read_newest_lines` does.
+    """Read the newest audit entries that ``wanted`` accepts, newest first; damaged lines are left out.
 
     Parameters
     ----------
     limit
-        Maximum number of entries.
+        Maximum number of entries; at most `MOST_LINES` lines are searched for them.
     end
         Byte at which the requested lines end; None: the end of the file.
 
     Returns
     -------
     tuple
-        Entries with their numbers, and the ``end`` of the earlier ones; None: there are none.
+        Entries with their line numbers, and the ``end`` of the earlier ones; None: there are none.
 
     Raises
     ------
@@ -158,5 +167,8 @@ def read_audit(
 
 
 def _parse_entry(row: Mapping[str, object]) -> AuditEntry:
-    """Build the audit entry of a stored line, whose keys may have the names of an earlier version."""
+    """Build the audit entry of a stored row; keys and values of an earlier version get their current names.
+
+    Raise TypeError for a missing or an unknown field.
+    """
     return AuditEntry(**to_current_row(TABLE, row))

@@ -33,7 +33,10 @@ class ApproveBaseline(TransducerCommand):
     kind: Literal["approve_baseline"]
 
     def _find_refusal(self, facts: Facts) -> Refusal | None:
-        """Return the refusal unless the position has a proposed baseline with limits; None if it has."""
+        """Return the refusal unless the newest baseline of the position is proposed, with limits; else None.
+
+        An unknown position is refused, too.
+        """
         position = self.arguments.position
         unknown = super()._find_refusal(facts)
         row = facts.baselines.get(position)
@@ -47,7 +50,7 @@ class ApproveBaseline(TransducerCommand):
         return Refusal(reason, "A baseline waits for a signature where baseline.approval is by_a_person.")
 
     def _find_refusal_at(self, position: str, disabled: str | None) -> Refusal | None:
-        """Return None: a baseline can be approved while its transducer is disabled, too."""
+        """Return None for any state of the transducer: a baseline can be approved while that is disabled."""
         return None
 
     def _carry_out(self, test: RunningTest, order_id: int) -> str:
@@ -66,9 +69,10 @@ class RenewBaseline(TransducerCommand):
     arguments: RenewalArguments
 
     def _carry_out(self, test: RunningTest, order_id: int) -> str:
-        """Retire the baseline, reset its active alarms and collect a new one, in one transaction.
+        """Retire the baseline, reset the alarms that depend on it and start a new one, in one transaction.
 
-        Return the result as text, with the sets that the new baseline collects.
+        Return the result as text, with the sets that the new baseline collects. Raise ValueError, and change
+        nothing, if the schedule leaves too few sets for it.
         """
         position, moment, reason = self.arguments.position, test.moment(), self.arguments.note.strip()
         retired, collecting = renew(

@@ -12,14 +12,15 @@ from hardware_drivers.nanoseconds import NS_PER_S
 
 
 def compute_remaining_s(row: CommandRow, *, boot: str | None, boot_ns: int, wall_utc_ns: int) -> float:
-    """Return the remaining time in s in which a command must be started; 0 after its deadline.
+    """Return the remaining time in s in which a command must be started; 0 after its deadline or without one.
 
-    Within a boot a step of UTC has no effect; a command of another boot has expired.
+    Within a boot the boot's clock counts, so a step of UTC has no effect. A command of another boot has
+    expired. UTC counts if the name of either boot is unknown.
 
     Parameters
     ----------
     boot, boot_ns, wall_utc_ns
-        Current values: name of this boot (None: UTC counts), time of it, and UTC.
+        Current values: name of this boot (None: unknown), its time in ns, and UTC in ns.
     """
     if row.deadline_wall_utc_ns is None or row.deadline_boot_ns is None:
         return 0.0  # of an older version
@@ -29,14 +30,14 @@ def compute_remaining_s(row: CommandRow, *, boot: str | None, boot_ns: int, wall
 
 
 def remaining_now_s(row: CommandRow) -> float:
-    """Return the time in s in which a command must be started, as of now on this computer; at least 0."""
+    """Return the remaining time in s from now in which a command must be started; 0 after its deadline."""
     return compute_remaining_s(row, boot=boot_name(), boot_ns=elapsed_ns(), wall_utc_ns=time.time_ns())
 
 
 def mark_if_expired(row: CommandRow, seconds_left: float) -> CommandRow:
-    """Return the row with state ``expired`` and a result if it is pending without time left.
+    """Return a copy of the row with state ``expired`` and a result if it is pending with no seconds left.
 
-    Any other row is returned as it is; nothing is stored.
+    Any other row is returned unchanged; nothing is stored.
     """
     if row.state != "pending" or seconds_left > 0.0:
         return row
@@ -44,7 +45,11 @@ def mark_if_expired(row: CommandRow, seconds_left: float) -> CommandRow:
 
 
 def read_command_state(catalogue: Catalogue, order_id: int) -> tuple[CommandRow, float] | None:
-    """Read a command with its current state and its remaining time in s; None if there is no such command."""
+    """Read a command and its remaining time in s; None if there is no command with this id.
+
+    A pending command after its deadline is returned as expired, but not stored so. Errors of the catalogue
+    pass through.
+    """
     row = catalogue.command(order_id)
     if row is None:
         return None
@@ -55,5 +60,5 @@ def read_command_state(catalogue: Catalogue, order_id: int) -> tuple[CommandRow,
 
 
 def describe_expiry(reason: str) -> str:
-    """Return the answer text to a command that was not started, with the reason."""
+    """Return the answer text for a command that was not executed, with the reason and the remedy."""
     return f"not executed: {reason}; send it again if it is still needed"

@@ -59,6 +59,7 @@ class CommandExecutor:
         left_s: Callable[[CommandRow], float] = remaining_now_s,
         adopt: Callable[[], None] = lambda: None,
     ) -> None:
+        """Read from the catalogue whether the test is paused; no command is executed here."""
         self._catalogue = catalogue
         self._test = test
         self._left_s, self._adopt = left_s, adopt
@@ -69,18 +70,19 @@ class CommandExecutor:
         self.paused = catalogue.paused() or ""
 
     def close_earlier_commands(self) -> None:
-        """Close the commands that an earlier recorder left open, without executing them.
+        """Close the commands that an earlier recorder left open, without executing them, as `close` does.
 
-        Does so once; later calls do nothing.
+        After a call that succeeded, later calls do nothing.
         """
         if not self._has_started:
             self.close("it was given before this recorder began")
             self._has_started = True
 
     def close(self, reason: str) -> None:
-        """Answer every open command without executing it: expired for this reason.
+        """Store an answer to every open command without executing it: expired, for this reason.
 
-        A started command that changes more than rows is answered as failed: its outcome is unknown.
+        A started command that changes more than rows is answered as failed: its outcome is unknown. An answer
+        that could not be stored before is stored now. StorageError of the catalogue passes through.
         """
         for row in self._catalogue.list_open_commands():
             is_unknown = row.state == "started" and not KINDS.get(row.kind, Command).rows_only
@@ -90,7 +92,7 @@ class CommandExecutor:
     def expire_open_commands(self) -> None:
         """Answer the commands that are still open when this recorder ends, as `close` does.
 
-        An error of catalogue or disk is logged: the next recorder answers them.
+        A StorageError or OSError is logged as a warning, not raised: the next recorder answers them.
         """
         try:
             self.close("the recorder has ended")
@@ -98,10 +100,11 @@ class CommandExecutor:
             log.warning("open commands are not answered; the next recorder does it: %s", error)
 
     def execute_open_commands(self) -> None:
-        """Execute the open commands in turn, store each answer, and update `paused`.
+        """Execute the open commands, oldest first, store each answer, and update `paused`.
 
-        A rejected command is answered with the reason. An answer that an instrument owes is polled at the
-        next call. Raise StorageError if start or answer cannot be stored.
+        Commands of an earlier recorder are closed first. A rejection is stored as the answer. An answer that
+        an instrument owes is polled at the next call. Raise StorageError if a start or an answer cannot be
+        stored; an answer that was not stored is stored by a later call, without a second execution.
         """
         self.close_earlier_commands()
         for row in self._catalogue.list_open_commands():
@@ -114,7 +117,11 @@ class CommandExecutor:
                 self._store_answer(row, answer)
 
     def _store_answer(self, row: CommandRow, answer: Answer) -> None:
-        """Store a command's state and result; log a warning if it has expired or failed."""
+        """Store a command's state and result, then forget the remembered answer.
+
+        An expired or failed command is logged as a warning. A StorageError passes through, such as
+        CatalogueConflictError for a command that has an answer already; the remembered answer is then kept.
+        """
         self._catalogue.finish_command(row.id, *answer)
         self._answers.pop(row.id, None)
         if answer[0] in ("expired", "failed"):
@@ -123,9 +130,9 @@ class CommandExecutor:
     def _execute_command(self, row: CommandRow) -> Answer | None:
         """Mark a command as started, execute it, and return its state and result.
 
-        Return None if they are stored with its changes, and while an instrument has not responded. An
-        expired command is not executed, a rejected one returns the reason. Raise StorageError if the start
-        cannot be stored, unless the command is one of `HARMLESS_TWICE`.
+        Return None if they are stored with its changes, and while an instrument has not responded. An expired
+        command is not executed; a rejected one returns the reason. Raise StorageError if start or changes
+        cannot be stored; the start of `HARMLESS_TWICE` commands need not be.
         """
         if (awaited := self._awaited.get(row.id)) is not None:
             return self._poll_answer(row, awaited)
@@ -160,9 +167,9 @@ class CommandExecutor:
         return None
 
     def _poll_answer(self, row: CommandRow, awaited: PendingAnswer) -> Answer | None:
-        """Return the answer of an instrument to a command that was sent to it; None while there is none.
+        """Poll an instrument's answer to a command by calling ``awaited``; return None while there is none.
 
-        A rejection is returned as an answer, too.
+        A ValueError of the call is returned as state ``rejected``. An answered command is polled no further.
         """
         try:
             if (result := awaited()) is None:
@@ -175,7 +182,10 @@ class CommandExecutor:
         return "done", result
 
     def _collect_facts(self) -> Facts:
-        """Collect from test and catalogue the facts that decide whether a command can be executed."""
+        """Collect the present facts of test and catalogue that decide whether a command can be executed.
+
+        Errors of the catalogue pass through.
+        """
         return Facts(
             can_skip_time=isinstance(self._test.clock, SimulatedClock),
             paused=self.paused,
@@ -189,6 +199,6 @@ class CommandExecutor:
 
 
 def _log_rejection(row: CommandRow, error: Exception) -> Answer:
-    """Log a warning that a command is rejected; return state ``rejected`` with the error's text."""
+    """Log a warning that a command is rejected; return state ``rejected`` and the text of the error."""
     log.warning("command %d (%s) rejected: %s", row.id, row.kind, error)
     return "rejected", str(error)

@@ -139,7 +139,7 @@ class AnnotationArguments(Strict):
 
     @model_validator(mode="after")
     def _check_range_order(self) -> Self:
-        """Return the arguments; ValueError if the range ends before it begins."""
+        """Return the arguments; raise ValueError if the last hour is before the first one."""
         if self.to_h is not None and self.to_h < self.from_h:
             raise ValueError(f"the range ends at {self.to_h:g} h, before {self.from_h:g} h; let it end later")
         return self
@@ -180,6 +180,7 @@ class CommandRejectedError(ValueError):
     """Error of a command that cannot be executed now, with its ``refusal``."""
 
     def __init__(self, refusal: Refusal) -> None:
+        """Store the refusal; its reason becomes the text of the error."""
         super().__init__(refusal.reason)
         self.refusal = refusal
 
@@ -197,8 +198,8 @@ class Command(Strict):
     def find_refusal(self, facts: Facts) -> Refusal | None:
         """Return the refusal of the command in this state of the test; None if it can be executed.
 
-        A command that needs a recorder is refused if none runs or it has ended; each kind adds its own
-        conditions.
+        A command that needs a recorder is refused if none holds the lock, or if the recorder has finished or
+        stopped; each kind adds its own conditions.
         """
         ended = f"the recorder has {facts.recorder}" if facts.recorder in {"finished", "stopped"} else ""
         if self.needs_recorder and (ended or not facts.recorded):
@@ -209,7 +210,7 @@ class Command(Strict):
         return self._find_refusal(facts)
 
     def carry_out(self, test: RunningTest, order_id: int, facts: Facts) -> str | PendingAnswer:
-        """Execute the command and return its result, or a function that polls an instrument for it.
+        """Execute the command; return its result as text, or a function that polls an instrument for it.
 
         Raises
         ------
@@ -222,23 +223,26 @@ class Command(Strict):
         return self._carry_out(test, order_id)
 
     def require_allowed(self, facts: Facts) -> None:
-        """Raise an error if these facts do not allow the command; else do nothing.
+        """Raise an error if these facts do not allow the command; otherwise do nothing.
 
         Raises
         ------
         CommandRejectedError
-            The command cannot be executed, with the reason.
+            The command cannot be executed; the error has the refusal.
         """
         refusal = self.find_refusal(facts)
         if refusal is not None:
             raise CommandRejectedError(refusal)
 
     def _find_refusal(self, facts: Facts) -> Refusal | None:
-        """Return the kind's own refusal in this state; None, the default, allows the command."""
+        """Return the refusal that is specific to this kind; None allows the command, as by default."""
         return None
 
     def _carry_out(self, test: RunningTest, order_id: int) -> str | PendingAnswer:
-        """Execute the command and return its result or a polling function. Each kind implements it."""
+        """Execute an allowed command; return its result as text, or a function that polls for it.
+
+        Each kind implements it; the default raises NotImplementedError.
+        """
         raise NotImplementedError
 
 
@@ -249,7 +253,7 @@ class FinishNow(Command):
     arguments: NoArguments = NoArguments()
 
     def _find_refusal(self, facts: Facts) -> Refusal | None:
-        """Return the refusal unless the test runs on a simulated clock; None if it does."""
+        """Return the refusal unless the test's clock can skip time (simulated and paced); else None."""
         if facts.can_skip_time:
             return None
         return Refusal(
@@ -259,7 +263,7 @@ class FinishNow(Command):
         )
 
     def _carry_out(self, test: RunningTest, order_id: int) -> str:
-        """Run the simulated clock without pacing from now on; return the result as text."""
+        """End the pacing of the simulated clock from now on; return the result as text."""
         assert isinstance(test.clock, SimulatedClock), "another clock forbids it"
         test.clock.finish_now()
         return "no pacing from here on"
@@ -272,7 +276,10 @@ class Stop(Command):
     arguments: NoArguments = NoArguments()
 
     def _carry_out(self, test: RunningTest, order_id: int) -> str:
-        """Set the recorder's stop request and return at once; it ends after the shot being taken."""
+        """Set the recorder's stop request and return the result as text at once.
+
+        The recorder ends after the shot being taken.
+        """
         test.stop.set()
         return "stopping after the shot being taken"
 
@@ -284,11 +291,14 @@ class StoredCommand(Command):
     rows_only = True
 
     def _carry_out(self, test: RunningTest, order_id: int) -> str:
-        """Execute `carry_out_stored`, which also works without a recorder, and return its text."""
+        """Execute the command as `carry_out_stored` does, here in the recorder; return its result as text."""
         return self.carry_out_stored(test)
 
     def carry_out_stored(self, test: StoredTest) -> str:
-        """Execute the command in one transaction; return its result as text. Each kind implements it."""
+        """Execute an allowed command in one transaction, also without a recorder; return the result as text.
+
+        Each kind implements it; the default raises NotImplementedError.
+        """
         raise NotImplementedError
 
 
@@ -299,7 +309,10 @@ class AcknowledgeAlarm(StoredCommand):
     arguments: AlarmArguments
 
     def _find_refusal(self, facts: Facts) -> Refusal | None:
-        """Return the refusal of an unknown alarm, or one whose state needs no acknowledgement; else None."""
+        """Return the refusal of an unknown alarm, or of one whose state cannot be acknowledged; else None.
+
+        An unknown alarm is marked as ``missing``.
+        """
         wanted = self.arguments.alarm_id
         state = next((row.state for row in facts.alarms if row.id == wanted), None)
         if state in AFTER_ACKNOWLEDGEMENT:
@@ -313,7 +326,7 @@ class AcknowledgeAlarm(StoredCommand):
         )
 
     def carry_out_stored(self, test: StoredTest) -> str:
-        """Store the alarm as acknowledged, with its event; return the result as text."""
+        """Store the alarm as acknowledged by the author, with its event; return ``acknowledged``."""
         (row,) = (row for row in test.alarms.values() if row.id == self.arguments.alarm_id)
         moment = test.moment()
         test.store_alarm_changes(moment, acknowledge_alarm(row, self.author, self.arguments.note, moment))
@@ -333,7 +346,10 @@ class Pause(Command):
         return Refusal(reason, "Resume it first; a pause has one reason.") if facts.paused else None
 
     def _carry_out(self, test: RunningTest, order_id: int) -> str:
-        """Store the event that pauses the test, with author and reason; return the result as text."""
+        """Store the event that pauses the test, with author and reason; return the result as text.
+
+        The pause lasts over restarts until `Resume`.
+        """
         text = f"paused by {self.author}: {self.arguments.note}"
         test.store_event("pause", {"paused": text, "author": self.author})
         return "paused: nothing strikes until the test is resumed; due sets are missed"
@@ -352,7 +368,7 @@ class Resume(Command):
         return None if facts.paused else Refusal("the test is not paused", hint)
 
     def _carry_out(self, test: RunningTest, order_id: int) -> str:
-        """Store the event that ends the pause; return the result as text."""
+        """Store the event that ends the pause, with author and note; return the result as text."""
         test.store_event("resume", {"paused": "", "author": self.author, "note": self.arguments.note})
         return "resumed: the next due set is taken"
 
@@ -364,7 +380,7 @@ class TrustClock(Command):
     arguments: NoteArguments = NoteArguments()
 
     def _find_refusal(self, facts: Facts) -> Refusal | None:
-        """Return the refusal unless the alarm `CLOCK_UNVERIFIED` is active; None if it is."""
+        """Return the refusal unless alarm ``clock_unverified`` is active, acknowledged or not; else None."""
         standing = ("unacknowledged", "acknowledged")
         if any(row.kind == CLOCK_UNVERIFIED and row.state in standing for row in facts.alarms):
             return None
@@ -373,7 +389,10 @@ class TrustClock(Command):
         )
 
     def _carry_out(self, test: RunningTest, order_id: int) -> str:
-        """Accept the computer's clock as test time; return the result as text."""
+        """Accept the computer's UTC as test time; return the result as text.
+
+        Raise ValueError if the clock is verified already.
+        """
         assert isinstance(test.clock, WallClock), "no other clock is doubted"
         return test.clock.accept_system_clock()
 
@@ -385,9 +404,9 @@ class TransducerCommand(Command):
     arguments: TransducerArguments
 
     def _find_refusal(self, facts: Facts) -> Refusal | None:
-        """Return the refusal of a position that is no solitary-wave transducer, else that of its state.
+        """Return the refusal of an unknown transducer, else what `_find_refusal_at` returns for its state.
 
-        None if the command is allowed there.
+        None allows the command; only solitary-wave transducers are known.
         """
         position = self.arguments.position
         if position not in facts.positions:
@@ -397,9 +416,9 @@ class TransducerCommand(Command):
         return self._find_refusal_at(position, states.find_disabled(facts.alarms).get(position))
 
     def _find_refusal_at(self, position: str, disabled: str | None) -> Refusal | None:
-        """Return the refusal if the position is disabled, for the reason given; None if it is enabled.
+        """Return the refusal of a disabled position; None if it is enabled. Kinds may override it.
 
-        Kinds override it.
+        ``disabled`` is the reason why it is disabled; None: it is enabled.
         """
         reason, hint = f"{position} is disabled", "Enable it when it is repaired."
         return None if disabled is None else Refusal(reason, hint, f"{reason}: {disabled}.")
@@ -411,7 +430,7 @@ class Disable(TransducerCommand):
     kind: Literal["disable"]
 
     def _carry_out(self, test: RunningTest, order_id: int) -> str:
-        """Raise the latched alarm that disables the transducer, and store it; return the result as text."""
+        """Store a latched alarm ``transducer_disabled`` for the position; return the result as text."""
         position, moment = self.arguments.position, test.moment()
         condition = states.Condition(
             position=position,
@@ -434,12 +453,15 @@ class Enable(TransducerCommand):
     kind: Literal["enable"]
 
     def _find_refusal_at(self, position: str, disabled: str | None) -> Refusal | None:
-        """Return the refusal of a position that is not disabled; None if it is."""
+        """Return the refusal of a position that is enabled (``disabled`` is None); None if it is disabled."""
         reason, hint = f"{position} is not disabled", "/api/v1/transducers lists which are, and why."
         return Refusal(reason, hint) if disabled is None else None
 
     def _carry_out(self, test: RunningTest, order_id: int) -> str:
-        """Reset the alarms that disable the transducer, and store them; return the result as text."""
+        """Reset the alarms that disable the transducer, store them, and enable it; return the result as text.
+
+        It strikes from the next set on.
+        """
         position, moment = self.arguments.position, test.moment()
         standing = [
             row
@@ -458,14 +480,17 @@ class Strike(TransducerCommand):
     kind: Literal["strike"]
 
     def _find_refusal(self, facts: Facts) -> Refusal | None:
-        """Return the refusal if the test is paused or the transducer unknown or disabled; else None."""
+        """Return the refusal if the test is paused or the transducer unknown or disabled; None allows it."""
         if facts.paused:
             reason = f"the test is {facts.paused}"
             return Refusal(reason, "Resume it when all hands are out of the rig.")
         return super()._find_refusal(facts)
 
     def _carry_out(self, test: RunningTest, order_id: int) -> str:
-        """Store the request for an unscheduled set; return the result as text. The set is taken later."""
+        """Store the request for an unscheduled set at the position; return the result as text.
+
+        The set is taken later. Raise ValueError if such a set cannot be requested.
+        """
         position = self.arguments.position
         reason = self.arguments.note or f"{self.author} wants to know"
         test.store(test.confirmation(position, self.author, reason))
@@ -492,7 +517,10 @@ class SupplyOn(_SupplyCommand):
     arguments: SupplyArguments = SupplyArguments()
 
     def _carry_out(self, test: RunningTest, order_id: int) -> PendingAnswer:
-        """Send the command to the supply without waiting; return a function that polls for its answer."""
+        """Send the command on to the supply without waiting; return a function that polls for its answer.
+
+        ValueError if the supply rejects it, here or from that function. None: values as configured.
+        """
         volts, amperes = self.arguments.voltage_v, self.arguments.current_limit_a
         return test.switch.supply_on(
             self.author, test.moment().due_h, voltage_v=volts, current_limit_a=amperes
@@ -506,7 +534,10 @@ class SupplyOff(_SupplyCommand):
     arguments: NoteArguments = NoteArguments()
 
     def _carry_out(self, test: RunningTest, order_id: int) -> PendingAnswer:
-        """Send the command to the supply without waiting; return a function that polls for its answer."""
+        """Send the command off to the supply without waiting; return a function that polls for its answer.
+
+        ValueError if the supply rejects it, here or from that function.
+        """
         return test.switch.supply_off(self.author, test.moment().due_h)
 
 
@@ -517,7 +548,7 @@ class Annotate(StoredCommand):
     arguments: AnnotationArguments
 
     def _find_refusal(self, facts: Facts) -> Refusal | None:
-        """Return the refusal of an unknown position; None for a known one or the complete test."""
+        """Return the refusal of an unknown position (``missing``); None for a known one or the whole test."""
         position = self.arguments.position
         if position is None or position in facts.places:
             return None
@@ -528,7 +559,10 @@ class Annotate(StoredCommand):
         )
 
     def carry_out_stored(self, test: StoredTest) -> str:
-        """Store the annotation with its event; an instant has equal first and last hour. Return the text."""
+        """Store the annotation with its event, in one transaction; return ``noted``.
+
+        An annotation of an instant gets equal first and last hours.
+        """
         arguments = self.arguments
         row = AnnotationRow(
             position=arguments.position,
@@ -549,7 +583,7 @@ class WithdrawAnnotation(StoredCommand):
     arguments: WithdrawalArguments
 
     def _find_refusal(self, facts: Facts) -> Refusal | None:
-        """Return the refusal of an annotation that is unknown or withdrawn already; else None."""
+        """Return the refusal of an annotation that is unknown (``missing``) or was withdrawn; else None."""
         wanted = self.arguments.annotation_id
         row = next((row for row in facts.annotations if row.id == wanted), None)
         if row is None:
@@ -564,7 +598,7 @@ class WithdrawAnnotation(StoredCommand):
         )
 
     def carry_out_stored(self, test: StoredTest) -> str:
-        """Store time and author of the withdrawal; the annotation is kept. Return the result as text."""
+        """Store time and author of the withdrawal, with its event; return ``withdrawn``. The row is kept."""
         (row,) = (row for row in test.annotations() if row.id == self.arguments.annotation_id)
         withdrawn = replace(row, withdrawn_utc_ns=test.moment().utc_ns, withdrawn_by=self.author)
         test.store_annotation(withdrawn, "annotation_withdrawn")

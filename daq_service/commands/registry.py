@@ -28,12 +28,12 @@ else:
 
 
 def parse_command(kind: str, author: str, arguments: Mapping[str, object]) -> Command:
-    """Parse and validate a command that does not come as JSON from the web service.
+    """Build a validated command of a registered kind from its name, author and arguments.
 
     Raises
     ------
     UsageError
-        An unknown kind, or what is wrong with its author or arguments.
+        The kind is unknown, or author or arguments are not valid; the message lists every problem.
     """
     if kind not in KINDS:
         raise UsageError(f"unknown command {kind!r}; there are {', '.join(KINDS)}")

@@ -29,14 +29,18 @@ class SupplySwitch(Protocol):
     def supply_on(
         self, author: str, hour: float, *, voltage_v: float | None, current_limit_a: float | None
     ) -> PendingAnswer:
-        """Switch the supply on; voltage and limit as configured if None.
+        """Send the command on without waiting; return a function that polls for the answer.
 
-        Return a function that polls for the answer. ``hour`` is the test time of the command.
+        Voltage in V and current limit in A are as configured if None; ``hour`` is the test hour of the
+        command. Raise ValueError if it is rejected.
         """
         ...
 
     def supply_off(self, author: str, hour: float) -> PendingAnswer:
-        """Switch the supply off; return a function that polls for the answer. ``hour`` is the test time."""
+        """Send the command off without waiting; return a function that polls for the answer.
+
+        ``hour`` is the test hour of the command. Raise ValueError if it is rejected.
+        """
         ...
 
 
@@ -62,25 +66,34 @@ class StoredTest:
     store: Callable[[SetCommit], None]
 
     def store_event(self, kind: str, payload: Mapping[str, object]) -> None:
-        """Store an event of the stream ``service``, in a transaction of its own, at the present moment."""
+        """Store one event of this kind, topic ``service``, at the present moment in its own transaction.
+
+        ``payload`` is the event's data. Errors of `store` pass through.
+        """
         self.store(SetCommit(events=[self.moment().event("service", kind, payload)]))
 
     def store_annotation(self, row: AnnotationRow, kind: str) -> None:
-        """Store a new or changed annotation together with its event of this kind in one transaction."""
+        """Store a new or changed annotation together with its event of this kind in one transaction.
+
+        Errors of `store` pass through.
+        """
         transaction = SetCommit()
         transaction.add_annotation(row, self.moment().event("annotations", kind, {}, position=row.position))
         self.store(transaction)
 
     def find_alarm(self, alarm_id: int) -> AlarmRow:
-        """Return the current alarm with this id; a shelf that has expired is removed from it.
+        """Return the current alarm with this id, without its shelf if that has expired; nothing is stored.
 
-        ValueError if no current alarm has the id.
+        Raise ValueError if no current alarm has the id.
         """
         (row,) = (row for row in self.alarms.values() if row.id == alarm_id)
         return remove_expired_shelf(row, utc_ns=self.moment().utc_ns, wall_utc_ns=time.time_ns())
 
     def store_alarm_changes(self, moment: Moment, *changes: Change) -> None:
-        """Store changed alarms with their events in one transaction; no change makes an empty one."""
+        """Store changed alarms with their events in one transaction, also without any change.
+
+        Errors of `store` pass through.
+        """
         transaction = SetCommit()
         for change in changes:
             transaction.add_alarm(change.row, change.event(moment))
@@ -143,6 +156,6 @@ class RunningTest(StoredTest):
 
     @property
     def switch(self) -> SupplySwitch:
-        """Return the switch of the supply; AssertionError for a test without one."""
+        """Return the switch of the supply; AssertionError if the test has no supply."""
         assert self.supply is not None, "a test without one forbids the command"
         return self.supply

@@ -46,24 +46,25 @@ def send_command(
 ) -> int:
     """Send a command, wait for its answer and print it; return the exit code 0 if it was executed.
 
-    The folder's configuration is not compared with CONFIG: a hold must not fail for a wrong file.
+    The folder's configuration is not compared with CONFIG: a pause must not fail for a wrong file. The
+    request is written to the audit log.
 
     Parameters
     ----------
     author
-        None: the name of this user.
+        None: the name of this user. At most `LONGEST_AUTHOR` characters are used.
     within_s, carried_out_within_s
         Time to start it, after which it expires, and time from the start to the answer.
     **arguments
-        What the kind needs beside the note; None is left out.
+        Further arguments of the kind; None is left out.
 
     Raises
     ------
     BusyError
-        No recorder runs there (nothing is written), the command expired, or its result is unknown.
+        No recorder runs there (nothing is sent), the command expired, or its result is unknown.
     UsageError
-        The arguments are none of this kind, the folder is none of ours, or the recorder refused, with its
-        reason.
+        The arguments are not valid for this kind, the folder is no data folder, or the recorder rejected
+        the command, with its reason.
     StorageError
         No data there yet, or the catalogue cannot be written.
     """
@@ -102,9 +103,9 @@ def send_command(
 
 
 def _require_listening_recorder(folder: Path, catalogue: Catalogue) -> None:
-    """Raise BusyError unless a recorder of the folder runs and executes commands.
+    """Raise BusyError unless a recorder of the folder runs and accepts commands.
 
-    The message states whether none runs, or its rig is not open yet.
+    The message states whether no recorder runs, or its rig is not open yet.
     """
     event = catalogue.read_last_service_event(*PROCESS_EVENTS)
     recorder = read_recorder_state(folder, [event.kind] if event else [])
@@ -125,7 +126,8 @@ def _wait_for_answer(
 ) -> CommandRow:
     """Poll a command every `LOOK_EVERY_S` until it is answered or has expired, and return its row.
 
-    A row whose state is still ``started`` is returned ``carried_out_within_s`` after the start was seen.
+    A row whose state is still ``started`` is returned ``carried_out_within_s`` after its start was seen. A
+    pending command is waited for until its deadline. Errors of the catalogue pass through.
     """
     started_s: float | None = None
     while True:

@@ -39,11 +39,17 @@ class ShelfArguments(OutOfServiceArguments):
 
 class _AlarmOrder(StoredCommand):
     def _apply_change(self, row: AlarmRow, moment: states.Moment) -> states.Change:
-        """Return the alarm's change; ValueError if its state does not allow it. Kinds implement it."""
+        """Return the alarm's change, not stored; ValueError if the alarm's state does not allow it.
+
+        Each kind implements it; the default raises NotImplementedError.
+        """
         raise NotImplementedError
 
     def _find_refusal(self, facts: Facts) -> Refusal | None:
-        """Return the refusal of an unknown or superseded alarm, or of its state; None if it can change."""
+        """Return the refusal of an alarm that is unknown, not the newest, or in a wrong state; else None.
+
+        The newest is that of the same position and kind. An unknown alarm is marked as ``missing``.
+        """
         wanted = self.arguments.alarm_id
         row = next((row for row in facts.alarms if row.id == wanted), None)
         if row is None:
@@ -59,7 +65,10 @@ class _AlarmOrder(StoredCommand):
         return None
 
     def carry_out_stored(self, test: StoredTest) -> str:
-        """Store the changed suppression of the alarm; return the command's kind in words."""
+        """Store the alarm with its changed suppression and event; return the command's kind in words.
+
+        Raise ValueError if the alarm's state does not allow the change.
+        """
         moment = test.moment()
         test.store_alarm_changes(moment, self._apply_change(test.find_alarm(self.arguments.alarm_id), moment))
         return self.kind.replace("_", " ")
@@ -72,7 +81,10 @@ class ShelveAlarm(_AlarmOrder):
     arguments: ShelfArguments
 
     def _apply_change(self, row: AlarmRow, moment: states.Moment) -> states.Change:
-        """Return the change that shelves the alarm for ``for_h`` hours; ValueError if it is not allowed."""
+        """Return the change that shelves the alarm for ``for_h`` hours, replacing a running shelf.
+
+        Raise ValueError if the alarm is normal or out of service.
+        """
         arguments = self.arguments
         return shelve(row, self.author, arguments.reason.strip(), arguments.for_h, moment, time.time_ns())
 
@@ -84,7 +96,7 @@ class UnshelveAlarm(_AlarmOrder):
     arguments: AlarmArguments
 
     def _apply_change(self, row: AlarmRow, moment: states.Moment) -> states.Change:
-        """Return the change that ends the alarm's shelving; ValueError if it is not shelved."""
+        """Return the change that unshelves the alarm, not stored; ValueError if it is not shelved."""
         return end_suppression(row, "shelved", self.author, self.arguments.note, moment)
 
 
@@ -95,7 +107,10 @@ class TakeOutOfService(_AlarmOrder):
     arguments: OutOfServiceArguments
 
     def _apply_change(self, row: AlarmRow, moment: states.Moment) -> states.Change:
-        """Return the change that takes the alarm out of service; ValueError if it is out already."""
+        """Return the change that takes the alarm out of service and unshelves it.
+
+        Raise ValueError if it is out of service already.
+        """
         return take_out_of_service(row, self.author, self.arguments.reason.strip(), moment)
 
 

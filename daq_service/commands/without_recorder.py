@@ -27,7 +27,9 @@ def execute_without_recorder(
     facts: Callable[[Catalogue], Facts],
     moment: Callable[[], Moment],
 ) -> int:
-    """Execute a command in place of the recorder, holding its lock, and return the command's id.
+    """Execute a command in place of the recorder, holding its lock; return the command's id.
+
+    Command, answer, changes and event are stored in one transaction, then in the history file.
 
     Parameters
     ----------

@@ -27,7 +27,10 @@ Message = Mapping[str, Any]
 
 
 def sign_message(key: bytes, message: Message) -> bytes:
-    """Encode a message as a line: HMAC-SHA256 in hexadecimal, a space, its JSON, a line feed."""
+    """Encode a message as a signed line: HMAC-SHA256 in hexadecimal, a space, its JSON, a line feed.
+
+    Raise TypeError if the message cannot be written as JSON.
+    """
     body = json.dumps(message).encode()
     return hmac.new(key, body, "sha256").hexdigest().encode() + b" " + body + b"\n"
 
@@ -35,7 +38,8 @@ def sign_message(key: bytes, message: Message) -> bytes:
 def verify_line(key: bytes, line: bytes) -> Message | None:
     """Verify the signature of a line and decode its message.
 
-    Return None if it was not signed with this key, or its JSON is no object.
+    Return None if it was not signed with this key, or its JSON is no object; raise ValueError if a signed
+    text is no JSON.
     """
     signature, _, body = line.rstrip(b"\n").partition(b" ")
     if not hmac.compare_digest(signature, hmac.new(key, body, "sha256").hexdigest().encode()):
@@ -48,6 +52,7 @@ class Connection:
     """Non-blocking end of a connected socket."""
 
     def __init__(self, connected: socket.socket, key: bytes) -> None:
+        """Take over a connected socket, make it non-blocking, and store the key that signs its messages."""
         connected.setblocking(False)
         self.socket, self._key, self._pending = connected, key, b""
 
@@ -57,7 +62,8 @@ class Connection:
         Raises
         ------
         OSError
-            The other side is gone, or does not read (BlockingIOError).
+            The peer has closed, or does not read so that the message does not fit (BlockingIOError); then a
+            part of it may have been sent.
         """
         line = sign_message(self._key, message)
         if self.socket.send(line) != len(line):
@@ -66,10 +72,14 @@ class Connection:
     def read_messages(self) -> list[Message]:
         """Return the complete messages received since the last call, without waiting; empty if none.
 
+        One call reads at most `LONGEST_LINE` bytes; an incomplete line is kept for the next one.
+
         Raises
         ------
         OSError
-            The other side is gone, has another key, or sends a line above `LONGEST_LINE`.
+            The peer has closed, has another key, or sends a line above `LONGEST_LINE`.
+        ValueError
+            A signed line is no JSON.
         """
         try:
             data = self.socket.recv(LONGEST_LINE)
@@ -89,12 +99,14 @@ class Connection:
 
 
 def connect_to_server(port: int, key: bytes) -> Connection:
-    """Connect to a server on this computer, within `CONNECT_WITHIN_S`.
+    """Connect to a server on this computer; wait at most `CONNECT_WITHIN_S`.
+
+    The key is not checked here: a wrong one shows at the first message.
 
     Raises
     ------
     OSError
-        No server listens there.
+        No server listens there, or none accepts in time.
     """
     return Connection(socket.create_connection((HOST, port), timeout=CONNECT_WITHIN_S), key)
 
@@ -103,6 +115,7 @@ class Server:
     """Server for clients with the key; listens on a free ``port``."""
 
     def __init__(self, key: bytes) -> None:
+        """Listen on a free port of the loopback interface; OSError if that fails."""
         self._key = key
         self._listener = socket.create_server((HOST, 0))
         self._listener.setblocking(False)
@@ -111,9 +124,11 @@ class Server:
         self._selector.register(self._listener, selectors.EVENT_READ, None)
 
     def __enter__(self) -> Self:
+        """Return the server itself, which already listens."""
         return self
 
     def __exit__(self, *_: object) -> None:
+        """Close all connections and the listening socket."""
         for entry in list(self._selector.get_map().values()):
             if entry.data is not None:
                 entry.data.close()
@@ -121,9 +136,10 @@ class Server:
         self._listener.close()
 
     def serve(self, wait_s: float, answer: Callable[[Message], Message]) -> None:
-        """Wait up to ``wait_s`` for connections and messages, and answer each message.
+        """Wait up to ``wait_s`` seconds for connections and messages, and answer each message.
 
-        Returns after the first that arrive. A connection that fails is closed and logged.
+        It returns once those that arrived first are served. A connection that fails is closed, which is
+        logged at debug level. Exceptions of ``answer`` pass through, except OSError and ValueError.
         """
         for event, _ in self._selector.select(wait_s):
             connection: Connection | None = event.data
@@ -139,7 +155,10 @@ class Server:
                 connection.close()
 
     def _accept_connection(self) -> None:
-        """Accept a connection; close it at once if there are `MOST_CONNECTIONS` already."""
+        """Accept a pending connection; close it at once if there are `MOST_CONNECTIONS` already.
+
+        Nothing is raised if the client has gone.
+        """
         with contextlib.suppress(OSError):  # the client has already gone
             connection = Connection(self._listener.accept()[0], self._key)
             if len(self._selector.get_map()) > MOST_CONNECTIONS:

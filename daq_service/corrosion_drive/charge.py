@@ -33,11 +33,11 @@ def integrate_charge(
     Parameters
     ----------
     elapsed_s
-        Time between them; a negative one (the clock was set back) counts as 0.
+        Time between them, s; a negative one (the clock was set back) counts as 0.
     first_a, last_a
-        Measured currents with sign: the scatter of an ammeter about zero averages out.
+        Measured currents in A with sign: the scatter of an ammeter about zero averages out.
     longest_s
-        A longer interval is booked as unknown instead.
+        A longer interval, s, is added to the time with unknown current instead.
     """
     elapsed_s = max(elapsed_s, 0.0)
     if elapsed_s > longest_s:
@@ -46,9 +46,9 @@ def integrate_charge(
 
 
 def compute_elapsed_s(before: Stamp, after: Stamp) -> float:
-    """Compute the time between two stamps in s: monotonic within a boot, UTC across boots.
+    """Compute the time in s from the stamp ``before`` to ``after``: monotonic in one boot, else by UTC.
 
-    Negative if the clock was set back between boots.
+    Negative if ``after`` is earlier, as when the clock was set back between boots.
     """
     if before.boot_id == after.boot_id:
         return (after.mono_ns - before.mono_ns) / NS_PER_S
@@ -92,10 +92,10 @@ class DriveState:
 def restore_drive_state(
     row: EnvironmentRow | None, *, written_utc_ns: int, parameters: DriveParameters
 ) -> DriveState:
-    """Restore the state from the newest row of ``environment``, written at ``written_utc_ns``.
+    """Restore the supply's state from the newest row of ``environment``, written at ``written_utc_ns``.
 
-    Without a row, or with one of a test without supply, everything is at zero. The command is restored only
-    if the output was on and the interlock had not tripped.
+    Without a row, or with one of a test without supply, return the default state. A command `on` is restored,
+    with configured values, only if the output was on and the interlock had not tripped.
     """
     if row is None or row.supply_state == "absent":
         return DriveState()

@@ -21,13 +21,17 @@ class ClimateLog:
     """Reads the probe and rates its newest reading."""
 
     def __init__(self, probe: ClimateProbe, clock: Clock, parameters: LogParameters) -> None:
+        """Schedule the first reading for now; the probe is not read here."""
         self._probe, self._clock, self._parameters = probe, clock, parameters
         self._log = ReadingLog(parameters.log_interval_s, clock.mono_ns())
         self._reading: ClimateReading | None = None
         self._changed_ns = clock.mono_ns()
 
     def tick(self) -> None:
-        """Read the probe if a reading is due, which blocks; an instrument error is logged, not raised."""
+        """Read the climate probe if a reading is due, which blocks up to its timeout; else do nothing.
+
+        An instrument error is logged as a warning, not raised.
+        """
         now_ns = self._clock.mono_ns()
         if not self._log.is_due(now_ns):
             return
@@ -45,10 +49,9 @@ class ClimateLog:
             self._log.record_success(now_ns)
 
     def quality(self) -> ReadingQuality:
-        """Return the quality of the newest reading, as `ReadingLog.quality`.
+        """Return the quality of the newest reading: that of `ReadingLog.quality`, or ``suspect``.
 
-        ``suspect`` instead of ``good`` if temperature and humidity have not changed for
-        ``suspect_after_s``.
+        ``suspect`` replaces ``good`` if temperature and humidity have not changed for ``suspect_after_s``.
         """
         now_ns = self._clock.mono_ns()
         quality = self._log.quality(now_ns)
@@ -56,7 +59,10 @@ class ClimateLog:
         return "suspect" if quality == "good" and unchanged_s >= self._parameters.suspect_after_s else quality
 
     def build_silence_message(self) -> str:
-        """Return the alarm's message with the time without reading; empty while the probe responds."""
+        """Return the alarm message of a probe without communication: time in s without a reading, last error.
+
+        Empty for any other quality.
+        """
         if self.quality() != "no_communication":
             return ""
         silent_s = self._log.silent_s(self._clock.mono_ns())
@@ -64,7 +70,10 @@ class ClimateLog:
         return str(message.format(silent_s=silent_s, read_error=self._log.error))
 
     def add_climate_to_row(self, row: EnvironmentRow) -> EnvironmentRow:
-        """Return a copy of a row with the newest reading (None without one), its quality and its age in s."""
+        """Return a copy of an environment row with the newest climate reading, its quality and age in s.
+
+        Temperature, humidity and age are None without a reading.
+        """
         now_ns, reading = self._clock.mono_ns(), self._reading
         return replace(
             row,
@@ -76,5 +85,5 @@ class ClimateLog:
 
 
 def _read_climate_values(reading: ClimateReading) -> tuple[float, float]:
-    """Return the temperature in degrees Celsius and the relative humidity of a reading."""
+    """Return temperature (degrees Celsius) and relative humidity (0 to 1) of a reading, to be compared."""
     return reading.temperature_c, reading.relative_humidity

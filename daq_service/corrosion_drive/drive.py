@@ -88,6 +88,7 @@ class SupplyLogger:
     def __init__(
         self, supply: PowerSupply, clock: Clock, parameters: DriveParameters, state: DriveState
     ) -> None:
+        """Continue from ``state`` and schedule the first reading for now; nothing is sent here."""
         self._supply, self._parameters = supply, parameters
         self._clock = clock
         now_ns = clock.mono_ns()
@@ -104,7 +105,7 @@ class SupplyLogger:
 
     @property
     def state(self) -> DriveState:
-        """Return the state that the next supply process restores."""
+        """Return the state (charge, command, trip, pending switch-off) from which a restart continues."""
         return DriveState(
             charge=self._charge,
             command=self._command,
@@ -116,16 +117,16 @@ class SupplyLogger:
 
     @property
     def window_length(self) -> int:
-        """Return the number of readings since `restart_means`, over which the row's means are taken."""
+        """Return the number of readings since `restart_means`, from which `build_row` takes its means."""
         return len(self._window)
 
     # Called by its owner continuously ------------------------------------------------------------
 
     def tick(self) -> None:
-        """Read the supply, or switch it off if that is pending, if due.
+        """Read the supply, or repeat a pending switch-off, if due; else do nothing.
 
-        Blocks for one call of the supply. An instrument error is logged, not raised; a long silence trips
-        the interlock.
+        Blocks for one call of the supply. An instrument error is logged, not raised; with a command in force,
+        a long silence trips the interlock.
         """
         now_ns = self._clock.mono_ns()
         if self._supply_log.is_due(now_ns):
@@ -138,7 +139,10 @@ class SupplyLogger:
                 self._supply_log.schedule_within(now_ns, SWITCH_OFF_EVERY_S)
 
     def _switch_off_or_read(self, supply: PowerSupply, now_ns: int) -> None:
-        """Switch off if that is pending, else read and process the reading; InstrumentError if that fails."""
+        """Switch the supply off if that is pending; otherwise read it and process the reading.
+
+        InstrumentError of the supply passes through; a switch-off then stays pending.
+        """
         if self.must_switch_off:
             supply.make_safe()
             self.must_switch_off = False
@@ -149,10 +153,10 @@ class SupplyLogger:
             self._process_reading(reading)
 
     def _process_reading(self, reading: SupplyReading) -> None:
-        """Store a reading, integrate its charge, and switch off where that is required.
+        """Store a reading, add its charge, and switch the output off where that is required.
 
         An output on without a command, a value above its cap, and consecutive high currents switch off; the
-        latter two trip the interlock.
+        latter two trip the interlock. An output found off ends the command.
         """
         self._book_charge(reading)
         self._window.append(reading)
@@ -187,14 +191,14 @@ class SupplyLogger:
         self._deviates_since_ns = (self._deviates_since_ns or reading.stamp.mono_ns) if deviates else None
 
     def _is_after_command(self, reading: SupplyReading) -> bool:
-        """Return whether a reading is not older than the last command.
+        """Return whether a reading was taken at or after the last command `on`.
 
-        An older one does not show its result.
+        An older reading does not show the result of that command.
         """
         return reading.stamp.mono_ns >= self._commanded_ns
 
     def _commanded_values(self) -> tuple[float, float]:
-        """Return voltage in V and current limit in A of the command, as configured where it has none."""
+        """Return voltage in V and current limit in A of the command in force, else the configured values."""
         command, parameters = self._command or Command(), self._parameters
         return (
             parameters.voltage_v if command.voltage_v is None else command.voltage_v,
@@ -202,14 +206,15 @@ class SupplyLogger:
         )
 
     def _is_limited(self, reading: SupplyReading) -> bool:
-        """Return whether the output is on and its current is at the limit, within the tolerance."""
+        """Return whether the output is on and its current reaches the commanded limit less the tolerance."""
         limit_a = self._commanded_values()[1]
         return reading.output_on and reading.current_a >= limit_a - self._parameters.readback_tolerance_a
 
     def _is_deviating(self, reading: SupplyReading) -> bool:
-        """Return whether voltage or current of an output commanded on deviates beyond its tolerance.
+        """Return whether voltage or current of an output that is on by command is beyond its tolerance.
 
-        In current limit a low voltage is normal. A current below ``minimum_current_a`` deviates.
+        In current limit a low voltage is normal. A current below ``minimum_current_a`` deviates. False
+        without a command, or while the output is off.
         """
         voltage_v, limit_a = self._commanded_values()
         parameters = self._parameters
@@ -227,9 +232,9 @@ class SupplyLogger:
         )
 
     def _book_charge(self, reading: SupplyReading) -> None:
-        """Add the charge since the last reading; a gap adds to the time with unknown current.
+        """Add the charge since the last reading; a gap that is too long adds to the unknown time instead.
 
-        At the first reading the time since the last run's booking is unknown.
+        At the first reading, the time since the end of the last run's charge is unknown.
         """
         if self._newest is not None:
             self._charge = integrate_charge(
@@ -248,7 +253,7 @@ class SupplyLogger:
     def _handle_failure(self, error: InstrumentError, now_ns: int) -> None:
         """Log the first of consecutive instrument errors, and trip the interlock after a long silence.
 
-        It trips only with a command in force; the switch-off is then pending.
+        It trips only with a command in force; nothing is sent here, the switch-off is then pending.
         """
         if not self._supply_log.error:
             log.warning("supply: %s", error)
@@ -263,14 +268,14 @@ class SupplyLogger:
     def energise(
         self, author: str, *, voltage_v: float | None = None, current_limit_a: float | None = None
     ) -> Reply:
-        """Switch the output on at a person's command, and reset the interlock.
+        """Switch the output on at a person's command, and reset the interlock; blocks for the supply.
 
         Parameters
         ----------
         author
             Author of the command.
         voltage_v, current_limit_a
-            As configured where not given.
+            Voltage in V and current limit in A; None: as configured.
 
         Raises
         ------
@@ -302,7 +307,9 @@ class SupplyLogger:
         return Reply(done=True)
 
     def switch_off(self, author: str) -> Reply:
-        """Switch the output off at a person's command; the interlock stays as it is.
+        """Switch the output off at a person's command; an interlock that has tripped stays so.
+
+        The command `on` ends, and alarms of an unexpected output state are reset. Blocks for the supply.
 
         Raises
         ------
@@ -323,11 +330,14 @@ class SupplyLogger:
         return Reply(done=True)
 
     def switch_off_at_end(self) -> None:
-        """Switch the output off at the end of a test; InstrumentError leaves the switch-off pending."""
+        """Switch the output off at the end of a test, as `switch_off` does.
+
+        InstrumentError if that fails: the switch-off is pending.
+        """
         self.switch_off("the end of the test")
 
     def end_command(self) -> None:
-        """End the command `on`, and read at once; an output found on after this is switched off.
+        """End the command `on` and schedule a reading now; an output found on later is switched off.
 
         Nothing is sent here.
         """
@@ -337,6 +347,8 @@ class SupplyLogger:
 
     def trip(self, reason: str, *, kind: str | None = None) -> bool:
         """Trip the interlock: switch the output off at once or when the supply responds, and keep it off.
+
+        An instrument error is logged, not raised.
 
         Parameters
         ----------
@@ -353,7 +365,7 @@ class SupplyLogger:
         return self._switch_off_now()
 
     def _latch_interlock(self, reason: str) -> None:
-        """Record the first trip reason, end the command, and request a switch-off.
+        """Store the reason of the first trip and log it, end the command, and make a switch-off pending.
 
         Nothing is sent here.
         """
@@ -364,9 +376,9 @@ class SupplyLogger:
         self.must_switch_off = True
 
     def _switch_off_now(self) -> bool:
-        """Switch the output off; True if it was read back as off.
+        """Switch the output off; return True if it was read back as off.
 
-        False after an instrument error: the switch-off stays pending.
+        Return False after an instrument error, which is logged: the switch-off stays pending.
         """
         now_ns = self._clock.mono_ns()
         self.must_switch_off = True
@@ -382,13 +394,16 @@ class SupplyLogger:
     # Readings and conditions ----------------------------------------------------------------------
 
     def find_output_state(self) -> SupplyState:
-        """Return ``on`` or ``off`` as last read; ``unknown`` unless the newest reading is good."""
+        """Return ``on`` or ``off`` as last read; ``unknown`` unless the newest reading is of good quality."""
         if self._newest is None or self._supply_log.quality(self._clock.mono_ns()) != "good":
             return "unknown"
         return "on" if self._newest.output_on else "off"
 
     def list_conditions(self) -> tuple[DriveCondition, ...]:
-        """Return the condition of each possible alarm of the supply, in the order of `CONDITIONS`."""
+        """Return the condition of each possible alarm of supply and interlock, active or not.
+
+        They are in the order of `CONDITIONS`; the messages of active ones hold the present values.
+        """
         now_ns, reading, command = self._clock.mono_ns(), self._newest, self._command
         voltage_v, limit_a = self._commanded_values()
         measured = "" if reading is None else f"{reading.voltage_v:.3g} V, {reading.current_a:.3g} A"
@@ -427,16 +442,17 @@ class SupplyLogger:
         )
 
     def restart_means(self, n_stored: int | None = None) -> None:
-        """Restart the means after a row is stored: delete its first ``n_stored`` readings (None: all).
+        """Delete the first ``n_stored`` readings from the means of the next row; None: all of them.
 
-        Readings after them stay for the next row.
+        Called after a row is stored; readings after those stay for the next row.
         """
         del self._window[:n_stored]
 
     def build_row(self, set_index: int, due_h: float) -> EnvironmentRow:
-        """Build the row of a set in ``environment``: means since `restart_means`, totals since hour 0.
+        """Build the environment row of a set: means since `restart_means`, totals since hour 0.
 
-        Voltages and currents are None without a reading since then.
+        ``due_h`` is the set's test hour. Voltages (V) and currents (A) are None without a reading since then;
+        the climate is marked as absent.
         """
         now_ns, reading_log = self._clock.mono_ns(), self._supply_log
         voltages_v = [reading.voltage_v for reading in self._window]
@@ -467,7 +483,10 @@ class SupplyLogger:
 
 
 def row_without_supply(set_index: int, due_h: float) -> EnvironmentRow:
-    """Build the environment row of a set with supply and climate probe marked as absent."""
+    """Build the environment row of a set, due at test hour ``due_h``, without supply and climate probe.
+
+    Both are marked as ``absent``; measured columns are None.
+    """
     return EnvironmentRow(
         set_index=set_index,
         due_h=due_h,
@@ -478,7 +497,7 @@ def row_without_supply(set_index: int, due_h: float) -> EnvironmentRow:
 
 
 def summarise_row(row: EnvironmentRow) -> dict[str, float | str | None]:
-    """Return the columns of an ``environment`` row by name, without those that identify the set."""
+    """Return an ``environment`` row as a dictionary without ``id``, ``set_index`` and ``due_h``."""
     return {name: value for name, value in as_dict(row).items() if name not in ("id", "set_index", "due_h")}
 
 

@@ -13,6 +13,7 @@ class FileThread:
     """Thread that runs the newest job; a pending job is replaced by a newer one."""
 
     def __init__(self) -> None:
+        """Create the thread; it starts when the context is entered."""
         self._changed = threading.Condition()
         self._job: Callable[[], None] | None = None
         self._busy = self._closed = False
@@ -34,7 +35,7 @@ class FileThread:
         self._thread.join(0.0 if self._busy else FLUSH_WITHIN_S)
 
     def run(self, job: Callable[[], None]) -> None:
-        """Run a job as soon as the previous one has ended, without waiting for it.
+        """Queue a job to run as soon as the previous one has ended; return without waiting.
 
         It replaces a job that has not started, which then never runs.
         """
@@ -43,14 +44,17 @@ class FileThread:
             self._changed.notify_all()
 
     def flush(self, within_s: float = FLUSH_WITHIN_S) -> bool:
-        """Wait until all jobs have ended; False if they have not within ``within_s``."""
+        """Wait until no job is pending or running; return False if that takes longer than ``within_s``.
+
+        After an error of a job the thread has ended, and a pending job is waited for in vain.
+        """
         with self._changed:
             return self._changed.wait_for(lambda: self._job is None and not self._busy, within_s)
 
     def _run_newest_jobs(self) -> None:
-        """Run the newest job each time until the thread is closed (body of the thread).
+        """Run the newest job whenever there is one, until the thread is closed (body of the thread).
 
-        A pending job is run before it ends. An error of a job ends the thread.
+        A job that is pending then is run before the end. An error of a job ends the thread.
         """
         while True:
             with self._changed:

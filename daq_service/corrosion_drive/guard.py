@@ -39,15 +39,17 @@ class DriveGuard:
         check_every_s: float,
         machine: MachineClock = MACHINE,
     ) -> None:
+        """Count the output as checked now; nothing is started here."""
         self._folder, self._remote, self._machine = folder, remote, machine
         self._check_every_s = check_every_s
         self._next_s = self._checked_s = machine.mono_s()
 
     def check(self) -> None:
-        """Start, connect to or replace the supply process, if that is due; never waits.
+        """Start, connect to or replace the supply process if that is due, without waiting.
 
-        Without a process, one is started every `CHECK_EVERY_S` while the output may be on, else at the
-        longest interval without a check.
+        While a process holds the supply's lock, or the lock cannot be read, the remote drive handles it.
+        Without one, a process is started every `CHECK_EVERY_S` while the output may be on, else every
+        ``check_every_s``.
         """
         now_s = self._machine.mono_s()
         if is_held(self._folder, DRIVE_LOCK) is not False:

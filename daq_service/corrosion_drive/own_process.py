@@ -63,9 +63,9 @@ Jobs = Callable[[Callable[[], None]], None]
 
 @cache
 def hash_supply_settings(parameters: DriveParameters) -> str:
-    """Return the SHA-256 (hexadecimal) of solimon's version and the parameters; cached.
+    """Return the SHA-256 (hexadecimal) of solimon's version and the supply's parameters; cached.
 
-    It must be the same in a recorder and in its supply process.
+    If it differs between recorder and supply process, the recorder asks the process to hand over.
     """
     return hashlib.sha256(f"{version('solimon')} {parameters!r}".encode()).hexdigest()
 
@@ -73,10 +73,10 @@ def hash_supply_settings(parameters: DriveParameters) -> str:
 def decide_next_action(
     *, silent_s: float, alone_s: float, watchdog_timeout_s: float, commanded: bool, pending: bool, stays: bool
 ) -> Action:
-    """Choose the next action from the time without a recorder: stay, switch off, or leave.
+    """Choose the next action of the supply process: ``stay``, ``switch off`` or ``leave``.
 
-    With a command in force only the watchdog timeout switches off. Without one, the process leaves after at
-    most `LEAVE_AFTER_S`, unless a switch-off is pending or it stays.
+    With a command in force only the watchdog timeout switches off. Without one, the process leaves after the
+    smaller of the timeout and `LEAVE_AFTER_S`, unless a switch-off is pending or it stays. Times in s.
 
     Parameters
     ----------
@@ -122,6 +122,10 @@ class DriveProcess:
         clock: Clock | None = None,
         jobs: Jobs = lambda job: job(),
     ) -> None:
+        """Take the lock, open the supply's port, and continue from the stored state of the folder.
+
+        Errors of ``take_lock`` and ``open_supply`` pass through; lock and port are then released.
+        """
         self._clock = clock or WallClock()
         self._parameters, self._folder, self._stays = parameters, folder, stays
         self._open_supply, self._supply_port, self._jobs = open_supply, supply_port, jobs
@@ -153,9 +157,10 @@ class DriveProcess:
         self.leaves = False
 
     def step(self) -> None:
-        """Read the supply, store the state; without a recorder switch off, or set `leaves`.
+        """Read the supply and queue its state for writing; without a recorder, switch off or set `leaves`.
 
-        Blocks for one call of the supply. After a hand-over it only waits for the successor's reading.
+        Blocks for one call of the supply; its errors are logged. A requested hand-over is done here; after
+        it, only the successor's reading is awaited.
         """
         if self._released_ns is not None:
             self._await_successor(self._released_ns)
@@ -184,9 +189,9 @@ class DriveProcess:
             self._hand_over(self._successor_port)
 
     def store_state(self, *, at_once: bool = False) -> None:
-        """Queue the state for writing: after a change, at an interval, or ``at_once``.
+        """Queue the state for writing if it has changed, the interval is over, or ``at_once``.
 
-        The file thread writes it; errors of the disk are logged.
+        The file thread writes it; a disk error is logged and the state queued again after `KEEP_AGAIN_S`.
         """
         stored, now_ns, row = self._stored, self._clock.mono_ns(), self._drive.build_row(0, 0.0)
         state = self._drive.state
@@ -214,7 +219,7 @@ class DriveProcess:
         self._jobs(partial(self._write_state, self._stored))
 
     def _write_state(self, stored: StoredState) -> None:
-        """Write the state to its file; log the first of consecutive disk errors, raise none."""
+        """Write the state to ``drive.json``; log the first of consecutive disk errors, raise none."""
         try:
             write_stored_state(self._folder, stored)
         except OSError as error:
@@ -225,9 +230,9 @@ class DriveProcess:
             self._disk_error, self._written_state = "", stored
 
     def end(self) -> None:
-        """Switch the output off unless it was read as off, and store the state.
+        """Switch the output off unless it was read as off, and queue the state for writing.
 
-        After a hand-over the port is opened again if no successor has read the supply.
+        After a hand-over, open the port again and switch off there, unless a successor has read the supply.
 
         Raises
         ------
@@ -247,17 +252,18 @@ class DriveProcess:
         self.store_state(at_once=True)
 
     def close(self) -> None:
-        """Release the port and the lock; harmless when done before."""
+        """Release the supply's port and lock; repeated calls have no effect."""
         self._resources.close()
 
     # Hand-over ---------------------------------------------------------------------------------------
 
     def _hand_over(self, successor_port: str) -> None:
-        """Release port and lock; before that, switch off a supply that the successor cannot reach.
+        """Release port and lock for a successor that uses ``successor_port``; switch off before if it must.
 
-        A supply that was never read at this port is released at once: the successor may reach it. With
-        another port this process then ends. Nothing is released before the state is written and a pending
-        switch-off is done: the next step tries again.
+        A supply that was never read at this port is released at once. With another port, the output is
+        switched off first and this process then ends. Nothing is released before a pending switch-off is done
+        and the state is written (unless the disk fails): the next step tries again. An instrument error is
+        logged.
         """
         is_off = self._drive.state.command is None and self._drive.find_output_state() == "off"
         other_port, was_read = successor_port != self._supply_port, self._last_read_port == self._supply_port
@@ -277,9 +283,10 @@ class DriveProcess:
         self.leaves = other_port
 
     def _await_successor(self, released_ns: int) -> None:
-        """End once the successor has read the supply; after `SUCCEEDED_WITHIN_S`, switch off here.
+        """Set `leaves` once the successor has read the supply; after `SUCCEEDED_WITHIN_S`, switch off here.
 
-        If that fails, it is tried again every `KEEP_AGAIN_S`.
+        That time counts from the release at ``released_ns`` (monotonic). It looks every `KEEP_AGAIN_S`,
+        through the file thread; a switch-off that fails is tried again then.
         """
         now_ns = self._clock.mono_ns()
         if self._succeeded:
@@ -291,14 +298,14 @@ class DriveProcess:
                 self.leaves = self._reclaim_port()
 
     def _check_successor(self) -> None:
-        """Read the state file and store whether another process has read the supply since the hand-over."""
+        """Read the state file and note whether another process has written an output that it has read."""
         stored = read_stored_state(self._folder)
         self._succeeded = stored is not None and stored.writer != self._writer and stored.output != "unknown"
 
     def _reclaim_port(self) -> bool:
-        """Open the port again and switch off; True if the output was read back as off, then stored.
+        """Open the port again and switch off; return True if the output was read back as off.
 
-        False, with a logged error, if the port or the supply does not respond.
+        Then that state is queued for writing. False, with a logged error, if port or supply does not respond.
         """
         try:
             with self._open_supply() as supply:
@@ -311,7 +318,7 @@ class DriveProcess:
         return True
 
     def _store_reclaimed(self) -> None:
-        """Store the output as off without a command, unless another process has written since then."""
+        """Write the state with the output off and no command, unless another process has written since."""
         stored = read_stored_state(self._folder)
         if self._stored is not None and (stored is None or stored.writer == self._writer):
             self._write_state(
@@ -321,9 +328,9 @@ class DriveProcess:
     # Requests of a recorder --------------------------------------------------------------------------
 
     def answer_request(self, request: Message) -> Message:
-        """Execute a request of a recorder and return the state of the supply.
+        """Execute a request of a recorder and return the answer: row, conditions and state of the supply.
 
-        Each request but ``ping`` shows that a recorder watches. A failed request is answered with
+        Each request but ``ping`` shows that a recorder is there. A request that failed is answered with
         ``error``, any request after a hand-over with ``released``. Blocks for calls of the supply.
         """
         if self._released_ns is not None:
@@ -352,10 +359,10 @@ class DriveProcess:
         }
 
     def _execute_request(self, request: Message) -> None:
-        """Execute a request of a recorder or of another supply process; unknown ones are ignored.
+        """Execute the request ``do`` of a recorder or of another supply process; unknown ones are ignored.
 
-        Raise ValueError for `energise` while leaving or too late, InstrumentError if the supply fails,
-        LookupError for a missing field.
+        Raise ValueError for `energise` while leaving, too late or without author, InstrumentError if the
+        supply fails, LookupError for a missing field.
         """
         match request["do"]:
             case "look" if request.get("commanded") is False:
@@ -382,9 +389,10 @@ class DriveProcess:
 
 
 def _restore_state(before: StoredState | None, watchdog_timeout_s: float, now_ns: int) -> DriveState:
-    """Return the stored state to go on with, the default state without one.
+    """Return the state ``before`` with which to continue; the default state without one.
 
-    Its command is dropped after another boot, or ``watchdog_timeout_s`` without a process.
+    Its command is dropped after another boot, or if the file is older than ``watchdog_timeout_s`` at
+    ``now_ns`` (time of the boot).
     """
     if before is None:
         return DriveState()
@@ -394,7 +402,10 @@ def _restore_state(before: StoredState | None, watchdog_timeout_s: float, now_ns
 
 
 def _list_parts_to_sync(state: DriveState) -> tuple[object, ...]:
-    """Return trip, latched alarms, command and pending switch-off: a change is written at once."""
+    """Return the parts of the state whose change is written at once.
+
+    They are trip reason, latched alarms, command and pending switch-off.
+    """
     return state.tripped, state.latched, state.command, state.must_switch_off
 
 
@@ -408,17 +419,21 @@ def run_supply_process(
     stays: bool,
     beat: Callable[[], None] = lambda: None,
 ) -> bool:
-    """Run the supply process of a folder until its output is off without a recorder, or until ``stop``.
+    """Run the supply process of a folder until it may leave or ``stop`` is set; blocks until then.
 
     Parameters
     ----------
+    open_supply, supply_port
+        Opens the supply's port, and the name of that port.
+    stays
+        The process does not end by itself.
     beat
         Called every second by the loop, as a sign of life.
 
     Returns
     -------
     bool
-        False when ``stop`` came first.
+        False when ``stop`` came first; the process then ended as by `DriveProcess.end`.
 
     Raises
     ------

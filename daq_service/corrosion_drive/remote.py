@@ -52,7 +52,10 @@ Start = Callable[[], "subprocess.Popen[bytes]"]
 
 
 def longest_answer_time_s(parameters: DriveParameters) -> float:
-    """Return the longest time in s from a request to its answer: the current call, then the request."""
+    """Return the longest time in s from a request to its answer, with a margin of 5 s.
+
+    It is that of the supply process's current call and of the request itself.
+    """
     return parameters.read_timeout_s + 2.0 * parameters.longest_order_s + 5.0
 
 
@@ -91,6 +94,7 @@ class RemoteDrive:
         machine: MachineClock = MACHINE,
         kill: Callable[[int], None] = lambda process: os.kill(process, KILL),
     ) -> None:
+        """Store the settings of the connection; the first `tick` connects or starts the process."""
         self._parameters, self._folder, self._start = parameters, folder, start
         self._supply_port, self._watches = supply_port, watches
         self._machine, self._kill = machine, kill
@@ -108,6 +112,7 @@ class RemoteDrive:
         self._tripped: str | None = None
 
     def __enter__(self) -> Self:
+        """Return the drive itself; nothing is connected here."""
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -119,14 +124,14 @@ class RemoteDrive:
         self._abandon_process()
 
     def _abandon_process(self) -> None:
-        """Mark a running child process as ended, so that nothing waits for it; it keeps running."""
+        """Mark a running child process as ended, so that nothing ever waits for it; it keeps running."""
         if self._process is not None and self._process.poll() is None:
             self._process.returncode = 0  # it outlives this process, or was killed: nothing waits for it
 
     def store_catalogue_state(self, state: DriveState) -> None:
-        """Store the catalogue's state, without its command, for the first supply process of the folder.
+        """Write the catalogue's state, without its command, to ``drive.json`` for the first supply process.
 
-        A state that a supply process has stored already is kept. An OSError is logged.
+        A state that a supply process has written already is kept. An OSError is logged, not raised.
         """
         self._tripped = state.tripped
         stored = read_stored_state(self._folder)
@@ -142,8 +147,8 @@ class RemoteDrive:
     def tick(self) -> None:
         """Read answers and send requests without waiting; start a missing process, kill one that hangs.
 
-        A command still unsent after `COMES_WITHIN_S` fails. Errors of the connection are logged, not
-        raised.
+        A command still unsent after `COMES_WITHIN_S` fails; unless it was `energise`, a switch-off is
+        scheduled. Errors of the connection are logged, not raised.
         """
         now_s = self._machine.mono_s()
         for request in [request for request in self._unsent if now_s - request.since_s >= COMES_WITHIN_S]:
@@ -179,7 +184,7 @@ class RemoteDrive:
         """Connect to the supply process and send its first request; start a process if none runs.
 
         Further starts are delayed by `STARTS_AFTER_S`. A process of another configuration is asked to hand
-        over; a failed connection is tried again later.
+        over. A failed connection is logged and tried again later; OSError if no process can be started.
         """
         owned = is_held(self._folder, DRIVE_LOCK)
         if owned is False:
@@ -209,13 +214,16 @@ class RemoteDrive:
             self._handle_lost_connection(error)
 
     def _send_to_process(self, do: str, **values: object) -> None:
-        """Send a request whose reply is not awaited; OSError if the process is gone."""
+        """Send a request whose reply is not polled; OSError if the process is gone or does not read."""
         self._send_request(
             _Request(values={"do": do, **values}, since_s=self._machine.mono_s(), reply=Reply())
         )
 
     def _send_request(self, request: _Request) -> None:
-        """Send a request under a new number and keep it until its answer; OSError if the process is gone."""
+        """Send a request under a new number, and keep it until its answer or the loss of the connection.
+
+        OSError if the process is gone or does not read.
+        """
         assert self._connection is not None, "only called while connected"
         number = next(self._ids)
         request.since_s = self._machine.mono_s()
@@ -223,9 +231,9 @@ class RemoteDrive:
         self._connection.send({"id": number, **request.values})
 
     def _process_answer(self, answer: Message) -> None:
-        """Fill in the reply of the answered request, and store the state that the answer reports.
+        """Store an answer in the reply of its request, and keep the state of the supply that it reports.
 
-        An answer to ``ping`` has no state.
+        An answer to ``ping`` has no state. A confirmed pending request is no longer pending.
         """
         request = self._sent.pop(answer["id"], None)
         if request is not None:
@@ -240,14 +248,17 @@ class RemoteDrive:
             self._pending = None  # a failed switch-off is retried by the process itself
 
     def _handle_lost_connection(self, error: Exception) -> None:
-        """Log the lost connection, close it, and fail the requests without an answer."""
+        """Log a lost connection, close it, and fail the requests without an answer, as `_disconnect` does.
+
+        It is a warning after the first answer, before that a debug entry.
+        """
         log.log(logging.WARNING if self._newest else logging.DEBUG, "the process of the drive: %s", error)
         self._disconnect("the process of the drive has not answered, what the output does is unknown")
 
     def _disconnect(self, reason: str) -> None:
         """Close the connection and fail the requests without an answer, with this reason.
 
-        Commands among them schedule a switch-off. The output's state is unknown from now on.
+        Commands among them schedule a switch-off. From now on the output's state is unknown.
         """
         if self._connection is not None:
             self._connection.close()
@@ -258,9 +269,9 @@ class RemoteDrive:
             self._schedule_switch_off(request)
 
     def _schedule_switch_off(self, request: _Request) -> None:
-        """Schedule a switch-off after an unanswered command, for the next connection.
+        """Make a switch-off pending for the next connection if this unanswered request is a command.
 
-        An unanswered trip is scheduled itself; other requests are dropped.
+        An unanswered trip itself becomes pending; other requests are dropped.
         """
         if request.values["do"] in ("energise", "switch off"):
             self._pending = self._pending or {"do": "switch off", "author": request.values["author"]}
@@ -270,7 +281,7 @@ class RemoteDrive:
     def _kill_process(self, reason: str) -> None:
         """Kill the process that holds the supply's lock, and disconnect; the next tick starts another one.
 
-        A failure to kill is logged, not raised.
+        It is not waited for. A failure to kill is logged, not raised.
         """
         try:
             process = read_process_number(self._folder)
@@ -288,18 +299,22 @@ class RemoteDrive:
     ) -> Reply:
         """Queue the command on, which also resets the interlock; return the object that receives its reply.
 
-        None: as configured. It is never repeated, and expires if the process reads it too late.
+        Voltage in V and current limit in A are as configured if None. The command is never repeated, and
+        expires if the process reads it too late.
         """
         return self._queue_command(
             "energise", author=author, voltage_v=voltage_v, current_limit_a=current_limit_a
         )
 
     def switch_off(self, author: str) -> Reply:
-        """Queue the command off, without waiting; return the object that receives its reply."""
+        """Queue the command off, without waiting; return the object that receives its reply.
+
+        If it gets no answer, a switch-off is sent at the next connection.
+        """
         return self._queue_command("switch off", author=author)
 
     def trip(self, reason: str) -> bool:
-        """Queue a trip of the interlock, repeated until a process answers.
+        """Queue a trip of the interlock, repeated until a process answers; do not wait.
 
         Always return False: the output has not been read back as off yet.
         """
@@ -308,7 +323,7 @@ class RemoteDrive:
         return False
 
     def _queue_command(self, do: str, **values: object) -> Reply:
-        """Queue a command and send it at once if possible; return the object that receives its reply.
+        """Queue the command ``do``, send it at once if connected, and return the object for its reply.
 
         A command `energise` carries the boot time after which it must not be executed.
         """
@@ -322,12 +337,16 @@ class RemoteDrive:
         return request.reply
 
     def switch_off_at_end(self) -> None:
-        """Switch off; a process that does not answer soon is replaced by one that starts with a switch-off.
+        """Switch off at the end of a test; replace a process that does not answer within `ENDS_WITHIN_S`.
+
+        Blocks up to that time. The process that replaces it starts with a switch-off.
 
         Raises
         ------
         ConnectionLostError
             The state of the output is unknown; the switch-off is pending.
+        OSError
+            The process that replaces it cannot be started.
         """
         reply, deadline_s = self.switch_off("the end of the test"), self._machine.mono_s() + ENDS_WITHIN_S
         while not (reply.done or reply.error) and self._machine.mono_s() < deadline_s:
@@ -352,9 +371,10 @@ class RemoteDrive:
     # Readings and conditions ---------------------------------------------------------------------
 
     def list_conditions(self) -> tuple[DriveCondition, ...]:
-        """Return the conditions of the newest answer, and those of a process that does not answer.
+        """Return the conditions of the newest answer, updated by what this process knows.
 
-        These are a trip or switch-off that it has not confirmed, and ``supply_not_responding``.
+        That is a trip or switch-off that the supply process has not confirmed, and ``supply_not_responding``
+        if it does not answer.
         """
         answered = () if self._newest is None else self._newest["conditions"]
         conditions = {condition["name"]: DriveCondition(**condition) for condition in answered}
@@ -379,9 +399,10 @@ class RemoteDrive:
         return tuple(conditions.values())
 
     def build_row(self, set_index: int, due_h: float) -> EnvironmentRow:
-        """Build the row of a set from the newest answer, with its age added; no request is sent.
+        """Build the environment row of a set from the newest answer, its age in s added; send no request.
 
-        Without a recent answer the output is unknown; without any, so is the charge.
+        ``due_h`` is the set's test hour. Without a recent answer the output is unknown; without any, all
+        measured columns are None.
         """
         unknown = replace(
             row_without_supply(set_index, due_h),
@@ -408,9 +429,9 @@ class RemoteDrive:
         )
 
     def restart_means(self) -> None:
-        """Restart the means with the readings that are not in the last row.
+        """Ask the process to delete the readings of the newest answer from the means of the next row.
 
-        Nothing happens without a connection; one that is lost is logged.
+        Nothing is sent without a connection or an answer; a lost connection is logged.
         """
         if self._connection is not None and self._newest is not None:
             try:

@@ -60,7 +60,7 @@ class StoredState:
     def compute_file_age_s(self, now_ns: int | None = None) -> float:
         """Return the time in s since the file was written, at least 0.
 
-        By the clock of this boot (``now_ns``, None: now); by UTC if it was written in another boot.
+        By the clock of this boot (``now_ns`` in ns, None: now); by UTC if it was written in another boot.
         """
         boot = boot_name()
         if self.boot_id == boot is not None:
@@ -86,14 +86,15 @@ class Address:
 def hold_supply_lock(folder: Path, address: Address) -> AbstractContextManager[object]:
     """Return a context that holds the supply's lock, with an address readable only by this user.
 
-    Entering it raises BusyError if another process holds the lock.
+    Entering it raises BusyError if another process holds the lock, StorageUnavailableError if its file cannot
+    be opened.
     """
     text = f"process {os.getpid()}\n{json.dumps(asdict(address))}"
     return hold_lock(folder, DRIVE_LOCK, text, holder="process of the drive", mode=0o600)
 
 
 def read_address(folder: Path) -> Address:
-    """Read port, key and fingerprint of the process that holds the supply's lock.
+    """Read port, key and fingerprint of the process that holds, or held last, the supply's lock.
 
     Raises
     ------
@@ -104,24 +105,27 @@ def read_address(folder: Path) -> Address:
 
 
 def read_process_number(folder: Path) -> int:
-    """Return the process number of the lock's holder; ValueError if it is not written yet."""
+    """Read the process number of the lock's holder; ValueError if it is not written yet or unreadable."""
     return int(read_lock_owner(folder, DRIVE_LOCK).partition("\n")[0].removeprefix("process "))
 
 
 def stamp_state(state: DriveState, **values: Any) -> StoredState:
-    """Build the stored state with the present time stamps; ``values`` set or replace other fields."""
+    """Build a stored state with present time stamps: UTC and boot time in ns, and name of the boot.
+
+    ``values`` set further fields of `StoredState`, or replace stamps.
+    """
     now_ns = elapsed_ns()
     stamps = {"utc_ns": time.time_ns(), "boot_ns": now_ns, "boot_id": boot_name(), "heard_boot_ns": now_ns}
     return StoredState(state=state, **{**stamps, **values})
 
 
 def write_stored_state(folder: Path, stored: StoredState) -> None:
-    """Write the state to ``drive.json`` atomically and synced to disk; blocks until then.
+    """Write the state to ``drive.json`` atomically and sync it to disk; blocks until then.
 
     Raises
     ------
     OSError
-        The disk refuses it.
+        The file cannot be written; an existing one stays, old or new.
     """
     # Not the suffix of hints, which a starting recorder removes.
     temporary = (folder / DRIVE_FILE).with_suffix(".new")
@@ -130,9 +134,9 @@ def write_stored_state(folder: Path, stored: StoredState) -> None:
 
 
 def read_stored_state(folder: Path) -> StoredState | None:
-    """Read the state from ``drive.json``, also of an older version; None where there is no file.
+    """Read the state from ``drive.json``, also of an older version; None if there is no file.
 
-    `UNREADABLE`, with a warning, where it cannot be read: the output then counts as on, without a command.
+    For a file that cannot be read, log a warning and return `UNREADABLE`: a switch-off is then pending.
     """
     path = folder / DRIVE_FILE
     try:
@@ -182,9 +186,10 @@ class SupplyStatus:
 
 
 def read_supply_status(folder: Path) -> SupplyStatus | None:
-    """Read the present status of the supply; None if it never had a supply process.
+    """Read the present status of the supply from the folder; None if it never had a supply process.
 
-    An unreadable file counts as an output that must be switched off.
+    An unreadable file counts as a pending switch-off. Without a process, or with an old reading, the state is
+    ``unknown``; ``last`` still has it.
     """
     stored, process = read_stored_state(folder), is_held(folder, DRIVE_LOCK)
     if stored is None:
@@ -206,7 +211,10 @@ def read_supply_status(folder: Path) -> SupplyStatus | None:
 
 
 def describe_supply(status: SupplyStatus) -> str:
-    """Describe the supply's status in one line: output, age of the reading, trip, pending switch-off."""
+    """Describe the supply's status in one line: output, age of the reading, pending switch-off, trip.
+
+    If the reading is not good, also the age of the file; a missing supply process is named.
+    """
     last = "" if status.quality == "good" else f"{status.last} when it was "
     age = "never read" if status.age_s is None else f"{last}read {status.age_s:.0f} s ago"
     parts = [f"{status.state}, {age}"]

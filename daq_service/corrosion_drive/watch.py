@@ -65,6 +65,10 @@ class DriveWatch:
         store: Callable[[SetCommit], None],
         remote: RemoteDrive | None = None,
     ) -> None:
+        """Restore the supply's state from the catalogue; read neither supply nor climate probe.
+
+        With ``remote`` that state is written for its process, unless one has written its own.
+        """
         self._update_alarm = update_alarm
         self._store = store
         self._clock = rig.clock
@@ -86,7 +90,7 @@ class DriveWatch:
         return self._drive is not None
 
     def tick(self, hour: float) -> None:
-        """Read supply and climate probe if due, and store changed alarms at this test hour.
+        """Read supply and climate probe if due, which blocks, and store changed alarms at this test hour.
 
         Instrument errors become alarms; an alarm that cannot be stored is logged and tried again.
         """
@@ -97,7 +101,7 @@ class DriveWatch:
         self._update_alarms(hour)
 
     def _yield_conditions(self) -> Iterator[DriveCondition]:
-        """Yield the condition of each possible alarm of climate probe and supply, active or not."""
+        """Yield the conditions of climate probe and supply: name, message, and whether each is active."""
         if self._climate is not None:
             message = self._climate.build_silence_message()
             active = bool(message)
@@ -105,9 +109,10 @@ class DriveWatch:
         yield from () if self._drive is None else self._drive.list_conditions()
 
     def _update_alarms(self, hour: float) -> None:
-        """Update each alarm of supply and climate with its present condition, in one transaction.
+        """Update each alarm of supply and climate by its present condition, in one transaction.
 
-        Nothing is stored without a change. A StorageError is logged: the next tick tries again.
+        Its time is now, at this test hour. Nothing is stored without a change. A StorageError is logged: the
+        next tick tries again.
         """
         moment = Moment(utc_ns=self._clock.utc_ns(), due_h=hour, set_index=None)
         transaction = SetCommit()
@@ -131,13 +136,13 @@ class DriveWatch:
     # For the rows of a set -----------------------------------------------------------------------
 
     def summarise_readings(self) -> Mapping[str, float | str | None]:
-        """Return means, extremes and states of supply and probe since the last stored set, by column name."""
+        """Return the environment columns of supply and probe since the last stored set, by column name."""
         return summarise_row(self._build_environment_row(0, 0.0))
 
     def add_environment_row(self, transaction: SetCommit, due: DueSet, moment: Moment) -> None:
-        """Add the environment row of a set and its event to the transaction, and restart the means.
+        """Append the environment row of a set and its event to the transaction, and restart the means.
 
-        The transaction is not stored here.
+        The transaction is changed but not stored here.
         """
         transaction.environment.append(self._build_environment_row(due.set_index, due.due_h))
         transaction.events.append(moment.event("environment", "environment_read", {}))
@@ -145,7 +150,10 @@ class DriveWatch:
             self._drive.restart_means()
 
     def _build_environment_row(self, set_index: int, due_h: float) -> EnvironmentRow:
-        """Build the environment row of a set; columns of a missing supply or probe are absent."""
+        """Build the environment row of a set, due at test hour ``due_h``.
+
+        A missing supply or climate probe is marked as absent.
+        """
         row = (
             row_without_supply(set_index, due_h)
             if self._drive is None
@@ -158,22 +166,26 @@ class DriveWatch:
     def supply_on(
         self, author: str, hour: float, *, voltage_v: float | None, current_limit_a: float | None
     ) -> PendingReply:
-        """Command the supply on for a person; None: values as configured.
+        """Command the supply on for a person, with voltage in V and current limit in A; None: as configured.
 
-        Return a function that polls the reply and raise ValueError as `_send_command` does.
+        Return a function that polls the reply; both raise ValueError as `_send_command` describes. ``hour``
+        is the test hour of the command.
         """
 
         def energise(drive: SupplyDrive) -> Reply:
-            """Command the output on with the given voltage in V and current limit in A."""
+            """Command the output on with the given voltage (V) and current limit (A); return its reply.
+
+            Errors of the drive pass through.
+            """
             return drive.energise(author, voltage_v=voltage_v, current_limit_a=current_limit_a)
 
         done, failed = "the supply is on, read back as commanded", "the supply was not switched on: {error}"
         return self._send_command(energise, hour, done, failed)
 
     def supply_off(self, author: str, hour: float) -> PendingReply:
-        """Command the supply off for a person.
+        """Command the supply off for a person at test hour ``hour``; return a function that polls the reply.
 
-        Return a function that polls the reply and raise ValueError as `_send_command` does.
+        Both raise ValueError as `_send_command` describes.
         """
         done, failed = "the supply is off, read back", "the supply may be on: {error}; switch it off by hand"
         return self._send_command(lambda drive: drive.switch_off(author), hour, done, failed)
@@ -181,13 +193,16 @@ class DriveWatch:
     def _send_command(
         self, command: Callable[[SupplyDrive], Reply], hour: float, done: str, failed: str
     ) -> PendingReply:
-        """Send a command; return a function that returns its reply ``done``, or None before there is one.
+        """Send a command to the supply; return a function that polls its reply.
+
+        The function returns None before the reply and ``done`` after success, when alarms are updated at test
+        hour ``hour``.
 
         Raises
         ------
         ValueError
-            The command has no author. The returned function raises it where the command failed, also where
-            it could not be sent, with the reason.
+            The command has no author. The returned function raises it, with the text ``failed``, where the
+            command failed or could not be sent.
         """
         assert self._drive is not None, "a test without a supply forbids the command"
         try:
@@ -196,7 +211,7 @@ class DriveWatch:
             reply = Reply(error=str(error))
 
         def poll_reply() -> str | None:
-            """Return the reply, with alarms updated; None before it, ValueError if the command failed."""
+            """Return ``done`` after success, alarms updated; None before it; ValueError after a failure."""
             if reply.error:
                 raise ValueError(failed.format(error=reply.error))
             if not reply.done:
@@ -207,18 +222,18 @@ class DriveWatch:
         return poll_reply
 
     def trip(self, reason: str, hour: float) -> None:
-        """Trip the interlock for a possible hole, through which solution and current can pass.
+        """Trip the interlock for a possible hole, and store its alarm at this test hour.
 
-        Store its alarm at this test hour. Nothing happens without a supply.
+        Nothing happens without a supply. The output is off at once or as soon as the supply responds.
         """
         if self._drive is not None:
             self._drive.trip(reason)
             self._update_alarms(hour)
 
     def switch_off_at_end(self) -> str:
-        """Switch the supply off at the end of a test if configured; return the result as text.
+        """Switch the supply off at the end of a test if ``off_at_end``; return the result as text.
 
-        Empty if nothing was done. A failure is logged and returned, not raised.
+        Empty if nothing was done. An InstrumentError is logged and part of the text, not raised. May block.
         """
         if not self._off_at_end or self._drive is None:
             return ""
@@ -231,9 +246,9 @@ class DriveWatch:
 
 
 def _restore_last_state(supply: DriveParameters | None, catalogue: Catalogue, alarms: Alarms) -> DriveState:
-    """Restore the supply's state from the newest environment row, the default state without one.
+    """Restore the supply's state from the newest environment row; return the default state without one.
 
-    Only an active alarm `interlock_tripped` restores a tripped interlock.
+    The interlock is restored as tripped only by an active alarm ``interlock_tripped``, with its message.
     """
     state = DriveState()
     row = None if supply is None else catalogue.read_last_environment()

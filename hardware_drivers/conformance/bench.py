@@ -67,17 +67,17 @@ class MachineClock:
     """Clock with the machine's own time."""
 
     def utc_ns(self) -> int:
-        """Return wall time, ns since 1970-01-01T00:00Z."""
+        """Return the machine's UTC in ns since 1970-01-01T00:00Z."""
         return time.time_ns()
 
     def mono_ns(self) -> int:
-        """Return monotonic time, ns."""
+        """Return the machine's monotonic time in ns; it never steps back."""
         return time.monotonic_ns()
 
     def wait_until(self, utc_ns: int, idle: Callable[[], bool]) -> bool:
-        """Wait for a wall time (UTC, ns); True once it is reached, False as soon as ``idle()`` is False.
+        """Wait for a UTC in ns; return True once it is reached, False as soon as ``idle()`` returns False.
 
-        ``idle`` is called at least every 0.1 s.
+        ``idle`` is called at least every 0.1 s; for a past time it is not called.
         """
         while (left_ns := utc_ns - self.utc_ns()) > 0:
             if not idle():

@@ -44,14 +44,15 @@ class ChosenInstrument:
 
 
 def choose_instrument(kind_name: str, file: Path | None) -> ChosenInstrument:
-    """Find the kind, and its instrument in a configuration's ``[rig.instruments]``.
+    """Find a kind by its name, and its only instrument in ``[rig.instruments]`` of a configuration.
 
     Without a file its parameters are the defaults, and it serves position `AT` in every role that it has.
 
     Raises
     ------
     ConfigurationError
-        No such kind; the file cannot be read, has no instrument of the kind or several.
+        No such kind; the file cannot be read; it has no instrument of the kind, or several; no position
+        names the instrument; or the kind of a position's striker cannot be found.
     """
     kind, offer = find_kind(kind_name)
     if file is None:
@@ -94,12 +95,12 @@ def choose_instrument(kind_name: str, file: Path | None) -> ChosenInstrument:
 
 
 def find_double(where: str) -> Double:
-    """Import the object that ``MODULE:NAME`` names and return it.
+    """Import the `Double` that ``MODULE:NAME`` names and return it.
 
     Raises
     ------
     ConfigurationError
-        There is no such thing, or it is no `Double`.
+        The module cannot be imported or lacks the name, or the object is no `Double`.
     """
     module, _, name = where.partition(":")
     try:
@@ -114,12 +115,12 @@ def find_double(where: str) -> Double:
 
 
 def _read_parameters(table: Mapping[str, object]) -> dict[str, object]:
-    """Return the parameters of an instrument: a copy of its table without the key ``kind``."""
+    """Return the parameters of an instrument's table: a copy without the key ``kind``."""
     return {key: value for key, value in table.items() if key != "kind"}
 
 
 def _read_table(file: Path) -> Mapping[str, Any]:
-    """Read and parse a TOML file; ConfigurationError if it cannot be read or is no TOML."""
+    """Read and parse a TOML file; ConfigurationError if it cannot be read, is no UTF-8 or no TOML."""
     try:
         return tomllib.loads(file.read_text(encoding="utf-8"))
     except OSError as error:

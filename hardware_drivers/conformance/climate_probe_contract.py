@@ -37,14 +37,14 @@ class ClimateProbeContract:
     def test_a_reading_is_in_degrees_celsius_and_a_fraction(
         self, climate: ClimateProbe, air: tuple[float, float]
     ) -> None:
-        """Check that temperature and humidity are within `TOLERANCE` of the true air."""
+        """Check that a reading (degrees Celsius, humidity 0 to 1) is within `TOLERANCE` of the true air."""
         reading = climate.read(TIMEOUT_S)
         assert isinstance(reading, ClimateReading)
         assert abs(reading.temperature_c - air[0]) <= self.TOLERANCE[0]
         assert abs(reading.relative_humidity - air[1]) <= self.TOLERANCE[1]
 
     def test_readings_are_dated_in_order(self, climate: ClimateProbe) -> None:
-        """Check that readings have UTC, one boot, and monotonic times that do not decrease."""
+        """Check that three readings have UTC, the same boot, and monotonic times that do not decrease."""
         stamps = [climate.read(TIMEOUT_S).stamp for _ in range(3)]
         assert all(stamp.utc_ns > 0 for stamp in stamps)
         assert len({stamp.boot_id for stamp in stamps}) == 1
@@ -52,6 +52,6 @@ class ClimateProbeContract:
         assert times == sorted(times)
 
     def test_a_timeout_of_zero_is_refused(self, climate: ClimateProbe) -> None:
-        """Check that a timeout of 0 s is a ConfigurationError that names ``timeout_s``."""
+        """Check that a read timeout of 0 s raises ConfigurationError with the name ``timeout_s``."""
         with pytest.raises(ConfigurationError, match="timeout_s"):
             climate.read(0.0)

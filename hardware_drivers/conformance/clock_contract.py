@@ -35,7 +35,7 @@ class ClockContract:
         assert mono_ns == sorted(mono_ns)
 
     def test_waiting_reaches_the_time(self, clock: Clock) -> None:
-        """Check that a wait of `AHEAD_S` returns True at or after its time."""
+        """Check that a wait of `AHEAD_S` returns True at its time; monotonic time does not go back."""
         target_ns = clock.utc_ns() + round(self.AHEAD_S * NS_PER_S)
         mono_ns = clock.mono_ns()
         assert clock.wait_until(target_ns, lambda: True) is True
@@ -49,7 +49,7 @@ class ClockContract:
         assert clock.utc_ns() >= now_ns
 
     def test_a_wait_calls_idle(self, clock: Clock) -> None:
-        """Check that a wait calls ``idle`` at least once, and every 0.2 s of `AHEAD_S`."""
+        """Check that a wait calls ``idle`` at least once, and at least once per 0.2 s of `AHEAD_S`."""
         looks = itertools.count()
         clock.wait_until(clock.utc_ns() + round(self.AHEAD_S * NS_PER_S), lambda: next(looks) >= 0)
         # At least every 0.2 s of wall time; a clock that jumps looks around once.

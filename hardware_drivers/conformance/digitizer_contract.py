@@ -21,7 +21,10 @@ OVERRUN_S = 20.0
 
 
 def _acquire_record(digitizer: Digitizer, strike: Strike, key: ShotKey, timeout_s: float) -> Acquired:
-    """Arm, strike and read one shot; errors of the instrument are raised."""
+    """Arm for a shot, strike it, and read and return its record; errors of the instrument pass through.
+
+    ``timeout_s`` bounds the read.
+    """
     digitizer.arm(key)
     strike(key)
     return digitizer.read(timeout_s)
@@ -56,7 +59,7 @@ class DigitizerContract:
 
     @pytest.fixture
     def monotonic_s(self) -> Callable[[], float]:
-        """Return the function that reads the monotonic time (s) in which reads are timed."""
+        """Return the function that reads the monotonic clock (s) by which reads are timed."""
         return time.monotonic
 
     def test_is_a_digitizer(self, digitizer: Digitizer) -> None:
@@ -76,7 +79,7 @@ class DigitizerContract:
     def test_counts_are_read_only_codes_of_their_calibration(
         self, digitizer: Digitizer, strike: Strike, keys: Keys, timeout_s: float
     ) -> None:
-        """Check that counts are read-only and within the codes of the resolution."""
+        """Check that a record can be stored and its counts are within the codes of the ADC's resolution."""
         acquired = _acquire_record(digitizer, strike, keys[0], timeout_s)
         require_storable_record(acquired)
         lowest, highest = acquired.waveform.calibration.full_scale_counts
@@ -95,34 +98,34 @@ class DigitizerContract:
         np.testing.assert_array_equal(first.calibration.coefficients_v, second.calibration.coefficients_v)
 
     def test_an_unknown_position_is_refused_by_name(self, digitizer: Digitizer, unknown_key: ShotKey) -> None:
-        """Check that arming an unknown position is a ConfigurationError with its name, and arms nothing."""
+        """Check that arming for an unknown position raises ConfigurationError with its name, unarmed."""
         with pytest.raises(ConfigurationError, match=unknown_key.position):
             digitizer.arm(unknown_key)
         with pytest.raises(ConfigurationError):
             digitizer.read(SHORT_TIMEOUT_S)
 
     def test_arming_twice_is_refused(self, digitizer: Digitizer, keys: Keys) -> None:
-        """Check that arming an armed digitizer is a ConfigurationError."""
+        """Check that arming an armed digitizer raises ConfigurationError."""
         digitizer.arm(keys[0])
         with pytest.raises(ConfigurationError):
             digitizer.arm(keys[1])
 
     def test_reading_unarmed_is_refused(self, digitizer: Digitizer) -> None:
-        """Check that reading without arming is a ConfigurationError."""
+        """Check that reading an unarmed digitizer raises ConfigurationError."""
         with pytest.raises(ConfigurationError):
             digitizer.read(SHORT_TIMEOUT_S)
 
     def test_reading_disarms(
         self, digitizer: Digitizer, strike: Strike, keys: Keys, timeout_s: float
     ) -> None:
-        """Check that nothing is armed after a record was read."""
+        """Check that after reading a record a second read is refused and the digitizer can be armed again."""
         _acquire_record(digitizer, strike, keys[0], timeout_s)
         with pytest.raises(ConfigurationError):
             digitizer.read(SHORT_TIMEOUT_S)
         digitizer.arm(keys[1])
 
     def test_no_strike_times_out_and_disarms(self, digitizer: Digitizer, keys: Keys) -> None:
-        """Check that a read without a strike is an AcquisitionTimeoutError, and nothing is armed after it."""
+        """Check that a read without a strike raises AcquisitionTimeoutError and disarms."""
         digitizer.arm(keys[0])
         with pytest.raises(AcquisitionTimeoutError):
             digitizer.read(SHORT_TIMEOUT_S)
@@ -146,7 +149,7 @@ class DigitizerContract:
         assert took_s <= longest_read_s, f"read({SHORT_TIMEOUT_S:g}) came back after {took_s:.1f} s"
 
     def test_a_timeout_of_zero_is_refused(self, digitizer: Digitizer, keys: Keys) -> None:
-        """Check that a timeout of 0 s is a ConfigurationError that names ``timeout_s``."""
+        """Check that a read timeout of 0 s raises ConfigurationError with the name ``timeout_s``."""
         digitizer.arm(keys[0])
         with pytest.raises(ConfigurationError, match="timeout_s"):
             digitizer.read(0.0)
@@ -168,7 +171,7 @@ class DigitizerContract:
             digitizer.read(SHORT_TIMEOUT_S)
 
     def test_disarming_is_harmless_at_any_time(self, digitizer: Digitizer, keys: Keys) -> None:
-        """Check that disarming is allowed armed or not, any number of times, and that arming works again."""
+        """Check that disarming twice, armed or not, raises nothing; then reads are refused, arming works."""
         digitizer.disarm()
         digitizer.disarm()
         digitizer.arm(keys[0])

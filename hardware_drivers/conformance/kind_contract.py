@@ -46,21 +46,21 @@ class KindContract:
 
     @pytest.fixture
     def parameters(self, kind: Kind[object], table: Mapping[str, object]) -> object:
-        """Return the validated parameters of the kind; ValidationError if the table is not valid."""
+        """Return the parameters validated from the table; pydantic's ValidationError if it is not valid."""
         return TypeAdapter(kind.parameters).validate_python(table)
 
     @pytest.fixture
     def open_kind(self, kind: Kind[object], parameters: object, opening: Opening) -> Open:
-        """Return a function that returns the context manager of the opened instrument."""
+        """Return a function whose call gives the context manager that opens the instrument."""
         return lambda: kind.open(parameters, opening)
 
     def test_unknown_parameters_are_refused(self, kind: Kind[object], table: Mapping[str, object]) -> None:
-        """Check that an unknown key is a ValidationError that names it."""
+        """Check that an unknown key raises pydantic's ValidationError with the name of the key."""
         with pytest.raises(ValidationError, match=NO_KEY):
             TypeAdapter(kind.parameters).validate_python({**table, NO_KEY: 1})
 
     def test_parameters_cannot_be_changed(self, parameters: object) -> None:
-        """Check that assigning any parameter raises."""
+        """Check that assigning any parameter raises AttributeError or pydantic's ValidationError."""
         for name in TypeAdapter(type(parameters)).dump_python(parameters):
             with pytest.raises((AttributeError, ValidationError)):
                 setattr(parameters, name, getattr(parameters, name))
@@ -76,7 +76,7 @@ class KindContract:
     def test_the_kind_describes_its_parameters_correctly(
         self, kind: Kind[object], parameters: object
     ) -> None:
-        """Check that ``reached_by`` names parameters, packages are texts, and the longest call is finite."""
+        """Check that ``reached_by`` names parameters, packages are texts, the longest call is >= 0 s."""
         keys = TypeAdapter(kind.parameters).dump_python(parameters)
         assert all(path.partition(".")[0] in keys for path in kind.reached_by), "reached_by names parameters"
         assert all(isinstance(name, str) and name for name in kind.packages(parameters))
@@ -104,7 +104,7 @@ class KindContract:
                 assert isinstance(getattr(opened, role), PROTOCOLS[role]), f"it opens no {role}"
 
     def test_the_identity_is_reported(self, open_kind: Open) -> None:
-        """Check that names and values of the identity are texts and not empty."""
+        """Check that all names and values of the identity are texts that are not empty."""
         with open_kind() as opened:
             identity = opened.identity
         assert all(isinstance(text, str) and text for item in identity.items() for text in item), identity
@@ -112,7 +112,10 @@ class KindContract:
     def test_a_check_returns_findings_with_remedies(
         self, kind: Kind[object], parameters: object, opening: Opening
     ) -> None:
-        """Check that the kind's check yields findings, with a remedy for each that is not ok."""
+        """Check that the kind's check yields findings, each with a remedy unless its state is ``ok``.
+
+        An InstrumentError may end the check.
+        """
         found: list[Finding] = []
         with suppress(InstrumentError):  # ends the look as a failed finding
             found.extend(kind.check(parameters, opening))
@@ -128,7 +131,7 @@ class KindContract:
     def test_an_error_passes_through_and_it_can_be_opened_again(
         self, open_kind: Open, opening: Opening
     ) -> None:
-        """Check that closing hides no error of the block, and that the instrument opens again after it."""
+        """Check that an error raised while it is open passes through its closing, and that it opens again."""
         with pytest.raises(_FailureAtTheRigError), open_kind():
             raise _FailureAtTheRigError
         with open_kind() as opened:
@@ -140,5 +143,5 @@ class _FailureAtTheRigError(Exception):
 
 
 def _normalize(distribution: str) -> str:
-    """Return a distribution's name in lower case with hyphens for underscores, to be compared."""
+    """Normalize a distribution's name for comparison: lower case, hyphens for underscores."""
     return distribution.lower().replace("_", "-")

@@ -25,7 +25,7 @@ DOUBLE: pytest.StashKey[Double | None] = pytest.StashKey()
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
-    """Add the options ``--solimon-...`` that name kind, configuration and double, and allow strikes."""
+    """Add the options ``--solimon-kind``, ``-config``, ``-double`` and ``-strike`` to pytest."""
     group = parser.getgroup("solimon", "an instrument against solimon's rules")
     group.addoption("--solimon-kind", metavar="NAME", help="kind of instrument, as its entry points call it")
     group.addoption(
@@ -48,9 +48,9 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Find kind, instrument and double of the options before anything is collected, and stash them.
+    """Find kind, instrument and double that the options name, before collection, and stash them.
 
-    Without ``--solimon-kind`` do nothing. Raise UsageError if one of them is not found.
+    Without ``--solimon-kind`` do nothing. Raise pytest's UsageError if one of them is not found.
     """
     kind, where = config.getoption("--solimon-kind"), config.getoption("--solimon-double")
     if not kind:
@@ -72,9 +72,10 @@ def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Deselect the suites of roles that the instrument does not have; bound the time of each rule.
+    """Deselect the suites and rules that the instrument cannot be tested by; set the timeout of each rule.
 
-    Raise UsageError if the suites are collected without ``--solimon-kind``.
+    ``items`` is changed. The timeout of `RULE_TIMEOUT_S` needs pytest-timeout. Raise UsageError if suites are
+    collected without ``--solimon-kind``.
     """
     ours = [item for item in items if _find_suite_role(item) is not None]
     if not ours:
@@ -93,7 +94,7 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter, config: pytest.Config) -> None:
     """Print for each suite the numbers of passed, failed and skipped rules, and the names of failed ones.
 
-    Then print what was not proved. Without a rule that ran, print nothing.
+    Then print the roles and faults that were not tested. Without a rule that ran, print nothing.
     """
     rules_by_suite: dict[str, dict[str, list[str]]] = {}
     for outcome in ("passed", "failed", "error", "skipped"):
@@ -120,24 +121,27 @@ def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter, config: p
 
 
 def _list_faults(config: pytest.Config) -> tuple[str, ...]:
-    """Return the faults that the chosen double can inject; none without a double."""
+    """Return the names of the faults that the chosen double can inject; empty without a double."""
     double = config.stash.get(DOUBLE, None)
     return () if double is None else double.faults
 
 
 def _is_requested(item: pytest.Item, config: pytest.Config) -> bool:
-    """Return whether the instrument has the suite's role, and a double if the rule needs one."""
+    """Return whether the chosen instrument has the role of the test's suite.
+
+    False for a rule with ``fault`` if no double injects faults; suites ``kind`` and ``safety`` always apply.
+    """
     if "fault" in getattr(item, "fixturenames", ()) and not _list_faults(config):
         return False
     return _find_suite_role(item) in {"kind", "safety", *config.stash[CHOSEN].serves}
 
 
 def _find_suite_role(item: pytest.Item) -> str | None:
-    """Return the role of a test's suite, ``kind`` or ``safety``; None: no test of solimon."""
+    """Return the role of the suite of a test, ``kind`` or ``safety``; None for a test of other modules."""
     cls = getattr(item, "cls", None)
     return cls.suite if cls is not None and cls.__module__ == SUITES else None
 
 
 def _format_rule(nodeid: str) -> str:
-    """Format a test's name as words: ``test_reading_disarms`` becomes ``reading disarms``."""
+    """Format a test's node id as words of the rule: ``test_reading_disarms`` becomes ``reading disarms``."""
     return nodeid.rpartition("::")[2].removeprefix("test_").replace("_", " ")

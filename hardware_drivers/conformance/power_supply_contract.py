@@ -32,9 +32,9 @@ class PowerSupplyContract:
 
     @pytest.fixture
     def order(self) -> Order:
-        """Return voltage in V and current limit in A, both within the caps.
+        """Return a command, voltage in V and current limit in A, within the caps.
 
-        The load does not reach that current limit.
+        The load must not reach that current limit.
         """
         return 8.0, 1.5
 
@@ -63,12 +63,12 @@ class PowerSupplyContract:
         assert not supply.read(TIMEOUT_S).output_on
 
     def test_reading_never_switches_it_on_again(self, supply: PowerSupply) -> None:
-        """Check that readings leave an output that is off as it is."""
+        """Check that three readings leave an output that is off as it is."""
         supply.make_safe()
         assert not any(supply.read(TIMEOUT_S).output_on for _ in range(3))
 
     def test_energise_switches_on_at_the_requested_values(self, supply: PowerSupply, order: Order) -> None:
-        """Check that `energise` switches on, within 1 % of the voltage and not above the current limit."""
+        """Check that `energise` switches on; voltage within 1 %, current positive and not above the limit."""
         supply.make_safe()
         voltage_v, current_limit_a = order
         supply.energise(voltage_v, current_limit_a)
@@ -86,7 +86,7 @@ class PowerSupplyContract:
         assert supply.read(TIMEOUT_S).voltage_v == pytest.approx(voltage_v / 2, rel=0.01)  # as above
 
     def test_it_stays_off_above_the_caps(self, supply: PowerSupply, caps: Order, order: Order) -> None:
-        """Check that values above a cap, not positive or NaN are a ConfigurationError that names the value.
+        """Check that a command above a cap, not positive or NaN raises ConfigurationError with the value.
 
         The output stays off.
         """
@@ -106,7 +106,7 @@ class PowerSupplyContract:
             assert not supply.read(TIMEOUT_S).output_on
 
     def test_the_identity_is_reported(self, supply: PowerSupply) -> None:
-        """Check that the identity has maker and model, texts only, and is the same in a second query."""
+        """Check that a supply reports maker and model, as texts, and the same in a second query."""
         identity = supply.identity()
         assert identity["maker"]
         assert identity["model"]
@@ -114,6 +114,6 @@ class PowerSupplyContract:
         assert supply.identity() == identity
 
     def test_a_timeout_of_zero_is_refused(self, supply: PowerSupply) -> None:
-        """Check that a timeout of 0 s is a ConfigurationError that names ``timeout_s``."""
+        """Check that a read timeout of 0 s raises ConfigurationError with the name ``timeout_s``."""
         with pytest.raises(ConfigurationError, match="timeout_s"):
             supply.read(0.0)

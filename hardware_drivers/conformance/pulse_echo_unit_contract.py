@@ -40,7 +40,10 @@ class PulseEchoUnitContract:
     def test_a_record_starts_at_the_firing_pulse_and_names_its_receiver(
         self, pulse_echo: PulseEchoUnit, keys: Keys, timeout_s: float
     ) -> None:
-        """Check that a record has no pre-trigger, counts not all equal, and finite gain and offset."""
+        """Check that a record can be stored, has no pre-trigger, and has gain (dB), offset (V) and averages.
+
+        Its counts are not all equal.
+        """
         echo = pulse_echo.acquire(keys[0], timeout_s)
         assert isinstance(echo, Echo)
         assert echo.waveform.pretrigger_samples == 0
@@ -66,11 +69,11 @@ class PulseEchoUnitContract:
     def test_an_unknown_position_is_refused_by_name(
         self, pulse_echo: PulseEchoUnit, unknown_key: ShotKey, timeout_s: float
     ) -> None:
-        """Check that an unknown position is a ConfigurationError with its name."""
+        """Check that acquiring at an unknown position raises ConfigurationError with its name."""
         with pytest.raises(ConfigurationError, match=unknown_key.position):
             pulse_echo.acquire(unknown_key, timeout_s)
 
     def test_a_timeout_of_zero_is_refused(self, pulse_echo: PulseEchoUnit, keys: Keys) -> None:
-        """Check that a timeout of 0 s is a ConfigurationError that names ``timeout_s``."""
+        """Check that a timeout of 0 s raises ConfigurationError with the name ``timeout_s``."""
         with pytest.raises(ConfigurationError, match="timeout_s"):
             pulse_echo.acquire(keys[0], 0.0)

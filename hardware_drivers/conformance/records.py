@@ -12,9 +12,10 @@ little less; a wrong unit or resolution is off by a factor of two at least."""
 
 
 def require_storable_record(acquired: Acquired) -> None:
-    """Raise AssertionError unless counts, calibration and metadata make a record that can be stored.
+    """Raise AssertionError unless counts, calibration, truth and settings make a record that can be stored.
 
-    Counts are int16 or int32 and read-only, the highest code is near the range, settings are float or str.
+    Counts are int16 or int32 and read-only, the highest code is within `RANGE_FRACTION` of the range, truth
+    values are float, settings float or str.
     """
     waveform, calibration = acquired.waveform, acquired.waveform.calibration
     assert waveform.counts.dtype in (np.int16, np.int32), "counts are integers"

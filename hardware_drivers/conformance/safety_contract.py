@@ -42,7 +42,10 @@ class SafetyContract:
     """
 
     def test_it_is_safe_after_an_interruption(self, bench: Bench, open_kind: Open, opening: Opening) -> None:
-        """Check that coils are off after leaving an armed instrument, and that it opens and arms again."""
+        """Check that every coil is off after an armed and struck instrument is closed.
+
+        Then it opens and arms again.
+        """
         with open_kind() as opened:
             for _, call in _list_calls(opened, opening, ("arm", "strike"), WHOLE_TIMEOUT_S):
                 call()
@@ -54,10 +57,10 @@ class SafetyContract:
     def test_opening_fails_by_errors_of_hardware_drivers_only(
         self, bench: Bench, open_kind: Open, fault: str
     ) -> None:
-        """Check that opening a faulty instrument raises nothing but an `InstrumentError`."""
+        """Check that opening a faulty instrument succeeds or raises `InstrumentError`, and nothing else."""
 
         def open_it() -> None:
-            """Open the instrument and leave it at once."""
+            """Open the instrument and close it at once; whether that fails is up to the fault."""
             with open_kind():
                 """Opened all the same: a fault that only calls will tell."""
 
@@ -79,7 +82,7 @@ class SafetyContract:
     def test_after_an_error_nothing_is_armed(
         self, bench: Bench, open_kind: Open, opening: Opening, fault: str
     ) -> None:
-        """Check that a read that failed leaves nothing armed: a second read does not time out.
+        """Check that a failed read disarms: a second read raises another error than AcquisitionTimeoutError.
 
         Skipped for an instrument that is no digitizer.
         """
@@ -98,7 +101,7 @@ class SafetyContract:
     def test_after_an_error_every_coil_is_off(
         self, bench: Bench, open_kind: Open, opening: Opening, fault: str
     ) -> None:
-        """Check that every coil is off after each failed strike and `make_safe`.
+        """Check that every coil is off after each strike and `make_safe` of a faulty instrument.
 
         Skipped if the bench does not report the coils.
         """
@@ -113,7 +116,10 @@ class SafetyContract:
     def test_after_a_fault_it_can_be_opened_again(
         self, bench: Bench, open_kind: Open, opening: Opening, fault: str
     ) -> None:
-        """Check that an instrument left while it fails can be opened and called again after the fault."""
+        """Check that an instrument closed while faulty can be opened again after the fault.
+
+        Every call that needs no strike then succeeds.
+        """
         with ExitStack() as still, _open_faulty_instrument(open_kind) as opened:
             # Ended last: the instrument is left while it fails.
             still.enter_context(_inject_fault(bench, fault))
@@ -126,7 +132,10 @@ class SafetyContract:
 
 @contextmanager
 def _open_faulty_instrument(open_kind: Open) -> Iterator[Opened]:
-    """Open an instrument that will fail; an `InstrumentError` at its closing is suppressed."""
+    """Open an instrument, yield it, and close it; an `InstrumentError` of the closing is suppressed.
+
+    Errors of the opening and of the block pass through.
+    """
     with ExitStack() as stack:
         yield stack.enter_context(open_kind())
         with suppress(InstrumentError):
@@ -134,15 +143,15 @@ def _open_faulty_instrument(open_kind: Open) -> Iterator[Opened]:
 
 
 def _inject_fault(bench: Bench, fault: str) -> AbstractContextManager[object]:
-    """Return the context in which the instrument has a fault; AssertionError if the bench has none."""
+    """Return the context manager that injects a fault; AssertionError if the bench cannot inject any."""
     assert bench.fault is not None, "a double that names faults gives Bench.fault"
     return bench.fault(fault)
 
 
 def _capture_error(name: str, call: Call) -> InstrumentError | None:
-    """Run a call and return its `InstrumentError`, None if it succeeds.
+    """Call a function and return its `InstrumentError`, None if it succeeds.
 
-    Any other exception breaks the rule: AssertionError.
+    Raise AssertionError, with the name of the call, for any other exception.
     """
     try:
         call()
@@ -156,14 +165,19 @@ def _capture_error(name: str, call: Call) -> InstrumentError | None:
 
 
 def _make_key(role: Role, opening: Opening) -> ShotKey:
-    """Return the key of shot 0 of set 0 at the first position that the instrument serves in a role."""
+    """Return the key of shot 0 of set 0 at the first position that the instrument serves in a role.
+
+    KeyError or IndexError if it serves none.
+    """
     return ShotKey(position=opening.serves[role][0], set_index=0, shot_index=0)
 
 
 def _list_calls(
     opened: Opened, opening: Opening, only: tuple[str, ...] = (), timeout_s: float = TIMEOUT_S
 ) -> Iterator[tuple[str, Call]]:
-    """List the calls of every requested role with their names, in the order of a shot; none is made.
+    """Return an iterator over the calls of every served role with their names; no call is made here.
+
+    They come in the order arm, strike, read, disarm, make safe, measure.
 
     Parameters
     ----------
@@ -198,6 +212,6 @@ def _list_calls(
 
 
 def _find_energised_coils(bench: Bench) -> list[str]:
-    """Return the positions whose coil is on after all switchings so far; empty if none is reported."""
+    """Return the positions whose coil is on after all switchings so far; empty if the bench reports none."""
     levels: Mapping[str, bool] = dict(bench.coil_levels()) if bench.coil_levels is not None else {}
     return [position for position, on in levels.items() if on]

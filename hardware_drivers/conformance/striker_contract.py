@@ -36,21 +36,21 @@ class StrikerContract:
     def test_a_strike_is_one_pulse_of_its_own_coil(
         self, striker: Striker, coil_levels: CoilLevels, keys: Keys
     ) -> None:
-        """Check that a strike switches the coil of its position on, then off, and no other."""
+        """Check that each strike switches the coil of its position on once, then off, and no other."""
         for key in keys:
             before = len(coil_levels())
             striker.strike(key)
             assert list(coil_levels())[before:] == [(key.position, ON), (key.position, OFF)]
 
     def test_an_unknown_position_is_refused_by_name(self, striker: Striker, unknown_key: ShotKey) -> None:
-        """Check that a strike at an unknown position is a ConfigurationError with its name."""
+        """Check that a strike at an unknown position raises ConfigurationError with its name."""
         with pytest.raises(ConfigurationError, match=unknown_key.position):
             striker.strike(unknown_key)
 
     def test_a_refused_strike_moves_nothing(
         self, striker: Striker, coil_levels: CoilLevels, unknown_key: ShotKey
     ) -> None:
-        """Check that a rejected strike switches no coil on."""
+        """Check that a strike at an unknown position is refused and switches no coil on."""
         before = len(coil_levels())
         with pytest.raises(ConfigurationError):
             striker.strike(unknown_key)
@@ -64,7 +64,7 @@ class StrikerContract:
     def test_making_safe_is_never_a_pulse(
         self, striker: Striker, coil_levels: CoilLevels, keys: Keys
     ) -> None:
-        """Check that `make_safe` switches no coil on, and that it is off after a strike."""
+        """Check that `make_safe` switches no coil on, and that the struck coil is off after it."""
         before = len(coil_levels())
         striker.make_safe()
         assert all(level is OFF for _, level in coil_levels()[before:])

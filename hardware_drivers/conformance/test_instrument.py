@@ -36,7 +36,7 @@ class OnTheBench:
 
     @pytest.fixture
     def bench(self, pytestconfig: pytest.Config) -> Iterator[Bench]:
-        """Yield the double's bench, left at the end of the rule; without a double an empty bench."""
+        """Yield the bench of the double, left at the end of the rule; without a double yield an empty one."""
         double = pytestconfig.stash[DOUBLE]
         if double is None:
             yield Bench()
@@ -46,7 +46,7 @@ class OnTheBench:
 
     @pytest.fixture
     def chosen(self, pytestconfig: pytest.Config) -> ChosenInstrument:
-        """Return the instrument that the options of the command name."""
+        """Return the instrument, not opened, that the options of the command name."""
         return pytestconfig.stash[CHOSEN]
 
     @pytest.fixture
@@ -56,21 +56,24 @@ class OnTheBench:
 
     @pytest.fixture
     def table(self, chosen: ChosenInstrument, bench: Bench) -> Mapping[str, object]:
-        """Return the instrument's parameters; those of the running double replace the configured ones."""
+        """Return the instrument's configured parameters, with those of the running double in their place."""
         return {**chosen.table, **bench.parameters}
 
     @pytest.fixture
     def parameters(self, kind: Kind[object], table: Mapping[str, object]) -> object:
-        """Return the validated parameters of the instrument; ValidationError if they are not valid."""
+        """Return the parameters validated from the table; pydantic's ValidationError if it is invalid."""
         return TypeAdapter(kind.parameters).validate_python(table)
 
     @pytest.fixture
     def opening(self, chosen: ChosenInstrument, pytestconfig: pytest.Config) -> Opening:
-        """Return the context of the opening; requests to a person are printed on the terminal."""
+        """Return the context in which the instrument is opened, with the machine's clock.
+
+        Requests to a person are printed on the terminal.
+        """
         capture = pytestconfig.pluginmanager.getplugin("capturemanager")
 
         def ask(request: str) -> None:
-            """Print a request to a person past the capture of pytest."""
+            """Print a request to a person past pytest's capture; an empty one prints nothing."""
             if request:
                 with capture.global_and_fixture_disabled():
                     print(f"\n  {request}", flush=True)
@@ -79,30 +82,30 @@ class OnTheBench:
 
     @pytest.fixture
     def open_kind(self, kind: Kind[object], parameters: object, opening: Opening) -> Open:
-        """Return a function that returns the context manager of the opened instrument."""
+        """Return a function whose call gives the context manager that opens the instrument."""
         return lambda: kind.open(parameters, opening)
 
     @pytest.fixture
     def opened(self, open_kind: Open) -> Iterator[Opened]:
-        """Yield the opened instrument; it is closed at the end of the rule."""
+        """Yield the opened instrument; close it at the end of the rule. Instrument errors pass through."""
         with open_kind() as opened:
             yield opened
 
     @pytest.fixture
     def allowed(self, pytestconfig: pytest.Config) -> None:
-        """Skip rules that move or fire real equipment, unless there is a double or ``--solimon-strike``."""
+        """Skip the rule, which moves or fires equipment, unless there is a double or ``--solimon-strike``."""
         if pytestconfig.stash[DOUBLE] is None and not pytestconfig.getoption("--solimon-strike"):
             pytest.skip(NOT_ALLOWED)
 
     @pytest.fixture
     def keys(self, chosen: ChosenInstrument) -> Keys:
-        """Return shots 0 and 1 of set 0 at the first position of the suite's role."""
+        """Return the keys of shots 0 and 1 of set 0 at the first position of the suite's role."""
         (position, *_) = next(names for role, names in chosen.serves.items() if role == self.suite)
         return tuple(ShotKey(position=position, set_index=0, shot_index=i) for i in (0, 1))
 
     @pytest.fixture
     def unknown_key(self) -> ShotKey:
-        """Return a shot of a position that no rig has."""
+        """Return the key of a shot at a position that no rig has (``nowhere``)."""
         return ShotKey(position="nowhere", set_index=0, shot_index=0)
 
     @pytest.fixture
@@ -112,7 +115,7 @@ class OnTheBench:
 
     @pytest.fixture
     def coil_levels(self, bench: Bench) -> CoilLevels:
-        """Return the bench's function that reads the coils' switchings; skip the rule if it has none."""
+        """Return the bench's function that reads the switchings of coils; skip the rule if it has none."""
         if bench.coil_levels is None:
             pytest.skip("it has no coil, or nobody knows what its coils did: a double's Bench.coil_levels")
         return bench.coil_levels
@@ -125,7 +128,7 @@ class TestKind(OnTheBench, KindContract):
 
     @pytest.fixture
     def module(self, chosen: ChosenInstrument) -> str:
-        """Return the module that its entry points name."""
+        """Return the name of the module that the entry point of the kind's first role names."""
         return next(iter(chosen.offer.by_role.values())).module
 
 
@@ -136,7 +139,10 @@ class TestSafety(OnTheBench, SafetyContract):
 
     @pytest.fixture
     def open_kind(self, kind: Kind[object], parameters: object, opening: Opening, allowed: None) -> Open:
-        """Return a function that opens the instrument, which then strikes; skipped unless allowed."""
+        """Return a function whose call gives the context manager that opens the instrument.
+
+        The rule is skipped unless strikes are allowed.
+        """
         return lambda: kind.open(parameters, opening)
 
 
@@ -161,9 +167,9 @@ class TestDigitizer(OnTheBench, DigitizerContract):
         keys: Keys,
         allowed: None,
     ) -> Iterator[Strike]:
-        """Yield a function that strikes: of the double, the instrument itself, or its position's striker.
+        """Yield a function that makes the key's transducer strike; skip the rule if nothing can strike.
 
-        Another instrument is opened for it. Without any, the rule is skipped.
+        It is that of the double, of the instrument itself, or of the position's striker, opened for the rule.
         """
         if bench.strike is not None:
             yield bench.strike
@@ -183,7 +189,7 @@ class TestDigitizer(OnTheBench, DigitizerContract):
 
     @pytest.fixture
     def longest_read_s(self, kind: Kind[object], parameters: object) -> float:
-        """Return the time limit of any digitizer plus the kind's longest call, in s."""
+        """Return the longest time in s of a read of `SHORT_TIMEOUT_S`, the kind's longest call included."""
         return SHORT_TIMEOUT_S + OVERRUN_S + kind.longest_call_s(parameters)
 
 
@@ -194,13 +200,13 @@ class TestStriker(OnTheBench, StrikerContract):
 
     @pytest.fixture
     def striker(self, opened: Opened, allowed: None) -> Striker:
-        """Return the striker with every coil off; skipped unless strikes are allowed."""
+        """Return the opened striker, every coil off; the rule is skipped unless strikes are allowed."""
         assert opened.striker is not None
         return opened.striker
 
     @pytest.fixture
     def keys(self, chosen: ChosenInstrument) -> Keys:
-        """Return shot 0 of set 0 at up to two positions of the striker."""
+        """Return the keys of shot 0 of set 0 at the first one or two positions of the striker."""
         names = chosen.serves["striker"][:2]
         return tuple(ShotKey(position=name, set_index=0, shot_index=0) for name in names)
 
@@ -212,7 +218,7 @@ class TestPulseEcho(OnTheBench, PulseEchoUnitContract):
 
     @pytest.fixture
     def pulse_echo(self, opened: Opened, allowed: None) -> PulseEchoUnit:
-        """Return the pulse-echo unit; skipped unless firing is allowed."""
+        """Return the opened pulse-echo unit; the rule is skipped unless firing is allowed."""
         assert opened.pulse_echo is not None
         return opened.pulse_echo
 
@@ -224,7 +230,7 @@ class TestSupply(OnTheBench, PowerSupplyContract):
 
     @pytest.fixture
     def supply(self, opened: Opened, order: Order) -> PowerSupply:
-        """Return the supply, switched on at the double's voltage and limit."""
+        """Return the supply, switched on by the double's command; the rule is skipped without a double."""
         assert opened.supply is not None
         opened.supply.energise(*order)
         return opened.supply
@@ -241,7 +247,7 @@ class TestSupply(OnTheBench, PowerSupplyContract):
 
 
 def _require_double_value(order: Order | None) -> Order:
-    """Return a value of the double (V, A); skip the rule if it is None: there is no double."""
+    """Return a value of the double (V, A); skip the rule if it is None, as without a double."""
     if order is None:
         pytest.skip("no rule switches a supply that is no double's: Bench.caps and Bench.order")
     return order

@@ -68,14 +68,17 @@ class Acquisition:
     settings: Mapping[str, float | str]
 
     def start(self) -> None:
-        """Start sampling, at once or at the edge of the coil's counter; the vendor's error is translated."""
+        """Start the task: sampling starts at once, or at the edge of the coil's counter; do not wait.
+
+        Raise InstrumentError if the driver refuses.
+        """
         with translate_errors(f"starting the acquisition of {self.position!r}"):
             self.task.start()
 
     def read(self, timeout_s: float) -> Waveform:
-        """Wait for the record and return it; the buffer's content is used only after a complete read.
+        """Wait for the record and return it as a waveform; pre-trigger 0 unless the wave triggered.
 
-        ``timeout_s`` bounds each part of ``part_samples``.
+        ``timeout_s`` bounds the wait for each part of ``part_samples``. Other instrument errors pass through.
 
         Raises
         ------
@@ -106,18 +109,19 @@ class Acquisition:
         return waveform
 
     def stop(self) -> None:
-        """Stop the task and return it to committed, ready for the next shot; InstrumentError on failure."""
+        """Stop the task and leave it committed, ready for the next shot; InstrumentError if that fails."""
         with translate_errors(f"stopping the acquisition of {self.position!r}"):
             self.task.stop()
 
     def close(self) -> bool:
-        """Abort and clear the task; True if the driver confirmed it, else the error is logged."""
+        """Abort and clear the task; return True if the driver confirmed it, else False with a log entry."""
         return clear_task(self.task, f"closing the acquisition of {self.position!r}")
 
     def _require_trigger_edge(self, waveform: Waveform) -> None:
         """Raise ConnectionLostError if a record does not cross its trigger level at the trigger sample.
 
-        Within `EDGE_S` of it, and `EDGE_FRACTION` of the range.
+        The level must be within the record's extremes at most `EDGE_S` from that sample, widened by
+        `EDGE_FRACTION` of the range.
         """
         reach = max(2, round(EDGE_S * self.sample_rate_hz))
         trigger = self.pretrigger_samples
@@ -141,18 +145,20 @@ def commit_acquisition(
     *,
     record: Record,
 ) -> Acquisition:
-    """Build one transducer's task, commit it, and read back the settings of the board.
+    """Build the analog-input task of one transducer, commit it, and read back the settings of the board.
 
     Parameters
     ----------
-    coil_board
-        Its counter starts the records that wait for the coil.
+    board, coil_board
+        Digitizer of the position; board whose counter starts the records that wait for the coil.
 
     Raises
     ------
     ConfigurationError
-        The board would use another rate, range or holdoff than asked, or codes this driver does not know;
-        or the coil's counter cannot start it. The task is cleared.
+        The board would use another rate, range, level or holdoff than asked, or codes this driver does not
+        know; or the coil's counter cannot start it. The task is cleared after any error.
+    BusyError, ConnectionLostError
+        The board is in use, or does not answer.
     """
     wiring = parameters.transducers[position]
     task = connection.create_task("digitizer")
@@ -173,7 +179,10 @@ def commit_acquisition(
 def _configure_task(
     task: Task, parameters: DaqmxParameters, wiring: TransducerWiring, board: Board, record: Record
 ) -> AIChannel:
-    """Configure channel, sample clock, reference clock and trigger (shots only); return the channel."""
+    """Configure channel, sample clock, reference clock and, for shots only, the trigger; return the channel.
+
+    Errors of the vendor's package pass through; nothing is committed.
+    """
     from nidaqmx.constants import AcquisitionType, Coupling, Slope, TerminalConfiguration
 
     physical = f"{board.name}/{wiring.input}"
@@ -204,17 +213,17 @@ def _configure_task(
 
 
 def _count_record_samples(parameters: DaqmxParameters, record: Record) -> int:
-    """Return the number of samples of a record: a complete strike for ``pulse``, else the configured one."""
+    """Return the samples of a record: those of a complete strike for ``pulse``, else ``record_samples``."""
     return parameters.whole_strike_samples if record == "pulse" else parameters.record_samples
 
 
 def _configure_coil_start(
     task: Task, parameters: DaqmxParameters, position: str, coil_board: Board, board: Board, record: Record
 ) -> None:
-    """Configure the start by an edge of the coil's counter: with the pulse, or the holdoff after its end.
+    """Configure and verify the start by an edge of the coil's counter output.
 
-    Verified here, so that a route or delay that the boards do not have is reported as what it is:
-    ConfigurationError for the delay, ConnectionLostError for another source.
+    Record ``pulse`` starts with the pulse, ``shot`` the holdoff after its end. Raise ConfigurationError for a
+    delay that is not the holdoff, ConnectionLostError for another source, or as the driver refuses.
     """
     from nidaqmx.constants import DigitalWidthUnits, Edge, TaskMode
 
@@ -240,9 +249,9 @@ def _configure_coil_start(
 
 
 def _check_start_delay(parameters: DaqmxParameters, board: Board, delay_s: float) -> None:
-    """Raise ConfigurationError if the board's start delay cannot work or is not the requested holdoff.
+    """Raise ConfigurationError if the start delay ``delay_s`` of the board is not, or cannot be, the holdoff.
 
-    A difference up to `DELAY_AGREEMENT_S` is accepted.
+    A difference up to `DELAY_AGREEMENT_S` is accepted; the limits are those of `check_holdoff`.
     """
     asked_s = parameters.holdoff_s or 0.0
     try:
@@ -271,9 +280,10 @@ _CLOCK_HZ = {"PXI_Clk10": 10e6, "PXIe_Clk100": 100e6}
 def _verify_committed_task(
     task: Task, channel: AIChannel, parameters: DaqmxParameters, position: str, board: Board, record: Record
 ) -> Acquisition:
-    """Read back the essential settings and return the acquisition.
+    """Read back rate, range, scaling and trigger level of a committed task; return its acquisition.
 
-    Raise ConfigurationError where rate, range or trigger level differs, or the sample size is unknown.
+    Raise ConfigurationError where rate, range or trigger level differs or the sample size is unknown,
+    ConnectionLostError for a scaling that makes no sense.
     """
     from nidaqmx.stream_readers import AnalogUnscaledReader
 
@@ -324,9 +334,10 @@ def _verify_committed_task(
 
 
 def _read_calibration(channel: AIChannel, wiring: TransducerWiring, board: Board) -> Calibration:
-    """Read the scaling of the board's codes to volts.
+    """Read the polynomial that scales the board's codes to volts, and the resolution.
 
-    Raise ConnectionLostError if it makes no sense: not finite, or its ends are not those of the range.
+    Raise ConnectionLostError if they make no sense: not finite, not 2 to 32 bits, or extreme codes that are
+    not 0.99 to 1.5 times the range.
     """
     coefficients = np.array(channel.ai_dev_scaling_coeff, dtype=np.float64)
     bits = float(channel.ai_resolution)
@@ -353,9 +364,10 @@ def _read_calibration(channel: AIChannel, wiring: TransducerWiring, board: Board
 def _collect_settings(
     parameters: DaqmxParameters, wiring: TransducerWiring, board: Board, level_v: float, *, triggered: bool
 ) -> dict[str, float | str]:
-    """Collect the settings that are stored with each record, SI units in the names.
+    """Collect the settings that are stored with each record by name, with SI units in the names.
 
-    ``trigger_level_v`` is NaN for a record without trigger.
+    They are board, input, trigger, clock, pulse, calibration and transport. A record that is not
+    ``triggered`` has the level NaN; ``holdoff_s`` and ``dry_run`` are there only where they apply.
     """
     settings: dict[str, float | str] = {
         "board_serial": board.serial,

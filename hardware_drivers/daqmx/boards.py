@@ -51,7 +51,7 @@ class Board:
 
     @property
     def label(self) -> str:
-        """Return product and serial number, the name of the board in messages."""
+        """Return product and serial number, which name the board in messages."""
         return f"{self.product} {self.serial}"
 
 
@@ -61,15 +61,15 @@ def format_serial(serial: int) -> str:
 
 
 def normalize_serial(text: str) -> str:
-    """Convert a hexadecimal serial number to 8 upper-case digits; ValueError if it is none."""
+    """Convert a hexadecimal serial number, any case, to 8 upper-case digits; ValueError if it is none."""
     return format_serial(int(text, 16))
 
 
 def list_boards(connection: Connection) -> dict[str, Device]:
-    """List the boards that the driver knows and that answer, by serial number.
+    """List the boards that the driver knows and that answer: NI's device by serial number.
 
-    NI's simulated devices all have serial number 0: only the last one is kept. A listed board that is
-    absent is left out; other errors are raised.
+    NI's simulated devices all have serial number 0: only the last one is kept. A board that is listed but
+    absent is left out, with a log entry; other instrument errors are raised.
     """
     system = connection.system()
     with translate_errors("listing the boards"):
@@ -88,7 +88,12 @@ def list_boards(connection: Connection) -> dict[str, Device]:
 
 
 def find_boards(connection: Connection, serials: Iterable[str]) -> dict[str, Board]:
-    """Find the boards with these serial numbers and describe them under their present names.
+    """Find the boards with these serial numbers, and describe each under its present name.
+
+    Returns
+    -------
+    dict
+        Boards by serial number (8 hexadecimal digits), in ascending order; each once.
 
     Raises
     ------
@@ -110,8 +115,8 @@ def find_boards(connection: Connection, serials: Iterable[str]) -> dict[str, Boa
 def describe_board(serial: str, device: Device) -> Board:
     """Read a board's name, product, self-calibration, and whether NI's driver simulates it.
 
-    Optional metadata that is unknown is logged: empty date, NaN temperature. Raise ConnectionLostError if
-    the board has no name or product.
+    Optional metadata that is unknown is logged: empty date, NaN temperature (degrees Celsius), False. Raise
+    ConnectionLostError if the board is gone, or has no name or product.
     """
     with translate_errors(f"reading what board {serial} is"):
         name, product = str(device.name), str(device.product_type)
@@ -145,17 +150,19 @@ def describe_board(serial: str, device: Device) -> Board:
 
 
 def _format_board_names(boards: Mapping[str, Device]) -> str:
-    """Format serial numbers and names of boards for a message; ``none`` without boards."""
+    """Format serial numbers and names of boards as a list for a message; ``none`` without boards."""
     return ", ".join(f"{serial} ({device.name})" for serial, device in boards.items()) or "none"
 
 
 def check_board(board: Board, wiring: TransducerWiring, parameters: DaqmxParameters) -> None:
-    """Check that a board can take the requested record; nothing is returned.
+    """Raise an error unless a board can take the requested record: rate, range, analog trigger.
 
     Raises
     ------
     ConfigurationError
         Too slow, no such range, or no analog trigger (which a dry run does not need).
+    ConnectionLostError
+        The board does not answer.
     """
     with translate_errors(f"reading what {board.label} can do"):
         limit_hz = float(board.device.ai_max_single_chan_rate)
@@ -182,5 +189,5 @@ def check_board(board: Board, wiring: TransducerWiring, parameters: DaqmxParamet
 
 
 def is_requested_value(given: float, requested: float) -> bool:
-    """Return whether the value that the driver reports equals the requested one within 1e-6 of it."""
+    """Return whether the value ``given`` by the driver is the requested one, within 1e-6 of the larger."""
     return math.isclose(given, requested, rel_tol=RELATIVE_AGREEMENT)

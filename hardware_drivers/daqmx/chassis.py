@@ -64,6 +64,7 @@ class Chassis:
     """
 
     def __init__(self, parameters: DaqmxParameters) -> None:
+        """Connect, find the boards and commit each transducer once; after an error nothing is left."""
         self.parameters = parameters
         self.driver_version = ""
         self._thread = threading.get_ident()
@@ -88,7 +89,7 @@ class Chassis:
     # One thread ----------------------------------------------------------------------------------
 
     def require_own_thread(self) -> None:
-        """Raise ConfigurationError for a call from another thread: NI's tasks are not thread-safe."""
+        """Raise ConfigurationError in another thread than the opening one: NI's tasks are not thread-safe."""
         if threading.get_ident() != self._thread:
             raise ConfigurationError(
                 f"the instruments were opened by thread {self._thread} and called by thread "
@@ -98,12 +99,12 @@ class Chassis:
     # Turns ---------------------------------------------------------------------------------------
 
     def commit_tasks(self, position: str, record: Record = "shot") -> Turn:
-        """Commit a transducer's tasks and return them; first take the next recovery step after a loss.
+        """Return a transducer's tasks, committed if necessary; after a loss, take a recovery step before.
 
         Parameters
         ----------
         record
-            What is recorded; in a dry run of a shot only noise.
+            Kind of record; in a dry run ``noise`` in place of ``shot``. After an error no task is left.
         """
         self._take_recovery_step()
         if record == "shot" and self.parameters.dry_run:
@@ -115,19 +116,19 @@ class Chassis:
         return self._turn
 
     def acquisition(self, position: str, record: Record = "shot") -> Acquisition:
-        """Commit a transducer's tasks if necessary, and return its acquisition; it must be wired here."""
+        """Return a transducer's acquisition, committed if necessary; AssertionError if no input is wired."""
         acquisition = self.commit_tasks(position, record).acquisition
         assert acquisition is not None, "asked for with its input only"
         return acquisition
 
     def coil(self, position: str, record: Record = "shot") -> Coil:
-        """Commit a transducer's tasks if necessary, and return its coil; its counter must be wired here."""
+        """Return a transducer's coil, committed if necessary; AssertionError if no counter is wired here."""
         coil = self.commit_tasks(position, record).coil
         assert coil is not None, "asked for with its counter only"
         return coil
 
     def clear_tasks(self) -> None:
-        """Clear the committed tasks, the coil's first; remember a coil that may still be on."""
+        """Clear the committed tasks, the coil's first; note a coil that may be on. Errors are only logged."""
         turn, self._turn = self._turn, None
         if turn is None:
             return
@@ -142,7 +143,7 @@ class Chassis:
             self._clear_tasks_by_name(ROLES)
 
     def _commit_new_tasks(self, position: str, record: Record) -> Turn:
-        """Commit the tasks of a transducer, the coil first; after an error none of them is left."""
+        """Commit the tasks of a transducer, the coil first, as wired; after an error none is left."""
         wiring = self.parameters.transducers[position]
         connection = self.connection
         coil_board = self._boards[normalize_serial(wiring.coil_serial)]
@@ -160,7 +161,7 @@ class Chassis:
         return Turn(position=position, record=record, acquisition=acquisition, coil=coil)
 
     def commit_all_transducers(self) -> None:
-        """Commit and clear every transducer once, so that hardware rejects settings before a test starts."""
+        """Check each board, commit and clear each transducer's tasks; InstrumentError if one is rejected."""
         for position, wiring in self.parameters.transducers.items():
             if wiring.digitizes:
                 check_board(self._boards[normalize_serial(wiring.board_serial)], wiring, self.parameters)
@@ -184,7 +185,7 @@ class Chassis:
         Raises
         ------
         ConnectionLostError
-            Its state is unknown; the board's counter ends the pulse in any case.
+            The coil's state is unknown; its board's counter ends the pulse in any case.
         """
         self.clear_tasks()
         position, until = self._maybe_on
@@ -197,7 +198,7 @@ class Chassis:
         )
 
     def _clear_tasks_by_name(self, roles: Sequence[str]) -> bool:
-        """Clear a lost object's tasks on a server; True if none is left, False without server or on error."""
+        """Clear these roles' tasks on a server; True if none is left, False without server or on an error."""
         try:
             cleared = self._connection is not None and self._connection.clear_leftover_tasks(roles)
         except InstrumentError as error:
@@ -211,7 +212,10 @@ class Chassis:
 
     @contextmanager
     def guard_operation(self) -> Iterator[None]:
-        """Run a block on the boards; an error clears the tasks, selects a recovery step and is raised."""
+        """Run a block on the boards; after any error, clear the tasks and raise it.
+
+        A lost connection selects a recovery step. If our own old task made the board busy, that is one.
+        """
         try:
             yield
         except BaseException as error:
@@ -223,7 +227,10 @@ class Chassis:
             raise
 
     def _record_connection_loss(self, error: ConnectionLostError) -> None:
-        """Count a loss and select the next recovery step; ConnectionLostError if the last one failed."""
+        """Count and log a lost connection and select the next recovery step.
+
+        Raise ConnectionLostError if the last step had already been tried.
+        """
         self._lost += 1
         tried = self._rung
         self._rung = min(tried + 1, len(LADDER))
@@ -238,7 +245,7 @@ class Chassis:
             ) from error
 
     def _handle_busy_board(self, error: BusyError) -> None:
-        """Leave another owner's board alone from now on; raise ConnectionLostError for our own old task."""
+        """Bar resets, as another program uses a board; ConnectionLostError if it is our own old task."""
         # The driver's text names the task that was refused too, and that one is always ours.
         owner = find_resource_owner(str(error.__cause__))
         if self._connection is None or not self._connection.is_own_task(owner):
@@ -249,11 +256,11 @@ class Chassis:
         raise lost from error
 
     def reset_recovery(self) -> None:
-        """Reset recovery to its first step, because an intact record was read."""
+        """Set recovery back to its first step, because an intact record was read."""
         self._rung = self._lost = 0
 
     def _take_recovery_step(self) -> None:
-        """Take the selected recovery step (`LADDER`) if the connection was lost; else do nothing."""
+        """Take the selected step of `LADDER` if the connection was lost; instrument errors pass through."""
         if not self._broken:
             return
         log.info("recovering: %s", LADDER[self._rung - 1])
@@ -268,7 +275,7 @@ class Chassis:
         self._broken = False
 
     def _reset_boards(self) -> None:
-        """Reset all boards, unless another program was found to use one of them."""
+        """Reset all boards, or only log a warning if another program uses one; InstrumentError on failure."""
         if self._shared:
             log.warning("not resetting: somebody else uses a board of ours too")
             return
@@ -283,7 +290,7 @@ class Chassis:
         return max(time.monotonic(), self._maybe_on[1])
 
     def _connect(self) -> None:
-        """Reconnect to the driver, clear leftover tasks, find the boards under their present names."""
+        """Reconnect, clear leftover tasks, find the boards; InstrumentError if board or driver is absent."""
         if self._connection is not None:
             self._connection.close()
         self._connection = Connection(self.parameters)
@@ -301,7 +308,7 @@ class Chassis:
     # Calibration, identity, end ------------------------------------------------------------------
 
     def self_calibrate(self) -> dict[str, str]:
-        """Calibrate the digitizer boards, commit all again; return date and temperature by serial number."""
+        """Calibrate digitizer boards, commit all again; return text (date, temperature) by serial number."""
         self.clear_tasks()
         self._take_recovery_step()
         done = {}
@@ -322,7 +329,7 @@ class Chassis:
         return done
 
     def identity(self) -> dict[str, str]:
-        """Return transport, versions and each board's product by name of the item, for every set's record."""
+        """Return transport, versions of driver and package, and each board's product, by name of the item."""
         return {
             "transport": self.parameters.transport,
             "daqmx_driver_version": self.driver_version,
@@ -331,7 +338,7 @@ class Chassis:
         }
 
     def close(self) -> None:
-        """Switch the coil off, clear the tasks, end the connection; harmless when done before."""
+        """Clear all tasks (coil off), close the connection, release the client name; harmless when closed."""
         try:
             self.clear_tasks()
         finally:
@@ -345,6 +352,9 @@ class Chassis:
 
 
 def list_board_serials(parameters: DaqmxParameters) -> list[str]:
-    """Return the serial numbers of all transducers' digitizer boards, then coil boards; with repetitions."""
+    """Return the serial numbers of all digitizer boards, then of all coil boards, as configured.
+
+    Each transducer gives both, so a number may be repeated.
+    """
     wirings = parameters.transducers.values()
     return [wiring.board_serial for wiring in wirings] + [wiring.coil_serial for wiring in wirings]

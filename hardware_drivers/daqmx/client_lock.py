@@ -26,6 +26,10 @@ class ClientLock:
     """
 
     def __init__(self, address: str, client: str) -> None:
+        """Lock the file of a client name on a server (HOST:PORT) without waiting.
+
+        The file is in the temporary folder; this process's number is written to it.
+        """
         key = hashlib.sha256(f"{address} {client}".encode()).hexdigest()[:16]
         path = Path(tempfile.gettempdir()) / f"solimon-daqmx-{key}.lock"
         refusal = (
@@ -50,14 +54,14 @@ class ClientLock:
         self._file.flush()
 
     def release(self) -> None:
-        """Release the name by closing the lock file, which stays; harmless when done before."""
+        """Release the client name by closing the lock file, which is kept; repeated calls have no effect."""
         file, self._file = self._file, None
         if file is not None:
             file.close()
 
 
 def _lock_first_byte(file: IO[bytes]) -> None:
-    """Lock a file (Windows: its first byte) for this process, without waiting; OSError if it is taken."""
+    """Lock a file (Windows: its first byte) for this process without waiting; OSError if it is locked."""
     if sys.platform == "win32":
         import msvcrt
 

@@ -53,12 +53,14 @@ class Coil:
     on_until: float = 0.0
 
     def pulse(self) -> None:
-        """Pulse once and wait for the end; on return the counter is stopped and its output low.
+        """Pulse the coil once and block until its end; on return the counter is stopped and its output low.
 
         Raises
         ------
         AcquisitionTimeoutError
             The counter is not done in time, or the watchdog cut the pulse short.
+        InstrumentError
+            The driver failed; `on_until` is the time by which the counter has ended the pulse.
         """
         if self.watchdog is not None:
             with translate_errors(f"starting the watchdog of {self.position!r}"):
@@ -78,9 +80,10 @@ class Coil:
             self._stop_watchdog(self.watchdog)
 
     def _stop_watchdog(self, watchdog: WatchdogTask) -> None:
-        """Stop the watchdog and clear an expiration.
+        """Stop the watchdog; if it has expired, clear the expiration.
 
-        Raise AcquisitionTimeoutError if it expired: it pulled the coil low, so the strike was missed.
+        Raise AcquisitionTimeoutError if it had expired: it pulled the coil low, so the strike was missed.
+        InstrumentError if the driver fails.
         """
         with translate_errors(f"stopping the watchdog of {self.position!r}"):
             expired = bool(watchdog.expired)
@@ -94,9 +97,10 @@ class Coil:
             )
 
     def close(self) -> bool:
-        """Stop the pulse, then clear the tasks; True if the driver confirmed it (errors are logged).
+        """Stop the pulse, then clear the tasks; return True if the driver confirmed all of it.
 
-        Afterwards `on_until` shows whether the coil may still be on: it is 0 once any step stopped it.
+        Errors are logged, not raised. Afterwards `on_until` is the monotonic time (s) until which the coil
+        may be on; it is 0 if the counter was stopped or cleared.
         """
         doing = f"switching off the coil of {self.position!r}"
         well = True
@@ -117,14 +121,14 @@ class Coil:
 
 
 def commit_coil(connection: Connection, parameters: DaqmxParameters, position: str, board: Board) -> Coil:
-    """Build one striker's counter task and commit it: the output is connected and low, nothing moves.
+    """Build and commit the counter task of one striker, and its watchdog: output low, nothing moves.
 
     Raises
     ------
     ConfigurationError
         The pulse is longer than the cap, would be given another length or would idle high.
-    ConnectionLostError
-        The board would pulse another terminal. No task is left after an error.
+    BusyError, ConnectionLostError
+        The board is in use, does not answer, or would pulse another terminal. No task is left after an error.
     """
     if not 0.0 < parameters.pulse_s <= CAP_S:
         raise ConfigurationError(
@@ -152,9 +156,10 @@ def commit_coil(connection: Connection, parameters: DaqmxParameters, position: s
 
 
 def _configure_pulse(task: Task, parameters: DaqmxParameters, position: str, board: Board) -> None:
-    """Configure one pulse that idles low, verify terminal, level and length, then commit.
+    """Configure one pulse that idles low, verify terminal, level and length, then commit the task.
 
-    Raise ConfigurationError for another level or length, ConnectionLostError for another terminal.
+    Raise ConfigurationError for another level or length, ConnectionLostError for another terminal; other
+    errors of the vendor's package pass through.
     """
     from nidaqmx.constants import Level, TaskMode
 
@@ -186,9 +191,9 @@ def _configure_pulse(task: Task, parameters: DaqmxParameters, position: str, boa
 
 
 def _commit_watchdog(connection: Connection, wired: WatchdogWiring, board: Board) -> WatchdogTask:
-    """Create and commit a board's watchdog, which pulls the wired lines low when it expires.
+    """Create and commit a board's watchdog, which pulls the wired lines low when it expires; do not start it.
 
-    It is not started; an error clears it.
+    After an error it is cleared; InstrumentError if the driver refuses.
     """
     from nidaqmx.constants import Level, TaskMode
     from nidaqmx.types import DOExpirationState

@@ -39,7 +39,10 @@ NAME_TAKEN = -200089
 
 
 def build_client_name(parameters: DaqmxParameters) -> str:
-    """Return the name that marks this rig's tasks on a server: configured, else from the host name."""
+    """Return the name that marks this rig's tasks on a server: as configured, else made from the host name.
+
+    That has at most 40 characters; those not allowed in a name are replaced by ``_``.
+    """
     return parameters.grpc_client_name or re.sub(r"[^A-Za-z0-9_.-]", "_", socket.gethostname())[:40]
 
 
@@ -58,6 +61,7 @@ class Connection:
     """
 
     def __init__(self, parameters: DaqmxParameters) -> None:
+        """Create the gRPC channel, or nothing for the local library; the driver is not called here."""
         self._parameters = parameters
         self._channel: Channel | None = None
         # In the library a name is seen by this process only; on a server a later process must know it.
@@ -68,13 +72,16 @@ class Connection:
             self._channel = _open_grpc_channel(parameters)
 
     def close(self) -> None:
-        """End the connection; tasks must be cleared before. Harmless when closed."""
+        """Close the connection; tasks must be cleared before. Repeated calls have no effect."""
         channel, self._channel = self._channel, None
         if channel is not None:
             channel.close()
 
     def system(self) -> System:
-        """Return NI's view of all boards (`nidaqmx.system.System`), local or of the server."""
+        """Return NI's object of all boards (`nidaqmx.system.System`), of this computer or of the server.
+
+        InstrumentError if the driver is missing or cannot be reached.
+        """
         from nidaqmx.system import System
 
         with translate_errors("reaching NI-DAQmx"):
@@ -83,14 +90,17 @@ class Connection:
             return System.remote(_build_options(self._channel, "", attach=False))
 
     def driver_version(self) -> str:
-        """Return the version of NI-DAQmx, as in ``24.8.0``; "unknown" where the driver reports none."""
+        """Return the version of NI-DAQmx, as in ``24.8.0``; ``unknown``, with a warning, if there is none.
+
+        InstrumentError if the driver or its server cannot be reached.
+        """
         system = self.system()
         return read_metadata(
             lambda: ".".join(str(part) for part in system.driver_version), "unknown", "the driver's version"
         )
 
     def create_task(self, role: str) -> Task:
-        """Create an empty task (`nidaqmx.Task`) named after this client and its role.
+        """Create an empty task (`nidaqmx.Task`) with a name from this client, the role and a number.
 
         Raise InstrumentError if it cannot be created; nothing is left then.
         """
@@ -101,9 +111,10 @@ class Connection:
         )
 
     def create_watchdog(self, device: str, role: str, timeout_s: float) -> WatchdogTask:
-        """Create a board's watchdog task (`nidaqmx.system.watchdog.WatchdogTask`).
+        """Create the watchdog task (`nidaqmx.system.watchdog.WatchdogTask`) of a board, not started.
 
-        It expires ``timeout_s`` after its last reset. Raise InstrumentError if it cannot be created.
+        Once started, it expires ``timeout_s`` after its last reset. Raise InstrumentError if it cannot be
+        created.
         """
         from nidaqmx.system.watchdog import WatchdogTask
 
@@ -113,9 +124,10 @@ class Connection:
         )
 
     def _create_named(self, role: str, create: Callable[[str], T]) -> T:
-        """Create a task under a name that a later process finds; under a random one if that is taken.
+        """Create a task by ``create`` under this client's next name for the role, and return it.
 
-        Any other error of ``create`` is raised.
+        If that name is taken, log a warning and use a random one. Any other error of ``create`` passes
+        through.
         """
         self._created[role] += 1
         number = self._created[role] if self._channel is None else self._created[role] % NAMES
@@ -128,19 +140,19 @@ class Connection:
             return create(self._build_task_name(role, uuid.uuid4().hex[:8]))
 
     def is_own_task(self, owner: str) -> bool:
-        """Return whether an owner that the driver names is a task of this client."""
+        """Return whether a text of the driver about a resource's owner names a task of this client."""
         return f"solimon-{self._client}-" in owner
 
     def _build_task_name(self, role: str, mark: int | str) -> str:
-        """Return the name of a task of this client: ``solimon-CLIENT-ROLE-MARK``."""
+        """Build the name of a task of this client, ``solimon-CLIENT-ROLE-MARK`` (mark: number or text)."""
         return f"solimon-{self._client}-{role}-{mark}"
 
     def clear_leftover_tasks(self, roles: Sequence[str]) -> bool:
-        """Clear tasks that an earlier, killed process of this client left on a gRPC server.
+        """Clear the tasks of these roles that a killed process of this client left on a gRPC server.
 
-        Each name is asked for in the server's own words "the one there is, or a new one", and what comes
-        is cleared: so there is nothing to tell apart, and no other client's name is ever touched. In the
-        library a process takes its tasks with it.
+        Each name is attached to, or created, and then cleared; no other client's name is touched. Without a
+        server nothing is done, since the driver ends a process's tasks with it. Instrument errors pass
+        through.
 
         Returns
         -------
@@ -169,14 +181,16 @@ class Connection:
     def _create_task(
         self, kind: type[T], doing: str, *arguments: object, session: str = "", attach: bool = False
     ) -> T:
-        """Create one of NI's task objects, and return it; an error half-way clears what was created.
+        """Create an object of one of NI's task classes and return it; after an error it is cleared.
+
+        Raise InstrumentError if that fails; the message begins with ``doing``.
 
         Parameters
         ----------
         session
             Name of a watchdog's session; empty: a task, named by the first argument.
         attach
-            Take the server's task of this name if there is one.
+            Use the server's task of this name if there is one.
         """
         # NI's constructors create first and ask for the task's name then; if that fails, the object is
         # lost and its task stays. So the object is kept apart from its construction.
@@ -193,7 +207,7 @@ class Connection:
 
 
 def _build_options(channel: Channel, name: str, *, attach: bool) -> GrpcSessionOptions:
-    """Build the options for a new session on a server, or (`attach`) for the existing one of this name."""
+    """Build the gRPC options for a new session on a server; ``attach`` takes an existing one if there is."""
     from nidaqmx.grpc_session_options import GrpcSessionOptions, SessionInitializationBehavior
 
     behaviour = SessionInitializationBehavior
@@ -205,10 +219,10 @@ def _build_options(channel: Channel, name: str, *, attach: bool) -> GrpcSessionO
 
 
 def clear_task(task: Task | WatchdogTask, doing: str) -> bool:
-    """Release and clear a task in any state; True if it was cleared.
+    """Abort and clear a task in any state; return True if it was cleared, False with a debug log entry.
 
-    Clearing alone would do; giving back first means that a refusal to clear leaves an empty task, which
-    holds nothing. A failure is logged: the error that led here is the news.
+    Aborting first releases the hardware even if clearing then fails. Nothing is raised; ``doing`` is the
+    operation in the log entry.
     """
     from nidaqmx.constants import TaskMode
 
@@ -217,15 +231,18 @@ def clear_task(task: Task | WatchdogTask, doing: str) -> bool:
 
 
 def clear_watchdog(watchdog: WatchdogTask, doing: str) -> bool:
-    """Release and clear a watchdog in any state, with a second try; True if it was cleared.
+    """Abort and clear a watchdog in any state, with a second attempt; return True if it was cleared.
 
-    NI's package lets it be cleared a second time, unlike a task.
+    NI's package allows that second attempt, unlike for a task. Nothing is raised.
     """
     return clear_task(watchdog, doing) or _run_cleanup_step(watchdog.close, doing)
 
 
 def _run_cleanup_step(step: Callable[[], None], doing: str) -> bool:
-    """Run one step of a clean-up; True if it succeeds, False with a debug log entry if it raises."""
+    """Run one step of a clean-up; return True if it succeeds, False with a debug log entry if it raises.
+
+    The entry names the operation ``doing``. NI's warnings are suppressed meanwhile, in the whole process.
+    """
     with warnings.catch_warnings():
         # A task that was never created needs no clearing; NI warns of that.
         warnings.simplefilter("ignore")
@@ -239,17 +256,20 @@ def _run_cleanup_step(step: Callable[[], None], doing: str) -> bool:
 
 
 def _is_name_taken(error: ConnectionLostError) -> bool:
-    """Return whether an error has NI's status -200089: a task of this name exists already."""
+    """Return whether an error was caused by NI's status -200089: a task of this name exists already."""
     return getattr(error.__cause__, "error_code", 0) == NAME_TAKEN
 
 
 def read_package_versions() -> dict[str, str]:
-    """Return the version of NI's Python package as ``nidaqmx_version``, for the record."""
+    """Return the version of NI's Python package by its name in stored settings, ``nidaqmx_version``."""
     return {"nidaqmx_version": version("nidaqmx")}
 
 
 def _open_grpc_channel(parameters: DaqmxParameters) -> Channel:
-    """Open the channel to the gRPC server; ConfigurationError if the extra `grpc` is not installed."""
+    """Open the channel to the gRPC server, which connects at the first call.
+
+    Raise ConfigurationError if the extra `grpc` is not installed, or a TLS file is wrong.
+    """
     try:
         import nidaqmx._grpc_interpreter  # noqa: F401 # the parts of the extra that NI's client needs
 

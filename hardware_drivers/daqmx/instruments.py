@@ -21,22 +21,22 @@ class DaqmxBoards:
     """Boards of one chassis as a digitizer that samples each wave, and a striker that pulses one coil."""
 
     def __init__(self, chassis: Chassis) -> None:
+        """Use the boards of an opened chassis; nothing is armed."""
         self._chassis = chassis
         self._armed: ShotKey | None = None
         self._lands_at = 0.0
 
     def arm(self, key: ShotKey) -> None:
-        """Start the acquisition: its pre-trigger fills from now on, or after the coil's ringing.
+        """Start the acquisition of a position; its pre-trigger fills from now on, or after the holdoff.
 
-        A striker of an earlier strike that no one recorded is left to land first: its wave belongs to no
-        shot.
+        Blocks until a striker of an earlier strike without a record has landed: its wave belongs to no shot.
 
         Raises
         ------
         ConfigurationError
             Already armed, a position without input here, or a call from another thread.
         BusyError, ConnectionLostError
-            Another program holds the board, or it does not answer.
+            Another program holds the board, or it does not answer; nothing is armed.
         """
         chassis = self._chassis
         chassis.require_own_thread()
@@ -54,7 +54,7 @@ class DaqmxBoards:
         self._armed = key
 
     def read(self, timeout_s: float) -> Acquired:
-        """Wait for the record and disarm; an error leaves nothing running.
+        """Wait for the record and disarm; after an error no task is left.
 
         A complete record is returned even if ending its acquisition fails; that is logged.
 
@@ -91,7 +91,7 @@ class DaqmxBoards:
         return acquired
 
     def disarm(self) -> None:
-        """Stop waiting; harmless when not armed, and when the connection is lost.
+        """Disarm and clear the tasks; harmless when not armed, and when the connection is lost.
 
         Raise ConfigurationError in another thread than the one that opened the boards.
         """
@@ -101,7 +101,7 @@ class DaqmxBoards:
             self._chassis.clear_tasks()
 
     def strike(self, key: ShotKey) -> None:
-        """Pulse the coil once; on return it is off. In a dry run nothing moves.
+        """Pulse the coil of a position once; on return it is off. In a dry run nothing moves.
 
         Raises
         ------
@@ -132,18 +132,20 @@ class DaqmxBoards:
             self._lands_at = chassis.coil_off_at + parameters.fall_s + parameters.fall_margin_s
 
     def make_safe(self) -> None:
-        """Switch off every coil that may be on; disarm the armed acquisition.
+        """Switch off every coil that may be on, and disarm.
 
-        Raise ConnectionLostError if a coil's state is unknown; its counter ends the pulse in any case.
+        Raise ConnectionLostError if a coil's state is unknown (its counter ends the pulse in any case),
+        ConfigurationError in another thread.
         """
         self._chassis.require_own_thread()
         self._armed = None
         self._chassis.make_safe()
 
     def self_calibrate(self) -> Mapping[str, str]:
-        """Calibrate every digitizer board and read its scaling; return date and temperature by serial number.
+        """Calibrate every digitizer board; return date and temperature, as one text, by serial number.
 
-        Raise ConfigurationError while armed; other errors are those of a record.
+        Raise ConfigurationError while armed or in another thread; other instrument errors are those of a
+        record.
         """
         chassis = self._chassis
         chassis.require_own_thread()
@@ -154,7 +156,10 @@ class DaqmxBoards:
 
 
 def _require_wired_position(key: ShotKey, role: str, positions: Collection[str]) -> None:
-    """Raise ConfigurationError unless a key's position is among those that are wired for a role."""
+    """Raise ConfigurationError unless the key's position is one of ``positions``, those wired for the role.
+
+    The message lists them.
+    """
     if key.position not in positions:
         raise ConfigurationError(
             f"no {role} at position {key.position!r}; there are: {', '.join(sorted(positions))}; wire it in "
@@ -164,14 +169,15 @@ def _require_wired_position(key: ShotKey, role: str, positions: Collection[str])
 
 @contextmanager
 def open_daqmx(parameters: DaqmxParameters) -> Iterator[Opened]:
-    """Find and check the boards, and yield the instruments; at the end the coil is off and no task is left.
+    """Find and check the boards, and yield the instruments; on exit the coil is off and no task is left.
 
     The thread that opens them is the only one that may call them.
 
     Raises
     ------
     ConfigurationError
-        No driver, a board that cannot do what is asked, wiring that does not exist.
+        No driver, a board that cannot do what is asked, wiring that does not exist, or a simulated board
+        without a dry run.
     BusyError
         Another program holds a board, named in the message.
     ConnectionLostError

@@ -17,7 +17,7 @@ def _open_boards(parameters: DaqmxParameters, opening: Opening) -> AbstractConte
 
 
 def _check_boards(parameters: DaqmxParameters, opening: Opening) -> Iterator[Finding]:
-    """Yield findings on driver, boards and wiring; nothing strikes."""
+    """Return the iterator over the findings on driver, boards and wiring; nothing strikes."""
     from hardware_drivers.daqmx.look import yield_board_findings
 
     return yield_board_findings(parameters, shot_interval_s=opening.shot_interval_s)
@@ -29,7 +29,10 @@ def _list_packages(parameters: DaqmxParameters) -> tuple[str, ...]:
 
 
 def _check_wired_positions(parameters: DaqmxParameters, serves: Mapping[Role, tuple[str, ...]]) -> None:
-    """Raise ValueError for a wired input or counter that serves no position, or a served one not wired."""
+    """Raise ValueError for a wired input or counter that serves no position, or a served one not wired.
+
+    ``serves`` has the positions of each role; an input serves ``digitizer``, a counter ``striker``.
+    """
     ends: tuple[tuple[Role, str], ...] = (("digitizer", "input"), ("striker", "counter"))
     for position, wiring in parameters.transducers.items():
         for role, end in ends:

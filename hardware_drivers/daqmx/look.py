@@ -24,9 +24,10 @@ LARGEST_DUTY = 0.25
 
 
 def yield_board_findings(parameters: DaqmxParameters, *, shot_interval_s: float) -> Iterator[Finding]:
-    """Yield findings on duty cycle, driver, boards, every transducer's wiring and the watchdogs.
+    """Yield findings on duty cycle, server, driver, boards, every transducer's wiring and the watchdogs.
 
-    Without a connection to the gRPC server that finding is the last one. Nothing strikes.
+    ``shot_interval_s`` is the time between two strikes. Without a connection to the gRPC server that finding
+    is the last one. Nothing strikes.
     """
     if any(wiring.strikes for wiring in parameters.transducers.values()):
         yield _check_duty_cycle(parameters.pulse_s, shot_interval_s)
@@ -45,7 +46,7 @@ def yield_board_findings(parameters: DaqmxParameters, *, shot_interval_s: float)
 
 
 def _check_duty_cycle(pulse_s: float, shot_interval_s: float) -> Finding:
-    """Return the finding on the coil's duty cycle while struck; a warning above `LARGEST_DUTY`."""
+    """Return the finding on the coil's duty cycle (on-time over interval); a warning above `LARGEST_DUTY`."""
     part = pulse_s / shot_interval_s
     return Finding(
         subject="coils",
@@ -58,9 +59,9 @@ def _check_duty_cycle(pulse_s: float, shot_interval_s: float) -> Finding:
 
 
 def _check_grpc_server(address: str) -> Finding:
-    """Return the finding on a connection to the server, tried for at most `SERVER_TIMEOUT_S`.
+    """Return the finding on a connection to the server at HOST:PORT; failed if it takes none.
 
-    A missing server is found at once, not at every call's deadline.
+    It is tried for at most `SERVER_TIMEOUT_S`, which is shorter than the deadlines of calls.
     """
     host, _, port = address.rpartition(":")
     try:
@@ -79,7 +80,7 @@ def _check_grpc_server(address: str) -> Finding:
 
 
 def _check_driver_version(text: str) -> Finding:
-    """Return the finding on the driver's version; failed if it is older than `OLDEST_DRIVER`."""
+    """Return the finding on NI-DAQmx's version (``24.8.0``); failed if older than `OLDEST_DRIVER`."""
     oldest = ".".join(map(str, OLDEST_DRIVER))
     fits = tuple(int(part) for part in re.findall(r"\d+", text)) >= OLDEST_DRIVER
     return Finding(
@@ -93,7 +94,7 @@ def _check_driver_version(text: str) -> Finding:
 
 
 def _check_watchdog(parameters: DaqmxParameters, watchdog: WatchdogWiring) -> Finding:
-    """Return the finding on a watchdog; failed unless it pulls the line of each coil of its board low."""
+    """Return the finding on a watchdog; failed if the line of a coil of its board is not among its lines."""
     board = int(watchdog.board_serial, 16)
     uncovered = [
         f"{wiring.output_terminal} (position {position})"
@@ -114,7 +115,10 @@ def _check_watchdog(parameters: DaqmxParameters, watchdog: WatchdogWiring) -> Fi
 
 
 def _check_missing_watchdogs(parameters: DaqmxParameters) -> Iterator[Finding]:
-    """Yield a warning for each board, by serial number, that drives coils without a watchdog."""
+    """Return an iterator over a warning for each board that drives coils without a watchdog.
+
+    They are in ascending order of serial number.
+    """
     coils = {int(wiring.coil_serial, 16) for wiring in parameters.transducers.values() if wiring.strikes}
     return (
         Finding(
@@ -130,7 +134,10 @@ def _check_missing_watchdogs(parameters: DaqmxParameters) -> Iterator[Finding]:
 
 
 def find_digital_line(terminal: str) -> str:
-    """Return an X Series PFI's digital name: PFI 0..7 are port 1, 8..15 port 2; empty for others."""
+    """Return the digital line of an X Series terminal ``PFIn``: ``port1/line0`` to ``port2/line7``.
+
+    Empty for any other terminal; n is not checked to be at most 15.
+    """
     match = re.fullmatch(r"PFI(\d+)", terminal)
     if match is None:
         return ""

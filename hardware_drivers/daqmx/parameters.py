@@ -64,6 +64,10 @@ class TransducerWiring:
     """Terminal the pulse leaves the board at (home of `ctr0`: X, M Series PFI12, S Series Ctr0Out)."""
 
     def __post_init__(self) -> None:
+        """Raise ValueError for a serial number, input, counter or terminal of the wrong form.
+
+        Also for a ``striker_serial`` unless input and counter are both given, or if neither is given.
+        """
         _require_match("board_serial", self.board_serial, _SERIAL, "1 to 8 hexadecimal digits, like 01A2B3C4")
         if self.striker_serial:
             _require_match(
@@ -108,6 +112,7 @@ class WatchdogWiring:
     """Time without a sign of life after which the lines go low (the board's limit is about 34 s)."""
 
     def __post_init__(self) -> None:
+        """Raise ValueError for a serial number or a line of the wrong form, or without any line."""
         _require_match("board_serial", self.board_serial, _SERIAL, "1 to 8 hexadecimal digits, like 01A2B3C4")
         if not self.lines:
             raise ValueError("lines is empty; name the digital lines of the coils, like port2/line4")
@@ -133,6 +138,7 @@ class GrpcTls:
     """Name in the server's certificate, where it is not the host of `grpc_address`; empty: it is."""
 
     def __post_init__(self) -> None:
+        """Raise ValueError if only one of certificate and private key is given."""
         if (self.certificate is None) != (self.private_key is None):
             raise ValueError("certificate and private_key belong together: give both, or neither")
 
@@ -195,6 +201,7 @@ class DaqmxParameters:
     """Instead of `watchdog`, where several boards drive coils: one `[[rig.daqmx.watchdogs]]` for each."""
 
     def __post_init__(self) -> None:
+        """Copy the transducers; raise ValueError for fields that do not fit each other."""
         object.__setattr__(self, "transducers", dict(self.transducers))
         self._check_record()
         self.check_holdoff(self.holdoff_s)
@@ -204,9 +211,9 @@ class DaqmxParameters:
         self._check_watchdogs()
 
     def _check_record(self) -> None:
-        """Raise ValueError for a pre-trigger not shorter than the record, or no transducer.
+        """Raise ValueError for a pre-trigger not shorter than the record, or without a transducer.
 
-        So too for a trigger level that is not inside the range of a digitized position.
+        Also if the trigger level is not inside the range of a digitized position.
         """
         check_field_relation(self, "pretrigger_samples", "less than", "record_samples")
         if not self.transducers:
@@ -219,7 +226,7 @@ class DaqmxParameters:
                 )
 
     def check_holdoff(self, holdoff_s: float | None) -> None:
-        """Raise ValueError for a holdoff, as requested or as timed by a board, that cannot work.
+        """Raise ValueError for a holdoff (s), as requested or as timed by a board, that cannot work.
 
         It must be longer than ``ringing_s`` and shorter than the fall less the pre-trigger; None is valid
         only without ringing.
@@ -243,7 +250,10 @@ class DaqmxParameters:
             )
 
     def _check_holdoff_counter(self) -> None:
-        """Raise ValueError for a holdoff without input or coil's counter, which starts it."""
+        """Raise ValueError if a holdoff is set and a digitized position has no counter to start it.
+
+        Also if no position is digitized here.
+        """
         if self.holdoff_s is None:
             return
         alone = [name for name, wiring in self.transducers.items() if wiring.digitizes and not wiring.strikes]
@@ -256,7 +266,10 @@ class DaqmxParameters:
             )
 
     def _check_transport(self) -> None:
-        """Raise ValueError for an address, client name or encryption that does not fit the transport."""
+        """Raise ValueError for an address, client name or encryption that does not fit the transport.
+
+        ``grpc`` needs an address HOST:PORT; ``library`` allows neither address nor encryption.
+        """
         if self.transport == "grpc":
             _require_match("grpc_address", self.grpc_address, _ADDRESS, "host:port, like chassis.lab:31763")
         elif self.grpc_address:
@@ -270,10 +283,10 @@ class DaqmxParameters:
         )
 
     def _check_wiring(self) -> None:
-        """Raise ValueError for two transducers on one input, counter or terminal.
+        """Raise ValueError if two transducers share an input, a counter or an output terminal of one board.
 
-        A counter cannot serve two coils in turn: a route that a task has given up may stay connected, and
-        then both coils would pulse.
+        Two coils cannot use one counter in turn: its route to the earlier terminal may stay connected, and
+        both coils would then pulse.
         """
         taken: dict[tuple[int, str], str] = {}
         for position, wiring in self.transducers.items():
@@ -296,13 +309,13 @@ class DaqmxParameters:
 
     @property
     def all_watchdogs(self) -> tuple[WatchdogWiring, ...]:
-        """Return the watchdogs of all boards, in either notation; empty without any."""
+        """Return the watchdogs of all boards, from ``watchdog`` or ``watchdogs``; empty without any."""
         return (self.watchdog,) if self.watchdog is not None else self.watchdogs or ()
 
     def _check_watchdogs(self) -> None:
-        """Raise ValueError for two watchdogs of one board, or both notations at once.
+        """Raise ValueError for two watchdogs of one board, or both ``watchdog`` and ``watchdogs``.
 
-        So too for a watchdog that `_check_watchdog` rejects.
+        Also for a watchdog that `_check_watchdog` rejects.
         """
         if self.watchdog is not None and self.watchdogs:
             raise ValueError(
@@ -317,7 +330,7 @@ class DaqmxParameters:
             self._check_watchdog(watchdog)
 
     def _check_watchdog(self, watchdog: WatchdogWiring) -> None:
-        """Raise ValueError for a watchdog not longer than a strike, or of a board that drives no coil."""
+        """Raise ValueError if a watchdog's timeout is within a strike's time, or its board drives no coil."""
         if watchdog.timeout_s <= self.longest_strike_s:
             raise ValueError(
                 f"watchdog.timeout_s is {watchdog.timeout_s} s; it must be longer than a strike "
@@ -346,25 +359,25 @@ class DaqmxParameters:
 
     @property
     def initial_delay_s(self) -> float:
-        """Return the delay in s from the counter's start to the coil's pulse.
-
-        Twice the pre-trigger, which fills then.
-        """
+        """Return the delay in s from the counter's start to the coil's pulse: twice the pre-trigger."""
         return 2.0 * self.pretrigger_samples / self.sample_rate_hz
 
     @property
     def whole_strike_samples(self) -> int:
-        """Return the samples from the coil's switching on to the wave's end, with margin for friction."""
+        """Return the number of samples from the coil's switching on to the wave's end, friction included."""
         return math.ceil((self.longest_strike_s - self.initial_delay_s) * self.sample_rate_hz)
 
     @property
     def longest_strike_s(self) -> float:
-        """Return the time in s from the counter's start to the last sample, with margin for friction."""
+        """Return the time in s from the counter's start to the last sample, margin for friction included."""
         record_s = self.record_samples / self.sample_rate_hz
         return self.initial_delay_s + self.pulse_s + self.fall_s + self.fall_margin_s + record_s
 
 
 def _require_match(name: str, value: str, pattern: re.Pattern[str], wanted: str) -> None:
-    """Raise ValueError, with key, value and the required form, unless the pattern matches the value."""
+    """Raise ValueError, with key, value and the required form, unless the value begins with the pattern.
+
+    The patterns of this module end with the end of the text.
+    """
     if not pattern.match(value):
         raise ValueError(f"{name} is {value!r}; it must be {wanted}")

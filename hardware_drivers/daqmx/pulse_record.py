@@ -29,6 +29,7 @@ class FreeInput:
     """
 
     def __init__(self, parameters: DaqmxParameters, position: str, timeout_s: float) -> None:
+        """Open and check the boards; raise as the class describes."""
         if parameters.dry_run:
             raise ConfigurationError("dry_run is true: no coil is ever energised; set it to false")
         self.position, self.parameters = position, parameters
@@ -36,7 +37,10 @@ class FreeInput:
         self._chassis = Chassis(parameters)
 
     def record_quiet_input(self) -> Waveform:
-        """Record the input at once, with the coil at rest, for the length of a shot; no trigger."""
+        """Record the input at once, without a trigger and with the coil at rest, for the length of a shot.
+
+        Raise InstrumentError as for a shot.
+        """
         with self._chassis.guard_operation():
             acquisition = self._chassis.acquisition(self.position, "noise")
             acquisition.start()
@@ -45,10 +49,10 @@ class FreeInput:
         return record
 
     def strike(self) -> Waveform:
-        """Record one strike; on return the coil is off.
+        """Pulse the coil once and return the record of the complete strike; on return the coil is off.
 
-        The first sample is taken as the coil goes on, which is `DaqmxParameters.pulse_s` before it goes
-        off. Raise ConfigurationError for boards that NI's driver simulates.
+        The first sample is taken as the coil goes on, which is `DaqmxParameters.pulse_s` before it goes off.
+        Raise ConfigurationError for simulated boards, other instrument errors as for a shot.
         """
         self._chassis.require_real_boards()
         with self._chassis.guard_operation():
@@ -60,5 +64,5 @@ class FreeInput:
         return record
 
     def close(self) -> None:
-        """Switch the coil off, clear every task and end the connection; harmless when done before."""
+        """Switch the coil off, clear every task and close the connection; repeated calls have no effect."""
         self._chassis.close()

@@ -45,12 +45,16 @@ class Deadlines(grpc.UnaryUnaryClientInterceptor):  # type: ignore[misc] # grpc 
     """
 
     def __init__(self, call_timeout_s: float) -> None:
+        """Store the time in s that a call may take in addition to its own wait."""
         self._call_timeout_s = call_timeout_s
 
     def intercept_unary_unary(
         self, continuation: Callable[..., grpc.Call], details: grpc.ClientCallDetails, request: Any
     ) -> grpc.Call:
-        """Send the request with the deadline of `deadline_s`; any deadline of the caller is replaced."""
+        """Send the request with the deadline of `deadline_s` in place of the caller's; return the call.
+
+        ``continuation`` sends it; the other details of the call stay.
+        """
         bounded = _CallDetails(
             details.method,
             self.deadline_s(details.method, request),
@@ -62,9 +66,10 @@ class Deadlines(grpc.UnaryUnaryClientInterceptor):  # type: ignore[misc] # grpc 
         return continuation(bounded, request)
 
     def deadline_s(self, method: str, request: Any) -> float:
-        """Return the longest time in s that this call may take.
+        """Return the longest time in s that a call of this gRPC method may take.
 
-        The call's timeout plus the request's own wait; `SLOWER` times the timeout for `SLOW_CALLS`.
+        It is the call timeout plus the wait that the request itself asks for, or `SLOWER` times the timeout
+        for `SLOW_CALLS`.
         """
         name = method.rsplit("/", 1)[-1]
         if name in SLOW_CALLS:
@@ -83,6 +88,10 @@ class Channel:
     def __init__(
         self, address: str, *, call_timeout_s: float, record_samples: int, tls: GrpcTls | None = None
     ) -> None:
+        """Create the channel to a server (HOST:PORT); it connects at the first call.
+
+        Raise ConfigurationError for a TLS file that cannot be read or is no PEM.
+        """
         largest = BYTES_PER_SAMPLE * record_samples + OTHER_BYTES
         options: list[tuple[str, int | str]] = [
             ("grpc.max_receive_message_length", largest),
@@ -105,20 +114,23 @@ class Channel:
         self.calls = grpc.intercept_channel(self._plain, Deadlines(call_timeout_s))
 
     def close(self) -> None:
-        """End the connection; calls on it fail from then on."""
+        """Close the channel; calls on it fail from then on."""
         self._plain.close()
 
 
 def _read_credentials(tls: GrpcTls) -> grpc.ChannelCredentials:
-    """Build the credentials of an encrypted channel from PEM files; ConfigurationError for a wrong file."""
+    """Build the credentials of an encrypted channel from PEM files; ConfigurationError for an invalid file.
+
+    The client's key and certificate are optional.
+    """
     root, key, certificate = map(_read_pem_file, (tls.root_certificate, tls.private_key, tls.certificate))
     return grpc.ssl_channel_credentials(root, key, certificate)
 
 
 def _read_pem_file(file: Path | None) -> bytes | None:
-    """Read a PEM file; None without a file.
+    """Read a PEM file as bytes; None without a file.
 
-    Raise ConfigurationError if it cannot be read or is no PEM: later it would look like an unreachable
+    Raise ConfigurationError if it cannot be read or is no PEM, which would later look like an unreachable
     server.
     """
     if file is None:

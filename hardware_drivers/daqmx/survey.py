@@ -60,7 +60,11 @@ class BoardFacts(Board):
 
 
 def survey_boards(transport: Literal["library", "grpc"] = "library", grpc_address: str = "") -> Survey:
-    """Survey driver and boards before anything is wired; instrument errors become failed findings."""
+    """Survey driver and boards before anything is wired; return the survey with its findings.
+
+    ``grpc_address`` (HOST:PORT) is used with ``grpc`` only. Instrument errors become failed findings and are
+    not raised. Nothing strikes.
+    """
     no_wiring = {"": TransducerWiring(board_serial="0")}
     survey = Survey(DaqmxParameters(transducers=no_wiring, transport=transport, grpc_address=grpc_address))
     with ExitStack() as stack:
@@ -70,7 +74,10 @@ def survey_boards(transport: Literal["library", "grpc"] = "library", grpc_addres
 
 
 def survey_rig(parameters: DaqmxParameters) -> Survey:
-    """Survey driver, boards and every transducer without a strike; instrument errors become findings."""
+    """Survey driver, boards and every transducer without a strike; return the survey with its findings.
+
+    Instrument errors become failed findings, and are not raised.
+    """
     survey = Survey(parameters)
     with ExitStack() as stack:
         if (connection := survey.connect_driver(stack)) is not None:
@@ -101,23 +108,27 @@ class Survey:
 
     def __post_init__(self) -> None:
         # A rehearsal's settings would leave the trigger unchecked.
+        """Note a dry run, then clear it in the parameters, so that the trigger is checked, too."""
         self._rehearsal, self.parameters = self.parameters.dry_run, replace(self.parameters, dry_run=False)
 
     @property
     def boards(self) -> tuple[BoardFacts, ...]:
-        """Return the facts of each board that answered, in the order of the survey."""
+        """Return the facts of each board that answered, in the order in which the driver lists them."""
         return tuple(self.facts_by_serial.values())
 
     def connect_driver(self, stack: ExitStack) -> Connection | None:
-        """Connect to the driver, on a server under this rig's own name, until the stack is left.
+        """Connect to the driver, on a server under this rig's own name, until the stack is closed.
 
-        Return None if that fails; the finding is added either way.
+        Leftover tasks of that name are cleared. Return None if that fails; the finding is added either way.
         """
         parameters = self.parameters
         reached: list[Connection] = []
 
         def connect() -> str:
-            """Take the client name, connect, and clear leftover tasks; return the connection in words."""
+            """Lock the client name, connect, and clear leftover tasks; return version and transport.
+
+            Instrument errors pass through.
+            """
             if parameters.transport == "grpc":
                 stack.callback(ClientLock(parameters.grpc_address, build_client_name(parameters)).release)
             connection = Connection(parameters)
@@ -131,7 +142,9 @@ class Survey:
         return reached[0] if reached else None
 
     def list_boards(self, connection: Connection, ours: Collection[str] | None = None) -> Collection[str]:
-        """Add a finding on each board that the driver lists; return their serial numbers, maybe none.
+        """Add findings on the list of boards and on each listed board; return their serial numbers.
+
+        The facts of each board that answers are stored; instrument errors become findings.
 
         Parameters
         ----------
@@ -148,9 +161,11 @@ class Survey:
         return listed
 
     def check_boards(self, connection: Connection) -> None:
-        """Survey all boards, and add findings on the configured ones: present, real, calibrated.
+        """Add findings on the driver's list and on every listed board, then on the configured boards.
 
-        A simulated board fails, or is a warning in a dry run.
+        A configured board that is absent or simulated by NI's driver gets a failed finding (simulated in a
+        dry run: a warning); each one that answers gets a finding on its calibration. Instrument errors become
+        findings.
         """
         ours = set(map(normalize_serial, list_board_serials(self.parameters)))
         listed = self.list_boards(connection, ours)
@@ -175,9 +190,9 @@ class Survey:
                 self._add_result(f"board {facts.serial}", "calibrated", *_rate_calibration(facts))
 
     def _survey_board(self, serial: str, device: Device, *, ours: bool) -> str:
-        """Read and store the facts of a board; return a summary for its finding.
+        """Read the facts of a board and store them in `facts_by_serial`; return a summary for its finding.
 
-        Raise InstrumentError if the board does not answer.
+        ``ours``: the board is configured. Raise InstrumentError if the board does not answer.
         """
         board = describe_board(serial, device)
         with translate_errors(f"reading what {board.label} can do"):
@@ -199,9 +214,10 @@ class Survey:
         return f"{board.product} as {board.name}, up to {facts.max_rate_hz:.10g} Hz a channel"
 
     def check_transducer(self, connection: Connection, position: str) -> None:
-        """Add findings on input, trigger, coil and noise of one transducer; nothing strikes.
+        """Add findings on input, trigger, coil and noise of one transducer, as far as wired; nothing strikes.
 
-        Does nothing if one of its boards did not answer: that board has a failed finding.
+        Instrument errors become findings. Do nothing if one of its boards did not answer: that board has a
+        failed finding.
         """
         parameters, wiring = self.parameters, self.parameters.transducers[position]
         board = self.facts_by_serial.get(normalize_serial(wiring.board_serial))
@@ -211,20 +227,32 @@ class Survey:
         subject = f"transducer {position}"
 
         def commit(record: Literal["shot", "noise"]) -> Acquisition:
-            """Commit the transducer's acquisition of a triggered shot or of noise."""
+            """Commit the acquisition of a triggered shot or of noise, and return it.
+
+            Instrument errors pass through.
+            """
             return commit_acquisition(connection, parameters, position, board, coil_board, record=record)
 
         def check_limits() -> str:
-            """Check that the board can take the record; return the accepted input as text."""
+            """Check that the board can take the record; return the accepted input as text.
+
+            Raise ConfigurationError if it cannot.
+            """
             check_board(board, wiring, parameters)
             return f"as asked: {_format_input(parameters, wiring)}"
 
         def check_trigger() -> str:
-            """Commit the triggered acquisition and clear it; return the accepted trigger as text."""
+            """Commit the triggered acquisition and clear it; return the accepted trigger as text.
+
+            Instrument errors pass through.
+            """
             return f"{_release_task(commit('shot'))}: {format_trigger(parameters, wiring)}"
 
         def check_counter() -> str:
-            """Commit the coil's counter and clear it; return the accepted pulse as text."""
+            """Commit the coil's counter and clear it; return the accepted pulse as text.
+
+            The counter is not started. Instrument errors pass through.
+            """
             # Committed, the output is connected and low; the counter is not started.
             coil = commit_coil(connection, parameters, position, coil_board)
             return f"{_release_task(coil)}: {_format_counter(parameters, wiring)}"
@@ -240,7 +268,7 @@ class Survey:
             self._rate_noise(position, board)
 
     def _check_terminal(self, subject: str, wiring: TransducerWiring, board: BoardFacts) -> None:
-        """Add the finding on the coil's output terminal; failed if its board does not have it."""
+        """Add the finding on the coil's output terminal; failed if the board does not list that terminal."""
         terminal = f"/{board.name}/{wiring.output_terminal}"
         known = terminal in board.terminals
         self._add_result(
@@ -252,7 +280,7 @@ class Survey:
         )
 
     def _measure_noise(self, position: str, acquisition: Acquisition) -> str:
-        """Record once without a trigger and store the rms noise in V; return a summary of the record.
+        """Record once without a trigger and store the noise, RMS about the mean in V; return a summary.
 
         The task is cleared in any case; instrument errors are raised.
         """
@@ -265,9 +293,9 @@ class Survey:
         return f"{waveform.counts.size} samples at {waveform.sample_rate_hz:.10g} Hz"
 
     def _rate_noise(self, position: str, board: Board) -> None:
-        """Add the finding on noise: a warning above `NOISE_TO_LEVEL` of the trigger level.
+        """Add the finding on a position's noise: a warning above `NOISE_TO_LEVEL` of the trigger level.
 
-        Nothing is added if it was not measured; that of a simulated board is a warning.
+        That of a simulated board is always a warning. Nothing is added if noise was not measured.
         """
         noise_v = self.noise_rms_v.get(position)
         if noise_v is None:
@@ -284,12 +312,14 @@ class Survey:
     def _run_check(
         self, subject: str, check: str, work: Callable[[], str | None], *, failed: State = "fail"
     ) -> None:
-        """Run a check and add its finding: ``ok`` with the returned detail, else the instrument error.
+        """Run a check and add its finding: ``ok`` with the text that it returns, else the instrument error.
 
         Parameters
         ----------
+        work
+            The check. An empty text or None becomes ``as asked``; an InstrumentError is logged.
         failed
-            State of the finding if `work` raises; its message names the remedy.
+            State of the finding if `work` raises.
         """
         try:
             detail = work()
@@ -308,7 +338,7 @@ class Survey:
         remedy: str = "",
         values: Mapping[str, Value] | None = None,
     ) -> None:
-        """Add a finding; the remedy is left out where the state is ``ok``."""
+        """Build a finding from these values and add it; the remedy is left out where the state is ``ok``."""
         self._add_finding(
             Finding(
                 subject=subject,
@@ -321,7 +351,7 @@ class Survey:
         )
 
     def _add_finding(self, finding: Finding) -> None:
-        """Add a finding; one on a board gets that board's `BOARD_VALUES` instead of its own values."""
+        """Append a finding to `findings`; one on a board gets that board's `BOARD_VALUES` as its values."""
         facts = self.facts_by_serial.get(finding.subject.removeprefix("board "))
         if facts is not None:
             finding = replace(finding, values={name: getattr(facts, name) for name in BOARD_VALUES})
@@ -329,9 +359,10 @@ class Survey:
 
 
 def _rate_calibration(facts: BoardFacts) -> tuple[State, str, str]:
-    """Return state, detail and remedy of a board's self-calibration.
+    """Return state, detail and remedy of the finding on a board's self-calibration.
 
-    A warning if the temperature has changed by more than `WARMED_K` since, or the date is unknown.
+    A warning if the board's temperature differs by more than `WARMED_K` from that of the calibration, if the
+    date is unknown, or if the board cannot calibrate itself.
     """
     if not facts.calibrates_itself:
         return "warn", "cannot calibrate itself", "follow its external interval"
@@ -373,7 +404,7 @@ def _format_counter(parameters: DaqmxParameters, wiring: TransducerWiring) -> st
 
 
 def _release_task(committed: Acquisition | Coil) -> str:
-    """Clear a committed task and return the result for a finding.
+    """Clear a committed, not started task and return the result as text for a finding.
 
     Raise ConnectionLostError if the driver does not confirm it.
     """

@@ -52,19 +52,24 @@ _NOISE = re.compile(r"status code: ?-?\d+\.?", re.IGNORECASE)
 
 
 def find_resource_owner(text: str) -> str:
-    """Return the owner of a resource that the driver's text names, the longest if several; else empty."""
+    """Return the owner of a resource that the driver's text names, the longest name if several; else empty.
+
+    A task that uses the resource takes precedence over other owners.
+    """
     named = _OWNING_TASK.findall(text) or _OWNER.findall(text)
     # The driver's own sentence ("reserved by another process") is the shorter one.
     return max((owner.strip(" .'\"") for owner in named), key=len, default="")
 
 
 def translate_error(error: Exception, doing: str) -> InstrumentError:
-    """Return the instrument error for a vendor's exception; an InstrumentError is returned as it is.
+    """Return the instrument error for an exception; an InstrumentError is returned as it is.
+
+    An exception that is neither the vendor's nor gRPC's becomes a ConnectionLostError.
 
     Parameters
     ----------
     doing
-        What was tried, as the beginning of a sentence: "starting the acquisition of B".
+        Operation, as the beginning of a sentence: "starting the acquisition of B".
     """
     from nidaqmx import errors as vendor
 
@@ -102,9 +107,10 @@ def translate_error(error: Exception, doing: str) -> InstrumentError:
 
 @contextmanager
 def translate_errors(doing: str) -> Iterator[None]:
-    """Raise the vendor's exceptions as instrument errors; log the driver's warnings instead of printing them.
+    """Run a block of vendor calls; raise its exceptions as instrument errors, and log the driver's warnings.
 
-    Warnings are caught for the whole process meanwhile, and are not logged after an error.
+    Warnings are caught for the whole process meanwhile, and are not logged after an error. ``doing`` is as in
+    `translate_error`.
     """
     caught: list[warnings.WarningMessage]
     try:
@@ -120,12 +126,12 @@ def translate_errors(doing: str) -> Iterator[None]:
 
 
 def read_metadata(read: Callable[[], T], unknown: T, subject: str) -> T:
-    """Read optional metadata (date, version); return ``unknown`` and log a warning if that fails.
+    """Return optional metadata (date, version) from ``read``; ``unknown``, with a warning, if it fails.
 
     Raises
     ------
     ConnectionLostError
-        The driver says that the board or itself is gone: that holds for every other call too.
+        The driver reports that the board or itself is gone: that holds for every other call too.
     """
     from nidaqmx.errors import Error
 
@@ -140,9 +146,9 @@ def read_metadata(read: Callable[[], T], unknown: T, subject: str) -> T:
 
 
 def _build_status_error(error: Exception, doing: str) -> InstrumentError:
-    """Return the error of a DAQmx status, with the driver's text, the owner if busy, and the remedy.
+    """Build the error of a DAQmx status: ``doing``, the driver's text, the owner if busy, and the remedy.
 
-    A status that is not in `CLASS_OF_STATUS` is an UnknownStatusError.
+    A status that is not in `CLASS_OF_STATUS` becomes an UnknownStatusError. Nothing is raised.
     """
     status = int(getattr(error, "error_code", 0))
     kind = CLASS_OF_STATUS.get(status, UnknownStatusError)
@@ -155,12 +161,12 @@ def _build_status_error(error: Exception, doing: str) -> InstrumentError:
 
 
 def _find_reason(error: BaseException | None) -> str:
-    """Return gRPC's own description, which NI's package hides; empty if the error has none."""
+    """Return the text of gRPC's own error, which NI's package hides; empty if the error has none."""
     return str(getattr(error, "details", str)() or "")
 
 
 def _build_rpc_error(code: str, text: str, doing: str) -> InstrumentError:
-    """Return the error of a gRPC code, with its reason and remedy.
+    """Build the error of a gRPC code: ``doing``, code, text and remedy; nothing is raised.
 
     ConfigurationError for a code in `RPC_CONFIGURATION`, else ConnectionLostError.
     """
@@ -174,11 +180,11 @@ def _build_rpc_error(code: str, text: str, doing: str) -> InstrumentError:
 
 
 def _is_untranslated_rpc_error(error: Exception) -> bool:
-    """Return whether an exception is a gRPC error that NI's package did not translate."""
+    """Return whether an exception is gRPC's own error; False as long as gRPC is not imported."""
     grpc = sys.modules.get("grpc")
     return grpc is not None and isinstance(error, grpc.RpcError)
 
 
 def _join_lines(text: str) -> str:
-    """Return the text in one line, without the driver's status line and a full stop at its end."""
+    """Return the text as one line, without the driver's status code and a full stop at its end."""
     return " ".join(_NOISE.sub("", text).split()).rstrip(". ")

@@ -44,12 +44,12 @@ class Codes:
 
 
 def compute_code_scale(*, gain_v: float, range_v: float, resolution_bits: int) -> Codes:
-    """Return the scale of the codes from the driver's gain, which alone shows their padding.
+    """Compute the scale of the ADC's codes from the gain, which alone shows how the driver pads them.
 
     Parameters
     ----------
     gain_v
-        Volts a count.
+        Volts per count.
     range_v
         Input range -range_v .. +range_v.
     resolution_bits
@@ -58,7 +58,7 @@ def compute_code_scale(*, gain_v: float, range_v: float, resolution_bits: int) -
     Raises
     ------
     ConnectionLostError
-        The gain is no gain of this range and resolution.
+        The gain does not fit this range and resolution.
     """
     if not (math.isfinite(gain_v) and gain_v > 0.0):
         raise ConnectionLostError(f"the board reports a gain of {gain_v} V a count; it must be positive")
@@ -100,14 +100,23 @@ def sum_records(
     range_v: float,
     calibration_date: str,
 ) -> AveragedRecord:
-    """Sum the records sample by sample without rounding, and count those that are clipped.
+    """Sum the records sample by sample without rounding, and count those with a clipped sample.
 
     Parameters
     ----------
     records
-        Shape (n_records, record_samples).
+        Counts, shape (n_records, record_samples).
     gain_v, offset_v
         Volts of a single record: ``gain_v * count + offset_v``.
+    codes
+        Range of the ADC's codes; a sample at either end is clipped.
+    range_v, calibration_date
+        Input range -range_v .. +range_v, and ISO date, for the calibration.
+
+    Returns
+    -------
+    AveragedRecord
+        int32 sum, and the calibration that turns it into the mean voltage.
 
     Raises
     ------
@@ -135,7 +144,7 @@ def _count_sum_bits(n_records: int, width_bits: int) -> int:
 
 
 def require_32_bit_sum(n_records: int, width_bits: int) -> None:
-    """Raise ConfigurationError if a sum of ``n_records`` counts may need more than 32 bits."""
+    """Raise ConfigurationError if a sum of ``n_records`` counts of ``width_bits`` bits may exceed 32 bits."""
     if _count_sum_bits(n_records, width_bits) > 32:
         raise ConfigurationError(
             f"averages is {n_records}; with counts of {width_bits} bits it must be at most "

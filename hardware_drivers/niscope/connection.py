@@ -49,6 +49,7 @@ class BoardConnection:
     """
 
     def __init__(self, niscope: ModuleType, parameters: NiscopeParameters, wiring: ProbeWiring) -> None:
+        """Store names and serial number of the board; the first call opens it."""
         self._niscope = niscope
         self._parameters = parameters
         self._names: Sequence[str] = (wiring.resource, *wiring.other_resources)
@@ -61,16 +62,18 @@ class BoardConnection:
 
     @property
     def board(self) -> Board | None:
-        """Return the board's description from when it was last opened; None if it never was."""
+        """Return the board's description as read when it was last opened; None if it never was."""
         return self._board
 
     def prepare(self, position: str, wiring: ProbeWiring) -> tuple[Board, Setup]:
         """Open the board if necessary and configure it for a probe, unless it already is.
 
+        Return the board's description and its settings as read back.
+
         Raises
         ------
         InstrumentError
-            One of the four classes; after `ConnectionLostError` the next call climbs a rung.
+            One of the four classes; after `ConnectionLostError` the next call takes the next recovery step.
         """
         with self._close_on_loss():
             return self._open_and_configure(position, wiring)
@@ -78,9 +81,10 @@ class BoardConnection:
     def acquire(
         self, position: str, wiring: ProbeWiring, timeout_s: float
     ) -> tuple[Board, Setup, Fetched, str]:
-        """Acquire the records of one average; return them with board, settings and the driver's warnings.
+        """Acquire the records of one average; return board, settings, records and the driver's warnings.
 
-        The warnings are one text, empty if there were none. ``timeout_s`` bounds the wait for all records.
+        The board is opened and configured if necessary. The warnings are one text, empty if there were none.
+        ``timeout_s`` bounds the wait for all records.
 
         Raises
         ------
@@ -95,9 +99,9 @@ class BoardConnection:
             return board, setup, fetched, "; ".join(noted)
 
     def self_calibrate(self) -> Board:
-        """Open the board if necessary, run its self-calibration, and return its description.
+        """Open the board if necessary, run its self-calibration, and return the board's description.
 
-        It is configured again before the next record. Raise as `prepare` does.
+        It is configured again before the next record. Raise InstrumentError as `prepare` does.
         """
         with self._close_on_loss():
             board = self._open_board()
@@ -107,7 +111,7 @@ class BoardConnection:
             return board
 
     def close(self) -> None:
-        """Release the board, even over a dead connection; harmless when closed.
+        """Close the board, even over a dead connection; repeated calls have no effect.
 
         An instrument error is suppressed: the next opening reports it if that matters.
         """
@@ -120,10 +124,10 @@ class BoardConnection:
 
     @contextlib.contextmanager
     def _close_on_loss(self) -> Iterator[None]:
-        """Close the board and count a failure if the block loses the connection, and raise the error again.
+        """Run a block; if it loses the connection, close the board, count a failure and raise the error.
 
-        The next call then takes one more recovery step. After any other error but a timeout the board is
-        configured again before the next record.
+        The failure makes the next call take the next recovery step. After any other instrument error but a
+        timeout the board is configured again before the next record.
         """
         try:
             yield
@@ -143,7 +147,7 @@ class BoardConnection:
     def _open_and_configure(self, position: str, wiring: ProbeWiring) -> tuple[Board, Setup]:
         """Open the board if necessary, and configure it unless it is configured for this probe.
 
-        Return the board's description and its settings as read back.
+        Return the board's description and its settings as read back. Instrument errors pass through.
         """
         board = self._open_board()
         if self._position != position or self._setup is None:
@@ -154,9 +158,10 @@ class BoardConnection:
         return board, self._setup
 
     def _open_board(self) -> Board:
-        """Open the board with the recovery step that the failures require; an open board is only returned.
+        """Return the board, opened if necessary with the recovery step that earlier failures require.
 
-        Raise BusyError if a name's board is in use, ConfigurationError if a board that never answered is
+        Other names are tried for a board that was never opened, and from `SEARCH_RUNG` failures on. Raise
+        BusyError if one of these boards is in use, ConfigurationError if a board that never answered is
         absent under all names, otherwise ConnectionLostError.
         """
         if self._session is not None and self._board is not None:
@@ -183,7 +188,8 @@ class BoardConnection:
     def _open_board_by_name(self, name: str) -> Board:
         """Open the board of a name, verify its serial number, and reset it if recovery requires that.
 
-        Raise BoardAbsentError if another board has the name; after any error the board is closed.
+        Raise BoardAbsentError if another board has the name, InstrumentError if it does not open; after any
+        error the board is closed.
         """
         with translate_errors(self._niscope, f"opening {name!r}"):
             self._session = open_session(self._niscope, name)
@@ -206,5 +212,5 @@ class BoardConnection:
 
 
 def _normalize_serial(serial_number: str) -> str:
-    """Remove differences between label and driver: surrounding spaces, leading zeros, letter case."""
+    """Normalize a serial number for comparison: no outer spaces, no leading zeros, case-folded."""
     return serial_number.strip().lstrip("0").casefold()

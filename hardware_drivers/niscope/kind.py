@@ -21,7 +21,10 @@ SAFE_PART = 0.9
 
 @contextmanager
 def _open_probes(parameters: NiscopeParameters, opening: Opening) -> Iterator[Opened]:
-    """Open the boards of all probes as one pulse-echo unit; they are closed on exit."""
+    """Open the boards of all probes and yield them as one pulse-echo unit; they are closed on exit.
+
+    Instrument errors of the opening pass through.
+    """
     from hardware_drivers.niscope.pulse_echo import open_niscope
 
     with open_niscope(parameters) as unit:
@@ -29,10 +32,10 @@ def _open_probes(parameters: NiscopeParameters, opening: Opening) -> Iterator[Op
 
 
 def check_probes(parameters: NiscopeParameters, opening: Opening) -> Iterator[Finding]:
-    """Open the board of each probe, read its identity, take one averaged record, and yield the findings.
+    """Open the board of each probe, take an averaged record, and yield findings on board and record.
 
-    Nothing is fired from here: the record needs the pulser's own triggers. An instrument's error becomes a
-    failed finding, and the next probe follows.
+    Nothing is fired from here: the record needs the pulser's own triggers, up to ``call_timeout_s``. An
+    instrument error becomes a failed finding, and the next probe follows.
     """
     from hardware_drivers.niscope.pulse_echo import open_niscope
 
@@ -58,7 +61,7 @@ def check_probes(parameters: NiscopeParameters, opening: Opening) -> Iterator[Fi
 
 
 def _check_record(subject: str, echo: Echo) -> Iterator[Finding]:
-    """Yield findings on one record: its amplitude, and the last self-calibration.
+    """Yield two findings on a record: its amplitude, and the board's last self-calibration (always ok).
 
     The amplitude is a warning if a sample is clipped or the peak exceeds `SAFE_PART` of the range.
     """
@@ -85,7 +88,10 @@ def _check_record(subject: str, echo: Echo) -> Iterator[Finding]:
 
 
 def _check_served_probes(parameters: NiscopeParameters, serves: Mapping[Role, tuple[str, ...]]) -> None:
-    """Raise ValueError for a served position without a probe, or a probe without a position."""
+    """Raise ValueError if a served position has no probe in the parameters, or a probe no served position.
+
+    ``serves`` has the positions of each role; that of the probes is ``pulse_echo``.
+    """
     wanted = set(serves.get("pulse_echo", ()))
     if missing := sorted(wanted - set(parameters.probes)):
         raise ValueError(f"probes has no {missing[0]!r}, which it serves; wire it in probes.{missing[0]}")

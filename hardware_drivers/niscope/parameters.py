@@ -50,6 +50,7 @@ class ProbeWiring:
     """Gain of the pulser-receiver as set by hand on its front; stored with every record."""
 
     def __post_init__(self) -> None:
+        """Raise ValueError for a blank resource or channel, or other resources without a serial number."""
         for name in ("resource", "channel"):
             if not getattr(self, name).strip():
                 raise ValueError(
@@ -78,16 +79,14 @@ class NiscopeParameters:
     """Longest wait for the pulser's triggers, whatever the caller allows."""
 
     def __post_init__(self) -> None:
+        """Copy the probes; raise ValueError without a probe, or if probes cannot share their board."""
         if not self.probes:
             raise ValueError("probes is empty; give each pulse-echo position its [rig.niscope.probes.NAME]")
         object.__setattr__(self, "probes", dict(self.probes))
         self._check_shared_boards()
 
     def _check_shared_boards(self) -> None:
-        """Check the probes that share a board.
-
-        Raise ValueError if their serial number or other resources differ, or if two use one channel.
-        """
+        """Raise ValueError if probes of one board share a channel, or differ in the board's other keys."""
         first_on: dict[str, str] = {}
         wired: dict[tuple[str, str], str] = {}
         for position, wiring in self.probes.items():

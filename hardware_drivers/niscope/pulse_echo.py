@@ -27,11 +27,12 @@ class NiscopePulseEchoUnit:
     """
 
     def __init__(self, parameters: NiscopeParameters, connections: Mapping[str, BoardConnection]) -> None:
+        """Use opened connections, given by the resource name of their board."""
         self._parameters = parameters
         self._connections = connections
 
     def acquire(self, key: ShotKey, timeout_s: float) -> Echo:
-        """Record one averaged echo.
+        """Record one averaged echo of a position; the pulser fires by itself.
 
         Parameters
         ----------
@@ -46,13 +47,13 @@ class NiscopePulseEchoUnit:
         Raises
         ------
         ConfigurationError
-            No such position, or the board cannot do what is asked.
+            No such position, the timeout is not positive, or the board cannot do what is asked.
         AcquisitionTimeoutError
             The pulser's sync did not come often enough.
         BusyError
             Another program uses the board.
         ConnectionLostError
-            The board does not answer; the next call climbs a rung of the recovery ladder.
+            The board does not answer; the next call takes the next recovery step.
         """
         require_timeout(timeout_s)
         wiring = self._parameters.probes.get(key.position)
@@ -87,12 +88,12 @@ class NiscopePulseEchoUnit:
         )
 
     def self_calibrate(self) -> Mapping[str, str]:
-        """Run the self-calibration of each board once, between sets, and configure it again.
+        """Run the self-calibration of each board once, and configure it again.
 
         Returns
         -------
         Mapping
-            By serial number: date and temperature of the calibration as the board reports them.
+            By serial number: date and temperature of the calibration as the board reports them, as one text.
 
         Raises
         ------
@@ -128,16 +129,19 @@ class NiscopePulseEchoUnit:
         return named
 
     def serial_number(self, position: str) -> str:
-        """Return the serial number that a position's board reported; empty if it was never opened."""
+        """Return the serial number that a position's board reported; empty if it was never opened.
+
+        KeyError for a position without a probe.
+        """
         board = self._connections[self._parameters.probes[position].resource].board
         return "" if board is None else board.serial_number
 
 
 @contextlib.contextmanager
 def open_niscope(parameters: NiscopeParameters) -> Iterator[NiscopePulseEchoUnit]:
-    """Open the boards of all probes and configure each once, so that a wrong value shows at the start.
+    """Open the boards of all probes, configure each probe once, and yield the unit; close all on exit.
 
-    All boards are closed on exit.
+    So a wrong value of any probe shows at the start.
 
     Raises
     ------
@@ -161,9 +165,10 @@ def open_niscope(parameters: NiscopeParameters) -> Iterator[NiscopePulseEchoUnit
 def _collect_settings(
     wiring: ProbeWiring, board: Board, setup: Setup, fetched: Fetched, averaged: AveragedRecord, warned: str
 ) -> dict[str, float | str]:
-    """Collect the settings stored with a record: board, input, trigger, calibration; SI units in the names.
+    """Collect the settings stored with a record by name, with SI units in the names.
 
-    ``driver_warnings`` is there only if the driver warned.
+    They are board, versions, input, trigger, times of the first samples (mean and spread), gain, clipped
+    records and calibration; ``driver_warnings`` only if the driver warned.
     """
     settings: dict[str, float | str] = {
         "board_serial": board.serial_number,

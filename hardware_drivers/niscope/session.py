@@ -35,12 +35,12 @@ RELATIVE_TOLERANCE = 1e-9
 
 
 def import_niscope() -> ModuleType:
-    """Import `niscope` and check that both of its libraries load.
+    """Import the package `niscope`, check that the library of NI-TClk loads, and return the package.
 
     Raises
     ------
     ConfigurationError
-        The package, NI-SCOPE or NI-TClk is not installed.
+        The package is not installed, or NI-TClk, a part of the NI-SCOPE runtime, is not.
     """
     try:
         import niscope
@@ -63,9 +63,10 @@ def import_niscope() -> ModuleType:
 
 
 def open_session(niscope: ModuleType, resource: str) -> Session:
-    """Open a board without resetting it; nothing stays open if that fails half-way.
+    """Open the board named ``resource`` without resetting it, and return its session.
 
-    Raise ConfigurationError if NI-SCOPE is not installed; other errors are the package's own.
+    Nothing stays open if that fails half-way. Raise ConfigurationError if NI-SCOPE is not installed; other
+    errors of the package pass through.
     """
     session = niscope.Session.__new__(niscope.Session)
     try:
@@ -85,7 +86,10 @@ def open_session(niscope: ModuleType, resource: str) -> Session:
 
 
 def close_session(niscope: ModuleType, session: Session) -> None:
-    """Close a board, with a second try if NI-SCOPE refuses: no later call can close it."""
+    """Close a board, with a second attempt if NI-SCOPE refuses: no later call can close it.
+
+    The error of the second attempt passes through.
+    """
     handle = session._interpreter.get_session_handle()
     try:
         session.close()
@@ -107,7 +111,10 @@ class Board:
 
 
 def describe_board(session: Session, resource: str) -> Board:
-    """Read serial number, product, driver version and channel names of an open board."""
+    """Read serial number, product, driver version and channel names of an open board.
+
+    Errors of the `niscope` package pass through.
+    """
     return Board(
         resource=resource,
         serial_number=session.serial_number,
@@ -135,7 +142,9 @@ class Setup:
 def configure_board(
     niscope: ModuleType, session: Session, board: Board, parameters: NiscopeParameters, wiring: ProbeWiring
 ) -> Setup:
-    """Configure the board for one probe, disable its other channels, and read back its settings.
+    """Configure the board for one probe, disable its other channels, and read back and return its settings.
+
+    Errors of the `niscope` package pass through.
 
     Raises
     ------
@@ -179,12 +188,16 @@ def configure_board(
 
 
 def find_trigger_terminal(wiring: ProbeWiring) -> str:
-    """Return NI-SCOPE's name of the trigger source; the input's own channel for ``channel``."""
+    """Return NI-SCOPE's name of a probe's trigger source; for ``channel`` the input's own channel."""
     return TRIGGER_TERMINALS.get(wiring.trigger_source, wiring.channel)
 
 
 def _configure_trigger(niscope: ModuleType, session: Session, wiring: ProbeWiring) -> None:
-    """Configure the trigger by the pulser's sync (PFI line or analog edge), delayed to the firing pulse."""
+    """Configure the trigger by the pulser's sync, delayed by ``firing_delay_s`` to the firing pulse.
+
+    A PFI line is a digital trigger, any other source an analog edge at ``trigger_level_v``. Nothing is
+    committed; errors of the `niscope` package pass through.
+    """
     slope = getattr(niscope.TriggerSlope, "POSITIVE" if wiring.trigger_slope == "rising" else "NEGATIVE")
     terminal = find_trigger_terminal(wiring)
     if wiring.trigger_source.startswith("pfi"):
@@ -200,9 +213,11 @@ def _configure_trigger(niscope: ModuleType, session: Session, wiring: ProbeWirin
 
 
 def _read_back_settings(niscope: ModuleType, session: Session, channel: Session, board: Board) -> Setup:
-    """Read the settings that the board committed, and its last self-calibration.
+    """Read the settings that the board has committed, and its last self-calibration.
 
-    Its date is empty and its temperature (degrees Celsius) NaN where the board does not report them.
+    ``range_v`` is half of the board's peak-to-peak range. A calibration's date (empty) or temperature (NaN)
+    that cannot be read is logged as a warning. ConnectionLostError if the board is gone; other errors of the
+    `niscope` package pass through.
     """
     last = read_metadata(
         niscope,
@@ -232,10 +247,9 @@ def _read_back_settings(niscope: ModuleType, session: Session, channel: Session,
 def _reject_coerced_settings(
     parameters: NiscopeParameters, wiring: ProbeWiring, setup: Setup, channel: Session, board: Board
 ) -> None:
-    """Raise ConfigurationError for a setting that the board changed.
+    """Raise ConfigurationError if rate, samples, averages, range or impedance is not what was requested.
 
-    Values within `RELATIVE_TOLERANCE` are equal. A resolution outside 2 to 32 bits is a
-    ConnectionLostError.
+    Values within `RELATIVE_TOLERANCE` are equal. A resolution outside 2 to 32 bits is a ConnectionLostError.
     """
     pairs: Mapping[str, tuple[float, float]] = {
         "sample_rate_hz": (parameters.sample_rate_hz, setup.sample_rate_hz),
@@ -280,7 +294,7 @@ class Fetched:
 
 
 def fetch_records(session: Session, setup: Setup, wiring: ProbeWiring, timeout_s: float) -> Fetched:
-    """Acquire all records of one averaged record; the board is idle again on return.
+    """Acquire and return all single records of one average; the board is idle again on return.
 
     Parameters
     ----------
@@ -290,7 +304,8 @@ def fetch_records(session: Session, setup: Setup, wiring: ProbeWiring, timeout_s
     Raises
     ------
     ConnectionLostError
-        The driver reports success but what it hands over cannot be such an acquisition.
+        The driver reports success, but records are missing or repeated, were never written, start at a wrong
+        time, or differ in gain or offset.
     """
     shape = (setup.records, setup.record_samples)
     records: NDArray[np.int16] | NDArray[np.int32] = (
@@ -330,10 +345,11 @@ def fetch_records(session: Session, setup: Setup, wiring: ProbeWiring, timeout_s
 def _check_record_times(
     waveforms: list[WaveformInfo], first_sample_s: NDArray[np.float64], setup: Setup, wiring: ProbeWiring
 ) -> None:
-    """Check by the driver's times that time zero is the firing pulse, one firing per record.
+    """Raise ConnectionLostError unless time zero of each record is the firing pulse, one firing per record.
 
-    Raise ConnectionLostError for a wrong sample interval, a start more than two samples from
-    ``firing_delay_s``, or equal time stamps of two records.
+    The driver's times decide: a wrong sample interval, a start (``first_sample_s``, after the trigger) more
+    than two samples from ``firing_delay_s``, or equal time stamps of two records. Boards without time stamps
+    pass the last check.
     """
     step_s = 1.0 / setup.sample_rate_hz
     steps = {waveform.x_increment for waveform in waveforms}
@@ -355,5 +371,5 @@ def _check_record_times(
 
 
 def read_package_version() -> str:
-    """Return the version of the installed `niscope` package."""
+    """Return the version of the installed `niscope` package; PackageNotFoundError if it is not installed."""
     return version("niscope")

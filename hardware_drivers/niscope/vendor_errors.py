@@ -56,21 +56,23 @@ _REMEDY: Mapping[type[InstrumentError], str] = {
 
 
 def find_error_class(code: int, description: str) -> type[InstrumentError]:
-    """Return the error class of a driver's status code, or of a status wrapped in its description.
+    """Return the error class of NI-SCOPE's status code, else that of a status wrapped in its description.
 
-    `UnknownStatusError` if neither is in `CLASS_OF_CODE`.
+    `UnknownStatusError` if none of them is in `CLASS_OF_CODE`.
     """
     codes = (code, *map(int, _WRAPPED.findall(description)))
     return next((CLASS_OF_CODE[number] for number in codes if number in CLASS_OF_CODE), UnknownStatusError)
 
 
 def translate_error(niscope: ModuleType, error: Exception, doing: str) -> InstrumentError:
-    """Return the instrument error for an exception of the `niscope` package; it is not raised here.
+    """Return the instrument error for an exception; it is not raised here.
+
+    An exception that is not one of the `niscope` package's becomes a ConnectionLostError.
 
     Parameters
     ----------
     doing
-        What was tried, beginning a sentence: "opening 'PXI1Slot4'".
+        Operation, as the beginning of a sentence: "opening 'PXI1Slot4'".
     """
     if isinstance(error, niscope.errors.DriverError):
         kind = find_error_class(error.code, error.description)
@@ -88,9 +90,10 @@ def translate_error(niscope: ModuleType, error: Exception, doing: str) -> Instru
 
 @contextmanager
 def translate_errors(niscope: ModuleType, doing: str) -> Iterator[list[str]]:
-    """Translate errors of the calls inside; yield the list that receives the driver's warnings, each once.
+    """Run a block of vendor calls and raise their errors as instrument errors.
 
-    The warnings filter of the process is changed meanwhile: the driver is used by one thread.
+    Yield a list that has the driver's warnings, each once, after the block. The warnings filter of the
+    process is changed meanwhile: the driver is used by one thread.
 
     Raises
     ------
@@ -120,12 +123,12 @@ def translate_errors(niscope: ModuleType, doing: str) -> Iterator[list[str]]:
 
 
 def read_metadata(niscope: ModuleType, read: Callable[[], T], unknown: T, subject: str) -> T:
-    """Read optional metadata (date, temperature); return ``unknown`` and log a warning if that fails.
+    """Return optional metadata (date, temperature) from ``read``; ``unknown``, with a warning, if it fails.
 
     Raises
     ------
     ConnectionLostError
-        The driver says that the board is gone: that holds for every other call too.
+        The driver reports that the board is gone: that holds for every other call too.
     """
     try:
         with translate_errors(niscope, f"reading {subject}"):

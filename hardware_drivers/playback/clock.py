@@ -28,6 +28,7 @@ class RecordedClock:
     def __init__(
         self, clock: Clock, next_moment: Callable[[int], int | None], *, tolerance_s: float = 2.0
     ) -> None:
+        """Store clock and recorded moments; ValueError if ``tolerance_s`` (s) is negative or NaN."""
         if not tolerance_s >= 0.0:
             raise ValueError(f"tolerance_s is {tolerance_s}; it must be at least 0")
         self._clock = clock
@@ -35,7 +36,7 @@ class RecordedClock:
         self._tolerance_ns = round(tolerance_s * NS_PER_S)
 
     def utc_ns(self) -> int:
-        """Return the test time, ns since 1970: the recorded moment or planned time reached last."""
+        """Return the test time (UTC) in ns: that of the recorded moment or planned time reached last."""
         return self._clock.utc_ns()
 
     def mono_ns(self) -> int:
@@ -43,7 +44,7 @@ class RecordedClock:
         return self._clock.mono_ns()
 
     def wait_until(self, utc_ns: int, idle: Callable[[], bool]) -> bool:
-        """Wait for the recorded moment within the tolerance after ``utc_ns``, else for ``utc_ns`` itself.
+        """Wait for the recorded moment at most ``tolerance_s`` after ``utc_ns``, else for ``utc_ns`` itself.
 
         Return False as soon as ``idle()`` returns False, else True.
         """

@@ -28,11 +28,15 @@ class Recording(StruckDigitizer):
     """Digitizer and pulse-echo unit that play back the records of a source."""
 
     def __init__(self, source: ShotSource) -> None:
+        """Play back the records of ``source``; none is read here."""
         super().__init__()
         self._source = source
 
     def require_recorded(self, key: ShotKey, method: str) -> None:
-        """Raise ConfigurationError, with the recorded positions, unless this method was recorded there."""
+        """Raise ConfigurationError unless the key's position was recorded by this method.
+
+        The message names the positions that were.
+        """
         known = self._source.positions
         if known.get(key.position) != method:
             recorded = sorted(name for name in known if known[name] == method)
@@ -43,13 +47,14 @@ class Recording(StruckDigitizer):
             )
 
     def require_transducer(self, key: ShotKey) -> None:
-        """Raise ConfigurationError for a position without recorded solitary waves."""
+        """Raise ConfigurationError if no solitary waves were recorded at the key's position."""
         self.require_recorded(key, SOLITARY_WAVE)
 
     def record_of(self, key: ShotKey) -> Acquired:
         """Return the recorded shot; its ``last_attempt`` is True if no further attempt was recorded.
 
-        AcquisitionTimeoutError, with the same attribute, if this attempt has no record.
+        Raise AcquisitionTimeoutError, with the same attribute, if this attempt has no record; errors of the
+        source pass through.
         """
         last_attempt = not self._source.has_attempt(replace(key, attempt=key.attempt + 1))
         try:
@@ -59,7 +64,11 @@ class Recording(StruckDigitizer):
             raise
 
     def find(self, key: ShotKey) -> Acquired:
-        """Return the record of a shot; AcquisitionTimeoutError (a missed strike) if it was not recorded."""
+        """Return the record of a shot or echo.
+
+        Raise AcquisitionTimeoutError (a missed strike) if it was not recorded. Errors of the source pass
+        through.
+        """
         acquired = self._source.find(key)
         if acquired is None:
             raise AcquisitionTimeoutError(
@@ -76,7 +85,7 @@ class Recording(StruckDigitizer):
         AcquisitionTimeoutError
             This echo was not recorded.
         ConfigurationError
-            No pulse-echo position was recorded there, its record is no echo, or the timeout is not positive.
+            No pulse-echo records of this position, its record is no echo, or the timeout is not positive.
         """
         require_timeout(timeout_s)
         self.require_recorded(key, PULSE_ECHO)
@@ -93,6 +102,7 @@ class RecordedStriker:
     """Striker without a coil: it selects the next shot, and records what a coil would have done."""
 
     def __init__(self, recording: Recording) -> None:
+        """Strike for this recording; no switching is recorded yet."""
         self._recording = recording
         self._switchings: deque[tuple[str, bool]] = deque(maxlen=SWITCHINGS_KEPT)
 
@@ -102,7 +112,7 @@ class RecordedStriker:
         return tuple(self._switchings)
 
     def strike(self, key: ShotKey) -> None:
-        """Make the armed digitizer play back this shot, and record the coil's two switchings.
+        """Make the armed digitizer play back this shot, and record the two switchings of a coil, on and off.
 
         Raise ConfigurationError for a position without recorded solitary waves.
         """
@@ -111,7 +121,7 @@ class RecordedStriker:
         self._recording.strike(key)
 
     def make_safe(self) -> None:
-        """Do nothing: no coil is ever energised after a strike."""
+        """Do nothing: there is no coil."""
 
 
 def build_instruments(source: ShotSource, *, wanted: Mapping[str, str] | None = None) -> Opened:
@@ -120,7 +130,7 @@ def build_instruments(source: ShotSource, *, wanted: Mapping[str, str] | None = 
     Parameters
     ----------
     wanted
-        Positions and methods that will be asked for: refused now rather than at their first strike.
+        Positions that will be used, and their method; they are checked here, not at their first strike.
 
     Raises
     ------

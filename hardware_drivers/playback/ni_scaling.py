@@ -32,18 +32,19 @@ class ScalingError(ValueError):
 
 
 def build_raw_polynomial(properties: Mapping[str, Any]) -> Polynomial | None:
-    """Build the physical value as a polynomial of the raw one from NI's scaling properties.
+    """Build the polynomial that gives the physical value from the raw one, from NI's scaling properties.
 
     Returns
     -------
     ndarray or None
-        Shape (order + 1,), order >= 1. None if there are no scales, or they were applied before the
-        file was written (``NI_Scaling_Status`` is ``scaled``).
+        Coefficients, constant first, shape (order + 1,), order >= 1. None if there are no scales, or they
+        were applied before the file was written (``NI_Scaling_Status`` is ``scaled``).
 
     Raises
     ------
     ScalingError
-        A scale is no polynomial, lacks a property, or the chain leads nowhere.
+        A scale is no polynomial, lacks a property or an earlier scale as input, or the result is constant or
+        not finite.
     """
     count = _count_scales(properties)
     if count == 0 or properties.get("NI_Scaling_Status", "unscaled") == "scaled":
@@ -57,7 +58,10 @@ def build_raw_polynomial(properties: Mapping[str, Any]) -> Polynomial | None:
 
 
 def _count_scales(properties: Mapping[str, Any]) -> int:
-    """Return the number of scales: its own property, else the highest scale number + 1; 0 without scales."""
+    """Return the number of scales: its own property, else the highest number of a scale + 1; 0 without any.
+
+    ValueError or TypeError if the property is no number.
+    """
     if "NI_Number_Of_Scales" in properties:
         return int(properties["NI_Number_Of_Scales"])
     return max(
@@ -66,7 +70,7 @@ def _count_scales(properties: Mapping[str, Any]) -> int:
 
 
 def _resolve(source: int, properties: Mapping[str, Any], *, limit: int) -> Polynomial:
-    """Return the value of a source as a polynomial of the raw values.
+    """Return the output of scale number ``source`` (`RAW`: the raw values) as a polynomial of the raw values.
 
     Raise ScalingError for an input that is not an earlier scale (below ``limit``), a missing property, or a
     scale that is no polynomial.
@@ -83,7 +87,10 @@ def _resolve(source: int, properties: Mapping[str, Any], *, limit: int) -> Polyn
         return identity
 
     def resolve_input(name: str) -> Polynomial:
-        """Return the polynomial of this scale's named input; the raw values where it names none."""
+        """Return the polynomial of this scale's named input; that of the raw values if it names none.
+
+        Raise ScalingError as the enclosing function does.
+        """
         return _resolve(int(properties.get(f"{prefix}{name}_Input_Source", RAW)), properties, limit=source)
 
     if kind == "Linear":
@@ -110,9 +117,9 @@ def _resolve(source: int, properties: Mapping[str, Any], *, limit: int) -> Polyn
 
 
 def _compose_polynomials(outer: Polynomial, inner: Polynomial) -> Polynomial:
-    """Compose two polynomials, outer of inner; an identity as ``inner`` changes no bit.
+    """Compose two polynomials, outer(inner(x)); an identity as ``inner`` returns ``outer`` unchanged.
 
-    Raise ScalingError if the order exceeds `_LARGEST_ORDER`.
+    Coefficients are constant first. Raise ScalingError if the order exceeds `_LARGEST_ORDER`.
     """
     if inner.tolist() == [0.0, 1.0]:
         return outer

@@ -86,6 +86,11 @@ class TdmsMapping:
     """ADC resolution of raw values (a 12-bit board clips at 2047 of an int16); absent: that of their type."""
 
     def __post_init__(self) -> None:
+        """Raise ValueError if a part of the key has two sources, the position none, or a pattern is invalid.
+
+        Also for appended records whose shot is named, a single or non-finite coefficient, and
+        ``volts_per_unit`` of 0.
+        """
         sources = [
             (f"{part}_property", {part}) for part in KEY_PARTS[:3] if getattr(self, f"{part}_property")
         ]
@@ -122,6 +127,7 @@ class PlaybackParameters:
     """How LabVIEW's names lead to shots; absent with `format = "tdms"`: the defaults of its keys."""
 
     def __post_init__(self) -> None:
+        """Raise ValueError if the table ``tdms`` is given for another format."""
         if self.format != "tdms" and self.tdms is not None:
             raise ValueError(
                 f'format is "{self.format}", yet [tdms] is given; set format = "tdms" or take it out'
@@ -129,9 +135,9 @@ class PlaybackParameters:
 
 
 def _list_named_groups(name: str, pattern: str) -> set[str]:
-    """Return the named groups of a pattern; empty if it has none.
+    """Return the named groups of a regular expression; empty if it has none.
 
-    Raise ValueError for no regular expression, or a group that is not in `KEY_PARTS`.
+    Raise ValueError, with the key ``name``, for no regular expression or a group that is not in `KEY_PARTS`.
     """
     try:
         parts = set(re.compile(pattern).groupindex)

@@ -24,22 +24,28 @@ class ShotSource(Protocol):
         """Return the recorded positions and their method: ``solitary_wave`` or ``pulse_echo``."""
 
     def find(self, key: ShotKey) -> Acquired | None:
-        """Return the record of a shot (an `Echo` for pulse-echo), None if it was not recorded.
+        """Return the record of a shot (an `Echo` for pulse-echo); None if it was not recorded.
 
         Raises
         ------
         AcquisitionTimeoutError
-            It was recorded, but cannot be read any more: the message says why.
+            It was recorded, but cannot be read any more; the message states the reason.
         ConfigurationError
             The recording as a whole cannot be read.
         """
 
     def has_attempt(self, key: ShotKey) -> bool:
-        """Return whether the recording has this attempt at a shot, as a record or as missed."""
+        """Return whether the recording has this attempt at a shot, with a record or as a missed strike.
+
+        May read the set from disk.
+        """
 
 
 def convert_stored_record(record: Record) -> Acquired:
-    """Convert a stored record into the form in which its instrument returned it; no value changes."""
+    """Convert a stored record to the `Acquired` or `Echo` that its instrument returned; no value changes.
+
+    Key, sequence and time stamp are left out.
+    """
     if isinstance(record, PulseEchoRecord):
         return Echo(
             waveform=record.waveform,
@@ -64,11 +70,12 @@ class ShotsBySet:
     """
 
     def __init__(self, positions: Mapping[str, str], read: Callable[[SetKey], Iterable[Record]]) -> None:
+        """Store the positions and the reader of sets; no set is read here."""
         self._positions = dict(positions)
 
         @lru_cache(maxsize=SETS_KEPT)
         def records_of_set(set_key: SetKey) -> Mapping[ShotKey, Record]:
-            """Read the records of a set, by key; the last `SETS_KEPT` sets are kept."""
+            """Read the records of a set, by key; those of the last `SETS_KEPT` sets are cached."""
             return {record.key: record for record in read(set_key)}
 
         self.records_of_set = records_of_set
@@ -80,10 +87,16 @@ class ShotsBySet:
         return self._positions
 
     def find(self, key: ShotKey) -> Acquired | None:
-        """Return the record of a shot, None if it was not recorded; reads its set if it is not in memory."""
+        """Return the record of a shot; None if it was not recorded.
+
+        Its set is read if it is not in memory; errors of ``read`` pass through.
+        """
         record = self.records_of_set(key.set_key).get(key)
         return None if record is None else convert_stored_record(record)
 
     def has_attempt(self, key: ShotKey) -> bool:
-        """Return whether the shot has a record; reads its set if it is not in memory."""
+        """Return whether this attempt at a shot has a record; reads its set if it is not in memory.
+
+        Errors of ``read`` pass through.
+        """
         return key in self.records_of_set(key.set_key)

@@ -55,6 +55,7 @@ class _RecordLocation:
     utc_ns: int | None
 
     def __str__(self) -> str:
+        """Return file, group and channel as text, the beginning of a message."""
         return f"{self.path}, group {self.group!r}, channel {self.channel!r}"
 
 
@@ -70,6 +71,7 @@ class TdmsShots:
     """
 
     def __init__(self, places: Mapping[ShotKey, _RecordLocation], mapping: TdmsMapping) -> None:
+        """Collect positions and recorded times from the locations; no file is opened here."""
         self.places = places
         self._mapping = mapping
         self._positions = {key.position: _find_method(key.position, mapping) for key in places}
@@ -82,7 +84,10 @@ class TdmsShots:
         return self._positions
 
     def find_next_moment(self, after_utc_ns: int) -> int | None:
-        """Return the first recorded time after ``after_utc_ns`` (ns UTC); None after the last one."""
+        """Return the first recorded time after ``after_utc_ns`` (both UTC in ns); None after the last one.
+
+        Records without a start time are not considered.
+        """
         index = bisect_right(self._moments, after_utc_ns)
         return self._moments[index] if index < len(self._moments) else None
 
@@ -91,12 +96,14 @@ class TdmsShots:
         return key in self.places
 
     def find(self, key: ShotKey) -> Acquired | None:
-        """Read the record of a shot from its file; None if it was not recorded.
+        """Read the record of a shot from its file, and convert it to counts; None if it was not recorded.
+
+        The file is kept open.
 
         Raises
         ------
         ConfigurationError
-            The file cannot be read any more, or a value is beyond the range.
+            The file cannot be read any more or has changed, or a value is not finite or beyond the range.
         """
         place = self.places.get(key)
         if place is None:
@@ -129,9 +136,11 @@ class TdmsShots:
         self._reader.close()
 
     def __enter__(self) -> TdmsShots:
+        """Return the recording itself."""
         return self
 
     def __exit__(self, *_: object) -> None:
+        """Close the file that is open, if any."""
         self.close()
 
 
@@ -143,7 +152,7 @@ def open_tdms(
     Parameters
     ----------
     positions
-        Positions that will be asked for and their method. Where no pattern or property says otherwise, files
+        Positions that will be used, and their method. Unless the mapping identifies shots otherwise, files
         with all channels in one group are played by the channels' names.
 
     Raises
@@ -182,9 +191,10 @@ def open_tdms(
 
 
 def _find_files(source: Path, mapping: TdmsMapping) -> list[tuple[Path, str]]:
-    """Return the sorted files of the source, each with the name that `file_pattern` is matched with.
+    """Return the files of the source, sorted, each with the name that `file_pattern` is matched with.
 
-    The name is relative to the folder. Raise ConfigurationError without a source or a file.
+    The name is the path relative to the folder, with forward slashes. Raise ConfigurationError without a
+    source, or for a folder without a matching file.
     """
     if source.is_file():
         return [(source, source.name)]
@@ -204,10 +214,11 @@ def _find_file_records(
     others: list[str],
     by_name: Sequence[str],
 ) -> Iterator[tuple[ShotKey, _RecordLocation]]:
-    """Yield key and location of each record of the matching channels in one file.
+    """Yield key and location of each record of the matching channels in one file; read no samples.
 
-    Names that do not match are added to ``others``, conversions to ``shared``. Raise ConfigurationError for
-    a damaged file or incomplete metadata.
+    Channels are matched by the patterns, else by the positions ``by_name``. Names that do not match are
+    appended to ``others``, conversions added to ``shared``. Raise ConfigurationError for a damaged file,
+    incomplete metadata or ambiguous names.
     """
     from_file = re.fullmatch(mapping.file_pattern, name)
     if from_file is None:
@@ -217,7 +228,10 @@ def _find_file_records(
     unmatched: list[tuple[str, str]] = []
 
     def is_wanted(group: str, channel: str) -> bool:
-        """Return whether the names of group and channel match; store what their named groups matched."""
+        """Return whether the names of group and channel match their patterns.
+
+        The texts of the named groups are stored in `matched`, names that do not match in `unmatched`.
+        """
         from_group = re.fullmatch(mapping.group_pattern, group)
         from_channel = re.fullmatch(mapping.channel_pattern, channel)
         if from_group is None or from_channel is None:
@@ -251,9 +265,10 @@ def _find_first_location(
     mapping: TdmsMapping,
     shared: dict[tuple[object, ...], Conversion],
 ) -> _RecordLocation:
-    """Return location and conversion of a channel's first record.
+    """Return location and conversion of a channel's first record; reuse an equal conversion in ``shared``.
 
-    Raise ConfigurationError where rate, trigger, scaling or a settings property is missing.
+    ``name`` is stored with its shots. Raise ConfigurationError where rate, trigger, scaling or a settings
+    property is missing or wrong.
     """
     n_samples = count_record_samples(channel, mapping)
     rate_hz = sample_rate_hz(channel, mapping)
@@ -281,9 +296,10 @@ def _find_first_location(
 def _yield_appended_records(
     key: ShotKey, place: _RecordLocation, n_samples: int, mapping: TdmsMapping
 ) -> Iterator[tuple[ShotKey, _RecordLocation]]:
-    """Yield key and location of a channel's first record and of those appended to it.
+    """Yield key and location of a channel's first record and of those appended to it, in file order.
 
-    Their shot index rises by 1, their time by ``shot_interval_s`` (None if the file has none).
+    ``key`` and ``place`` are those of the first one, ``n_samples`` all samples of the channel. The shot index
+    rises by 1 for each, the time by ``shot_interval_s`` (None if the file has no time).
     """
     for number in range(n_samples // place.n_samples):
         later_ns = round(number * mapping.shot_interval_s * NS_PER_S)
@@ -298,7 +314,10 @@ def _yield_appended_records(
 
 
 def _reuse_conversion(conversion: Conversion, known: dict[tuple[object, ...], Conversion]) -> Conversion:
-    """Return the known equal conversion, else store this one: a recording has thousands of channels."""
+    """Return the conversion in ``known`` that equals this one; if none does, add this one and return it.
+
+    It saves memory: a recording has thousands of channels.
+    """
     calibration = conversion.calibration
     polynomial = None if conversion.polynomial is None else conversion.polynomial.tobytes()
     key = (
@@ -313,9 +332,10 @@ def _reuse_conversion(conversion: Conversion, known: dict[tuple[object, ...], Co
 def _collect_settings(
     channel: Channel, name: str, mapping: TdmsMapping, conversion: Conversion
 ) -> Mapping[str, float | str]:
-    """Collect the settings that are stored with each shot of a channel, with the step of quantised values.
+    """Collect the settings that are stored with each shot of a channel, by name.
 
-    Raise ConfigurationError if a property of ``settings_properties`` is missing.
+    They are ``tdms_channel``, the properties of ``settings_properties`` and, for quantised values, their type
+    and step in V. Raise ConfigurationError if such a property is missing.
     """
     settings: dict[str, float | str] = {"tdms_channel": name}
     properties = channel.properties
@@ -333,5 +353,5 @@ def _collect_settings(
 
 
 def _find_method(position: str, mapping: TdmsMapping) -> str:
-    """Return ``pulse_echo`` for a position listed in the mapping as such, else ``solitary_wave``."""
+    """Return ``pulse_echo`` if the mapping lists the position as such, else ``solitary_wave``."""
     return PULSE_ECHO if position in mapping.pulse_echo_positions else SOLITARY_WAVE

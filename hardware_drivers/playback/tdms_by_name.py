@@ -15,7 +15,11 @@ _NUMBER = r"[ _.-]*(?:shot)?[ _.-]*(?P<shot>\d+)"
 
 
 def is_mapped_by_name(mapping: TdmsMapping) -> bool:
-    """Return whether the mapping leaves the shots to the names of channels: its keys are the defaults."""
+    """Return whether shots may be identified by the names of channels.
+
+    That is so if the mapping has the default patterns of group and channel, and no key names the position, or
+    the properties of position, set and shot.
+    """
     defaults = TdmsMapping()
     keys = (
         "group_pattern",
@@ -73,9 +77,10 @@ def find_shots_by_name(
 
 
 def _list_possible_shots(name: str, positions: Collection[str]) -> list[tuple[str, str | None]]:
-    """Return each position and shot number that a channel's name may mean; empty if none.
+    """Return each position and shot number (digits) that a channel's name may mean; empty if none.
 
-    The name of a position itself means that position alone, without a number (None).
+    A name that is a position means that position alone, without a number (None). Letter case is ignored
+    otherwise.
     """
     if name in positions:
         return [(name, None)]

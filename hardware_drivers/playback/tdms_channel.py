@@ -56,7 +56,7 @@ class Channel:
 
     @property
     def where(self) -> str:
-        """Return file, group and channel as the beginning of a message."""
+        """Return file, group and channel as text, the beginning of a message."""
         return f"{self.path}, group {self.group!r}, channel {self.name!r}"
 
     @property
@@ -65,11 +65,14 @@ class Channel:
         return {**self.file_properties, **self.group_properties, **self.own_properties}
 
     def build_error(self, problem: str, remedy: str) -> ConfigurationError:
-        """Return, not raise, a ConfigurationError that names file, group and channel."""
+        """Build, not raise, a ConfigurationError that names file, group, channel, problem and remedy."""
         return ConfigurationError(f"{self.where}: {problem}; {remedy}")
 
     def read_float(self, name: str) -> float | None:
-        """Return a property as a finite float, None if absent; ConfigurationError if it is no such number."""
+        """Return a property as a float, None if absent; ConfigurationError if it is no finite number.
+
+        The channel's own property takes precedence over its group's and the file's.
+        """
         value = self.properties.get(name)
         if value is None:
             return None
@@ -96,10 +99,9 @@ class Conversion:
     polynomial: NDArray[np.float64] | None = None
 
     def convert_to_counts(self, values: NDArray[np.generic], where: str) -> Counts:
-        """Convert the values of a record to counts, shape (n_samples,).
+        """Convert the values of a record to counts, shape (n_samples,); ``where`` begins an error's message.
 
-        Raw codes keep their value, as int32 if they have 4 bytes, else as int16; scaled values become
-        int32.
+        Raw codes keep their value, as int32 if they have 4 bytes, else as int16; scaled values become int32.
 
         Raises
         ------
@@ -115,10 +117,10 @@ class Conversion:
 def _quantise_values(
     values: NDArray[np.generic], polynomial: NDArray[np.float64], calibration: Calibration, where: str
 ) -> NDArray[np.int32]:
-    """Return the nearest code of each value, int32; the end of the range becomes the highest code.
+    """Convert scaled values to the nearest codes, int32, same shape; full scale becomes the highest code.
 
-    So a value at full scale counts as clipped. Raise ConfigurationError for a value that is not finite or
-    beyond the range.
+    So a value at full scale counts as clipped. ``polynomial`` gives volts. Raise ConfigurationError for a
+    value that is not finite or beyond the range.
     """
     volts = np.polynomial.polynomial.polyval(values.astype(np.float64), polynomial)
     largest_v = float(np.max(np.abs(volts), initial=0.0))
@@ -135,12 +137,13 @@ def _quantise_values(
 
 
 def build_conversion(channel: Channel, mapping: TdmsMapping) -> Conversion:
-    """Build the conversion of the channel's values to counts and volts.
+    """Build the conversion of a channel's values to counts, with the calibration that turns these into volts.
 
     Raises
     ------
     ConfigurationError
-        Values of another type, a scaling that is no polynomial, no scaling, or values that are not volts.
+        Values of another type; no scaling, or one that is no polynomial; values that are not volts; or an
+        unknown resolution or range.
     """
     if channel.dtype in _SCALED_TYPES:
         range_v = QUANTISED_RANGE_V if mapping.range_v is None else mapping.range_v
@@ -168,9 +171,9 @@ def build_conversion(channel: Channel, mapping: TdmsMapping) -> Conversion:
 
 
 def _find_resolution_bits(channel: Channel, mapping: TdmsMapping) -> int:
-    """Return the ADC resolution in bits: the mapping's, else that of the stored type.
+    """Return the ADC resolution in bits: the mapping's, else that of the stored type (8 or 16).
 
-    Raise ConfigurationError if 32-bit codes have none, or if it exceeds the stored type.
+    Raise ConfigurationError for 32-bit codes without a resolution, or one above that of the stored type.
     """
     stored_bits = _RAW_TYPES[channel.dtype]
     if mapping.resolution_bits is None and stored_bits == 32:
@@ -187,9 +190,9 @@ def _find_resolution_bits(channel: Channel, mapping: TdmsMapping) -> int:
 
 
 def _compute_range_v(channel: Channel, coefficients_v: NDArray[np.float64], bits: int) -> float:
-    """Return the larger magnitude of the volts at the two extreme codes.
+    """Compute the range in V as the larger magnitude of the volts at the two extreme codes of ``bits`` bits.
 
-    Raise ConfigurationError if it is not positive and finite.
+    ``coefficients_v`` is constant first. Raise ConfigurationError if it is not positive and finite.
     """
     codes = np.array([-(2.0 ** (bits - 1)), 2.0 ** (bits - 1) - 1.0])
     range_v = float(np.abs(np.polynomial.polynomial.polyval(codes, coefficients_v)).max())
@@ -203,9 +206,9 @@ def _compute_range_v(channel: Channel, coefficients_v: NDArray[np.float64], bits
 def _build_volts_polynomial(
     channel: Channel, mapping: TdmsMapping, *, default: NDArray[np.float64] | None
 ) -> NDArray[np.float64]:
-    """Return volts as a polynomial of the values in the file, constant first, shape (order + 1,).
+    """Return the coefficients of volts as a polynomial of the values in the file, constant first, 1-D.
 
-    It is the mapping's, else NI's scaling, else ``default`` (None: whole numbers need one), multiplied by
+    They are the mapping's, else NI's scaling, else ``default``; the latter two are multiplied by
     ``volts_per_unit`` unless the unit is V. Raise ConfigurationError where scaling or unit is missing.
     """
     if mapping.coefficients_v:
@@ -230,9 +233,10 @@ def _build_volts_polynomial(
 
 
 def _read_scaling(channel: Channel) -> NDArray[np.float64] | None:
-    """Return NI's scaling as a polynomial, from channel, else group, else file; None if absent.
+    """Return NI's scaling as coefficients of the raw value, constant first; None if absent.
 
-    Raise ConfigurationError for a scaling that is no polynomial.
+    It is that of the channel, else of its group, else of the file. Raise ConfigurationError for a scaling
+    that is no polynomial.
     """
     for properties in (channel.own_properties, channel.group_properties, channel.file_properties):
         try:
@@ -245,14 +249,14 @@ def _read_scaling(channel: Channel) -> NDArray[np.float64] | None:
 
 
 def sample_rate_hz(channel: Channel, mapping: TdmsMapping) -> float:
-    """Return the sample rate in Hz: the mapping's, else the reciprocal of the increment property.
+    """Return the sample rate in Hz: the mapping's, else the reciprocal of the increment property (s).
 
-    A rate within 1e-12 of a whole number of hertz is rounded to it.
+    A rate within 1e-12 (relative) of a whole number of hertz is rounded to it.
 
     Raises
     ------
     ConfigurationError
-        Neither is there, or the increment is not positive.
+        Neither is there, or the increment is no positive number.
     """
     if mapping.sample_rate_hz is not None:
         return mapping.sample_rate_hz
@@ -273,14 +277,20 @@ def sample_rate_hz(channel: Channel, mapping: TdmsMapping) -> float:
 def pretrigger_samples(
     channel: Channel, mapping: TdmsMapping, *, rate_hz: float, record_samples: int, method: str
 ) -> int:
-    """Return the number of samples before the trigger, by the mapping, else by the start offset.
+    """Return the number of samples before the trigger: the mapping's, else from the start offset.
 
-    0 for pulse-echo records, which start at the firing pulse.
+    It is 0 for pulse-echo records (``method``), which start at the firing pulse.
+
+    Parameters
+    ----------
+    rate_hz, record_samples
+        Sample rate, and length of the record.
 
     Raises
     ------
     ConfigurationError
-        The file does not say where the trigger is, or it lies outside the record.
+        The file does not show where the trigger is, it is outside the record, or a pulse-echo record has a
+        start offset.
     """
     name = mapping.start_offset_property
     if method == PULSE_ECHO:
@@ -309,7 +319,7 @@ def pretrigger_samples(
 
 
 def read_start_utc_ns(channel: Channel, mapping: TdmsMapping) -> int | None:
-    """Return UTC of the channel's first record in ns since 1970, None if the file has none.
+    """Return UTC of the channel's first record in ns since 1970, rounded; None if the file has no time.
 
     Raise ConfigurationError if the property is no time stamp.
     """

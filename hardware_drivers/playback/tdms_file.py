@@ -26,7 +26,7 @@ _UNFINISHED = 0xFFFF_FFFF_FFFF_FFFF
 
 
 def require_nptdms() -> None:
-    """Raise ConfigurationError with an installation hint if npTDMS is missing."""
+    """Raise ConfigurationError, with a hint for installation, if npTDMS cannot be imported."""
     try:
         import nptdms  # noqa: F401
     except ImportError as error:
@@ -38,12 +38,12 @@ def require_nptdms() -> None:
 def read_channels(path: Path, wanted: Callable[[str, str], bool]) -> list[Channel]:
     """Read the metadata of the channels that ``wanted(group, name)`` accepts, in file order.
 
-    Channels without values are left out.
+    ``wanted`` is called once per channel of the file. Channels without values are left out.
 
     Raises
     ------
     ConfigurationError
-        The file is damaged, or a wanted channel is cut short.
+        The file cannot be read or is damaged, or a wanted channel is cut short.
     """
     with _translate_errors(path), _open_file(path) as file:
         statuses = file.file_status.channel_statuses or {}
@@ -62,18 +62,19 @@ class ValuesReader:
     """Reader of values; keeps the last file open."""
 
     def __init__(self) -> None:
+        """Start without an open file."""
         self._open: tuple[Path, TdmsFile] | None = None
         self._closing = ExitStack()
 
     def read(self, path: Path, group: str, name: str, first: int, n_samples: int) -> NDArray[np.generic]:
-        """Read raw values of a channel, shape (n_samples,); fewer if the file was changed meanwhile.
+        """Read unscaled values of a channel from sample ``first`` on, shape (n_samples,); fewer at its end.
 
-        A file stays open until another one is read.
+        The file stays open until another one is read.
 
         Raises
         ------
         ConfigurationError
-            The file is gone or damaged.
+            The file is gone or damaged, or has no such channel.
         """
         with _translate_errors(path):
             if self._open is None or self._open[0] != path:
@@ -89,7 +90,10 @@ class ValuesReader:
 
 @contextmanager
 def _open_file(path: Path) -> Iterator[TdmsFile]:
-    """Yield an open TDMS file, closed on exit, without npTDMS's index files and time conversion."""
+    """Open a TDMS file with raw time stamps and without an index file; yield it, and close it on exit.
+
+    Errors of the file and of npTDMS pass through.
+    """
     import nptdms
 
     with path.open("rb") as file:
@@ -98,7 +102,10 @@ def _open_file(path: Path) -> Iterator[TdmsFile]:
 
 
 def _describe_channel(path: Path, file: TdmsFile, group: TdmsGroup, channel: TdmsChannel) -> Channel:
-    """Read the metadata of a channel and one value, which shows the type of its raw values."""
+    """Build the description of a channel from its metadata and one value, which shows the type of raw values.
+
+    Errors of npTDMS pass through.
+    """
     return Channel(
         path=path,
         group=group.name,
@@ -113,9 +120,9 @@ def _describe_channel(path: Path, file: TdmsFile, group: TdmsGroup, channel: Tdm
 
 
 def _read_raw_values(channel: TdmsChannel, first: int, n_samples: int) -> NDArray[np.generic]:
-    """Read ``n_samples`` unscaled values from sample ``first`` on, fewer at the channel's end.
+    """Read ``n_samples`` unscaled values from sample ``first`` on, 1-D; fewer at the channel's end.
 
-    Raise ConfigurationError if the channel has several DAQmx scalers.
+    Raise ConfigurationError if the channel has several DAQmx scalers; errors of npTDMS pass through.
     """
     values = channel.read_data(offset=first, length=n_samples, scaled=False)
     if isinstance(values, dict):
@@ -130,9 +137,9 @@ def _read_raw_values(channel: TdmsChannel, first: int, n_samples: int) -> NDArra
 def _require_complete_values(
     path: Path, channel: TdmsChannel, statuses: Mapping[str, ChannelSegmentStatus]
 ) -> None:
-    """Raise ConfigurationError if values of a channel are missing.
+    """Raise ConfigurationError if values of a channel are missing at the end of its last segment.
 
-    npTDMS fills them with zeros or omits them; only its status shows that.
+    npTDMS fills them with zeros or omits them; only its status, in ``statuses`` by path, shows that.
     """
     status = statuses.get(channel.path)
     if status is not None and status.read_length < status.expected_length:
@@ -143,12 +150,13 @@ def _require_complete_values(
 
 
 def _require_complete_end(path: Path) -> None:
-    """Raise ConfigurationError for a cut last segment, which npTDMS takes for the end of the file.
+    """Raise ConfigurationError unless the file ends at the end of a segment.
 
-    Shots would vanish. A writer that crashed (length unknown) is accepted.
+    npTDMS takes a cut last segment for the end of the file, and shots would vanish. A writer that crashed
+    (length unknown) is accepted.
 
-    A segment starts with 28 bytes: tag, flags (bit 6: big-endian), version, length of the rest, and length
-    of its metadata (NI: "TDMS file format internal structure").
+    A segment starts with 28 bytes: tag, flags (bit 6: big-endian), version, length of the rest, and length of
+    its metadata (NI: "TDMS file format internal structure").
     """
     position, n_bytes = 0, path.stat().st_size
     with path.open("rb") as file:
@@ -168,7 +176,10 @@ def _require_complete_end(path: Path) -> None:
 
 @contextmanager
 def _translate_errors(path: Path) -> Iterator[None]:
-    """Raise any error of npTDMS or the file as a ConfigurationError with file and remedy."""
+    """Run a block; raise any of its exceptions as a ConfigurationError with file and remedy.
+
+    A ConfigurationError is raised as it is.
+    """
     try:
         yield
     except ConfigurationError:

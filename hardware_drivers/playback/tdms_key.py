@@ -13,15 +13,17 @@ from hardware_drivers.playback.tdms_channel import Channel
 def build_shot_key(channel: Channel, names: Mapping[str, str | None], mapping: TdmsMapping) -> ShotKey:
     """Build the key of a channel's first record from matched names, properties and the mapping.
 
+    A property takes precedence over the names; a set, shot or attempt that is not given is 0.
+
     Parameters
     ----------
     names
-        What the named groups of the three patterns matched.
+        Texts that the named groups of the three patterns matched.
 
     Raises
     ------
     ConfigurationError
-        No position; a property is missing; a number is none, or below the first.
+        No position; a property is missing; a number is not whole, or below the first.
     """
     values: dict[str, Any] = {part: names.get(part) for part in KEY_PARTS}
     for part in ("position", "set", "shot"):
@@ -47,9 +49,9 @@ def build_shot_key(channel: Channel, names: Mapping[str, str | None], mapping: T
 
 
 def _read_index(channel: Channel, part: str, values: Any, first: int) -> int:
-    """Convert the number of a set, shot or attempt to an index from 0; a missing one is 0.
+    """Convert the number of a ``part`` (set, shot or attempt) to an index from 0; None becomes 0.
 
-    Raise ConfigurationError for no whole number, or one below ``first``.
+    The index is the number less ``first``. Raise ConfigurationError for no whole number, or one below it.
     """
     if values is None:
         return 0
@@ -73,7 +75,7 @@ def count_record_samples(channel: Channel, mapping: TdmsMapping) -> int:
     Raises
     ------
     ConfigurationError
-        A record is cut short; the length of appended ones is not told, or does not fit the channel.
+        A record is cut short; the length of appended ones is unknown, or does not divide the channel's.
     """
     written = channel.read_float(mapping.samples_property)
     if not mapping.appended:

@@ -41,7 +41,7 @@ class ChannelRecords:
     conversion: Conversion
 
     def values(self) -> Iterator[NDArray[Any]]:
-        """Yield each record's raw values in file order, shape (samples,); the file is closed at the end.
+        """Yield each record's unscaled values in file order, shape (samples,); the file is closed at the end.
 
         Raise ConfigurationError if the file is gone or damaged.
         """
@@ -55,7 +55,7 @@ class ChannelRecords:
             reader.close()
 
     def volts(self, values: NDArray[Any]) -> NDArray[np.float64]:
-        """Convert raw or scaled values into volts (float64, same shape)."""
+        """Convert values that `values` yields into volts (float64, same shape)."""
         if self.conversion.polynomial is None:
             return self.conversion.calibration.volts(values)
         return np.asarray(
@@ -71,16 +71,16 @@ def list_channel_records(
     rails_marked: bool,
     unitless_are_volts: bool = False,
 ) -> list[ChannelRecords]:
-    """List the records of each channel of numbers in a file; other channels are left out.
+    """List the records of each channel with numeric values in a file, in file order; read no samples.
 
     Parameters
     ----------
     pretrigger_s
-        Whatever the file says; None: as it says.
+        Length of the pre-trigger in s, in place of the file's; None: as in the file.
     rails_marked
-        Someone else sees clipping: 32-bit codes need not tell their resolution.
+        Clipping is detected elsewhere: 32-bit codes need no known resolution.
     unitless_are_volts
-        Scaled values are volts where the file does not tell their unit.
+        Scaled values without a unit are volts.
 
     Raises
     ------

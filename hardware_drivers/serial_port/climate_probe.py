@@ -18,14 +18,16 @@ class ScpiClimateProbe(SerialInstrument[ClimateParameters]):
     def read(self, timeout_s: float) -> ClimateReading:
         """Measure temperature in degrees Celsius and relative humidity, 0 to 1 (up to 1.05 is read as 1).
 
+        The port is opened if necessary. The stamp is read before the temperature.
+
         Raises
         ------
         BusyError
             Another program owns the port.
         ConfigurationError
-            Another instrument is there, or the port cannot be opened as configured.
+            Another instrument is there, the port cannot be opened as configured, or a timeout not above 0.
         ConnectionLostError
-            The probe does not answer in time, or shows what air cannot have.
+            The probe does not answer in time, or reports values that air cannot have.
         """
         deadline_s = self._deadline_s(timeout_s)
         parameters = self._parameters

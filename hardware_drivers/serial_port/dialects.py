@@ -111,12 +111,12 @@ class Dialect:
 
 @lru_cache
 def build_channel_dialect(name: str, channel: int) -> Dialect:
-    """Build the commands of a dialect for one channel of the supply; cached.
+    """Build the commands of a dialect of ``dialects.toml`` for one channel of the supply; cached.
 
     Raises
     ------
     ValueError
-        The dialect has no channel in its commands, and the channel is not 1.
+        The dialect `scpi` has no channel in its commands, and the channel is not 1.
     KeyError
         No dialect has this name.
     """

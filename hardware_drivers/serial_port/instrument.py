@@ -36,6 +36,7 @@ class SerialInstrument(Generic[Parameters]):
         stamp: Callable[[], Stamp],
         monotonic_s: Callable[[], float] = time.monotonic,
     ) -> None:
+        """Build the line to the instrument; nothing is opened or sent here."""
         self._parameters = parameters
         self._stamp = stamp
         self._line = SerialLine(
@@ -47,9 +48,10 @@ class SerialInstrument(Generic[Parameters]):
         )
 
     def identity(self) -> Mapping[str, str]:
-        """Return what the instrument reports of itself, and its port, by name of the item.
+        """Return the instrument's maker, model, serial number, firmware and port by name of the item.
 
-        ``maker``, ``model``, ``serial_number`` and ``firmware`` are empty where its response has none.
+        ``maker``, ``model``, ``serial_number`` and ``firmware`` are empty where its response has none. The
+        query of its name is sent only if the line is not in step.
 
         Raises
         ------
@@ -71,15 +73,18 @@ class SerialInstrument(Generic[Parameters]):
         return NAME_BY_COMMAS
 
     def close(self) -> None:
-        """Release the port; harmless when closed. A later call opens it again."""
+        """Close the port; repeated calls have no effect. A later call opens it again."""
         self._line.close()
 
     def _connect(self, deadline_s: float, *, at_once: bool = False) -> None:
-        """Connect, unless the line is in step already; raise as `SerialLine.connect` does."""
+        """Open the line and verify the instrument's name, unless the line is in step already.
+
+        ``at_once`` ignores the wait after a failed attempt. Raise as `SerialLine.connect` does.
+        """
         self._line.connect(deadline_s, at_once=at_once)
 
     def _deadline_s(self, timeout_s: float) -> float:
-        """Return the monotonic time (s) at which a call must have ended.
+        """Return the machine's monotonic time (s) at which a call that starts now must have ended.
 
         Raise ConfigurationError for a timeout that is not positive.
         """

@@ -29,7 +29,7 @@ def _list_packages(parameters: SupplyParameters | ClimateParameters) -> tuple[st
 
 @contextmanager
 def _open_supply(parameters: SupplyParameters, opening: Opening) -> Iterator[Opened]:
-    """Yield the supply and close it on exit; its first call opens the port."""
+    """Yield the supply, not connected, and close it on exit; its first call opens the port."""
     from hardware_drivers.serial_port.power_supply import ScpiPowerSupply
 
     with closing(ScpiPowerSupply(parameters, stamp=opening.stamp)) as supply:
@@ -38,7 +38,7 @@ def _open_supply(parameters: SupplyParameters, opening: Opening) -> Iterator[Ope
 
 @contextmanager
 def _open_climate_probe(parameters: ClimateParameters, opening: Opening) -> Iterator[Opened]:
-    """Yield the climate probe and close it on exit; its first call opens the port."""
+    """Yield the climate probe, not connected, and close it on exit; its first call opens the port."""
     from hardware_drivers.serial_port.climate_probe import ScpiClimateProbe
 
     with closing(ScpiClimateProbe(parameters, stamp=opening.stamp)) as probe:
@@ -46,16 +46,16 @@ def _open_climate_probe(parameters: ClimateParameters, opening: Opening) -> Iter
 
 
 def _build_identity_finding(subject: str, identity: Mapping[str, str]) -> Finding:
-    """Build the ok finding on the identity that an instrument reports."""
+    """Build the finding, always ``ok``, on the identity that an instrument reports."""
     detail = ", ".join(identity.values())
     return Finding(subject=subject, check="identity", state="ok", detail=detail, values=dict(identity))
 
 
 def check_supply(parameters: SupplyParameters, opening: Opening) -> Iterator[Finding]:
-    """Query identity, settings, protections and output of the supply, and yield the findings.
+    """Query the supply and yield findings on identity, settings with protections, and output.
 
     A tripped protection fails; an unknown one, and an output that is on, are warnings. An instrument error
-    becomes a failed finding, and is the last one. Nothing is set or switched.
+    becomes a failed finding, and is the last one. Nothing is set or switched but by ``setup_commands``.
     """
     from hardware_drivers.serial_port.power_supply import ScpiPowerSupply
 
@@ -96,7 +96,7 @@ def check_supply(parameters: SupplyParameters, opening: Opening) -> Iterator[Fin
 
 
 def check_climate_probe(parameters: ClimateParameters, opening: Opening) -> Iterator[Finding]:
-    """Query identity and one reading of the climate probe, and yield the findings.
+    """Query the climate probe and yield findings on its identity and one reading.
 
     An instrument error becomes a failed finding, and is the last one.
     """

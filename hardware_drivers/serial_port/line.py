@@ -82,6 +82,7 @@ class SerialLine:
         identity_query: str = "*IDN?",
         monotonic_s: Callable[[], float] = time.monotonic,
     ) -> None:
+        """Start out of step with the instrument, with the port closed."""
         self.monotonic_s = monotonic_s
         self.parameters = parameters
         self._identity = re.compile(identity)
@@ -98,19 +99,19 @@ class SerialLine:
     # Opening -------------------------------------------------------------------------------------
 
     def connect(self, deadline_s: float, *, at_once: bool = False) -> bool:
-        """Open the port and query the identity, unless the line is in step already.
+        """Open the port and verify the instrument's identity, unless the line is in step already.
 
         Parameters
         ----------
         deadline_s
             Monotonic time of the machine at which the call must have ended.
         at_once
-            Do not heed the wait after a failed attempt: for a person's order and for switching off.
+            Ignore the wait after a failed attempt: for a person's command and for switching off.
 
         Returns
         -------
         bool
-            True if this call brought the line into step.
+            True if this call brought the line into step; False if it was.
 
         Raises
         ------
@@ -119,7 +120,7 @@ class SerialLine:
         ConfigurationError
             No right to open it, no serial port, or another instrument is there.
         ConnectionLostError
-            No such port now, no answer, or still waiting for the next attempt.
+            No such port now, or no response. An attempt that comes too early raises the last error again.
         """
         if self.in_step:
             return False
@@ -148,9 +149,10 @@ class SerialLine:
         return True
 
     def _reach_instrument(self, deadline_s: float) -> str:
-        """Return the identity of the instrument behind the open port, else behind the port opened again.
+        """Return the identity of the instrument at the open port; open the port if it is closed or gone.
 
-        A silent instrument behind an open port is a ConnectionLostError; the port stays open.
+        A silent instrument behind an open port is a ConnectionLostError; the port stays open. Errors of
+        `open_port` and `_query_identity` pass through.
         """
         if self._port is not None:
             try:
@@ -163,7 +165,7 @@ class SerialLine:
         return self._query_identity(deadline_s)
 
     def _query_identity(self, deadline_s: float) -> str:
-        """Query the identity and return it; text before the expected name is a late response and discarded.
+        """Query the identity and return it; lines before the expected name are late responses and discarded.
 
         The wait ends at ``deadline_s`` (monotonic), after the reply timeout or `LINES_BEFORE_NAME` lines.
         Raise ConfigurationError if another instrument answers, ConnectionLostError for silence or garbage.
@@ -206,7 +208,7 @@ class SerialLine:
         )
 
     def close(self) -> None:
-        """Close the port; harmless when closed. Errors of a port that is gone are suppressed."""
+        """Close the port; repeated calls have no effect. Errors of a port that is gone are suppressed."""
         port, self._port, self.in_step = self._port, None, False
         if port is None:
             return
@@ -219,15 +221,15 @@ class SerialLine:
     # Talking -------------------------------------------------------------------------------------
 
     def send(self, command: str) -> None:
-        """Send a command without a response.
+        """Send a command that has no response.
 
-        Blocks for one poll without terminator, and for the echo, up to the reply timeout, where there is
-        one.
+        Without a terminator it blocks for one poll of the port; where the instrument echoes commands, until
+        the echo or the reply timeout.
 
         Raises
         ------
         ConnectionLostError
-            It could not be sent.
+            It could not be sent, or the port is gone.
         """
         self._write(command)
         if not self.parameters.terminator:
@@ -239,7 +241,7 @@ class SerialLine:
             self._read_line(bytearray(), self.monotonic_s() + self.parameters.reply_timeout_s)
 
     def query(self, question: str, deadline_s: float) -> str:
-        """Send a query; return its response as printable ASCII without terminator and outer spaces.
+        """Send a query; return its response as printable ASCII without terminator and surrounding spaces.
 
         Parameters
         ----------
@@ -249,7 +251,7 @@ class SerialLine:
         Raises
         ------
         ConnectionLostError
-            No answer in time, or one that is no text, too long or followed by another: the line finds
+            No response in time, or one that is no text, too long or followed by another: the line finds
             its step again at the next `connect`.
         """
         raw = self._query_bytes(question, deadline_s)
@@ -259,9 +261,10 @@ class SerialLine:
         return reply
 
     def _query_bytes(self, question: str, deadline_s: float) -> bytes:
-        """Send a query and return its response as bytes, without its terminator and the command's echo.
+        """Send a query and return its response as bytes, without its terminator and an echo of the query.
 
-        Raise ConnectionLostError at the deadline or the reply timeout, and for a second response.
+        Raise ConnectionLostError without a response by ``deadline_s`` (monotonic) or within the reply
+        timeout, and for a second response.
         """
         now_s = self.monotonic_s()
         if now_s >= deadline_s:
@@ -293,16 +296,18 @@ class SerialLine:
         header: str = "",
         stray: str = "",
     ) -> float:
-        """Send a query whose response is a finite number.
+        """Send a query and return its response, a finite number.
 
         Parameters
         ----------
+        deadline_s
+            Monotonic time at which the call must have ended.
         units
-            May stand behind it, as they are or with the prefix k, m or u.
+            May follow the number, as they are or with the prefix k, m or u, which scales it.
         header
-            May stand before it; so may the question's own.
+            May precede the number; so may the query's own header.
         stray
-            May stand behind it and means nothing.
+            May follow the number and is ignored.
 
         Raises
         ------
@@ -331,20 +336,20 @@ class SerialLine:
         )
 
     def query_flag(self, question: str, deadline_s: float, *, mask: int = 0, raw: bool = False) -> bool:
-        """Send a query whose response is yes or no.
+        """Send a query whose response is yes (True) or no, and return it.
 
         Parameters
         ----------
         mask
-            The answer is a register, and any of these bits means yes; 0: it is 0 or 1 (some say OFF or ON,
-            NO or YES).
+            The response is a register, and any of these bits means yes; 0: it is 0 or 1 (or OFF or ON, NO or
+            YES).
         raw
             The register comes as one byte instead of a decimal number.
 
         Raises
         ------
         ConnectionLostError
-            As `query`, and for any other answer.
+            As `query`, and for any other response.
         """
         if raw:
             byte = self._query_bytes(question, deadline_s)
@@ -362,7 +367,7 @@ class SerialLine:
         raise self.mark_lost(f"answered {reply!r} to {question}: expected {'a number' if mask else '0 or 1'}")
 
     def query_error(self, question: str, deadline_s: float, *, bare: bool = False) -> str | None:
-        """Return one entry of the instrument's error queue; None when there is none.
+        """Query one entry of the instrument's error queue and return its text; None if the queue is empty.
 
         Parameters
         ----------
@@ -372,7 +377,7 @@ class SerialLine:
         Raises
         ------
         ConnectionLostError
-            As `query`, and for anything that is no such entry.
+            As `query`, and for any response that is no such entry.
         """
         reply = self.query(question, deadline_s)
         if not (_BARE_ERROR if bare else _ERROR_QUEUE_ENTRY).match(reply):
@@ -380,7 +385,7 @@ class SerialLine:
         return None if int(reply.partition(",")[0]) == 0 else reply
 
     def _write(self, command: str) -> None:
-        """Discard late responses, then send a command with its terminator.
+        """Discard received data, then send a command with its terminator.
 
         Raise ConnectionLostError if the port is closed, gone or does not take it within the reply timeout.
         """
@@ -392,12 +397,15 @@ class SerialLine:
             self._port.write((command + self.parameters.terminator).encode("ascii"))
 
     def _read_line(self, pending: bytearray, deadline_s: float) -> bytes | None:
-        """Return the next line without its terminator, None at the deadline; the rest stays in ``pending``.
+        """Return the next line without its terminator, None at the deadline (monotonic, s).
+
+        Received bytes after it stay in ``pending``, which is read first. Without a terminator, silence ends a
+        line.
 
         Raises
         ------
         ConnectionLostError
-            The port is gone, or the line is longer than any reply.
+            The port is gone, or the line is longer than any response.
         """
         port, terminator = self._port, self.parameters.terminator.encode("ascii")
         assert port is not None, "only called while open"
@@ -422,9 +430,10 @@ class SerialLine:
 
     @contextlib.contextmanager
     def _translate_errors(self, doing: str) -> Iterator[None]:
-        """Raise port errors as ConnectionLostError, with the line out of step; close a port that is gone.
+        """Run a block on the port; raise its errors as ConnectionLostError, with the line out of step.
 
-        A write timeout leaves the port open.
+        A port that is gone is closed; after a write timeout it stays open. ``doing`` completes "could not
+        ..." in the message.
         """
         try:
             yield
@@ -435,7 +444,7 @@ class SerialLine:
             raise self.mark_lost(f"is gone (could not {doing}: {error}); check its plug and power") from error
 
     def mark_lost(self, message: str) -> ConnectionLostError:
-        """Mark the line as out of step after an impossible response; return the error to raise."""
+        """Mark the line as out of step; return, not raise, a ConnectionLostError with name and message."""
         self.in_step = False
         return ConnectionLostError(f"{self._format_name()} {message}")
 
@@ -445,7 +454,7 @@ class SerialLine:
 
 
 def _decode_response(raw: bytes | bytearray) -> str | None:
-    """Decode a response without surrounding white space (a stray carriage return too).
+    """Decode a response without surrounding white space, carriage returns included.
 
     Return None if it is empty or has a byte that is no printable ASCII.
     """
@@ -456,9 +465,9 @@ def _decode_response(raw: bytes | bytearray) -> str | None:
 
 
 def _is_instrument_name(reply: str) -> bool:
-    """Return whether a reply may be another instrument's name: it contains a letter.
+    """Return whether a response may be another instrument's name: it contains a letter.
 
-    False for a number, ON, OFF or an entry of an error queue: late responses of the right one.
+    False for a number, ON, OFF or an entry of an error queue: late responses of the right instrument.
     """
     if _ERROR_QUEUE_ENTRY.match(reply) or reply.upper() in {"ON", "OFF"}:
         return False

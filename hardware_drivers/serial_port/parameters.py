@@ -65,7 +65,7 @@ class SerialLineParameters:
 
     @property
     def address(self) -> tuple[str, int]:
-        """Return host and port of a ``tcp:`` line; ValueError if it is no HOST:PORT, 1 to 65,535."""
+        """Return host and port number of a ``tcp:HOST:PORT`` line; ValueError for any other form."""
         found = _TCP_ADDRESS.fullmatch(self.port.removeprefix(TCP_PREFIX))
         if found is None or not 0 < int(found[2]) < 65_536:
             raise ValueError(
@@ -74,6 +74,10 @@ class SerialLineParameters:
         return found[1].strip("[]"), int(found[2])
 
     def __post_init__(self) -> None:
+        """Raise ValueError for a blank or incomplete port, or a ``tcp:`` line without HOST:PORT.
+
+        Also if the longest wait between attempts is shorter than the first.
+        """
         name = self.port.removeprefix(USB_SERIAL_PREFIX)
         if not name or name != name.strip() or not name.isprintable():
             raise ValueError(
@@ -118,10 +122,18 @@ class SupplyParameters(DriveParameters):
 
     @property
     def longest_order_s(self) -> float:
-        """Return 2 x `ORDER_REPLIES` reply timeouts: a command in s, and switching off if it fails."""
+        """Return the longest time in s of a command, with that of switching off again if it fails.
+
+        It is twice `ORDER_REPLIES` reply timeouts.
+        """
         return 2.0 * ORDER_REPLIES * self.line.reply_timeout_s
 
     def __post_init__(self) -> None:
+        """Raise ValueError for an invalid identity, query or setup command, or a value above its cap.
+
+        Also for a channel or protection level that the dialect does not have, and an over-voltage level not
+        above the voltage.
+        """
         DriveParameters.__post_init__(self)
         check_identity_pattern(self.identity)
         for query in self.protection_queries or ():
@@ -164,13 +176,14 @@ class ClimateParameters(LogParameters):
     """Unit in which the probe tells its relative humidity."""
 
     def __post_init__(self) -> None:
+        """Raise ValueError for an invalid identity pattern or query."""
         check_identity_pattern(self.identity)
         for name in ("identity_query", "temperature_query", "humidity_query"):
             check_query_text(name, getattr(self, name))
 
 
 def check_identity_pattern(pattern: str) -> None:
-    """Raise ValueError for an identity that is no regular expression or that matches an empty text."""
+    """Raise ValueError for a pattern that is no regular expression, or that matches any text."""
     try:
         matches_anything = re.match(pattern, "") is not None
     except re.error as error:
@@ -180,7 +193,7 @@ def check_identity_pattern(pattern: str) -> None:
 
 
 def check_query_text(name: str, query: str) -> None:
-    """Raise ValueError, naming the key, for a text that is not one query.
+    """Raise ValueError, with the key ``name``, for a text that is not one query.
 
     It must be printable ASCII without a semicolon, and not blank.
     """

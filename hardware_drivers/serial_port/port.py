@@ -49,19 +49,22 @@ class Port(Protocol):
         """Return the number of bytes that can be read at once; an upper bound where that is unknown."""
 
     def read(self, size: int, /) -> bytes:
-        """Wait up to `POLL_S` for data; return up to ``size`` bytes, empty if none came."""
+        """Wait up to `POLL_S` for data; return up to ``size`` bytes, empty if none came.
+
+        Raise one of `PORT_ERRORS` if the port is gone.
+        """
 
     def write(self, data: bytes, /) -> int | None:
-        """Write all of the data; one of `PORT_ERRORS` if it is not taken in time or the port is gone."""
+        """Write all of the data; raise one of `PORT_ERRORS` at the write timeout or if the port is gone."""
 
     def reset_input_buffer(self) -> None:
-        """Discard the received data without waiting; one of `PORT_ERRORS` if the port is gone."""
+        """Discard the received data without waiting; raise one of `PORT_ERRORS` if the port is gone."""
 
     def reset_output_buffer(self) -> None:
-        """Discard the data that was not sent; one of `PORT_ERRORS` if the port is gone."""
+        """Discard the data that was not sent yet; raise one of `PORT_ERRORS` if the port is gone."""
 
     def close(self) -> None:
-        """Close the port; one of `PORT_ERRORS` if that fails."""
+        """Close the port; raise one of `PORT_ERRORS` if that fails."""
 
 
 class TcpPort:
@@ -71,6 +74,7 @@ class TcpPort:
     """A socket gives what there is."""
 
     def __init__(self, address: tuple[str, int], timeout_s: float) -> None:
+        """Connect within ``timeout_s`` (s), which also limits each write; OSError if that fails."""
         self._timeout_s = timeout_s
         self._socket = socket.create_connection(address, timeout_s)
         self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
@@ -78,7 +82,7 @@ class TcpPort:
     def read(self, size: int) -> bytes:
         """Return up to ``size`` bytes received within `POLL_S`, empty if none came.
 
-        A connection that the instrument closed is a ConnectionResetError.
+        Raise ConnectionResetError if the instrument has closed the connection, OSError if it is lost.
         """
         self._socket.settimeout(POLL_S)
         try:
@@ -87,12 +91,12 @@ class TcpPort:
             return b""
 
     def write(self, data: bytes) -> None:
-        """Write all of the data; TimeoutError if that exceeds the reply timeout."""
+        """Write all of the data; TimeoutError after the reply timeout, OSError if the connection is lost."""
         self._socket.settimeout(self._timeout_s)
         self._socket.sendall(data)
 
     def reset_input_buffer(self) -> None:
-        """Discard the received data without waiting; a closed connection is a ConnectionResetError."""
+        """Discard the received data without waiting; ConnectionResetError if the connection was closed."""
         self._socket.setblocking(False)
         with contextlib.suppress(BlockingIOError):
             while True:
@@ -102,18 +106,24 @@ class TcpPort:
         """Do nothing: data is never queued here."""
 
     def close(self) -> None:
-        """Close the connection; harmless when closed."""
+        """Close the connection; repeated calls have no effect."""
         self._socket.close()
 
     def _receive(self, size: int) -> bytes:
-        """Receive up to ``size`` bytes; ConnectionResetError if the instrument closed the connection."""
+        """Receive up to ``size`` bytes within the socket's timeout.
+
+        Raise ConnectionResetError if the instrument has closed the connection, other OSErrors as the socket
+        does.
+        """
         if not (data := self._socket.recv(size)):
             raise ConnectionResetError(errno.ECONNRESET, "the instrument hung up")
         return data
 
 
 def open_port(parameters: SerialLineParameters) -> Port:
-    """Open the serial port, TCP socket or VISA resource that the parameters name.
+    """Open the serial port, TCP socket or VISA resource that the parameters name, and return it.
+
+    A TCP connection is waited for up to the reply timeout.
 
     Raises
     ------
@@ -176,7 +186,7 @@ def _open_serial(parameters: SerialLineParameters) -> Port:
 
 
 def list_serial_ports() -> dict[str, str]:
-    """List the serial ports of this computer: name and description, sorted by device.
+    """List the serial ports of this computer, sorted by device: name, and device with description.
 
     The name is ``serial:`` with the adapter's serial number, else that of the device.
     """
@@ -188,9 +198,9 @@ def list_serial_ports() -> dict[str, str]:
 
 
 def _find_port_path(port: str) -> str:
-    """Return the path of a port; one named by its adapter's serial number is searched at every call.
+    """Return the path of a configured port; one named ``serial:NUMBER`` is searched at every call.
 
-    Raise ConnectionLostError if no port has that number, ConfigurationError if several have.
+    Raise ConnectionLostError if no adapter has that serial number, ConfigurationError if several have.
     """
     if not port.startswith(USB_SERIAL_PREFIX):
         return port
@@ -210,10 +220,10 @@ def _find_port_path(port: str) -> str:
 
 
 def _explain_open_error(path: str, error: Exception) -> InstrumentError:
-    """Return the instrument error that explains why a port could not be opened.
+    """Build the instrument error that explains why a serial port could not be opened; it is not raised.
 
     BusyError if it is in use, ConfigurationError without the right or for no serial port, else
-    ConnectionLostError: a temporary reason is no configuration error.
+    ConnectionLostError, as the reason may be temporary.
     """
     code = getattr(error, "errno", None)
     if code is None and error.__context__ is not None and error.__context__.args:
@@ -238,9 +248,9 @@ def _explain_open_error(path: str, error: Exception) -> InstrumentError:
 
 
 def _find_owners(path: str) -> str:
-    """Return command and process number of the programs that have the port open, by `/proc`.
+    """Return command and process number of the programs that have the port open, as one text.
 
-    ``another program`` where there is no `/proc`, or the processes are another user's.
+    They are read from `/proc`: ``another program`` where that is missing, or they are another user's.
     """
     owners = []
     device = os.path.realpath(path)

@@ -33,7 +33,7 @@ class ScpiPowerSupply(SerialInstrument[SupplyParameters]):
 
     @property
     def tripped_protections(self) -> tuple[str, ...]:
-        """Return names of the protections that were tripped when the output was last found off."""
+        """Return the protections found tripped when the output was last found off; empty while it is on."""
         return self._tripped
 
     @property
@@ -63,7 +63,7 @@ class ScpiPowerSupply(SerialInstrument[SupplyParameters]):
         return self._measure(deadline_s)
 
     def read_back(self, timeout_s: float) -> Mapping[str, float | str]:
-        """Query settings, output and tripped protections by name; nothing is changed.
+        """Query settings, output and tripped protections, and return them by name; nothing is changed.
 
         ``set_voltage_v`` and ``set_current_limit_a`` are numbers (V, A), ``output`` is ``on`` or ``off``;
         ``tripped`` and ``protection_unknown`` are texts, empty if there is nothing to report.
@@ -85,17 +85,19 @@ class ScpiPowerSupply(SerialInstrument[SupplyParameters]):
         }
 
     def energise(self, voltage_v: float, current_limit_a: float) -> None:
-        """Switch off, set (V, A), read back, then switch on and measure; on any doubt switch off.
+        """Switch off, set voltage (V) and limit (A), read back, then switch on and measure.
+
+        If any step after the first switch-off fails, the output is switched off again.
 
         Raises
         ------
         ConfigurationError
-            Beyond the caps (nothing was sent), a protection has tripped, or the supply refused or did
-            not keep what was set: the output is off.
+            Beyond the caps (nothing was sent), a protection has tripped (output as before), or the supply
+            refused or did not keep what was set: the output is off.
         BusyError
             Another program owns the port; nothing was sent.
         ConnectionLostError
-            The supply does not answer; the message says what is known of its output.
+            The supply does not answer; the message states what is known of its output.
         """
         self._parameters.require_within_caps(voltage_v, current_limit_a)
         deadline_s = self._deadline_s(ORDER_REPLIES * self._parameters.line.reply_timeout_s)
@@ -121,12 +123,12 @@ class ScpiPowerSupply(SerialInstrument[SupplyParameters]):
             raise type(error)(f"{error}; the output is off") from error
 
     def make_safe(self) -> None:
-        """Switch the output off and read that back; over a dead line, try once more.
+        """Switch the output off and read that back; if the line is dead, connect again and try once more.
 
         Raises
         ------
         ConnectionLostError
-            That could not be done, whatever the reason: what the output does is unknown.
+            That could not be done, for any reason: the state of the output is unknown.
         """
         deadline_s = self._deadline_s(ORDER_REPLIES * self._parameters.line.reply_timeout_s)
         try:
@@ -162,17 +164,17 @@ class ScpiPowerSupply(SerialInstrument[SupplyParameters]):
         return self._dialect.protections if given is None else tuple(Flag(ask=query) for query in given)
 
     def _query_number(self, number: Number, deadline_s: float) -> float:
-        """Query a number in its SI unit; ConnectionLostError for anything else or at the deadline."""
+        """Query a number in its SI unit; ConnectionLostError for anything else or at ``deadline_s``."""
         return self._line.query_number(
             number.ask, deadline_s, units=(number.unit,), header=number.header, stray=number.stray
         )
 
     def _query_flag(self, flag: Flag, deadline_s: float) -> bool:
-        """Query yes (True) or no; ConnectionLostError for any other answer or at the deadline."""
+        """Query yes (True) or no; ConnectionLostError for any other response or at ``deadline_s``."""
         return self._line.query_flag(flag.ask, deadline_s, mask=flag.mask, raw=flag.raw)
 
     def _connect(self, deadline_s: float, *, at_once: bool = False) -> None:
-        """Connect; if that brought the line into step, send the setup commands and log errors they cause."""
+        """Connect and, newly in step, send the setup commands; log their errors as warnings."""
         for entry in self._connect_and_set_up(deadline_s, at_once=at_once):
             log.warning("%s after the setup commands: %s", self._line.name, entry)
 
@@ -187,7 +189,8 @@ class ScpiPowerSupply(SerialInstrument[SupplyParameters]):
     def _measure(self, deadline_s: float) -> SupplyReading:
         """Measure voltage and current and query the output; if it is off, query the protections too.
 
-        The stamp is read between voltage and current. Tripped protections are stored.
+        The stamp is read between voltage and current. The names of tripped protections are stored.
+        ConnectionLostError without a valid response by the deadline.
         """
         voltage_v = self._query_number(self._dialect.measured_voltage, deadline_s)
         stamp = self._stamp()
@@ -197,13 +200,13 @@ class ScpiPowerSupply(SerialInstrument[SupplyParameters]):
         return SupplyReading(stamp=stamp, voltage_v=voltage_v, current_a=current_a, output_on=output_on)
 
     def _switch_off(self, deadline_s: float) -> None:
-        """Switch the output off and read that back; ConnectionLostError if it still reports on."""
+        """Switch the output off; ConnectionLostError if it then reports on, or does not answer."""
         self._line.send(self._dialect.switch_off)
         if self._query_flag(self._dialect.output, deadline_s):
             raise self._line.mark_lost("was told to switch its output off and says it is on")
 
     def _set_output_levels(self, voltage_v: float, current_limit_a: float, deadline_s: float) -> None:
-        """Set protection levels, current limit, then voltage, each read back.
+        """Set protection levels, current limit, then voltage (V, A), each read back as by `_set_level`.
 
         The limit comes first, so that a voltage never meets the limit of an earlier command. With an
         over-voltage level the voltage is set to 0 V before all.
@@ -223,10 +226,10 @@ class ScpiPowerSupply(SerialInstrument[SupplyParameters]):
                 self._set_level(level, value, deadline_s)
 
     def _set_level(self, level: Level, value: float, deadline_s: float) -> None:
-        """Set a level and its switch, and read both back.
+        """Set a level in V or A and the switch that enables it, and read both back.
 
-        Raise ConfigurationError if the supply reports an error, the level differs by more than the
-        tolerance, or the switch reads off.
+        Raise ConfigurationError if the supply reports an error, the level differs by more than the tolerance,
+        or the switch reads off; ConnectionLostError if it does not answer.
         """
         parameters, unit = self._parameters, level.read.unit
         tolerance = parameters.readback_tolerance_v if unit == "V" else parameters.readback_tolerance_a
@@ -246,7 +249,7 @@ class ScpiPowerSupply(SerialInstrument[SupplyParameters]):
             )
 
     def _check_output(self, voltage_v: float, current_limit_a: float, deadline_s: float) -> None:
-        """Measure after switching on; ConfigurationError if off or above its settings and tolerances."""
+        """Measure after switching on; ConfigurationError if off, or above set values plus tolerance."""
         parameters = self._parameters
         reading = self._measure(deadline_s)
         if not reading.output_on:
@@ -262,7 +265,7 @@ class ScpiPowerSupply(SerialInstrument[SupplyParameters]):
                 )
 
     def _require_no_protection_tripped(self, deadline_s: float) -> None:
-        """Raise ConfigurationError that names tripped protections; a trip that is an event is forgotten."""
+        """Raise ConfigurationError with the names of tripped protections; trips as events are forgotten."""
         self._tripped = tripped = self._query_protections(deadline_s)
         if tripped:
             if self._dialect.trips_are_events:
@@ -274,10 +277,10 @@ class ScpiPowerSupply(SerialInstrument[SupplyParameters]):
             )
 
     def _query_protections(self, deadline_s: float) -> tuple[str, ...]:
-        """Query and return the names of the tripped protections.
+        """Query the protections and return the names of those that have tripped.
 
-        A query that the supply reports as undefined is remembered and never sent again: that protection is
-        unknown. Where trips are events, those found before are kept.
+        A query that the supply reports as undefined is logged and never sent again: that protection is
+        unknown. Where trips are events, those found before are kept. ConnectionLostError for other failures.
         """
         tripped = list(self._tripped) if self._dialect.trips_are_events else []
         for flag in self._list_protections():
@@ -303,7 +306,7 @@ class ScpiPowerSupply(SerialInstrument[SupplyParameters]):
         return any(int(entry.partition(",")[0]) == UNDEFINED_HEADER for entry in entries)
 
     def _require_no_error(self, doing: str, deadline_s: float) -> None:
-        """Empty the error queue; raise ConfigurationError with its entries if there are any."""
+        """Empty the error queue; if it has entries, raise ConfigurationError with them and ``doing``."""
         entries = self._drain_errors(deadline_s)
         if entries:
             raise ConfigurationError(f"{self._line.name} refused to {doing}: {'; '.join(entries)}")
@@ -311,7 +314,8 @@ class ScpiPowerSupply(SerialInstrument[SupplyParameters]):
     def _drain_errors(self, deadline_s: float) -> list[str]:
         """Read and return all entries of the supply's error queue, oldest first; it is empty afterwards.
 
-        Empty where the dialect has no query. Raise ConnectionLostError after `ERROR_QUEUE_LENGTH` entries.
+        The list is empty where the dialect has no such query. Raise ConnectionLostError after
+        `ERROR_QUEUE_LENGTH` entries.
         """
         entries: list[str] = []
         query, bare = self._dialect.error_query, self._dialect.bare_errors

@@ -43,6 +43,7 @@ class VisaPort:
     """A resource gives what there is."""
 
     def __init__(self, name: str, parameters: SerialLineParameters) -> None:
+        """Open the resource within the reply timeout; raise as the class describes."""
         self._streams = name.upper().endswith("::SOCKET")
         self._wait_ms = 1e3 * (POLL_S if self._streams else parameters.reply_timeout_s)
         self._write_ms = 1e3 * parameters.reply_timeout_s
@@ -78,7 +79,10 @@ class VisaPort:
             resource.set_visa_attribute(ResourceAttribute.suppress_end_enabled, False)
 
     def read(self, size: int) -> bytes:
-        """Return up to ``size`` bytes received within one poll (a socket) or the reply timeout; else none."""
+        """Return up to ``size`` bytes received within `POLL_S` (socket) or the reply timeout; maybe none.
+
+        OSError if the resource fails.
+        """
         return self._read_bytes(size, self._wait_ms)
 
     def write(self, data: bytes) -> None:
@@ -88,7 +92,10 @@ class VisaPort:
             self._resource.write_raw(data)
 
     def reset_input_buffer(self) -> None:
-        """Discard the data received by a socket; clear another resource that still owes a response."""
+        """Discard the data received by a socket; clear another resource that still owes a response.
+
+        OSError if that fails.
+        """
         if self._streams:
             while self._read_bytes(self.in_waiting, 0.0):
                 pass
@@ -106,9 +113,9 @@ class VisaPort:
             self._resource.close()
 
     def _read_bytes(self, size: int, wait_ms: float) -> bytes:
-        """Read up to ``size`` bytes within ``wait_ms``; empty after that time.
+        """Read up to ``size`` bytes within ``wait_ms``; empty after that time: a response is then owed.
 
-        The resource then owes a response. Any other error is an OSError.
+        Any other error is an OSError.
         """
         with _translate_to_os_error():
             self._resource.timeout = wait_ms
@@ -123,7 +130,7 @@ class VisaPort:
 
 @contextlib.contextmanager
 def _translate_to_os_error() -> Iterator[None]:
-    """Raise pyvisa's errors, which are no OSError, as OSError, which a line handles."""
+    """Run a block; raise its pyvisa errors as OSError, which the line handles."""
     try:
         yield
     except pyvisa.Error as error:
