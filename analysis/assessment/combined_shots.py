@@ -80,7 +80,7 @@ def combine_shots(
     baseline
         The frozen one: residual reflections are flagged by its amplitude ratio.
     of_set
-        The set's feature: mean of the features of valid shots, or feature of their mean waveform (paper).
+        How the set's features are formed: mean of the features of valid shots, or feature of their mean waveform (paper).
     """
     if baseline is not None and baseline.fitted is not None:
         usual_ratio = float(baseline.fitted.mean[FEATURE_NAMES.index("amplitude_ratio")])

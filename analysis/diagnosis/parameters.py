@@ -85,9 +85,10 @@ def compute_diagnosis_parameters(history: ArrayLike, first_index: int = 0) -> Di
     Parameters
     ----------
     history
-        Logarithms in the order of time, shape (n, 7); rows of NaN are gaps and keep their place.
+        Logarithms in the order of time, shape (n, 7); rows of NaN are gaps and keep their place. The caller
+        supplies at least 15 complete rows.
     first_index
-        Index of the first row in the plan.
+        Index of the first row in the schedule.
 
     Raises
     ------

@@ -68,7 +68,8 @@ class DefaultLimit:
 def default_limit(history: FloatArray, baseline: Baseline, rate: float = NOMINAL_RATE) -> DefaultLimit:
     """Choose the default outlier limit of a baseline from autocorrelation and tails of its data.
 
-    ``rate`` is the false-alarm rate of one set.
+    ``rate`` is the false-alarm rate of one set. Raise SingularCovarianceError if the sets without their
+    autocorrelation have a singular covariance.
 
     Parameters
     ----------

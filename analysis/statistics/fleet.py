@@ -139,7 +139,8 @@ def typical_autocorrelation(baselines: Sequence[FloatArray]) -> FloatArray:
     """Return the median over the sensors of the autocorrelation along their directions, shape (p,), falling.
 
     One baseline shows its autocorrelation to about 1/sqrt(n); a sensor that by chance shows too little of it
-    would raise an alarm first. No feature has more autocorrelation than the first direction.
+    would raise an alarm first. No feature has more autocorrelation than the first direction. Baselines of
+    fewer than 15 complete sets or with a singular covariance are skipped; zeros if none remains.
 
     Parameters
     ----------

@@ -125,7 +125,8 @@ def compute_limit_pair(
     """Return the predictive F limit and the paper's, in this order, for a baseline of p features.
 
     The paper limit's rate treats its value as fixed before the baseline was taken: a good guide, not exact.
-    Raise NotEnoughSetsError for n up to p.
+    Raise NotEnoughSetsError for n up to p or below 2, InvalidInputError for p below 1 or a rate outside (0,
+    1).
     """
     distances = np.asarray(baseline_distances_squared, dtype=np.float64)
     n = distances.size

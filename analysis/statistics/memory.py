@@ -53,7 +53,10 @@ def corrected_autocorrelation(r: ArrayLike, n: int) -> FloatArray:
 
 
 def pooled_phi(vectors: ArrayLike) -> float:
-    """Return the mean lag-1 autocorrelation of all features, corrected for the estimated mean, 0 to 0.95."""
+    """Return the bias-corrected mean lag-1 autocorrelation of all features, 0 to 0.95.
+
+    ``vectors`` has shape (n, p); rows with a NaN are gaps. Raise InvalidInputError for fewer than two rows.
+    """
     n = int(np.isfinite(np.asarray(vectors)).all(axis=1).sum())
     return float(corrected_autocorrelation(autocorrelation(vectors, 1).mean(), n))
 
@@ -69,10 +72,10 @@ def effective_sets(n: int, phi: float) -> float:
 
 
 def prewhiten_sets(vectors: ArrayLike, mean: ArrayLike, phi: ArrayLike) -> FloatArray:
-    """Remove the dependence on the previous set: e_t = (z_t - phi^k z_(t-k)), scaled alike, z = x - mean.
+    """Remove the dependence on the previous set: e_t is z_t - phi^k z_(t-k), scaled to one variance, z = x - mean.
 
-    k is the distance to the last complete set, infinite for the first: e has the same variance,
-    (1 - phi^2) times that of z, over any gap.
+    k is the distance to the last complete set, infinite for the first: e has (1 - phi^2) times the variance of
+    z over any gap.
 
     Parameters
     ----------
@@ -94,12 +97,14 @@ def prewhiten_sets(vectors: ArrayLike, mean: ArrayLike, phi: ArrayLike) -> Float
 
 
 def innovation(z: FloatArray, before: FloatArray, distance: ArrayLike, phi: ArrayLike) -> FloatArray:
-    """Remove from deviations the dependence on those ``distance`` sets earlier, as `prewhitened` does.
+    """Remove from deviations the dependence on those ``distance`` sets earlier, as `prewhiten_sets` does.
 
     Parameters
     ----------
     z, before
         Deviations from the mean, shape (p,) or (n, p).
+    distance, phi
+        At least 1; lag-1 autocorrelation, a number or shape (p,).
     """
     phi = np.asarray(phi, dtype=np.float64)
     power = phi ** np.asarray(distance)

@@ -94,8 +94,9 @@ def known_limit(p: int, run_length: float, weight: float = WEIGHT) -> float:
 def estimated_limit(n: int, p: int, run_length: float, weight: float = WEIGHT) -> float:
     """Return the MEWMA limit for a baseline of ``n`` sets: wider, since mean and covariance are estimates.
 
-    h_n = h_inf F(n, 1/ARL)/chi2(1/ARL) [1 + (2 - weight)/(weight n)]: the ratio allows for the covariance's
-    error, the bracket for the mean's, which enters the average in full.
+    h_n = h_inf F(n, 1/ARL)/chi2(1/ARL) [1 + (2 - weight)/(weight n)], ARL the ``run_length`` in sets: the
+    ratio allows for the covariance's error, the bracket for the mean's, which enters the average in full.
+    Raise NotEnoughSetsError for n up to p, InvalidInputError unless ``run_length`` exceeds 1.
     """
     rate = 1.0 / run_length
     widened = f_predictive_limit(n, p, rate) / float(scipy.special.chdtri(p, rate))

@@ -226,7 +226,7 @@ def find_reference_echo(
 def substitute_reference(
     later: EchoReference, *, travel_time_s: float, reference_travel_time_s: float
 ) -> EchoReference:
-    """Make a reference from the echo of a later record when the reference record is lost.
+    """Return a reference made from the echo of a later record, for when the reference record is lost.
 
     Its travel times continue those of the lost reference.
 
@@ -368,7 +368,7 @@ def thickness_interval(
     Wave speed, delay and initial thickness are taken as exact, and so is the separation: what they are wrong
     by comes on top. The amplitude is compared with the reference's without regard to attenuation, which in a
     thinner wall is smaller and hides a roughness of a few hundredths of a millimetre.
-    All values are NaN if there is no travel time.
+    All values are NaN if there is no travel time. Raise InvalidInputError as `compute_thickness`.
     """
     wall = compute_thickness(
         found.travel_time_s,

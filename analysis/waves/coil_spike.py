@@ -129,7 +129,9 @@ def measure_coil_spike(
     fall_s
         Nominal fall of the striker.
     pretrigger_s
-        What must be recorded before the wave.
+        Time that must be recorded before the wave.
+    trigger_level_v, rising
+        Level in V that triggers a record, and whether on a rising edge.
 
     Raises
     ------
@@ -184,7 +186,10 @@ def measure_coil_spike(
 
 
 def _find_wave_front(volts: FloatArray, earliest: int, rate_hz: float) -> tuple[int, float]:
-    """Find the sample where the incident wave's front starts, and the wave's height in V above that level."""
+    """Find the sample where the incident wave's front starts, and the wave's height in V above that level.
+
+    The wave is sought from sample ``earliest`` on; without one, the result is the largest rise of the noise.
+    """
     block = max(1, round(WAVE_BLOCK_S * rate_hz))
     n_blocks = (volts.size - earliest) // block
     means = volts[earliest : earliest + n_blocks * block].reshape(n_blocks, block).mean(axis=1)
@@ -199,7 +204,11 @@ def _find_wave_front(volts: FloatArray, earliest: int, rate_hz: float) -> tuple[
 def _measure_edge(
     volts: FloatArray, rate_hz: float, seen_v: float, limit_v: float, trigger_v: float
 ) -> EdgeSpike:
-    """Measure the coil's voltage after an edge at the first sample; zeros if it stays below ``seen_v``."""
+    """Measure the coil's voltage after an edge at the first sample; zeros if it stays below ``seen_v``.
+
+    It rings until the last sample of at least ``limit_v`` in magnitude, and triggers if it starts at
+    ``trigger_v`` or above, or rises to it.
+    """
     departed = np.abs(volts)
     if departed.max() < seen_v:
         return EdgeSpike()

@@ -223,14 +223,13 @@ def extract_all(
 ) -> list[ShotFeatures]:
     """Extract the features of many shots, bit-identical to those of each alone.
 
-    One step after the other for all of them costs less than one shot after the other: a processor that
-    repeats itself has at hand what it needs.
+    Each step runs for all shots before the next one, which is faster than one shot after the other.
     The result has the order of the waveforms, which may differ in rate and length.
 
     Raises
     ------
     RecordError
-        As for `extract_features`, where any record asks for it.
+        As for `extract_features` if any record is unsuitable, or a calibration coefficient is not finite.
     """
     if not all(np.isfinite(w.calibration.coefficients_v).all() for w in waveforms):
         raise RecordError("a calibration's coefficients must be finite")
@@ -244,14 +243,14 @@ def extract_from_average(
     waveforms: Sequence[Waveform],
     settings: ExtractionSettings = ExtractionSettings(),  # noqa: B008 frozen
 ) -> ShotFeatures:
-    """Extract the features of the mean of a set's records (the paper's way), clipped if any is.
+    """Extract the features of the mean of a set's records (the paper's way); clipped if any record is.
 
     The records are averaged as triggered, not aligned: a jitter of the trigger widens the pulses.
 
     Raises
     ------
     RecordError
-        No record, or records that differ in rate, length or pre-trigger.
+        No record, records that differ in rate, length or pre-trigger, or as for `extract_features`.
     """
     if not waveforms:
         raise RecordError("no record to average; a set needs at least one")
@@ -375,6 +374,7 @@ def _find_flags(
     """Return a shot's flags, except those of the ADC's range, and its `ShotFeatures.pull_fraction`.
 
     Lost samples, a jump at the trigger, an inverted wave or a missing incident wave exclude all other flags.
+    ``still`` are the flags of `find_noise_free_flags`, ``at_trigger`` the Booleans of `_check_trigger_jumps`.
     """
     if "lost_samples" in still:
         return still, math.nan
@@ -587,7 +587,10 @@ def average_features(shots: Sequence[ShotFeatures], minimum_valid: int = MINIMUM
 
 
 def _remove_outliers(table: FloatArray) -> FloatArray:
-    """Replace values more than 10 scaled MADs from their column's median by NaN; same shape."""
+    """Replace values more than 10 scaled MADs from their column's median by NaN; same shape.
+
+    Columns with a NaN, or with more than half of their values equal, stay as they are.
+    """
     known = np.where(np.isnan(table).any(axis=0), 0.0, table)  # a feature that some shots lack is left alone
     distance = np.abs(known - column_medians(known))
     middle = column_medians(distance)

@@ -220,7 +220,8 @@ def _choose_trigger_level(
 ) -> float | None:
     """Choose one trigger level in V, two digits, for all transducers; None without a wave or a level.
 
-    It depends on the smallest wave and the largest noise.
+    It depends on the smallest of the wave heights ``waves_v`` and the largest noise RMS; ``offset_v`` is the
+    mean quiet level, ``sign`` 1 for a rising slope, -1 for a falling one.
     """
     if not waves_v:
         return None
@@ -230,7 +231,11 @@ def _choose_trigger_level(
 
 
 def _rise_s(one: StruckTransducer, earliest_s: float, above_v: float, noise_v: float, sign: float) -> float:
-    """Return the time in s from the last quiet block before the wave until it reaches the level."""
+    """Return the time in s from the last quiet block before the wave until it reaches the level ``above_v``.
+
+    Return 0 if no block before it is quiet. The wave is sought from ``earliest_s`` on; ``above_v`` counts
+    from the quiet level in the direction of ``sign``.
+    """
     rate_hz = one.strike.sample_rate_hz
     volts = sign * (one.strike.volts()[round(earliest_s * rate_hz) :] - median(one.noise.volts()))
     means, block = _average_blocks(volts, rate_hz)
@@ -242,7 +247,7 @@ def _rise_s(one: StruckTransducer, earliest_s: float, above_v: float, noise_v: f
 def _choose_holdoff(surveys: Mapping[str, SpikeSurvey], fall_s: float) -> tuple[float | None, float, str]:
     """Choose one holdoff in s for all transducers; None if the coil rings for too long.
 
-    Return also the ringing time in s, and the transducer whose coil rings longest.
+    Return also the ringing time in s (0 without a holdoff), and the transducer whose coil rings longest.
     """
     loudest = max(surveys, key=lambda name: surveys[name].off.ringing_s)
     ringing_s = math.ceil(surveys[loudest].off.ringing_s * 1e4) / 1e4

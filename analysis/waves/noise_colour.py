@@ -138,7 +138,12 @@ def _build_noise_colour(
     memory: float,
     of_differences: float,
 ) -> NoiseColour:
-    """Build the `NoiseColour` of a record from its variances in V^2 at several time scales."""
+    """Build the `NoiseColour` of a record from its variances in V^2 at several time scales.
+
+    ``bands`` are those of block means in `BANDS_HZ`, ``level`` the quiet level of each quiet block,
+    ``memory`` and ``of_differences`` sums of squared autocorrelations of samples and, less 1, of their
+    differences.
+    """
     block2, _, flank2, slow2 = bands
     return NoiseColour(
         sample2=sample2,

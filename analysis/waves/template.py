@@ -145,7 +145,10 @@ def flag_residual_reflections(shots: Sequence[ShotFeatures], usual_ratio: float 
 
 
 def _flag_without_reflection(shot: ShotFeatures) -> ShotFeatures:
-    """Return the shot without a reflected wave, with the flag ``no_psw`` (``missed`` if disturbed)."""
+    """Return the shot without a reflected wave, with the flag ``no_psw`` (``missed`` if disturbed).
+
+    Its outline and the flag ``psw_merged`` are removed.
+    """
     # What is no strike alone can be no sign of a hole.
     flag = "missed" if DISTURBED in shot.flags else "no_psw"
     return apply_flags(replace(_keep_incident_wave(shot), outline=None), {*shot.flags, flag} - {"psw_merged"})
@@ -159,7 +162,11 @@ def _keep_incident_wave(shot: ShotFeatures) -> ShotFeatures:
 
 
 def compare_with_others(shots: Sequence[ShotFeatures], template: Template | None) -> list[ShotFeatures]:
-    """Flag shots of one transducer that differ from its template, then from one another; same order."""
+    """Flag shots of one transducer that differ from its template, then from one another; same order.
+
+    Flags are those of `flag_residual_reflections` and `compare_with_template`; an outline unlike the others
+    gives ``disturbed``, a flattened top ``clipped``. Shots compared before stay as they are.
+    """
     typical_ratio = None if template is None else template.amplitude_ratio
     found = [
         compare_with_template(shot, template) for shot in flag_residual_reflections(shots, typical_ratio)
@@ -181,7 +188,7 @@ def compare_with_template(shot: ShotFeatures, template: Template | None) -> Shot
     """Flag a shot whose incident wave is not the transducer's, or whose reflection came too early.
 
     A shot that is flagged ``missed`` keeps what was measured of its incident wave, and nothing else.
-    Return the shot unchanged without a template, without an incident wave, or if it was compared before.
+    Other flags are ``clipped``, ``disturbed`` and ``double``. Return the shot unchanged without a template, without an incident wave, or if it was compared before.
     """
     if shot.compared or template is None or not math.isfinite(shot.isw_amplitude_v):
         return shot
@@ -215,7 +222,10 @@ def compare_with_template(shot: ShotFeatures, template: Template | None) -> Shot
 
 
 def _has_different_arrival(shot: ShotFeatures, template: Template) -> bool:
-    """Check whether the incident wave's arrival after the trigger differs from the template's."""
+    """Check whether the incident wave's arrival after the trigger differs from the template's.
+
+    It differs by more than half a usual width and six standard deviations. Return False if none is known.
+    """
     if template.isw_time_s is None:
         return False
     limit_s = max(LATEST_OWN * template.isw_fwhm_s, ARRIVAL_SD * template.isw_time_sd_s)
