@@ -55,9 +55,10 @@ class SimulatedClock:
         self._pace_h_per_s = None
 
     def wait_until(self, utc_ns: int, idle: Callable[[], bool]) -> bool:
-        """Wait until ``utc_ns`` at the set pace, or jump; return False if ``idle`` ends the wait.
+        """Wait until ``utc_ns`` at the set pace, or jump; return False once ``idle`` returns False.
 
-        A past time is reached at once.
+        ``idle`` is called at least every 0.2 s, and at the end. If it ends the wait early, the time does not
+        advance. A past time is reached at once.
         """
         while self._pace_h_per_s is not None and utc_ns > self._utc_ns:
             due_wall_ns = (

@@ -192,7 +192,8 @@ class Specimen:
     def force(self, wall: Wall, strike: Strike, position: str, faults: ShotFaults = NO_FAULTS) -> ShotForce:
         """Simulate the force at the sensor for one impact; above a through hole nothing is reflected.
 
-        A second impact and variability are not included.
+        A second impact and variability are not included. Raise SpecimenError if a fault changes the chain of
+        a model that is no ShotModel, and errors of `ShotModel.shot`.
         """
         model = _select_shot_model(self.transducers[position], faults)
         if wall.is_hole:
@@ -204,14 +205,18 @@ class Specimen:
         )
 
     def simulate_wave(self, key: ShotKey, hour_h: float) -> Acquired | None:
-        """Simulate the record of one strike; None if it is missed or does not reach the trigger level."""
+        """Simulate the record of one strike; None if it is missed or does not reach the trigger level.
+
+        Raise errors as `simulate_waves`.
+        """
         (acquired,) = self.simulate_waves([(key, hour_h)])
         return acquired
 
     def simulate_waves(self, strikes: Sequence[tuple[ShotKey, float]]) -> list[Acquired | None]:
-        """Simulate the records of strikes at their hours, bit-identical to those of `solitary_wave`.
+        """Simulate the records of strikes at their hours, bit-identical to those of `simulate_wave`.
 
         Strikes of one transducer on a wall of one depth cost half as much together as one after the other.
+        Raise SimulatorError or ValueError if a shot cannot be computed.
         """
         blows = [self._draw_strike_and_wall(key, hour_h) for key, hour_h in strikes]
         forces = self._compute_forces([blow for blow in blows if blow is not None])
@@ -233,7 +238,10 @@ class Specimen:
         )
 
     def _compute_forces(self, blows: Sequence[_DrawnStrike]) -> Iterator[tuple[ShotForce, ShotForce]]:
-        """Yield, in order, the force of each strike's first impact and the force of all its impacts."""
+        """Compute all forces; return an iterator over pairs: force of the first impact, force of all impacts.
+
+        Pairs have the order of ``blows``. Raise errors as `simulate_waves`.
+        """
         alike: dict[tuple[str, float, float, float], list[int]] = {}
         for number, blow in enumerate(blows):
             faults, liquid = blow.faults, 1.0 if blow.nuisance is None else blow.nuisance.liquid_factor
@@ -252,7 +260,7 @@ class Specimen:
         return (forces[number] for number in range(len(blows)))
 
     def _simulate_force(self, model: SolitaryWaveModel, blow: _DrawnStrike) -> tuple[ShotForce, ShotForce]:
-        """Simulate the force of one shot of a model without batches, also without variability.
+        """Simulate the force of one shot of a model that computes shots singly; return the same force twice.
 
         Raise SpecimenError for a second impact or variability, which such a model does not have.
         """
@@ -272,7 +280,11 @@ class Specimen:
     def _digitize_force(
         self, blow: _DrawnStrike, force: ShotForce, every_impact: ShotForce
     ) -> Acquired | None:
-        """Digitize the force of all impacts; return record and true values, None without a trigger."""
+        """Digitize the force of all impacts; return record and true values, None without a trigger.
+
+        The true values are those of the first impact, ``force``. Raise ValueError if the force ends before
+        the record, NoSolitaryWaveError if it holds no incident wave.
+        """
         seed, adc, key, hour_h = self.twin.seed, self.twin.adc, blow.key, blow.hour_h
         interference, electrical_truth = draw_interference(
             self.twin.faults.get(key.position, SOUND), seed=seed, key=key, hour_h=hour_h, adc=adc
@@ -391,7 +403,8 @@ def _grid_step_s(force: ShotForce) -> float:
 def _collect_true_values(wall: Wall, strike: Strike, force: ShotForce) -> dict[str, float]:
     """Return the true values of a shot, by column name; NaN for a wave that is missing.
 
-    The values of its force are those of ``solimon simulate``.
+    The values of its force are those of ``solimon simulate``. Raise NoSolitaryWaveError without an incident
+    wave.
     """
     pulses = summarise_pulses(force)
     return {
@@ -418,7 +431,11 @@ def _to_si_or_nan(value: float | None, unit: float = 1.0) -> float:
 def build_specimen(
     twin: TwinParameters, *, transducers: Mapping[str, Transducer], probed_thickness_m: Mapping[str, float]
 ) -> Specimen:
-    """Draw the constants of a test (corrosion, far walls, climate) and build the specimen."""
+    """Draw the constants of a test (corrosion, far walls, climate) and build the specimen.
+
+    With variability, the plate is prepared for each depth of its liquid. Raise SpecimenError if the mean
+    depth at the hour of a hole leaves no room for the pits.
+    """
     walls = {
         position: draw_wall_history(
             twin.thinning.get(position, ThinningParameters()), seed=twin.seed, position=position

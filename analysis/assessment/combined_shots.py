@@ -80,7 +80,12 @@ def combine_shots(
     baseline
         The frozen one: residual reflections are flagged by its amplitude ratio.
     of_set
-        How the set's features are formed: mean of the features of valid shots, or feature of their mean waveform (paper).
+        The set's feature: mean of the features of valid shots, or feature of their mean waveform (paper).
+
+    Raises
+    ------
+    RecordError
+        Waveforms to average differ in rate, length or pre-trigger.
     """
     if baseline is not None and baseline.fitted is not None:
         usual_ratio = float(baseline.fitted.mean[FEATURE_NAMES.index("amplitude_ratio")])

@@ -367,7 +367,7 @@ def _minimum_sets(rules: Rules) -> int:
 
 
 def _suggest_baseline_remedy(rules: Rules) -> str:
-    """Return the advice (English text) for a baseline with too few sets: a new test, or a new baseline."""
+    """Return the advice (English text) for a baseline that cannot be fitted: longer test, new baseline."""
     n_planned = 1 + rules.last_baseline_set - rules.first_baseline_set
     if n_planned < _minimum_sets(rules):
         return f"only {n_planned} are planned: begin a new test with more baseline.hours"

@@ -73,8 +73,8 @@ def diagnose_latest_set(
 
     A cause is named from a probability of 90 %: a new wall change only at 96 % in two consecutive sets, a
     re-seat only if it came in one step with a recent confirmation set. Otherwise the diagnosis is
-    `UNDETERMINED`; it is `OK` if that is the likeliest and ``suspicious`` is False. Only `OK` replaces a named
-    wall change; after a confirmed re-seat, `OK` is returned as COUPLING.
+    `UNDETERMINED`; it is `OK` if that is the likeliest and ``suspicious`` is False. Only `OK` replaces a
+    named wall change; after a confirmed re-seat, `OK` is returned as COUPLING.
 
     Parameters
     ----------

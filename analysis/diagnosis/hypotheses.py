@@ -137,7 +137,7 @@ def _make_wall_hypotheses() -> Iterator[Signature]:
 
 
 def _spread_over_sizes(covariances: Sequence[FloatArray]) -> Iterator[Signature]:
-    """Yield each covariance scaled to every one of `SIZES`, with mean zero: either direction is possible."""
+    """Yield each covariance times the square of each of `SIZES`, with mean zero: either sign is possible."""
     for covariance in covariances:
         for size in SIZES:
             yield np.zeros(len(covariance)), size**2 * covariance

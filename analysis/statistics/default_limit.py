@@ -45,7 +45,7 @@ class DefaultLimit:
     tail: float
 
     def distances_squared(self, vectors: FloatArray) -> FloatArray:
-        """Return squared distances, shape (n,), of sets that start with the baseline, shape (n, p).
+        """Return squared distances, shape (n,), of sets in order of time, the baseline first, shape (n, p).
 
         NaN for incomplete sets.
         """

@@ -72,10 +72,10 @@ def effective_sets(n: int, phi: float) -> float:
 
 
 def prewhiten_sets(vectors: ArrayLike, mean: ArrayLike, phi: ArrayLike) -> FloatArray:
-    """Remove the dependence on the previous set: e_t is z_t - phi^k z_(t-k), scaled to one variance, z = x - mean.
+    """Remove the dependence on the previous set: z_t - phi^k z_(t-k), scaled to one variance, z = x - mean.
 
-    k is the distance to the last complete set, infinite for the first: e has (1 - phi^2) times the variance of
-    z over any gap.
+    k is the distance to the last complete set, infinite for the first: over any gap, the result has
+    (1 - phi^2) times the variance of z.
 
     Parameters
     ----------

@@ -231,7 +231,11 @@ def _apply_sign(edge: EdgeSpike, sign: float) -> EdgeSpike:
 
 
 def _propose_trigger_level(trigger_v: float, wave_v: float, noise_rms_v: float, sign: float) -> float | None:
-    """Propose a trigger level in V; None if the present one fits or no better one clears the noise."""
+    """Propose a trigger level in V, two digits; None if the present one fits or none clears the noise.
+
+    ``trigger_v``, the present level, and ``wave_v`` count from the quiet level in the direction of the slope
+    ``sign``, 1 or -1; the proposal counts from the quiet level with its sign.
+    """
     lowest, highest = FITTING_LEVEL
     proposed_v = max(LEVEL_OF_WAVE * wave_v, NOISE_PART * noise_rms_v)
     if lowest <= trigger_v / wave_v <= highest or proposed_v > highest * wave_v:

@@ -67,7 +67,7 @@ def find_flattened(outlines: Sequence[Outline], tofs_s: FloatArray) -> NDArray[n
 
 
 def _tabulate_outlines(outlines: Sequence[Outline]) -> tuple[FloatArray, FloatArray]:
-    """Stack points and standard deviations of all outlines, shape (n_outlines, n_points) each."""
+    """Stack points, shape (n_outlines, n_points), and SDs, shape (n_outlines,), of all outlines."""
     return np.array([one.points for one in outlines]), np.array([one.sd for one in outlines])
 
 

@@ -188,7 +188,8 @@ def compare_with_template(shot: ShotFeatures, template: Template | None) -> Shot
     """Flag a shot whose incident wave is not the transducer's, or whose reflection came too early.
 
     A shot that is flagged ``missed`` keeps what was measured of its incident wave, and nothing else.
-    Other flags are ``clipped``, ``disturbed`` and ``double``. Return the shot unchanged without a template, without an incident wave, or if it was compared before.
+    Return the shot unchanged without a template, without an incident wave, or if it was compared before.
+    Other flags are ``clipped``, ``disturbed`` and ``double``.
     """
     if shot.compared or template is None or not math.isfinite(shot.isw_amplitude_v):
         return shot

@@ -176,12 +176,12 @@ def change_strike(
 ) -> Chain:
     """Return the chain with another drop height in m, sensor tilt in rad and contacts.
 
-    On other contacts they are in static equilibrium again: ``d = (F / A)^(2/3)``.
+    With other contacts, the static overlaps are again those of equilibrium: ``d = (F / A)^(2/3)``.
 
     Parameters
     ----------
     damping_n_s_per_m
-        Of every contact within the chain, without tilt.
+        Of the sensor's contacts, without tilt; that to the plate stays.
     contacts
         None: as they were.
 

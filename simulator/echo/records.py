@@ -93,7 +93,10 @@ class Disturbance:
 def draw_disturbance(
     echo: EchoParameters, *, seed: int, key: ShotKey
 ) -> tuple[Disturbance, dict[str, float]]:
-    """Draw couplant and bubbles of one acquisition; return also the true values of the active ones."""
+    """Draw couplant and bubbles of one acquisition; return also the true values of the active ones.
+
+    Those are ``coupling_gain`` and ``bubbles`` (0 or 1). Equal seed and key give the same result.
+    """
     gain, bubbles, truth = 1.0, False, {}
     if echo.coupling_sd_db > 0.0:
         level_db = echo.coupling_sd_db * keyed_generator(seed, Purpose.COUPLING, key=key).standard_normal()
@@ -129,10 +132,11 @@ def simulate_record(
     key: ShotKey,
     noisy: bool,
 ) -> tuple[FloatArray, int]:
-    """Simulate the mean of single records in volts, shape (record_samples,), and count the clipped.
+    """Simulate the mean of single records in V, shape (record_samples,); return also how many were clipped.
 
     Every record is cut off at the ends of the ADC's range before the mean, as in a receiver: with noise the
-    mean then no longer shows it. Where no record can come that far their noise is drawn once, as the mean's.
+    mean then no longer shows it. Where no record can come that far, their noise is drawn once, as the mean's.
+    Without ``noisy`` there is no noise.
     """
     low, high = calibration.full_scale_counts
     noise_v = echo.noise_rms_v if noisy else 0.0

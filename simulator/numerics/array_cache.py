@@ -82,7 +82,8 @@ def compute_cache_key(described: Mapping[str, object]) -> str:
     Parameters
     ----------
     described
-        The name of the computation and all its inputs, for `json.dumps`.
+        The name of the computation and all its inputs; a value that `json.dumps` does not accept raises
+        TypeError.
     """
     text = json.dumps({"described": described, "made_with": _describe_environment()}, sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()

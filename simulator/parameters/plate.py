@@ -209,7 +209,7 @@ class CorrosionParameters:
     """Lost part of the thickness: 0 pristine, at most 0.95; beyond that the position is a hole."""
 
     def __post_init__(self) -> None:
-        """Raise ValueError for more than 32 further patches, or a first patch that makes no sense."""
+        """Raise ValueError for more than 32 further patches, or a first patch with a wrong ``size_y_m``."""
         if len(self.further) > MOST_FURTHER_PATCHES:
             raise ValueError(
                 f"further has {len(self.further)} patches; at most {MOST_FURTHER_PATCHES} are possible"

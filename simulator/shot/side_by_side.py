@@ -40,7 +40,8 @@ def integrate_chains(
 ) -> list[Record]:
     """Integrate chains that differ in impact speed and contacts only, up to eight at once; same order.
 
-    The energy balance is not checked.
+    Each record has ``steps`` samples at intervals of ``step`` in s; ``retainer_force_n`` carries the last
+    sphere where there is no specimen. The energy balance is not checked.
     """
     records: list[Record] = []
     while len(records) < len(chains):

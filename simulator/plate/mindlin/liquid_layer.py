@@ -68,6 +68,8 @@ def layer_mass(
 ) -> scipy.sparse.linalg.LinearOperator:
     """Build the operator of the liquid's mass on the free unknowns of a mesh, without a matrix.
 
+    Without ``terms``, raise SpecimenError as `choose_sine_terms`.
+
     Parameters
     ----------
     liquid, plate

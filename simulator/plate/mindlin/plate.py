@@ -168,7 +168,10 @@ def build_plate(
 def _make_edge_lines(
     plate: PlateParameters, edge_m: float, contact_m: float, lines_m: list[float], half: bool
 ) -> FloatArray:
-    """Place grid lines in m along one edge, or along its half with positive coordinates if ``half``."""
+    """Place grid lines in m along one edge, or along its half with positive coordinates if ``half``.
+
+    The contact is at 0, a line at each of ``lines_m``. Raise SpecimenError if the lines do not fit.
+    """
     first_m, elements = plate.contact_element_m, plate.elements_per_edge
     if not half:
         return make_graded_edge(
@@ -221,6 +224,11 @@ def assemble_plate(
         Where the elements of this grid are thinned.
     symmetric
         Whether the grid is the part with x >= 0 (y >= 0) of a plate symmetric in x (y).
+
+    Raises
+    ------
+    SpecimenError
+        The plate is too large for its thickness to carry a liquid.
     """
     nodes = _number_element_nodes(len(x_m), len(y_m))
     dof = (nodes[:, :, None] * DOF_PER_NODE + np.arange(DOF_PER_NODE)).reshape(len(nodes), -1)

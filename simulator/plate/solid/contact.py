@@ -94,7 +94,11 @@ def _sum_wave_series(
     highest_per_m: float,
     flexibility: Callable[[FloatArray], FloatArray],
 ) -> float:
-    """Sum the waves that move the plate's centre, each weighted by Hertz's pressure twice, in m/N."""
+    """Sum the waves that move the plate's centre, each weighted by Hertz's pressure twice, in m/N.
+
+    ``sizes`` and ``radius_m``, of plate and load, are in m; ``flexibility`` is in m/Pa over the wave number,
+    up to ``highest_per_m``.
+    """
     alpha, beta = (
         np.arange(1.0, highest_per_m * size / math.pi + 2.0, 2.0) * (math.pi / size) for size in sizes
     )

@@ -30,7 +30,11 @@ CUT_POINTS = 16
 def integrate_over_patch(
     x: Axis, y: Axis, corrosion: CorrosionParameters
 ) -> tuple[FloatArray, dict[tuple[int, int], tuple[FloatArray, ...]]]:
-    """Return the fraction of each element within the patch, and integrals of elements that a circle cuts."""
+    """Return the fraction of each element within the patch, and integrals of elements that a circle cuts.
+
+    The fractions have the shape (elements of x, of y). The integrals, as of `integrate_in_plane`, are those
+    of what is left of the element, by its numbers along x and y; none for another outline than a circle.
+    """
     half_x, half_y = corrosion.half_sizes_m
     near_x, near_y = (np.minimum(np.abs(a.breaks_m[1:]), np.abs(a.breaks_m[:-1])) for a in (x, y))
     far_x, far_y = (np.maximum(np.abs(a.breaks_m[1:]), np.abs(a.breaks_m[:-1])) for a in (x, y))

@@ -116,7 +116,7 @@ class SolidPlate:
         return np.asarray(components[:, :, None] * nodes_z + np.arange(nodes_z))
 
     def layer_matrices(self, kind: int, *, upper: bool) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Integrate over z of one layer for nodes of `kind`: mass, slope, stiffness, as `Axis.matrices`."""
+        """Integrate over z of one layer for nodes of `kind`; return the three of `Axis.interval_matrices`."""
         layer = range(self.upper) if upper else range(self.upper, len(self.z.degrees))
         integrals = self.z.integrate_intervals(layer)
         if kind == 0:
@@ -324,7 +324,10 @@ def assemble_solid(
 def _classify_nodes(
     x: Axis, y: Axis, inside: FloatArray, corrosion: CorrosionParameters, strip_m: float
 ) -> IntArray:
-    """Classify the unknowns of each node as `SolidPlate.kinds`, shape (nodes of x, nodes of y)."""
+    """Classify the unknowns of each node as `SolidPlate.kinds`, shape (nodes of x, nodes of y).
+
+    Within ``strip_m`` of the patch's edge, and in elements that a circle cuts, every layer keeps its own.
+    """
     half_x, half_y = corrosion.half_sizes_m
     at_x, at_y = np.abs(x.nodes_m)[:, None], np.abs(y.nodes_m)[None, :]
     if corrosion.shape == "round":
