@@ -236,7 +236,10 @@ class Bench(StruckDigitizer):
         return acquired
 
     def _record(self, key: ShotKey, utc_ns: int) -> Acquired | None:
-        """Return the record of a strike, computed now or ahead of time; None if it does not trigger."""
+        """Return the record of a strike, computed now or ahead of time; None if it does not trigger.
+
+        Raise SimulatorError or ValueError if it cannot be computed.
+        """
         if self._ahead is None:
             return self.specimen.simulate_wave(key, self.hour_h(utc_ns))
         return self._ahead.record(key, utc_ns, self.hour_h)
@@ -354,6 +357,11 @@ def build_bench(
         cancels what is pending when it closes.
     compute
         What an executor of other processes runs for this specimen's `simulate_waves`.
+
+    Raises
+    ------
+    SpecimenError
+        The specimen cannot be built (`build_specimen`).
     """
     specimen = build_specimen(twin, transducers=transducers, probed_thickness_m=probed_thickness_m)
     ahead = None

@@ -59,7 +59,10 @@ def assess_baseline(state: State, rules: Rules) -> dict[str, object] | None:
 
 
 def _find_anomalies(state: State) -> tuple[Anomaly, ...] | None:
-    """Find the anomalies among a state's baseline sets; None if the covariance of most sets is singular."""
+    """Find the anomalies among a state's baseline sets; None if the covariance of most sets is singular.
+
+    Rows of an anomaly are indices into ``state.healthy``.
+    """
     try:
         return find_anomalies(np.array([healthy_set.vector() for healthy_set in state.healthy]))
     except np.linalg.LinAlgError:  # as of records that are played back again and again

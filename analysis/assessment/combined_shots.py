@@ -43,7 +43,8 @@ class CombinedShots:
     def to_set_of_shots(self, set_index: int, due_h: float, n_tried: int) -> SetOfShots:
         """Convert the combined shots to a `SetOfShots` for the assessment.
 
-        ``n_tried`` counts the attempts with or without a record. A mean that is not finite becomes None.
+        ``due_h`` is the due time in hours; ``n_tried`` counts the attempts with or without a record. A mean
+        that is not finite becomes None.
         """
         mean = self.mean
         return SetOfShots(

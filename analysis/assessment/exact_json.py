@@ -21,7 +21,7 @@ T = TypeVar("T")
 def to_json(values: Mapping[str, object]) -> str:
     """Serialize fields of a dataclass, given by name, as compact JSON; arrays keep every bit.
 
-    Raise TypeError for a value that is no JSON type, array or dataclass.
+    Arrays must be C-contiguous. Raise TypeError for a value that is no JSON type, array or dataclass.
     """
     return json.dumps(values, default=_encode_value, separators=(",", ":"))
 

@@ -223,7 +223,7 @@ def is_wall_alarm_active(state: State, rules: Rules) -> bool:
 def assess_next_set(
     state: State, set_of_shots: SetOfShots, rules: Rules
 ) -> tuple[State, SetAssessment | None]:
-    """Update the state with one set and assess it; return both, with None as the assessment of no record.
+    """Update the state with one set and assess it; return both, None for the assessment without a record.
 
     A set before the baseline's first one leaves the state unchanged and gets only a reason; one without a
     record only updates the count of poor sets. The baseline's last set freezes it, or the first set after it

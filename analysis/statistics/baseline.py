@@ -133,6 +133,8 @@ def fit_baseline(
 ) -> Baseline:
     """Fit mean, covariance and baseline distances to the feature vectors of healthy sets.
 
+    Fewer than 48 sets, or sets above the Phase I limit, give warnings.
+
     Parameters
     ----------
     vectors

@@ -82,9 +82,9 @@ def find_anomalies(vectors: ArrayLike) -> tuple[Anomaly, ...]:
 def grow_cores(x: FloatArray) -> tuple[np.ndarray, np.ndarray]:
     """Return two masks, shape (n,): sets in a robust core of x, shape (n, p), and sets that fit it.
 
-    The core grows from 70 % of the sets by those nearer than 97.5 % of healthy sets are. Grown at once by all
-    that fit, it would swallow a group: few sets or many features determine it too poorly. Raise LinAlgError
-    if the core does not scatter in some direction.
+    The core starts as 70 % of the sets and becomes those within the 97.5 % limit around it until it no longer
+    changes. Grown at once by all that fit, it would take in a group: few sets or many features determine it
+    too poorly. Raise LinAlgError if the core does not scatter in some direction.
     """
     n, p = x.shape
     core, kept = _minimum_covariance_determinant(x), CORE
@@ -109,10 +109,10 @@ def _distances_from_core(x: FloatArray, core: np.ndarray, kept: float) -> FloatA
 
 
 def _minimum_covariance_determinant(x: FloatArray) -> np.ndarray:
-    """Find the subset of 70 % of the sets whose covariance has the smallest determinant; mask of shape (n,).
+    """Find the 70 % of the sets, rows of x, whose covariance has the smallest determinant; mask, shape (n,).
 
-    Random starts, concentrated (Rousseeuw 1999).
-    The random seed depends only on n and p, so equal sets give the same subset.
+    They are at least p + 2, found from 60 random starts, concentrated (Rousseeuw 1999). The random seed
+    depends only on n and p, so equal sets give the same subset.
     """
     n, p = x.shape
     size = max(math.ceil(CORE * n), p + 2)

@@ -96,7 +96,7 @@ class Chart:
         statistic
             Shape (n,); NaN where a row has one: the average stays as it was.
         onsets
-            Rows of the alarms.
+            Rows at which the statistic exceeded the limit.
         """
         statistic = np.full(len(whitened), np.nan)
         onsets: list[int] = []
@@ -176,7 +176,7 @@ def widen_phi(found: Directions) -> FloatArray:
 def explain_unverified_rate(baseline: ArrayLike) -> str:
     """Return why the chart's false-alarm rate is not verified (English text); empty where it is.
 
-    Reasons are fewer than 150 sets, a trend and slow drift.
+    Reasons are fewer than 150 sets, a trend and slow drift. Raise SingularCovarianceError as `design_chart`.
 
     Parameters
     ----------
@@ -196,7 +196,10 @@ def explain_unverified_rate(baseline: ArrayLike) -> str:
 
 
 def _whiten_without_lag_1(baseline: FloatArray) -> FloatArray:
-    """Whiten a baseline, shape (n, p), without its lag-1 autocorrelation and unclipped; NaN at gaps."""
+    """Whiten a baseline, shape (n, p), without its lag-1 autocorrelation and unclipped; NaN at gaps.
+
+    Raise SingularCovarianceError if a feature is a combination of the others.
+    """
     found = find_directions(baseline)
     chart = chart_with_phi(baseline, found.matrix, found.phi, math.inf)
     return replace(chart, cap=math.inf).whiten_sets(baseline)

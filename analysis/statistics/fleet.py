@@ -54,7 +54,10 @@ class SharedChange:
 
 @lru_cache(maxsize=64)
 def _tabulate_limits(n: int, p: int) -> FloatArray:
-    """Return the MEWMA limit at each of `RUN_LENGTHS`, shape (17,), for n baseline sets and p features."""
+    """Return the MEWMA limit at each of `RUN_LENGTHS`, shape (17,), for n baseline sets and p features.
+
+    Cached: callers must not write to it. Raise NotEnoughSetsError for n up to p.
+    """
     return np.array([estimated_limit(n, p, length) for length in RUN_LENGTHS.tolist()])
 
 

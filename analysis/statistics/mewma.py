@@ -106,7 +106,7 @@ def estimated_limit(n: int, p: int, run_length: float, weight: float = WEIGHT) -
 def compute_averages(whitened: ArrayLike, start: ArrayLike, weight: float = WEIGHT) -> FloatArray:
     """Return the exponential averages z_t = weight w_t + (1 - weight) z_(t-1), shape (n, p), from ``start``.
 
-    No value may be missing.
+    ``start``, shape (p,), is z before the first row of ``whitened``. No value may be missing.
     """
     w = np.asarray(whitened, dtype=np.float64)
     before = (1.0 - weight) * np.asarray(start, dtype=np.float64)[None, :]
@@ -130,7 +130,7 @@ def mewma(whitened: ArrayLike, weight: float = WEIGHT) -> FloatArray:
 def mcusum(whitened: ArrayLike, reference: float = REFERENCE) -> FloatArray:
     """Return Crosier's MCUSUM statistic of whitened sets, shape (n,): max(0, C - k), C = |s + w|.
 
-    The sum s starts from 0 and is shrunk by k each set; a row with a NaN gives NaN and does not change it.
+    The sum s starts from 0 and is shrunk by k, ``reference``, each set; a row with a NaN gives NaN and leaves s.
     Source: Crosier (1988), "Multivariate generalizations of cumulative sum quality-control schemes",
     Technometrics 30, 291-303.
     """

@@ -164,6 +164,8 @@ def find_reference_echo(
         Record of the pristine wall; its trigger is the firing pulse.
     delay_s
         D, to the envelope's peak of the front-wall echo.
+    initial_thickness_m
+        th_0, thickness of the pristine wall.
     velocity_m_per_s
         c, longitudinal wave speed (5,900 m/s for steel); used to find the echo only.
     thinnest_fraction, thickest_fraction
@@ -427,9 +429,10 @@ def _remove_median(waveform: Waveform) -> FloatArray:
 
 
 def _assess_reading_quality(coefficient: float, slipped: bool) -> tuple[Quality, str]:
-    """Rate a reading good, suspect or bad by its correlation; return the quality and the reasons (English).
+    """Rate a reading good, suspect or bad; return the quality and the reasons (English), empty for good.
 
-    The reasons are empty for a good one.
+    A correlation below 0.6 is bad, below 0.9 suspect; so is a possible slip by one carrier period
+    (``slipped``).
     """
     if not coefficient >= SUSPECT_CORRELATION:
         return "bad", f"correlation {coefficient:.2f} below {SUSPECT_CORRELATION}"

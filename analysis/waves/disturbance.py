@@ -223,7 +223,8 @@ def _end_level(record: ReducedRecord, psw: Pulse | None) -> float:
 def find_noise_free_flags(records: Sequence[ReducedRecord], rate_hz: float) -> list[set[str]]:
     """Find stretches without noise in records of one kind; return the flags of each record, empty for none.
 
-    Lost samples were replaced by zeros, by the last one, or by a line between their neighbours.
+    Lost samples were replaced by zeros, by the last one, or by a line between their neighbours. The flags are
+    ``lost_samples``, ``clipped`` and ``disturbed``; there must be at least one record.
     """
     stride = max(1, round(CLOSEST_ALIKE_S * rate_hz))
     n = (records[0].samples_v.size - 1) // stride
@@ -259,7 +260,11 @@ def _find_noise_free_stretches(record: ReducedRecord, rate_hz: float) -> set[str
 
 
 def _find_constant_stretches(record: ReducedRecord, steps: FloatArray, shortest: float) -> set[str]:
-    """Return the flags (lost samples, clipped) of stretches of equal samples too long for the noise."""
+    """Return the flags (lost samples, clipped) of stretches of equal samples too long for the noise.
+
+    ``steps`` are the differences between neighbouring samples in V, ``shortest`` is the length in samples
+    from which a stretch counts.
+    """
     samples = record.samples_v
     lowest, highest = float(samples.min()), float(samples.max())
     edges = np.flatnonzero(np.concatenate([[True], steps != 0.0, [True]]))

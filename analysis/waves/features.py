@@ -212,7 +212,8 @@ def extract_features(waveform: Waveform, settings: ExtractionSettings = Extracti
     Raises
     ------
     RecordError
-        The record is too short, too coarse or has no pre-trigger (a poor shot is flagged instead).
+        The record is too short, too coarse or has no pre-trigger (a poor shot is flagged instead), or a
+        calibration coefficient is not finite.
     """
     return extract_all([waveform], settings)[0]
 
@@ -302,7 +303,10 @@ def extract_from_volts(
 def _extract_records(
     given: Sequence[VoltRecord], settings: ExtractionSettings, *, with_sd: bool = False
 ) -> list[ShotFeatures]:
-    """Extract the features of records, in their order; at most 32 of one kind are processed together."""
+    """Extract the features of records, in their order; at most 32 of one kind are processed together.
+
+    Raise RecordError as `extract_features`.
+    """
     kinds: dict[tuple[int, float, int], list[int]] = {}
     for number, one in enumerate(given):
         kinds.setdefault(one.kind, []).append(number)
@@ -320,7 +324,8 @@ def _extract_same_kind(
 ) -> list[ShotFeatures]:
     """Extract the features of records of one length, rate and pre-trigger (`VoltRecord.kind`).
 
-    A record with a false trigger or lost samples has no feature but its noise.
+    A record with a false trigger or lost samples has no feature but its noise. Raise RecordError if the
+    records are too short, too coarse or without pre-trigger.
     """
     records = reduce_records(given, settings)
     pulses = [find_pulses(record, settings) for record in records]
@@ -413,7 +418,8 @@ def _find_disturbance_flags(
 ) -> tuple[set[str], float]:
     """Return the flags of disturbances that exceed the noise, and the deepest pull over the ISW's amplitude.
 
-    ``noise_v`` is the standard deviation of a block mean in V.
+    The flags are ``disturbed``, ``clipped`` and ``baseline``; ``noise_v`` is the standard deviation of a
+    block mean in V.
     """
     psw_time_s = None if pulses.psw is None else pulses.psw.time_s
     pull, pulled = measure_deepest_pull(record, isw.amplitude_v, psw_time_s, noise_v)

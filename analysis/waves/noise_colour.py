@@ -161,6 +161,7 @@ def _median_variance(n: int, level: FloatArray, block2: float, slow2: float) -> 
 
     pi s^2 / (2 n + 1.1) for white noise, n the blocks whose level is so near that noise decides their side
     (s^2 for n = 1, .45 for 3); correlated noise, sum of arcsin(rho), adds nearly what it adds to a mean.
+    ``level`` is that of each block, ``block2`` the variance s^2, ``slow2`` that of slow noise.
     """
     if block2 <= 0.0:
         return 0.0
@@ -189,7 +190,10 @@ def _build_quiet_basis(n: int, fwhm_blocks: int) -> FloatArray:
 
 
 def _sum_squared_autocorrelation(x: FloatArray, lags: int) -> float:
-    """Return the sum of the squared autocorrelations over all lags, negative ones too; 1 for white noise."""
+    """Return the sum of the squared autocorrelations of x over all lags, negative ones too; white noise: 1.
+
+    Those beyond ``lags``, or within three standard errors of 0, are left out.
+    """
     begin = x[: x.size - lags]
     energy = float(begin @ begin)
     if energy == 0.0:

@@ -137,10 +137,10 @@ def _compute_row_distances(table: FloatArray, start: int, others: NDArray[np.int
 
 
 def _find_comparable_shots(tofs_s: FloatArray, others: NDArray[np.intp]) -> NDArray[np.bool_]:
-    """Return a mask, shape (n,), of shots that seven of ``others`` match within 25 us of time of flight.
+    """Return a mask, shape (n,): seven or more of ``others`` are within 25 us of the shot's time of flight.
 
-    All match if the middle eight of ten times of flight agree within 30 us. Corrosion changes the record
-    after the incident wave, so only shots of the same wall are comparable there.
+    All are if the middle eight of ten times of flight agree within 30 us. Corrosion changes the record after
+    the incident wave, so only shots of the same wall are comparable there.
     """
     ordered = np.sort(tofs_s)
     if ordered[-1 - tofs_s.size // 10] - ordered[tofs_s.size // 10] <= ONE_WALL_S:

@@ -372,7 +372,8 @@ def _check_extra_pulses(
 ) -> tuple[bool, bool, bool]:
     """Return whether there is a second strike, a merged PSW, and a pulse that no strike causes.
 
-    `noise_v` is the standard deviation of a block mean.
+    ``noise_v``, the standard deviation of a block mean in V, raises the thresholds where it exceeds what they
+    allow for; 0 leaves them.
     """
     excess_v = max(0.0, noise_v / math.sqrt(record.smooth_blocks) - ALLOWED_NOISE * isw.amplitude_v)
     double = not (isw.regular and isw.fwhm_s <= settings.double_isw_width_ratio * settings.isw_fwhm_s)
@@ -426,7 +427,10 @@ def _has_second_reflection(
 
 
 def find_prominent_maxima(values: FloatArray, floor: float, valley: float) -> list[int]:
-    """Return indices of maxima of at least ``floor``, with a fall of at least ``valley`` between any two."""
+    """Return indices of maxima of at least ``floor``, with a fall of at least ``valley`` between any two.
+
+    Of two maxima without such a fall between them, only the higher one is returned.
+    """
     accepted: list[int] = []
     for index in _find_local_maxima(np.maximum(values, floor)):
         if accepted:

@@ -93,7 +93,10 @@ class Template:
 
 
 def learn_template(shots: Sequence[ShotFeatures]) -> Template | None:
-    """Compute the typical wave from quantiles of the valid shots; None for fewer than three."""
+    """Compute the typical wave from quantiles of the valid shots; None for fewer than three.
+
+    A shot without a width of its incident wave does not count.
+    """
     valid = [shot for shot in shots if shot.valid and math.isfinite(shot.isw_fwhm_s)]
     if len(valid) < FEWEST_SHOTS:
         return None
@@ -130,7 +133,7 @@ def _column_quantiles(ordered: FloatArray, part: float) -> FloatArray:
 def flag_residual_reflections(shots: Sequence[ShotFeatures], usual_ratio: float | None) -> list[ShotFeatures]:
     """Flag shots ``no_psw`` whose reflection is too weak for any wall; only the incident wave's values stay.
 
-    Shots that were compared before are not changed.
+    A disturbed shot is flagged ``missed`` instead. Shots that were compared before are not changed.
 
     Parameters
     ----------

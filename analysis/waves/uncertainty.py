@@ -47,6 +47,8 @@ def propagate_noise_to_features(
 ) -> dict[str, float]:
     """Propagate a record's noise to the standard deviation of each available feature, by name.
 
+    Without an incident wave, only that of ``noise_rms_v`` is returned.
+
     Parameters
     ----------
     values

@@ -52,7 +52,8 @@ class ProbedWall:
     def truth(self, echo: EchoParameters) -> dict[str, float]:
         """Return the wall's true values that are stored with a record, by column name.
 
-        The travel time is that of a smooth wall.
+        They are ``thickness_m`` and ``travel_time_s``, that of a smooth wall, and for a rough wall
+        ``thickness_least_m`` and ``roughness_rms_m``.
         """
         known = {
             "thickness_m": self.thickness_m,
@@ -66,7 +67,11 @@ class ProbedWall:
 def build_wall(
     pristine_m: float, depth_fraction: float, spot: RoughSpot | None, warmer_k: float
 ) -> ProbedWall:
-    """Build the wall under a probe at one depth; without a spot or without loss it is smooth."""
+    """Build the wall under a probe at one depth; without a spot or without loss it is smooth.
+
+    ``depth_fraction`` is the mean loss over ``pristine_m``, ``warmer_k`` the temperature in K above that at
+    which the parameters hold.
+    """
     return ProbedWall(
         thickness_m=pristine_m * (1.0 - depth_fraction),
         facets=None if spot is None or depth_fraction == 0.0 else spot.at(pristine_m, depth_fraction),

@@ -80,7 +80,7 @@ def draw_autocorrelated_values(
 def _draw_innovations(seed: int, position: str, block: int, size: int, dof: float) -> FloatArray:
     """Draw the innovations of a block of `LAGS` sets, shape (LAGS, size).
 
-    Block 0 holds those before the test.
+    Block 0 holds those before the test. Cached and read-only.
     """
     key = ShotKey(position=position, set_index=block, shot_index=0)
     return _make_read_only(
@@ -134,7 +134,10 @@ def draw_values_after_reseats(
 def _draw_reseats(
     seed: int, position: str, block: int, rate_per_h: float, size: int
 ) -> tuple[FloatArray, FloatArray]:
-    """Draw the re-seats of a block of 1,000 h: hours, rising, and values after each, shape (count, size)."""
+    """Draw the re-seats of a block of 1,000 h: hours, rising, and values after each, shape (count, size).
+
+    Both are cached and read-only.
+    """
     key = ShotKey(position=position, set_index=block, shot_index=0)
     random = keyed_generator(seed, Purpose.RESEATS, key=key)
     count = int(random.poisson(rate_per_h * RESEAT_BLOCK_H))

@@ -55,13 +55,14 @@ def read_or_compute_arrays(
     """Read the arrays stored in `folder` under `key`, or compute and store them.
 
     Unfinished files of killed writers are removed; a file that cannot be written is only logged.
+    Errors of ``compute`` are passed on.
 
     Parameters
     ----------
     folder
         None computes without any disk. Kept or not, the arrays are the same to the last bit.
     key
-        From `compute_cache_key`: whatever changes the arrays must change it.
+        From `compute_cache_key`: every change of the arrays must change it.
     compute
         Makes the arrays, float64 of any shape, by name.
     """

@@ -54,7 +54,7 @@ class Axis:
         return np.arange(first[interval], first[interval + 1] + 1)
 
     def interval_matrices(self, interval: int) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Compute ``int N_i N_j``, ``int N_i' N_j``, ``int N_i' N_j'`` over an interval in m, shape (i, j)."""
+        """Compute ``int N_i N_j``, ``int N_i' N_j``, ``int N_i' N_j'`` over an interval in m, as [i, j]."""
         length = float(self.breaks_m[interval + 1] - self.breaks_m[interval])
         mass, slope, stiffness = _reference_element_matrices(self.degrees[interval])
         return mass * (0.5 * length), slope, stiffness * (2.0 / length)

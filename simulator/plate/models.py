@@ -97,7 +97,10 @@ class CachedSolid:
             return found
 
     def _compute_modes(self, corrosion: CorrosionParameters) -> PlateModes:
-        """Compute the modes of a thinned plate: from one basis for all depths if so set, else on its own."""
+        """Compute the modes of a thinned plate: from one basis for all depths if so set, else on its own.
+
+        Raise SpecimenError if the solid model does not cover the plate at this depth.
+        """
         check_solid_parameters(self._plate, corrosion)
         lost = corrosion.depth_fraction * corrosion.depth_factor
         if not self._plate.solid.one_basis or lost < SHALLOWEST_FRACTION:

@@ -287,8 +287,8 @@ def _apply_second_strike(
     """Apply a second impact of the striker of lane `k` at step `n`; return the energy added in J.
 
     The striker was lifted before, so its contact starts open; the impulse that it gave stays with the body
-    below. ``speed`` is that of the second impact in m/s; ``launch_speed`` is updated so that its free flight
-    gives it.
+    below. ``speed`` is that of the second impact in m/s. ``launch_speed`` is updated in place: the speed at
+    the start with which the striker would have fallen freely to this one.
     """
     gravity, mass = chains.gravity, chains.mass[0]
     below = width + k
@@ -610,7 +610,7 @@ def _compute_contact_force(
 ) -> Any:
     """Compute the force of contact i in N, one lane per shot; 0 where the contact is open.
 
-    `closing` is the rate at which the contact with the plate is pressed.
+    `closing` is the rate in m/s at which the contact with the plate is pressed.
     """
     if i < chains.mass.shape[0] - 1:
         p = load(bodies.overlap, i * width, width)

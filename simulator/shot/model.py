@@ -314,7 +314,7 @@ class ShotModel:
         return depth
 
     def _build_struck_chain(self, impact: Impact) -> Chain:
-        """Return the chain with an impact's height, tilt, contacts and second strike, bounds checked."""
+        """Return the chain with an impact's height, tilt, contacts and second strike, or raise ValueError."""
         chain, height_m, tilt_rad = self._chain, impact.drop_height_m, impact.tilt_rad
         struck = self._nominal
         if height_m is not None or tilt_rad is not None or impact.contacts is not None:

@@ -57,7 +57,8 @@ def thinned_element_matrices(
 ) -> tuple[FloatArray, FloatArray]:
     """Compute the coefficients of 1, s, s^2, s^3 in stiffness and mass of elements of uneven thickness.
 
-    s is the part of the thickness that remains in the middle of a patch; between Gauss points it varies.
+    s is the fraction of the thickness that remains in the middle of a patch; the local thickness differs
+    from one Gauss point to the next.
 
     Parameters
     ----------

@@ -184,7 +184,10 @@ def _make_edge_lines(
 
 
 def evaluate_thinning(x_m: FloatArray, y_m: FloatArray, corrosion: CorrosionParameters) -> PlateThinning:
-    """Evaluate the patches on the elements of a grid with its origin at the contact."""
+    """Return the thinning of a grid's elements by flat and by smooth patches, from lines in m.
+
+    The origin of the lines is the contact.
+    """
     flat = [patch for patch in corrosion.patches if patch.profile == "flat"]
     elements = (len(x_m) - 1) * (len(y_m) - 1)
     covered = [patch_fraction(x_m, y_m, patch).ravel() for patch in flat]
@@ -275,7 +278,8 @@ def _element_coefficients(
 ) -> tuple[list[_Elements], list[_Elements]]:
     """Compute each element's coefficients of 1, s, s^2, s^3 in stiffness and in mass.
 
-    They come with the elements where they act.
+    Each is a pair: the numbers of the elements where it acts, and their matrices. ``pristine`` is the result
+    of `element_matrices`.
     """
     bending, shear, translation, rotation = pristine
     linear, cubic = thinning.coefficients(1), thinning.coefficients(3)

@@ -229,7 +229,10 @@ def check_solid_parameters(plate: PlateParameters, corrosion: CorrosionParameter
 def _mesh_in_plane_axis(
     length_m: float, half_m: float, mesh: SolidMesh, h: float, *, round_patch: bool
 ) -> Axis:
-    """Mesh an axis in the plane from 0 to `length_m`, refined at the contact and at the patch's edge."""
+    """Mesh an axis in the plane from 0 to `length_m`, refined at the contact and at the patch's edge.
+
+    ``half_m`` is half the patch, ``h`` the thickness of the plate, in m.
+    """
     features = [(0.0, mesh.contact_element * h), (half_m, mesh.edge_element * h)]
     if round_patch:  # the circle crosses every line up to half_m
         features += [(half_m * t, max(mesh.edge_element, 0.25) * h) for t in np.linspace(0.5, 1.0, 9)]
@@ -246,7 +249,7 @@ def _mesh_in_plane_axis(
 def _mesh_thickness_axis(lost: float, mesh: SolidMesh, h: float) -> Axis:
     """Mesh the thickness in m, with grid lines at fixed fractions of the remaining and the lost layer.
 
-    So results change smoothly with the depth.
+    So results change smoothly with the depth. ``lost`` is the fraction of the thickness ``h`` that is lost.
     """
     graded = mesh.degree - 2
     breaks = (1.0 - lost) * h * np.array(UPPER_LINES)

@@ -290,7 +290,8 @@ def solid_modes(
     Raises
     ------
     SpecimenError
-        The model does not know such a plate or patch; see `build_solid_plate`.
+        The model does not know such a plate or patch (`build_solid_plate`), or the circle of contact is too
+        small for the mesh.
     """
     corrosion = _remove_shallow_patch(corrosion)
     built = build_solid_plate(plate, corrosion)
