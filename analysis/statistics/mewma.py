@@ -130,7 +130,8 @@ def mewma(whitened: ArrayLike, weight: float = WEIGHT) -> FloatArray:
 def mcusum(whitened: ArrayLike, reference: float = REFERENCE) -> FloatArray:
     """Return Crosier's MCUSUM statistic of whitened sets, shape (n,): max(0, C - k), C = |s + w|.
 
-    The sum s starts from 0 and is shrunk by k, ``reference``, each set; a row with a NaN gives NaN and leaves s.
+    The sum s starts from 0 and is shrunk by k, ``reference``, each set. A row with a NaN gives NaN and leaves
+    s unchanged.
     Source: Crosier (1988), "Multivariate generalizations of cumulative sum quality-control schemes",
     Technometrics 30, 291-303.
     """
