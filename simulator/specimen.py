@@ -161,7 +161,10 @@ class Specimen:
         )
 
     def strike(self, key: ShotKey, hour_h: float) -> Strike:
-        """Draw drop height, tilt and sensitivity of one shot, with scatter, variability and faults."""
+        """Draw drop height, tilt and sensitivity of one shot, with scatter, variability and faults.
+
+        The result depends only on the twin, key and hour. Raise KeyError for a position without a transducer.
+        """
         faults = self.faults(key, hour_h)
         return self._draw_complete_strike(key, hour_h, faults, self.nuisance(key, hour_h, faults))
 
@@ -335,7 +338,10 @@ class Specimen:
         return self.room.at(hour_h) + self.climate.room_k(hour_h) + self.climate.process_k(hour_h)
 
     def probed_wall(self, position: str, hour_h: float) -> ProbedWall:
-        """Return the wall under the ultrasonic probe of a position at an hour of the test."""
+        """Return the wall under the ultrasonic probe of a position at an hour of the test.
+
+        Raise KeyError for a position without a probe.
+        """
         return build_wall(
             self.probed_thickness_m[position],
             self.walls[position].at(hour_h).depth_fraction,
@@ -346,7 +352,8 @@ class Specimen:
     def echo(self, key: ShotKey, hour_h: float) -> Echo:
         """Simulate the averaged pulse-echo record of one position, with its true values.
 
-        Noise, couplant and bubbles are drawn from the seed; there are none if noise is disabled.
+        Noise, couplant and bubbles are drawn from the seed; there are none if noise is disabled. Raise
+        KeyError for a position without a probe.
         """
         echo, seed, noisy = self.twin.echo, self.twin.seed, self.twin.noise.enabled
         wall = self.probed_wall(key.position, hour_h)
@@ -385,7 +392,10 @@ def _select_shot_model(transducer: Transducer, faults: ShotFaults) -> SolitaryWa
 
 
 def _simulate_strikes(model: ShotModel, blows: Sequence[_DrawnStrike]) -> list[tuple[ShotForce, ShotForce]]:
-    """Simulate strikes on one chain side by side; return each one's first impact and complete force."""
+    """Simulate strikes on one chain side by side; return each one's first impact and complete force.
+
+    Both are the same force without a second impact. Raise errors as `ShotModel.shots`.
+    """
     bounced = [blow for blow in blows if blow.faults.double_delay_s is not None]
     found = iter(model.shots([*(blow.impact() for blow in blows), *(blow.impacts() for blow in bounced)]))
     first = [next(found) for _ in blows]

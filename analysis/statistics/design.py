@@ -172,7 +172,10 @@ def update_chart_state(
 
 
 def compute_chart_contributions(average: FloatArray) -> FloatArray:
-    """Return each feature's contribution to a chart's statistic, (2 - weight)/weight z^2, shape (p,)."""
+    """Return each feature's contribution to a chart's statistic, (2 - weight)/weight z^2, shape (p,).
+
+    z is ``average``, the chart's exponential average.
+    """
     return np.asarray((2.0 - WEIGHT) / WEIGHT * average**2)
 
 

@@ -26,7 +26,7 @@ def _standardize_vectors(vectors: ArrayLike, baseline: Baseline) -> FloatArray:
 def distance_squared(vectors: ArrayLike, baseline: Baseline) -> FloatArray:
     """Return D = (x - mean)^T K^-1 (x - mean) (paper, eq. 16); NaN where a feature is missing.
 
-    Raise InvalidInputError if the last axis is not the baseline's features.
+    K is the baseline's covariance. Raise InvalidInputError if the last axis is not the baseline's features.
 
     Parameters
     ----------

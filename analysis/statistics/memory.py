@@ -47,7 +47,8 @@ def autocorrelation(vectors: ArrayLike, lag: int) -> FloatArray:
 def corrected_autocorrelation(r: ArrayLike, n: int) -> FloatArray:
     """Return the autocorrelation without the bias from estimating the mean: (n r + 1)/(n - 4) within 0..0.95.
 
-    Source: Marriott and Pope (1954), "Bias in the estimation of autocorrelations", Biometrika 41, 390-402.
+    ``r`` is the estimate at lag 1 from n sets, n above 4. Source: Marriott and Pope (1954), "Bias in the
+    estimation of autocorrelations", Biometrika 41, 390-402.
     """
     return np.clip((n * np.asarray(r, dtype=np.float64) + 1.0) / (n - 4.0), 0.0, LARGEST_PHI)
 
@@ -67,7 +68,10 @@ def significant_phi(phi: float, n: int) -> float:
 
 
 def effective_sets(n: int, phi: float) -> float:
-    """Return the effective number of independent sets for the mean, n (1 - phi)/(1 + phi)."""
+    """Return the effective number of independent sets for the mean, n (1 - phi)/(1 + phi).
+
+    ``phi`` is the lag-1 autocorrelation of n sets.
+    """
     return n * (1.0 - phi) / (1.0 + phi)
 
 

@@ -508,9 +508,9 @@ def _compute_autocorrelation_features(
 ) -> dict[str, float]:
     """Compute time of flight in s and coefficient by autocorrelation, by name; empty without a maximum.
 
-    The gate's edges fall on blocks. R(k) is summed over every block of the moving mean instead of every
-    sample: the mean leaves nothing for the missing samples to add. The few lags wanted cost less one by one
-    than a transform that gives all.
+    The gate's edges fall on blocks. The autocorrelation is summed over every block of the moving mean instead
+    of every sample: the mean leaves nothing for the missing samples to add. The few lags wanted cost less one
+    by one than a transform that gives all.
     """
     n = record.blocks_v.size
     first = max(0, round(record.index(isw.time_s - settings.window_half_width_s)))

@@ -179,7 +179,8 @@ def _chance_mean_square(n: float) -> float:
 def _build_quiet_basis(n: int, fwhm_blocks: int) -> FloatArray:
     """Build orthonormal columns that model the quiet part of a record, shape (n, n).
 
-    A constant, two of the wave's foot, cosines of rising frequency.
+    They are a constant, two of the wave's foot, cosines of rising frequency; n is the number of quiet blocks,
+    ``fwhm_blocks`` the ISW's width in blocks. Cached and read-only.
     """
     place = np.arange(n)
     cosines = np.cos(np.pi * np.outer(place + 0.5, np.arange(1, n - N_LEVEL + 1)) / n)

@@ -44,7 +44,10 @@ class ProbedWall:
     warmer_k: float
 
     def volts(self, echo: EchoParameters) -> FloatArray:
-        """Simulate the noise-free record of this wall in V, shape (record_samples,)."""
+        """Simulate the noise-free record of this wall in V, shape (record_samples,).
+
+        Raise ValueError if a smooth wall has no thickness left.
+        """
         return simulate_echo(
             self.thickness_m if self.facets is None else self.facets, warm_probe_and_wall(echo, self.warmer_k)
         )

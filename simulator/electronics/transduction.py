@@ -162,7 +162,7 @@ def simulate_triggered_record(
     Raises
     ------
     ValueError
-        The force ends before the record does.
+        The force ends before the record does, or the slope of the ADC's scaling varies by more than half.
     """
     volts = sensor_gain_v_per_n * dynamic_force_n
     crossing_s: float = find_first_crossing_s(volts, force_step_s, adc.trigger_level_v)

@@ -46,6 +46,8 @@ def prepare_modal_plate(
     ------
     SpecimenError
         The patch does not fit the plate, or the model does not know it.
+    numpy.linalg.LinAlgError
+        A matrix of the Mindlin plate is not positive definite.
     """
     if plate.model == "mindlin":
         return load_reduced_plate(plate, corrosion, cache_folder)
@@ -85,7 +87,8 @@ class CachedSolid:
     def modes(self, depth_fraction: float) -> PlateModes:
         """Return the modes of the solid with the patch thinned by `depth_fraction`, from memory if known.
 
-        A call blocks while another thread computes a depth; the last 256 depths are kept.
+        A call blocks while another thread computes a depth; the last 256 depths are kept. Raise SpecimenError
+        if the solid model does not cover this depth.
         """
         with self._lock:  # two threads must not compute the same depth
             found = self._known.get(depth_fraction)

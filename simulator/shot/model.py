@@ -264,7 +264,7 @@ class ShotModel:
         Raises
         ------
         ValueError
-            A replacement breaks the bounds of its parameter.
+            A replacement breaks the bounds of its parameter, or a plate without patch gets a depth.
         IntegrationError
             The energy balance fails even with the finest step.
         """
@@ -283,7 +283,7 @@ class ShotModel:
         return self.shots([impact], contact_forces=contact_forces)[0]
 
     def shots(self, impacts: Iterable[Impact], *, contact_forces: bool = False) -> list[ShotForce]:
-        """Simulate many strikes in order, side by side per depth, bit-identical to each alone; see `shot`."""
+        """Simulate strikes in order, side by side per depth, bit-identical to each alone; raise as `shot`."""
         by_wall: dict[tuple[float, float, bool], list[tuple[int, Chain]]] = {}
         count = 0
         for count, impact in enumerate(impacts, start=1):

@@ -34,6 +34,8 @@ def load_reduced_plate(
     ------
     SpecimenError
         A patch does not fit on the plate, overlaps another one or cannot be meshed.
+    numpy.linalg.LinAlgError
+        A matrix is not positive definite.
     """
 
     def compute_arrays() -> dict[str, FloatArray]:

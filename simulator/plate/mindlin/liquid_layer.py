@@ -130,7 +130,7 @@ def integrate_hats_times_sines(
 ) -> FloatArray:
     """Integrate hat functions on `lines_m` times ``sqrt(2 / a) sin(m pi (x - start) / a)``.
 
-    The integrals are exact for elements of any size relative to the wave.
+    a is ``edge_m``, m one of ``orders``. The integrals are exact for elements of any size.
 
     Returns
     -------

@@ -112,7 +112,8 @@ class PlateThinning:
     def coefficients(self, power: int) -> FloatArray:
         """Return coefficients of 1, s, s^2, s^3 in the relative thickness to `power` (1 to 3).
 
-        The shape is (4, Gauss points, elements).
+        s is the fraction of the thickness that remains in the middle of a patch. The shape is (4, Gauss
+        points, elements).
         """
         rest = 1.0 - self.covered.sum(axis=0)
         total = rest * _binomial_coefficients(self.profile, power)
@@ -122,7 +123,10 @@ class PlateThinning:
 
 
 def _binomial_coefficients(p: FloatArray, power: int) -> FloatArray:
-    """Expand ``((1 - p) + s p)^power`` in 1, s, s^2, s^3; coefficients along a new first axis."""
+    """Expand ``((1 - p) + s p)^power`` in 1, s, s^2, s^3; coefficients along a new first axis.
+
+    ``p`` is the local depth over that in the middle of the patch.
+    """
     terms = [math.comb(power, j) * (1.0 - p) ** (power - j) * p**j for j in range(power + 1)]
     return np.stack([*terms, *[np.zeros_like(p)] * (3 - power)])
 
@@ -278,8 +282,9 @@ def _element_coefficients(
 ) -> tuple[list[_Elements], list[_Elements]]:
     """Compute each element's coefficients of 1, s, s^2, s^3 in stiffness and in mass.
 
-    Each is a pair: the numbers of the elements where it acts, and their matrices. ``pristine`` is the result
-    of `element_matrices`.
+    s is the fraction of the thickness that remains in the middle of a patch. Each coefficient is a pair: the
+    numbers of the elements where it acts, and their matrices. ``pristine`` is the result of
+    `element_matrices`.
     """
     bending, shear, translation, rotation = pristine
     linear, cubic = thinning.coefficients(1), thinning.coefficients(3)

@@ -59,7 +59,7 @@ def surface_flexibility_m_per_pa(plate: PlateParameters, thickness_m: float, k: 
 def transform_hertz_pressure(q: FloatArray) -> FloatArray:
     """Return the Fourier transform of Hertz's pressure per force at q = k a > 0; shape as q.
 
-    It is ``3 (sin q - q cos q) / q^3``.
+    It is ``3 (sin q - q cos q) / q^3``, k the wave number and a the radius of contact.
     """
     return np.asarray(3.0 * (np.sin(q) - q * np.cos(q)) / q**3)
 

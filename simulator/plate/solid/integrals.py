@@ -55,7 +55,8 @@ def integrate_over_patch(
 def integrate_in_plane(x: Axis, y: Axis, ex: int, ey: int) -> tuple[FloatArray, ...]:
     """Integrate products of shape functions over one element; six arrays, shape (nodes, nodes).
 
-    ``N N``, ``N_,x N_,x``, ``N_,y N_,y``, ``N_,x N``, ``N_,y N`` and ``N_,x N_,y``, the first factor by row.
+    ``N N``, ``N_,x N_,x``, ``N_,y N_,y``, ``N_,x N``, ``N_,y N`` and ``N_,x N_,y``, the first factor by row;
+    N are the shape functions, N_,x and N_,y their derivatives.
     """
     mass_x, slope_x, stiffness_x = x.interval_matrices(ex)
     mass_y, slope_y, stiffness_y = y.interval_matrices(ey)
@@ -129,7 +130,8 @@ def compute_in_plane_elasticity(
 
     Unknowns are numbered (node, component).
 
-    The stiffness is ``A x (Z Z) + B x (Z' Z') + C x (Z' Z) + its transpose``, the mass ``D x (Z Z)``.
+    The stiffness is ``A x (Z Z) + B x (Z' Z') + C x (Z' Z) + its transpose``, the mass ``D x (Z Z)``; Z are
+    the functions through the thickness, x is the Kronecker product.
 
     Returns
     -------
