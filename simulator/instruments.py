@@ -246,7 +246,10 @@ class Bench(StruckDigitizer):
 
 
 def _require_position(key: ShotKey, known: Mapping[str, object], role: str) -> None:
-    """Raise ConfigurationError, with the known positions, if a position is not configured."""
+    """Raise ConfigurationError, with the known positions, if the position of ``key`` is none of them.
+
+    ``role`` names the missing device in the message.
+    """
     if key.position not in known:
         names = ", ".join(sorted(known)) or "none"
         raise ConfigurationError(f"no {role} at position {key.position!r}; there are: {names}")

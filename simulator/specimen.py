@@ -171,7 +171,11 @@ class Specimen:
     def _draw_complete_strike(
         self, key: ShotKey, hour_h: float, faults: ShotFaults, found: ShotNuisance | None
     ) -> Strike:
-        """Draw a shot's strike with scatter, the given variability (or None) and the given faults."""
+        """Draw a shot's strike with scatter, the given variability (or None) and the given faults.
+
+        The result depends only on the twin, key, hour and these. Raise KeyError for a position without a
+        transducer.
+        """
         chain, sensor = self.transducers[key.position].chain, self.twin.sensor
         strike = draw_scattered_strike(
             key,

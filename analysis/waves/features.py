@@ -144,7 +144,7 @@ class ShotFeatures:
     sd: Mapping[str, float] = field(default_factory=dict)
 
     def values(self) -> dict[str, float]:
-        """Return every feature by name, in the order of `ALL_FEATURE_NAMES`."""
+        """Return every feature by name, in the order of `ALL_FEATURE_NAMES`; NaN where not available."""
         return dict(zip(ALL_FEATURE_NAMES, _EVERY_FEATURE(self), strict=True))
 
     def vector(self) -> FloatArray:

@@ -249,7 +249,10 @@ def kernel_noise_gain(width_blocks: float) -> float:
 
 @lru_cache(maxsize=64)
 def _kernel_spectrum(width_blocks: float, n_fft: int) -> NDArray[np.complex128]:
-    """Return the spectrum of the matched filter's weights, shape (n_fft // 2 + 1,), centred on sample 0."""
+    """Return the spectrum of the matched filter's weights, shape (n_fft // 2 + 1,), centred on sample 0.
+
+    Cached and read-only.
+    """
     weights = filter_kernel(width_blocks)
     half = weights.size // 2
     wrapped = np.zeros(n_fft)

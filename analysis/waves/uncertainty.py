@@ -113,7 +113,10 @@ def _quartic_variances(pulse: Pulse, s2: float, step_s: float) -> tuple[float, f
 
 @lru_cache(maxsize=1024)
 def _inverse_normal_matrix(n: int) -> FloatArray:
-    """Return (X^T X)^-1 of the quartic fit on n points, shape (5, 5)."""
+    """Return (X^T X)^-1 of the quartic fit on n points, shape (5, 5).
+
+    X is the design matrix of `quartic_design_matrix`. Cached: callers must not write to the result.
+    """
     _, solver = quartic_design_matrix(n)
     return np.asarray(solver @ solver.T)
 

@@ -238,7 +238,10 @@ def _prepare_slow_noise_grid(n_samples: int, shortest_period: float) -> tuple[in
 
 @lru_cache(maxsize=64)
 def _lagrange_cubic_weights(per_step: int) -> FloatArray:
-    """Return weights of Lagrange's cubic through -1, 0, 1, 2 for samples in 0 to 1, shape (4, per_step)."""
+    """Return weights of Lagrange's cubic through -1, 0, 1, 2 for samples in 0 to 1, shape (4, per_step).
+
+    Cached: callers must not write to the result.
+    """
     x = np.arange(per_step) / per_step
     return np.array(
         [

@@ -114,7 +114,10 @@ class CachedSolid:
             return self._family.modes(1.0 - lost)
 
     def _load_or_compute_modes(self, corrosion: CorrosionParameters) -> PlateModes:
-        """Read the modes of a thinned plate from the disk cache, or compute and store them."""
+        """Read the modes of a thinned plate from the disk cache, or compute and store them.
+
+        Raise SpecimenError as `solid_modes`.
+        """
 
         def compute() -> dict[str, FloatArray]:
             """Compute the modes in one BLAS thread; return their arrays by name."""
@@ -127,7 +130,10 @@ class CachedSolid:
         return PlateModes(**found, residual_compliance_m_per_n=residual_m_per_n)
 
     def _load_or_compute_family(self) -> SolidFamily:
-        """Read the basis for all depths from the disk cache, or compute and store it."""
+        """Read the basis for all depths from the disk cache, or compute and store it.
+
+        Raise SpecimenError as `build_solid_family`.
+        """
 
         def compute() -> dict[str, FloatArray]:
             """Compute the family in one BLAS thread; return its arrays by name."""

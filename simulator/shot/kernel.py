@@ -97,7 +97,10 @@ _compiled = jit_compile(nogil=True, error_model="numpy")
 
 @_compiled
 def _power_of_overlap(overlap: Any, law: int) -> Any:
-    """Compute ``overlap^(1 + p)``, p of index `law` in `LAWS_OF_DAMPING`, by square roots only."""
+    """Compute ``overlap^(1 + p)``, p of index `law` in `LAWS_OF_DAMPING`, by square roots only.
+
+    ``overlap`` is a vector in m, not negative.
+    """
     if law == 0:
         return overlap
     root = sqrt(overlap)
@@ -237,7 +240,10 @@ def _compute_contact_weights(
 
 @_step
 def _set_last_body_at_rest(chains: Chains, contact: Contact, zero: Any, width: int) -> LastBody:
-    """Create the state of the last body at rest under its static load, with its contact's stored energy."""
+    """Create the state of the last body at rest under its static load, with its contact's stored energy.
+
+    ``zero`` is a vector of ``width`` zeros, one lane per shot.
+    """
     held = np.empty(width)
     row = (chains.mass.shape[0] - 1) * width
     for k in range(width):
@@ -261,7 +267,10 @@ def _set_last_body_at_rest(chains: Chains, contact: Contact, zero: Any, width: i
 
 @_step
 def _compute_initial_energy(chains: Chains, strikes: Strikes, compliance: float, width: int) -> FloatArray:
-    """Compute the initial energy of all contacts and the striker in J for each shot, shape (width,)."""
+    """Compute the initial energy of all contacts and the striker in J for each shot, shape (width,).
+
+    ``compliance`` is that of the modes above the cut, in m/N.
+    """
     last = chains.mass.shape[0] - 1
     energy = np.empty(width)
     for k in range(width):
@@ -627,7 +636,10 @@ def _compute_contact_force(
 
 @_step
 def _sum_body_energy(bodies: Bodies, last: LastBody, contact: Contact, chains: Chains, width: int) -> Any:
-    """Sum energy and losses of chain and contacts in J, without the modes of the plate."""
+    """Sum energy and losses of chain and contacts in J, without the modes of the plate.
+
+    The result has one lane per shot; it stays constant with the energy of the modes added.
+    """
     n_last = chains.mass.shape[0] - 1
     spent = last.dissipated
     for i in range(n_last):

@@ -62,7 +62,10 @@ def _run_kernel(
     retainer_force_n: float,
     contact_forces: bool,
 ) -> list[Record]:
-    """Run one pass of the kernel for at most `width` chains; return a record for each, in order."""
+    """Run one pass of the kernel for at most `width` chains; return a record for each, in order.
+
+    Lanes without a chain of their own repeat the last one.
+    """
     lanes = chains + [chains[-1]] * (width - len(chains))
     chain = lanes[0]
 
