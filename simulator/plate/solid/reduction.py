@@ -102,8 +102,8 @@ def _find_column_kind(plate: SolidPlate, ex: int, ey: int) -> tuple[int, int]:
 def column_matrices(plate: SolidPlate, column: int, fold: sparse.csr_matrix) -> tuple[FloatArray, FloatArray]:
     """Compute stiffness and mass of one column over its unknowns, times the number of symmetric copies.
 
-    ``column`` is a row of ``plate.columns``, ``fold`` its map from `list_column_folds`; both results have the
-    shape (unknowns, unknowns).
+    Both have the shape (unknowns, unknowns). ``column`` is a row of ``plate.columns``, ``fold`` its map: see
+    `list_column_folds`.
     """
     ex, ey = (int(e) for e in plate.columns[column])
     kind, nodes = _find_column_kind(plate, ex, ey)
