@@ -32,7 +32,7 @@ class SimulatedClock:
         mono_ns: Callable[[], int] = time.monotonic_ns,
         sleep: Callable[[float], None] = time.sleep,
     ) -> None:
-        """Raise ValueError for a pace that is not positive."""
+        """Start the clock at ``start_utc_ns``; raise ValueError for a pace that is not positive."""
         if pace_h_per_s is not None and not pace_h_per_s > 0.0:
             raise ValueError(f"pace_h_per_s is {pace_h_per_s}; it must be positive, or None to jump")
         self._utc_ns = start_utc_ns
@@ -55,9 +55,10 @@ class SimulatedClock:
         self._pace_h_per_s = None
 
     def wait_until(self, utc_ns: int, idle: Callable[[], bool]) -> bool:
-        """Wait until ``utc_ns`` at the set pace, or jump; return False if ``idle`` ends the wait.
+        """Wait until ``utc_ns`` at the set pace, or jump; return False once ``idle`` returns False.
 
-        A past time is reached at once.
+        ``idle`` is called at least every 0.2 s of wall time, and at the end. If it ends the wait early, the
+        time does not advance. A past time is reached at once.
         """
         while self._pace_h_per_s is not None and utc_ns > self._utc_ns:
             due_wall_ns = (

@@ -88,6 +88,7 @@ class RecordsAhead:
         """Return the record of a strike, waiting if necessary; start computing those after it.
 
         Return None for a strike that does not trigger. If the executor broke, log that once and compute here.
+        An error of the computation is raised at its own strike.
 
         Parameters
         ----------
@@ -103,7 +104,11 @@ class RecordsAhead:
         return self._specimen.simulate_wave(key, hour_h(utc_ns))
 
     def _record(self, key: ShotKey, utc_ns: int, hour_h: Callable[[int], float]) -> Acquired | None:
-        """Return the record of a strike and start the next; raise BrokenExecutor if the executor broke."""
+        """Return the record of a strike and start computing the next ones; None if it does not trigger.
+
+        A failed group is logged, and its records are computed here. Raise BrokenExecutor if the executor
+        broke.
+        """
         strike = key, hour_h(utc_ns)
         expected = list(self._pending)
         pending = self._pending.pop(strike, None)
@@ -132,7 +137,10 @@ class RecordsAhead:
     def _submit_strikes(
         self, group: Sequence[TimedStrike], previous: dict[TimedStrike, _PendingRecord]
     ) -> dict[TimedStrike, _PendingRecord]:
-        """Submit the strikes of a group that are not pending yet; move the others from ``previous``."""
+        """Submit the strikes of a group that are not pending yet; move the others from ``previous``.
+
+        Return the pending records of the group. Raise BrokenExecutor if the executor broke.
+        """
         new = [strike for strike in group if strike not in previous]
         if new:
             future = self._executor.submit(self._compute, new)
@@ -142,7 +150,11 @@ class RecordsAhead:
     def _plan_from(
         self, key: ShotKey, utc_ns: int, expected: Sequence[ShotKey], hour_h: Callable[[int], float]
     ) -> None:
-        """Plan the strikes ahead again after one out of the planned order; skip positions passed over."""
+        """Plan the strikes ahead again after one out of the planned order; skip positions passed over.
+
+        ``expected`` are the strikes planned before: positions of those before ``key`` count as passed over
+        until they are struck.
+        """
         if key in expected:
             self._passed_over |= {shot.position for shot in expected[: expected.index(key)]}
         self._passed_over.discard(key.position)
@@ -179,6 +191,7 @@ class Bench(StruckDigitizer):
     def __init__(
         self, specimen: Specimen, clock: Clock, *, epoch_utc_ns: int, ahead: RecordsAhead | None = None
     ) -> None:
+        """Keep the collaborators; no strike has been recorded yet."""
         super().__init__()
         self.specimen = specimen
         self.clock = clock
@@ -205,7 +218,7 @@ class Bench(StruckDigitizer):
         return recorded
 
     def record_of(self, key: ShotKey) -> Acquired:
-        """Return the record of the last strike as the digitizer samples it.
+        """Return the record of the last strike as the digitizer samples it; wait for one computed ahead.
 
         Raise AcquisitionTimeoutError if the strike does not reach the trigger level.
         Raise ConfigurationError if the twin cannot compute the shot.
@@ -223,14 +236,20 @@ class Bench(StruckDigitizer):
         return acquired
 
     def _record(self, key: ShotKey, utc_ns: int) -> Acquired | None:
-        """Return the record of a strike, computed now or ahead of time; None if it does not trigger."""
+        """Return the record of a strike, computed now or ahead of time; None if it does not trigger.
+
+        Raise SimulatorError or ValueError if it cannot be computed.
+        """
         if self._ahead is None:
             return self.specimen.simulate_wave(key, self.hour_h(utc_ns))
         return self._ahead.record(key, utc_ns, self.hour_h)
 
 
 def _require_position(key: ShotKey, known: Mapping[str, object], role: str) -> None:
-    """Raise ConfigurationError, with the known positions, if a position is not configured."""
+    """Raise ConfigurationError, with the known positions, if the position of ``key`` is none of them.
+
+    ``role`` names the missing device in the message.
+    """
     if key.position not in known:
         names = ", ".join(sorted(known)) or "none"
         raise ConfigurationError(f"no {role} at position {key.position!r}; there are: {names}")
@@ -249,6 +268,7 @@ class SimulatedStriker:
     """Electromagnets that lift and drop the strikers."""
 
     def __init__(self, bench: Bench) -> None:
+        """Keep the bench; all coils are off."""
         self._bench = bench
         self._energised: str | None = None
         self._events: deque[CoilEvent] = deque(maxlen=COIL_EVENTS_KEPT)
@@ -289,6 +309,7 @@ class SimulatedPulseEchoUnit:
     """Pulse-echo unit that fires the ultrasonic probe and averages."""
 
     def __init__(self, bench: Bench) -> None:
+        """Keep the bench, whose specimen is probed."""
         self._bench = bench
 
     def acquire(self, key: ShotKey, timeout_s: float) -> Echo:
@@ -339,6 +360,11 @@ def build_bench(
         cancels what is pending when it closes.
     compute
         What an executor of other processes runs for this specimen's `simulate_waves`.
+
+    Raises
+    ------
+    SpecimenError
+        The specimen cannot be built (`build_specimen`).
     """
     specimen = build_specimen(twin, transducers=transducers, probed_thickness_m=probed_thickness_m)
     ahead = None

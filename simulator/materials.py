@@ -28,8 +28,8 @@ def thin_plate_impedance_n_s_per_m(
 ) -> float:
     """Return the driving-point impedance ``8 sqrt(D rho h)`` of an infinite Kirchhoff plate, in N s/m.
 
-    It is real: the point under a force F moves with ``F / (8 sqrt(D rho h))`` (Zener 1941,
-    doi:10.1103/PhysRev.59.669, the paper's reference 58).
+    D is the bending stiffness, rho the density, h the thickness. It is real: the point under a force F moves
+    with ``F / (8 sqrt(D rho h))`` (Zener 1941, doi:10.1103/PhysRev.59.669, the paper's reference 58).
     """
     bending = bending_stiffness_n_m(youngs_modulus_pa, poisson_ratio, thickness_m)
     return 8.0 * math.sqrt(bending * density_kg_per_m3 * thickness_m)

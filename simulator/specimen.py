@@ -161,14 +161,21 @@ class Specimen:
         )
 
     def strike(self, key: ShotKey, hour_h: float) -> Strike:
-        """Draw drop height, tilt and sensitivity of one shot, with scatter, variability and faults."""
+        """Draw drop height, tilt and sensitivity of one shot, with scatter, variability and faults.
+
+        The result depends only on the twin, key and hour. Raise KeyError for a position without a transducer.
+        """
         faults = self.faults(key, hour_h)
         return self._draw_complete_strike(key, hour_h, faults, self.nuisance(key, hour_h, faults))
 
     def _draw_complete_strike(
         self, key: ShotKey, hour_h: float, faults: ShotFaults, found: ShotNuisance | None
     ) -> Strike:
-        """Draw a shot's strike with scatter, the given variability (or None) and the given faults."""
+        """Draw a shot's strike with scatter, the given variability (or None) and the given faults.
+
+        The result depends only on the twin, key, hour and these. Raise KeyError for a position without a
+        transducer.
+        """
         chain, sensor = self.transducers[key.position].chain, self.twin.sensor
         strike = draw_scattered_strike(
             key,
@@ -192,7 +199,8 @@ class Specimen:
     def force(self, wall: Wall, strike: Strike, position: str, faults: ShotFaults = NO_FAULTS) -> ShotForce:
         """Simulate the force at the sensor for one impact; above a through hole nothing is reflected.
 
-        A second impact and variability are not included.
+        A second impact and variability are not included. Raise SpecimenError if a fault changes the chain of
+        a model that is no ShotModel, and errors of `ShotModel.shot`.
         """
         model = _select_shot_model(self.transducers[position], faults)
         if wall.is_hole:
@@ -204,14 +212,18 @@ class Specimen:
         )
 
     def simulate_wave(self, key: ShotKey, hour_h: float) -> Acquired | None:
-        """Simulate the record of one strike; None if it is missed or does not reach the trigger level."""
+        """Simulate the record of one strike; None if it is missed or does not reach the trigger level.
+
+        Raise errors as `simulate_waves`.
+        """
         (acquired,) = self.simulate_waves([(key, hour_h)])
         return acquired
 
     def simulate_waves(self, strikes: Sequence[tuple[ShotKey, float]]) -> list[Acquired | None]:
-        """Simulate the records of strikes at their hours, bit-identical to those of `solitary_wave`.
+        """Simulate the records of strikes at their hours, bit-identical to those of `simulate_wave`.
 
         Strikes of one transducer on a wall of one depth cost half as much together as one after the other.
+        Raise SimulatorError or ValueError if a shot cannot be computed.
         """
         blows = [self._draw_strike_and_wall(key, hour_h) for key, hour_h in strikes]
         forces = self._compute_forces([blow for blow in blows if blow is not None])
@@ -233,7 +245,10 @@ class Specimen:
         )
 
     def _compute_forces(self, blows: Sequence[_DrawnStrike]) -> Iterator[tuple[ShotForce, ShotForce]]:
-        """Yield, in order, the force of each strike's first impact and the force of all its impacts."""
+        """Compute all forces; return an iterator over pairs: force of the first impact, force of all impacts.
+
+        Pairs have the order of ``blows``. Raise errors as `simulate_waves`.
+        """
         alike: dict[tuple[str, float, float, float], list[int]] = {}
         for number, blow in enumerate(blows):
             faults, liquid = blow.faults, 1.0 if blow.nuisance is None else blow.nuisance.liquid_factor
@@ -252,7 +267,7 @@ class Specimen:
         return (forces[number] for number in range(len(blows)))
 
     def _simulate_force(self, model: SolitaryWaveModel, blow: _DrawnStrike) -> tuple[ShotForce, ShotForce]:
-        """Simulate the force of one shot of a model without batches, also without variability.
+        """Simulate the force of one shot of a model that computes shots singly; return the same force twice.
 
         Raise SpecimenError for a second impact or variability, which such a model does not have.
         """
@@ -272,7 +287,11 @@ class Specimen:
     def _digitize_force(
         self, blow: _DrawnStrike, force: ShotForce, every_impact: ShotForce
     ) -> Acquired | None:
-        """Digitize the force of all impacts; return record and true values, None without a trigger."""
+        """Digitize the force of all impacts; return record and true values, None without a trigger.
+
+        The true values are those of the first impact, ``force``. Raise ValueError if the force ends before
+        the record, NoSolitaryWaveError if it holds no incident wave.
+        """
         seed, adc, key, hour_h = self.twin.seed, self.twin.adc, blow.key, blow.hour_h
         interference, electrical_truth = draw_interference(
             self.twin.faults.get(key.position, SOUND), seed=seed, key=key, hour_h=hour_h, adc=adc
@@ -323,7 +342,10 @@ class Specimen:
         return self.room.at(hour_h) + self.climate.room_k(hour_h) + self.climate.process_k(hour_h)
 
     def probed_wall(self, position: str, hour_h: float) -> ProbedWall:
-        """Return the wall under the ultrasonic probe of a position at an hour of the test."""
+        """Return the wall under the ultrasonic probe of a position at an hour of the test.
+
+        Raise KeyError for a position without a probe.
+        """
         return build_wall(
             self.probed_thickness_m[position],
             self.walls[position].at(hour_h).depth_fraction,
@@ -334,7 +356,8 @@ class Specimen:
     def echo(self, key: ShotKey, hour_h: float) -> Echo:
         """Simulate the averaged pulse-echo record of one position, with its true values.
 
-        Noise, couplant and bubbles are drawn from the seed; there are none if noise is disabled.
+        Noise, couplant and bubbles are drawn from the seed; there are none if noise is disabled. Raise
+        KeyError for a position without a probe.
         """
         echo, seed, noisy = self.twin.echo, self.twin.seed, self.twin.noise.enabled
         wall = self.probed_wall(key.position, hour_h)
@@ -373,7 +396,10 @@ def _select_shot_model(transducer: Transducer, faults: ShotFaults) -> SolitaryWa
 
 
 def _simulate_strikes(model: ShotModel, blows: Sequence[_DrawnStrike]) -> list[tuple[ShotForce, ShotForce]]:
-    """Simulate strikes on one chain side by side; return each one's first impact and complete force."""
+    """Simulate strikes on one chain side by side; return each one's first impact and complete force.
+
+    Both are the same force without a second impact. Raise errors as `ShotModel.shots`.
+    """
     bounced = [blow for blow in blows if blow.faults.double_delay_s is not None]
     found = iter(model.shots([*(blow.impact() for blow in blows), *(blow.impacts() for blow in bounced)]))
     first = [next(found) for _ in blows]
@@ -391,7 +417,8 @@ def _grid_step_s(force: ShotForce) -> float:
 def _collect_true_values(wall: Wall, strike: Strike, force: ShotForce) -> dict[str, float]:
     """Return the true values of a shot, by column name; NaN for a wave that is missing.
 
-    The values of its force are those of ``solimon simulate``.
+    The values of its force are those of ``solimon simulate``. Raise NoSolitaryWaveError without an incident
+    wave.
     """
     pulses = summarise_pulses(force)
     return {
@@ -418,7 +445,11 @@ def _to_si_or_nan(value: float | None, unit: float = 1.0) -> float:
 def build_specimen(
     twin: TwinParameters, *, transducers: Mapping[str, Transducer], probed_thickness_m: Mapping[str, float]
 ) -> Specimen:
-    """Draw the constants of a test (corrosion, far walls, climate) and build the specimen."""
+    """Draw the constants of a test (corrosion, far walls, climate) and build the specimen.
+
+    With variability, the plate is prepared for each depth of its liquid. Raise SpecimenError if the mean
+    depth at the hour of a hole leaves no room for the pits.
+    """
     walls = {
         position: draw_wall_history(
             twin.thinning.get(position, ThinningParameters()), seed=twin.seed, position=position

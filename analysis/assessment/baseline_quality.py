@@ -15,7 +15,10 @@ ALIKE = "a feature is the same in most of its sets: what stands out of them cann
 
 
 def advise_on_baseline(n_sets: int) -> str | None:
-    """Return the advice (English text) to extend a baseline of ``n_sets`` sets; None from 200 sets on."""
+    """Return the advice (English text) to extend a baseline of ``n_sets`` sets; None from 200 sets on.
+
+    Below 48 sets it also warns that the false-alarm rate is uncertain.
+    """
     if n_sets >= GOOD_SETS:
         return None
     warned = f"fewer than {ADVISED_SETS} sets: the rate of false alarms is uncertain; "
@@ -26,8 +29,9 @@ def advise_on_baseline(n_sets: int) -> str | None:
 def assess_baseline(state: State, rules: Rules) -> dict[str, object] | None:
     """Return the quality of a frozen baseline as a JSON object; None if it has no fit or no chart parameters.
 
-    Sets are listed by index; ``rate_verified``: the chart keeps its design false-alarm rate.
-    ``named`` lists the anomalies.
+    It holds the numbers of sets used, left out and effective, autocorrelation, tail factor, advice, the
+    anomalies (``named``, by set index), the reason for the default limit, the design false-alarm rate, and
+    whether that rate is verified, else why not.
     """
     baseline = state.baseline
     if baseline is None or baseline.fitted is None or baseline.design is None:
@@ -55,7 +59,10 @@ def assess_baseline(state: State, rules: Rules) -> dict[str, object] | None:
 
 
 def _find_anomalies(state: State) -> tuple[Anomaly, ...] | None:
-    """Find the anomalies among a state's baseline sets; None if the covariance of most sets is singular."""
+    """Find the anomalies among a state's baseline sets; None if the covariance of most sets is singular.
+
+    Rows of an anomaly are indices into ``state.healthy``.
+    """
     try:
         return find_anomalies(np.array([healthy_set.vector() for healthy_set in state.healthy]))
     except np.linalg.LinAlgError:  # as of records that are played back again and again

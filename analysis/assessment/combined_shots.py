@@ -43,7 +43,8 @@ class CombinedShots:
     def to_set_of_shots(self, set_index: int, due_h: float, n_tried: int) -> SetOfShots:
         """Convert the combined shots to a `SetOfShots` for the assessment.
 
-        ``n_tried`` counts the attempts with or without a record. A mean that is not finite becomes None.
+        ``due_h`` is the due time in hours; ``n_tried`` counts the attempts with or without a record. A mean
+        that is not finite becomes None.
         """
         mean = self.mean
         return SetOfShots(
@@ -81,6 +82,11 @@ def combine_shots(
         The frozen one: residual reflections are flagged by its amplitude ratio.
     of_set
         The set's feature: mean of the features of valid shots, or feature of their mean waveform (paper).
+
+    Raises
+    ------
+    RecordError
+        Waveforms to average differ in rate, length or pre-trigger.
     """
     if baseline is not None and baseline.fitted is not None:
         usual_ratio = float(baseline.fitted.mean[FEATURE_NAMES.index("amplitude_ratio")])

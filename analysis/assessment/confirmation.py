@@ -19,6 +19,7 @@ def explain_confirmation_request(before: State, after: State, assessment: SetAss
 
     A set requests one when it is an outlier after `alarms.n` sets without one, and when the wall alarm
     becomes active. Each requests again only after its condition has returned to normal (hysteresis).
+    ``before`` and ``after`` are the states before and after the set.
     """
     if assessment.in_baseline or assessment.outlier is None:
         return ""
@@ -30,7 +31,7 @@ def explain_confirmation_request(before: State, after: State, assessment: SetAss
 def confirms_change(
     assessed: Sequence[AssessedSet], baseline: Baseline, vector: Sequence[float]
 ) -> bool | None:
-    """Check whether a set is nearer to the suspect scheduled sets than to the baseline.
+    """Check whether a confirmation set is nearer to the suspect scheduled sets than to the baseline.
 
     Both are normal populations with the baseline's covariance; the likelier one has the nearer mean by the
     Mahalanobis distance.

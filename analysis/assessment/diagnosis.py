@@ -40,13 +40,11 @@ class Origin:
 
 
 def update_origin(before: Origin, cause: str, *, was_active: bool, n: int) -> Origin:
-    """Update the origin with the diagnosis of one more set; an uncertain diagnosis does not switch the alarm.
+    """Return the class of a transducer's change (wall or not) after the diagnosis ``cause`` of one more set.
 
-    Parameters
-    ----------
-    was_active
-        The alarm was active before this set. Then only a confirmed diagnosis or n consecutive sets change
-        its kind, and `OK` changes nothing.
+    While the alarm is inactive, the diagnosis sets the class. While it was active before this set
+    (``was_active``), only WALL, COUPLING or the n-th consecutive contrary diagnosis changes the class, and
+    `OK` changes nothing.
     """
     if was_active and cause == OK:
         return before
@@ -62,8 +60,8 @@ def update_origin(before: Origin, cause: str, *, was_active: bool, n: int) -> Or
 def fit_diagnosis_parameters(healthy: Sequence[tuple[int, Values]]) -> DiagnosisParameters | None:
     """Fit the diagnosis parameters to a baseline's sets; None for fewer than 15 complete ones.
 
-    ``healthy`` holds index and features of each set, in the order of time. Return None for a constant
-    feature, too.
+    ``healthy`` holds schedule index and features of each set, in the order of time. Return None also if a
+    feature is constant or a combination of others.
     """
     logs = [
         (index, components) for index, values in healthy if (components := log_features(values)) is not None
@@ -85,7 +83,8 @@ def diagnose_scheduled(
 ) -> tuple[DiagnosisState, Diagnosis | None]:
     """Add a scheduled set to the diagnosis state and diagnose it; return the next state and the diagnosis.
 
-    If the set lacks a feature, return the state unchanged and None.
+    ``suspicious``: a chart or the k-of-n rule is in alarm. If a feature is missing or not positive, return
+    the state unchanged and None.
     """
     logs = log_features(values)
     if logs is None:
@@ -98,7 +97,7 @@ def diagnose_confirmation(
 ) -> tuple[DiagnosisState, Diagnosis | None]:
     """Add a confirmation set to the diagnosis state and diagnose it; return next state and diagnosis.
 
-    If the set lacks a feature, return the state unchanged and None.
+    If a feature is missing or not positive, return the state unchanged and None.
     """
     logs = log_features(values)
     if logs is None:
@@ -109,6 +108,9 @@ def diagnose_confirmation(
 def _diagnose_newest_set(
     memory: DiagnosisState, design: DiagnosisParameters, *, suspicious: bool
 ) -> tuple[DiagnosisState, Diagnosis]:
-    """Diagnose the latest set in the state; return the state for the next set, and the diagnosis."""
+    """Diagnose the latest set in the state; return the state for the next set, and the diagnosis.
+
+    ``suspicious``: a chart or the k-of-n rule is in alarm.
+    """
     assessment = diagnose_latest_set(memory, design, suspicious=suspicious)
     return update_state(memory, assessment), assessment

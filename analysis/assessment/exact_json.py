@@ -21,7 +21,7 @@ T = TypeVar("T")
 def to_json(values: Mapping[str, object]) -> str:
     """Serialize fields of a dataclass, given by name, as compact JSON; arrays keep every bit.
 
-    Raise TypeError for a value that is no JSON type, array or dataclass.
+    Arrays must be C-contiguous. Raise TypeError for a value that is no JSON type, array or dataclass.
     """
     return json.dumps(values, default=_encode_value, separators=(",", ":"))
 
@@ -53,7 +53,11 @@ def _encode_value(value: object) -> object:
 
 
 def _decode_value(kind: Any, value: Any) -> Any:
-    """Restore a value of the declared type ``kind`` from its JSON form; arrays become read-only."""
+    """Restore a value of the declared type ``kind`` from its JSON form; arrays become read-only.
+
+    Sequences not declared as a list become tuples. Raise KeyError for an unknown field of a dataclass,
+    TypeError for a missing one.
+    """
     origin, arguments = get_origin(kind), get_args(kind)
     if origin in (Union, UnionType):
         (kind,) = (argument for argument in arguments if argument is not NoneType)
@@ -78,5 +82,5 @@ def _decode_value(kind: Any, value: Any) -> Any:
 
 @cache
 def _resolved_type_hints(kind: type) -> dict[str, object]:
-    """Resolve the types of a dataclass's fields, once per class."""
+    """Return the resolved types of a dataclass's fields by name; computed once per class."""
     return get_type_hints(kind)

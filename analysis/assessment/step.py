@@ -212,7 +212,8 @@ class SetAssessment:
 def is_wall_alarm_active(state: State, rules: Rules) -> bool:
     """Check whether the wall alarm is active.
 
-    The rules choose: an alarm of the chart or the diagnosis WALL, or k outliers of the last n sets.
+    If the chart decides and the state has one: it is in alarm, or WALL is diagnosed. Otherwise: k outliers in
+    the last n assessed sets.
     """
     if rules.decides_by == "chart" and state.memory is not None:
         return state.memory.alarming or state.diagnosis_state.wall
@@ -222,11 +223,11 @@ def is_wall_alarm_active(state: State, rules: Rules) -> bool:
 def assess_next_set(
     state: State, set_of_shots: SetOfShots, rules: Rules
 ) -> tuple[State, SetAssessment | None]:
-    """Update the state with one set and assess the set.
+    """Update the state with one set and assess it; return both, None for the assessment without a record.
 
-    The assessment is None if the set has no record.
-    A set before the baseline's first one changes nothing; one without a record only counts as a poor set. The
-    baseline is frozen after its last set, or by the first set after it if that was missed.
+    A set before the baseline's first one leaves the state unchanged and gets only a reason; one without a
+    record only updates the count of poor sets. The baseline's last set freezes it, or the first set after it
+    if that was missed.
     """
     if set_of_shots.set_index < rules.first_baseline_set:
         return state, SetAssessment(
@@ -279,7 +280,9 @@ def _add_diagnosis(
 ) -> SetAssessment:
     """Return the assessment with the diagnosis of its scheduled set added.
 
-    Return it unchanged without diagnosis parameters, or if the control charts did not assess the set.
+    Return it unchanged without diagnosis parameters, or if the control charts did not assess the set. A set
+    with a feature that is missing or not positive gets no diagnosis. ``suspicious``: the k-of-n rule is in
+    alarm.
     """
     parameters = None if state.baseline is None else state.baseline.causes
     if parameters is None or assessment.memory is None:
@@ -305,7 +308,10 @@ def clear_faults(state: State) -> State:
 
 
 def _add_to_baseline(state: State, set_of_shots: SetOfShots) -> State:
-    """Return the state with a set added to its baseline, or counted as left out if it lacks a feature."""
+    """Return the state with a set added to its baseline, or counted as left out if it cannot be assessed.
+
+    The added set is stored without flags and reason.
+    """
     if set_of_shots.vector() is None:
         return replace(state, n_left_out=state.n_left_out + 1)
     return replace(state, healthy=(*state.healthy, replace(set_of_shots, flags=(), reason="")))
@@ -314,7 +320,8 @@ def _add_to_baseline(state: State, set_of_shots: SetOfShots) -> State:
 def _freeze_baseline(state: State, rules: Rules) -> State:
     """Fit the baseline to its sets, compute its limits and start the chart; equal sets give identical bits.
 
-    For too few sets or a singular covariance, the frozen baseline has no fit and states the reason.
+    For too few sets or a singular covariance, the frozen baseline has no fit and states the reason. Without
+    ``rules.run_length`` it has only the F limit and the paper's, and no chart.
     """
     vectors = np.array([healthy_set.vector() for healthy_set in state.healthy], dtype=np.float64)
     try:
@@ -360,7 +367,7 @@ def _minimum_sets(rules: Rules) -> int:
 
 
 def _suggest_baseline_remedy(rules: Rules) -> str:
-    """Return the advice (English text) for a baseline with too few sets: a new test, or a new baseline."""
+    """Return the advice (English text) for a baseline that cannot be fitted: longer test, new baseline."""
     n_planned = 1 + rules.last_baseline_set - rules.first_baseline_set
     if n_planned < _minimum_sets(rules):
         return f"only {n_planned} are planned: begin a new test with more baseline.hours"
@@ -370,7 +377,10 @@ def _suggest_baseline_remedy(rules: Rules) -> str:
 def _assess_with_baseline(
     set_of_shots: SetOfShots, state: State, baseline: FrozenBaseline, rules: Rules
 ) -> SetAssessment:
-    """Assess a set against a frozen baseline; if that is impossible, return only a reason."""
+    """Assess a set by its distance from a frozen baseline, and by the charts if they were started.
+
+    Without a fit, or for a set of bad quality or with a missing feature, return only the reason.
+    """
     if baseline.fitted is None:
         return SetAssessment(reason=baseline.reason)
     values = set_of_shots.vector()

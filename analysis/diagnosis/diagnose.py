@@ -73,12 +73,13 @@ def diagnose_latest_set(
 
     A cause is named from a probability of 90 %: a new wall change only at 96 % in two consecutive sets, a
     re-seat only if it came in one step with a recent confirmation set. Otherwise the diagnosis is
-    `UNDETERMINED`; it is `OK` if that is the likeliest and ``suspicious`` is False.
+    `UNDETERMINED`; it is `OK` if that is the likeliest and ``suspicious`` is False. Only `OK` replaces a
+    named wall change; after a confirmed re-seat, `OK` is returned as COUPLING.
 
     Parameters
     ----------
     suspicious
-        A chart of this transducer alarms, or its k of n.
+        A chart of this transducer, or its rule of k outliers in n sets, is in alarm.
     """
     moved = bool(memory.moved)
     probabilities, abrupt = _compute_posterior(memory, design, from_moved=moved)
@@ -127,7 +128,10 @@ def _is_nearer_to_its_baseline(memory: DiagnosisState, design: DiagnosisParamete
 
 
 def update_state(memory: DiagnosisState, assessment: Diagnosis) -> DiagnosisState:
-    """Return the state with what a diagnosis implies for the next sets: a wall change or a re-seat."""
+    """Return the state with what a diagnosis implies for the next sets: a wall change or a re-seat.
+
+    A new re-seat, or a contact that is as in the baseline again, restarts the averages.
+    """
     if assessment.reseated:
         return restart_state(memory, memory.confirmation)
     healthy = assessment.cause in (OK, COUPLING)
@@ -144,7 +148,8 @@ def _compute_posterior(
 ) -> tuple[dict[str, float], float]:
     """Return the posterior probability of each cause, `OK` included, and that of a step instead of a growth.
 
-    Growths count only from 32 sets on.
+    ``from_moved``: changes are from where a re-seat left the transducer, else from the baseline. With fewer
+    than 32 sets since then, a gap's included, growths have probability 0.
     """
     seen, noise, course = _collect_observations(memory, design, from_moved=from_moved)
     noise_whitening = np.linalg.inv(np.linalg.cholesky(noise))
@@ -171,12 +176,14 @@ def _log_densities(
     along: FloatArray,
     length: FloatArray,
 ) -> FloatArray:
-    """Return the log-likelihood ratio of each hypothesis and course to no change, shape (h, s).
+    """Return the log-likelihood ratio of each hypothesis and time course to no change, shape (h, s).
 
     Parameters
     ----------
+    hypothesis_indices
+        The h hypotheses to evaluate.
     along, length
-        What is seen along each course, shape (s, 7), and the course's length, shape (s,).
+        Whitened averages along each unit course, shape (s, 7), and the course's length, shape (s,).
     """
     # The seven directions come first: sums of seven neighbours each cost ten times as much.
     means, variances = (
@@ -194,8 +201,9 @@ def _log_densities(
 def _compute_change_courses(n: int, gap: int, gap_ago: int, confirmation_ago: int | None) -> FloatArray:
     """Return the averages that a change of final size 1 produces, for each time course; shape (s, r).
 
-    The averages begin with the first of n sets after the baseline. A step is between two sets, however far
-    apart they are; a growth continues during a gap of the plan.
+    Courses are steps, then growths; the r averages of the last ``n`` sets are those of `average_weights`.
+    ``gap`` sets were missed ``gap_ago`` sets before the newest. A step is between two sets, however far apart
+    they are; a growth continues during the gap. Cached: callers must not write to the result.
     """
     ago = np.arange(n)
     steps = ago < STEPS[:, None]
@@ -217,7 +225,7 @@ def _collect_observations(
     Returns
     -------
     seen, noise, course
-        Shapes (r, 7), (r, r), (s, r).
+        Shapes (r, 7), (r, r), (s, r) of r averages and s time courses.
     """
     n, confirmation_ago = (
         min(max(memory.n, 1), MOST_AVERAGED),

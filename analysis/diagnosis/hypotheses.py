@@ -108,7 +108,10 @@ Signature = tuple[FloatArray, FloatArray]
 
 
 def _weight_hypotheses(cause: str, signatures: Sequence[Signature], *, abrupt: float) -> list[Hypothesis]:
-    """Build the hypotheses of one cause, which share its prior probability in equal parts."""
+    """Build hypotheses of one cause from pairs of mean and covariance; they share its prior in equal parts.
+
+    ``abrupt`` is the fraction of such changes that occurs from one set to the next.
+    """
     return [
         Hypothesis(
             cause=cause,
@@ -122,9 +125,9 @@ def _weight_hypotheses(cause: str, signatures: Sequence[Signature], *, abrupt: f
 
 
 def _make_wall_hypotheses() -> Iterator[Signature]:
-    """Yield mean change and covariance of the log features, (7,) and (7, 7), for each patch and wall depth.
+    """Yield mean change and covariance of the log features, (7,) and (7, 7), for each patch and wall loss.
 
-    A wall change has a sign and follows a curve.
+    A wall change has one direction, and its features follow a curve over the depth of the loss.
     """
     for patch in (WALL_B, WALL_C):
         curve = np.vstack([np.zeros(len(patch[0])), patch])
@@ -134,7 +137,7 @@ def _make_wall_hypotheses() -> Iterator[Signature]:
 
 
 def _spread_over_sizes(covariances: Sequence[FloatArray]) -> Iterator[Signature]:
-    """Yield each covariance scaled to every one of `SIZES`, with mean zero: either direction is possible."""
+    """Yield each covariance times the square of each of `SIZES`, with mean zero: either sign is possible."""
     for covariance in covariances:
         for size in SIZES:
             yield np.zeros(len(covariance)), size**2 * covariance
@@ -143,7 +146,8 @@ def _spread_over_sizes(covariances: Sequence[FloatArray]) -> Iterator[Signature]
 def _sum_source_covariances(sources: Sequence[tuple[Sequence[float], float]]) -> FloatArray:
     """Return the covariance of independent sources, shape (7, 7), each given by slope and SD.
 
-    `MISMATCH` adds independent scatter to each feature's own variance.
+    A slope, length 7, is the change of the log features per unit of the source. `MISMATCH` adds independent
+    scatter to each feature's own variance.
     """
     slopes = np.array([slope for slope, _ in sources]) * np.array([sd for _, sd in sources])[:, None]
     return np.asarray(slopes.T @ slopes + MISMATCH**2 * np.diag((slopes**2).sum(axis=0)))
@@ -152,7 +156,7 @@ def _sum_source_covariances(sources: Sequence[tuple[Sequence[float], float]]) ->
 def _build_sensor_covariances() -> list[FloatArray]:
     """Return the covariance, shape (7, 7), of each sensor fault alone: one component fails at a time.
 
-    Gain, striker, tilt, wear of all contacts.
+    In order: sensor gain, drop height of the striker, tilt of the sensor disk, wear of all contacts.
     """
     gain = np.array(GAIN)
     wear = 0.5 * np.sum(STIFFNESS, axis=0)  # A goes with the root of the radius
@@ -167,7 +171,8 @@ def _build_sensor_covariances() -> list[FloatArray]:
 def _coupling_covariances() -> list[FloatArray]:
     """Return the two covariances, shape (7, 7), of coupling changes.
 
-    The foot of the chain alone, or a re-seated chain with tilt and height.
+    First the contact of chain and plate alone, then a re-seated chain: all contacts, drop height, tilt and
+    gain.
     """
     foot = [(STIFFNESS[-1], USUAL_STIFFNESS), (DAMPING[-1], USUAL_DAMPING)]
     everywhere = [(slope, USUAL_STIFFNESS) for slope in STIFFNESS]

@@ -46,7 +46,7 @@ def estimate_variances(whitened: FloatArray, indices: NDArray[np.intp]) -> Float
     whitened
         Complete sets of the baseline in the order of time, covariance 1; shape (n, p).
     indices
-        Of these sets in the plan, shape (n,).
+        Of these sets in the schedule, shape (n,).
     """
     w, at = whitened[-MOST_SETS:], indices[-MOST_SETS:]
     distance = np.abs(np.subtract.outer(at, at))
@@ -65,22 +65,22 @@ def estimate_variances(whitened: FloatArray, indices: NDArray[np.intp]) -> Float
 def end_averages(changes: FloatArray) -> FloatArray:
     """Average a baseline's deviations, shape (n, 7), exponentially up to its end; shape (2, 7).
 
-    The deviations are those from the baseline's mean.
+    Rows are the rates of `END_RATES`; the deviations are those from the baseline's mean.
     """
     return np.asarray(_end_weights(len(changes)) @ changes)
 
 
 def _end_weights(n: int) -> FloatArray:
-    """Return the exponential weights of n sets at each rate, the newest last; shape (n_rates, n)."""
+    """Return the exponential weights of n sets at each of `END_RATES`, the newest set last; shape (2, n)."""
     ago = np.arange(n)[::-1]
     return np.array([rate * (1.0 - rate) ** ago for rate in END_RATES])
 
 
 @lru_cache(maxsize=64)
 def _compute_reference_moments(sets: int) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return weights, covariance and reach of the reference: the mean of ``sets`` sets and two end averages.
+    """Return the moments of three reference averages: the mean of ``sets`` sets, and two at their end.
 
-    Each observation is a weighted sum of the sets; unit component variances.
+    Each is a weighted sum of the sets; the noise components have variance 1. Cached: not to be written.
 
     Returns
     -------
@@ -97,13 +97,15 @@ def _compute_reference_moments(sets: int) -> tuple[FloatArray, FloatArray, Float
 def compute_covariances(n: int, since: int, confirmation_ago: int | None, reference: int) -> FloatArray:
     """Return the covariance of the observations by component, in units of its variance; shape (7, r, r).
 
+    Cached: callers must not write to the result.
+
     Rows are the averages at the end of the reference sets, those of the last n sets, and a confirmation, all
     as differences from the mean of the reference sets.
 
     Parameters
     ----------
     n, since
-        Sets in the averages, and sets of the plan since the reference ended; not fewer.
+        Sets in the averages, and scheduled sets since the reference ended, at least n.
     confirmation_ago
         See `state.average_weights`.
     reference

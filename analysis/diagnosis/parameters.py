@@ -85,9 +85,10 @@ def compute_diagnosis_parameters(history: ArrayLike, first_index: int = 0) -> Di
     Parameters
     ----------
     history
-        Logarithms in the order of time, shape (n, 7); rows of NaN are gaps and keep their place.
+        Logarithms in the order of time, shape (n, 7); rows of NaN are gaps and keep their place. The caller
+        supplies at least 15 complete rows.
     first_index
-        Index of the first row in the plan.
+        Index of the first row in the schedule.
 
     Raises
     ------
@@ -129,7 +130,10 @@ def compute_diagnosis_parameters(history: ArrayLike, first_index: int = 0) -> Di
 
 
 def _prior_weights(one: Hypothesis) -> FloatArray:
-    """Return the prior probability of a hypothesis with each time course, shape (s,): steps, then growths."""
+    """Return the prior probability of a hypothesis with each of s time courses, shape (s,).
+
+    The courses are `STEPS`, weighted by their logarithmic spacing, then growths in equal parts.
+    """
     since, courses = np.gradient(np.log(STEPS)), len(GROWTHS) * len(POWERS)
     growth = one.weight * (1.0 - one.abrupt) / courses
     return np.concatenate([one.weight * one.abrupt * since / since.sum(), np.full(courses, growth)])

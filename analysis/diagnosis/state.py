@@ -84,8 +84,8 @@ def add_set(before: DiagnosisState, mean: FloatArray, logs: FloatArray, index: i
 
     Parameters
     ----------
-    mean
-        Of the baseline's logarithms, shape (7,).
+    mean, logs
+        Of the baseline's logarithms, and those of the set's features; shape (7,).
     index
         Of the set: those of the plan that are missing between it and the last one are a gap.
     """
@@ -113,7 +113,10 @@ def add_set(before: DiagnosisState, mean: FloatArray, logs: FloatArray, index: i
 
 
 def _find_widest_gap(before: DiagnosisState, index: int) -> tuple[int, int]:
-    """Return the length of the widest gap in the last 250 sets, and the sets since; (0, 0) without one."""
+    """Return length of the widest gap in the last 250 sets, and sets since then; (0, 0) without one.
+
+    ``index`` is that of the newest set in the schedule.
+    """
     missed = 0 if before.index is None else index - before.index - 1
     old = before.gap if before.gap_ago < MOST_AVERAGED else 0
     if missed > 0 and missed >= old:
@@ -122,14 +125,18 @@ def _find_widest_gap(before: DiagnosisState, index: int) -> tuple[int, int]:
 
 
 def add_confirmation_set(memory: DiagnosisState, mean: FloatArray, logs: FloatArray) -> DiagnosisState:
-    """Return the state with a confirmation set, which replaces an earlier one; the averages ignore it."""
+    """Return the state with a confirmation set, which replaces an earlier one; the averages ignore it.
+
+    ``logs`` are its log features, ``mean`` those of the baseline, shape (7,).
+    """
     return replace(memory, confirmation=tuple((logs - mean).tolist()), confirmation_ago=0)
 
 
 def restart_state(memory: DiagnosisState, moved: tuple[float, ...]) -> DiagnosisState:
     """Restart the averages after a re-seat; later changes are measured from the position ``moved``.
 
-    ``moved`` is the mean change of the log features, length 7; empty: as in the baseline.
+    ``moved`` is the mean change of the log features, length 7; empty: as in the baseline. Only a named wall
+    change and the index of the last set are kept.
     """
     return DiagnosisState(wall=memory.wall, index=memory.index, moved=moved)
 
@@ -150,7 +157,11 @@ def average_weights(n: int, confirmation_ago: int | None = None) -> FloatArray:
 
 
 def covariance_of_averages(n: int, phi: float, confirmation_ago: int | None) -> FloatArray:
-    """Return the covariance of averages over n sets of a unit-variance AR(1) process, (3, 3) or (4, 4)."""
+    """Return the covariance of averages over n sets of a unit-variance AR(1) process, (3, 3) or (4, 4).
+
+    ``phi`` is its lag-1 autocorrelation; ``confirmation_ago`` (planned sets since a confirmation set, None
+    without one) adds the fourth row.
+    """
     # Of two averages: of sets k ago with themselves, and with the m-th before, in either order.
     ago, rates = np.arange(n), np.array(RATES)
     decay = (1.0 - rates)[:, None]

@@ -61,7 +61,11 @@ class Baseline:
     whitening: FloatArray = field(init=False)
 
     def __post_init__(self) -> None:
-        """Copy arrays read-only; derive SD, correlation, whitening. InvalidInputError if shapes differ."""
+        """Copy arrays read-only; derive SD, correlation and whitening.
+
+        Raise InvalidInputError if shapes do not fit, SingularCovarianceError if a feature is a combination of
+        others.
+        """
         for name in ("mean", "covariance", "distances_squared"):
             object.__setattr__(self, name, _read_only_copy(getattr(self, name)))
         p, n = len(self.feature_names), len(self.set_indices)
@@ -128,6 +132,8 @@ def fit_baseline(
     feature_names: Sequence[str] = FEATURE_NAMES,
 ) -> Baseline:
     """Fit mean, covariance and baseline distances to the feature vectors of healthy sets.
+
+    Fewer than 48 sets, or sets above the Phase I limit, give warnings.
 
     Parameters
     ----------

@@ -80,10 +80,11 @@ def find_anomalies(vectors: ArrayLike) -> tuple[Anomaly, ...]:
 
 
 def grow_cores(x: FloatArray) -> tuple[np.ndarray, np.ndarray]:
-    """Return two masks, shape (n,): sets as near to the core as most healthy ones, and sets that fit it.
+    """Return two masks, shape (n,): sets in a robust core of x, shape (n, p), and sets that fit it.
 
-    The core grows by what is near. Grown at once by all that is not far, it would swallow a group: of few
-    sets or many features it is known too badly.
+    The core starts as 70 % of the sets and becomes those within the 97.5 % limit around it until it no longer
+    changes. Grown at once by all that fit, it would take in a group: few sets or many features determine it
+    too poorly. Raise LinAlgError if the core does not scatter in some direction.
     """
     n, p = x.shape
     core, kept = _minimum_covariance_determinant(x), CORE
@@ -99,7 +100,8 @@ def grow_cores(x: FloatArray) -> tuple[np.ndarray, np.ndarray]:
 def _distances_from_core(x: FloatArray, core: np.ndarray, kept: float) -> FloatArray:
     """Return squared distances, shape (n,), from a core of the nearest fraction ``kept`` of healthy sets.
 
-    The core's covariance is that of a normal distribution cut at its edge (Croux and Haesbroeck 1999).
+    The core's covariance is that of a normal distribution cut at its edge (Croux and Haesbroeck 1999). Raise
+    LinAlgError if it is singular.
     """
     p = x.shape[1]
     inside = float(scipy.special.chdtr(p + 2, scipy.special.chdtri(p, 1.0 - kept)))
@@ -107,10 +109,10 @@ def _distances_from_core(x: FloatArray, core: np.ndarray, kept: float) -> FloatA
 
 
 def _minimum_covariance_determinant(x: FloatArray) -> np.ndarray:
-    """Find the subset of 70 % of the sets whose covariance has the smallest determinant; mask of shape (n,).
+    """Find the 70 % of the sets, rows of x, whose covariance has the smallest determinant; mask, shape (n,).
 
-    Random starts, concentrated (Rousseeuw 1999).
-    The random seed depends only on n and p, so equal sets give the same subset.
+    They are at least p + 2, found from 60 random starts, concentrated (Rousseeuw 1999). The random seed
+    depends only on n and p, so equal sets give the same subset.
     """
     n, p = x.shape
     size = max(math.ceil(CORE * n), p + 2)
@@ -132,7 +134,10 @@ def _minimum_covariance_determinant(x: FloatArray) -> np.ndarray:
 
 
 def _whiten_by_core(x: FloatArray, core: np.ndarray) -> FloatArray:
-    """Transform all sets to units of the core's scatter, shape (n, p), by Cholesky whitening."""
+    """Transform all sets to units of the core's scatter, shape (n, p), by Cholesky whitening.
+
+    Raise LinAlgError if the core's covariance is singular.
+    """
     mean = x[core].mean(axis=0)
     root = np.linalg.cholesky(np.atleast_2d(np.cov(x[core], rowvar=False)))
     return np.asarray(np.linalg.solve(root, (x - mean).T).T)
@@ -141,7 +146,8 @@ def _whiten_by_core(x: FloatArray, core: np.ndarray) -> FloatArray:
 def _find_group(whitened: FloatArray, outside: np.ndarray, fewest: int) -> np.ndarray:
     """Find the rows of outlying sets with a common offset; empty if fewer than ``fewest`` have one.
 
-    They are nearer to their centre than that is to the core.
+    ``outside`` are the rows of the outlying sets. Those of a group are nearer to the median of all of them
+    than 0.6 times its distance from the core.
     """
     if outside.size < fewest:
         return outside[:0]

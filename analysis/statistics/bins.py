@@ -60,6 +60,8 @@ def make_bins(
 
     Parameters
     ----------
+    set_index, due_h
+        Index and due hour of each set, shape (n,).
     values
         Shape (n, n_values); NaN where a set has none.
     quality
@@ -88,7 +90,7 @@ def make_bins(
 def join_bins(bins: NDArray[np.void], starts: ArrayLike) -> NDArray[np.void]:
     """Join the bins from each start to the next, the last to the end; one bin for each of ``starts``.
 
-    ``starts`` rise from 0.
+    ``starts`` are indices into ``bins`` that rise from 0.
     """
     numbers = np.asarray(starts, dtype=np.intp)
     joined = np.empty(numbers.size, bins.dtype)

@@ -63,7 +63,10 @@ class Chart:
     limit: float
 
     def whiten_sets(self, vectors: ArrayLike) -> FloatArray:
-        """Return the chart's inputs, whitened and clipped, shape (n, p), for sets from the baseline on."""
+        """Return the chart's inputs, whitened and clipped, shape (n, p), for sets from the baseline on.
+
+        ``vectors`` has shape (n, p); an incomplete set gives NaN.
+        """
         return self._whiten_and_clip(prewhiten_sets(self._project(vectors), 0.0, self.phi))
 
     def whiten_next_set(self, vector: FloatArray, before: FloatArray, distance: int) -> FloatArray:
@@ -93,7 +96,7 @@ class Chart:
         statistic
             Shape (n,); NaN where a row has one: the average stays as it was.
         onsets
-            Rows of the alarms.
+            Rows at which the statistic exceeded the limit.
         """
         statistic = np.full(len(whitened), np.nan)
         onsets: list[int] = []
@@ -117,7 +120,8 @@ class Chart:
 def design_chart(baseline: ArrayLike, run_length: float, least_phi: ArrayLike = 0.0) -> Chart:
     """Design the MEWMA control chart of a baseline for a mean run length between false alarms.
 
-    ``run_length`` counts sets. Raise SingularCovarianceError if a feature is a combination of the others.
+    ``run_length`` counts sets. Raise SingularCovarianceError if a feature is a combination of the others, and
+    InvalidInputError unless ``run_length`` exceeds 1.
 
     Parameters
     ----------
@@ -135,7 +139,11 @@ def design_chart(baseline: ArrayLike, run_length: float, least_phi: ArrayLike = 
 
 
 def chart_with_phi(baseline: FloatArray, directions: FloatArray, phi: FloatArray, limit: float) -> Chart:
-    """Build the control chart of a baseline, shape (n, p), with known autocorrelation and limit."""
+    """Build the control chart of a baseline, shape (n, p), with known autocorrelation and limit.
+
+    ``directions`` has shape (p, p), ``phi`` (p,); rows with a NaN are gaps. Raise LinAlgError if the sets do
+    not scatter along a direction.
+    """
     complete = np.isfinite(baseline).all(axis=1)
     n, p = int(complete.sum()), baseline.shape[1]
     mean = baseline[complete].mean(axis=0)
@@ -168,6 +176,8 @@ def widen_phi(found: Directions) -> FloatArray:
 def explain_unverified_rate(baseline: ArrayLike) -> str:
     """Return why the chart's false-alarm rate is not verified (English text); empty where it is.
 
+    Reasons are fewer than 150 sets, a trend and slow drift. Raise SingularCovarianceError as `design_chart`.
+
     Parameters
     ----------
     baseline
@@ -186,17 +196,20 @@ def explain_unverified_rate(baseline: ArrayLike) -> str:
 
 
 def _whiten_without_lag_1(baseline: FloatArray) -> FloatArray:
-    """Whiten a baseline, shape (n, p), without its lag-1 autocorrelation and unclipped; NaN at gaps."""
+    """Whiten a baseline, shape (n, p), without its lag-1 autocorrelation and unclipped; NaN at gaps.
+
+    Raise SingularCovarianceError if a feature is a combination of the others.
+    """
     found = find_directions(baseline)
     chart = chart_with_phi(baseline, found.matrix, found.phi, math.inf)
     return replace(chart, cap=math.inf).whiten_sets(baseline)
 
 
 def compute_slow_drift_p_value(whitened: FloatArray) -> float:
-    """Return the p-value of a chi-square test for slow drift between `BLOCKS` blocks of sets.
+    """Return the p-value of a chi-square test for slow drift between 10 blocks of sets, shape (n, p).
 
-    It is the chance that the block means of independent sets scatter so much.
-    Sets after the last full block are ignored.
+    It is the chance that the block means of independent sets scatter so much. Sets after the last full block
+    are ignored; n must be at least 10.
     """
     n, p = whitened.shape
     length = n // BLOCKS

@@ -45,7 +45,7 @@ class DefaultLimit:
     tail: float
 
     def distances_squared(self, vectors: FloatArray) -> FloatArray:
-        """Return squared distances, shape (n,), of sets that start with the baseline, shape (n, p).
+        """Return squared distances, shape (n,), of sets in order of time, the baseline first, shape (n, p).
 
         NaN for incomplete sets.
         """
@@ -68,7 +68,8 @@ class DefaultLimit:
 def default_limit(history: FloatArray, baseline: Baseline, rate: float = NOMINAL_RATE) -> DefaultLimit:
     """Choose the default outlier limit of a baseline from autocorrelation and tails of its data.
 
-    ``rate`` is the false-alarm rate of one set.
+    ``rate`` is the false-alarm rate of one set. Raise SingularCovarianceError if the sets without their
+    autocorrelation have a singular covariance.
 
     Parameters
     ----------

@@ -81,6 +81,9 @@ def build_design(
 ) -> Design:
     """Compute the outlier limits and the control chart of a baseline.
 
+    Raise SingularCovarianceError if a feature is a combination of the others, and InvalidInputError unless
+    ``run_length`` exceeds 1 and ``rate`` is in (0, 1).
+
     Parameters
     ----------
     history
@@ -127,9 +130,9 @@ class ChartState:
 
 
 def find_end_state(baseline: Baseline, last: FloatArray) -> ChartState:
-    """Return the chart's state after a baseline: averages zero, no alarm.
+    """Return the chart's state at the end of a baseline: averages zero, no alarm.
 
-    ``last`` is the baseline's last complete set.
+    ``last`` is the baseline's last complete set, shape (p,).
     """
     zero = (0.0,) * baseline.p
     return ChartState(
@@ -142,7 +145,10 @@ def find_end_state(baseline: Baseline, last: FloatArray) -> ChartState:
 def update_chart_state(
     memory: ChartState, design: Design, index: int, vector: FloatArray
 ) -> tuple[ChartState, dict[str, float]]:
-    """Assess one more complete set, shape (p,); return the next state and every statistic by name."""
+    """Assess one more complete set, shape (p,); return the next state and every statistic by name.
+
+    ``index`` is that of the set in the schedule; the sets since the last complete one weaken its influence.
+    """
     baseline, chart = design.baseline, design.chart
     before, distance = np.array(memory.vector), max(1, index - memory.index)
     entering = {
@@ -166,7 +172,10 @@ def update_chart_state(
 
 
 def compute_chart_contributions(average: FloatArray) -> FloatArray:
-    """Return each feature's contribution to a chart's statistic, (2 - weight)/weight z^2, shape (p,)."""
+    """Return each feature's contribution to a chart's statistic, (2 - weight)/weight z^2, shape (p,).
+
+    z is ``average``, the chart's exponential average.
+    """
     return np.asarray((2.0 - WEIGHT) / WEIGHT * average**2)
 
 

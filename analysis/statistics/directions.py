@@ -93,7 +93,7 @@ def find_directions(vectors: ArrayLike) -> Directions:
 def _autocorrelations(whitened: FloatArray, complete: np.ndarray, lags: int) -> FloatArray:
     """Return the symmetric part of the autocorrelation at lags 1 to ``lags``, shape (lags, p, p).
 
-    Gaps are rows of 0.
+    ``whitened`` has shape (n, p), with rows of 0 as gaps, where ``complete`` is False.
     """
     n, found = int(complete.sum()), []
     for lag in range(1, lags + 1):
@@ -106,9 +106,8 @@ def _autocorrelations(whitened: FloatArray, complete: np.ndarray, lags: int) -> 
 def compute_equivalent_phi(autocorrelations: FloatArray, n: int, directions: int = 1) -> FloatArray:
     """Return the phi of the AR(1) process whose exponential averages have the same variance, at most 0.95.
 
-    Their variance is I = 1 + 2 sum of (1 - weight)^k r_k times that of independent sets, and
-    (1 + q)/(1 - q), q = (1 - weight) phi, for r_k = phi^k. Where independent sets hardly show as large a sum,
-    else 0.
+    Their variance is I = 1 + 2 sum of (1 - weight)^k r_k times that of independent sets, and (1 + q)/(1 - q),
+    q = (1 - weight) phi, for r_k = phi^k. Phi is 0 where I is not significant at 5 %, one-sided; shape (...).
 
     Parameters
     ----------

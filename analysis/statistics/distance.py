@@ -26,7 +26,7 @@ def _standardize_vectors(vectors: ArrayLike, baseline: Baseline) -> FloatArray:
 def distance_squared(vectors: ArrayLike, baseline: Baseline) -> FloatArray:
     """Return D = (x - mean)^T K^-1 (x - mean) (paper, eq. 16); NaN where a feature is missing.
 
-    Raise InvalidInputError if the last axis is not the baseline's features.
+    K is the baseline's covariance. Raise InvalidInputError if the last axis is not the baseline's features.
 
     Parameters
     ----------
@@ -47,7 +47,7 @@ def contributions(vectors: ArrayLike, baseline: Baseline) -> FloatArray:
     The corr-max transformation: z = (x - mean) / SD, w = C^(-1/2) z with the symmetric root of the
     correlation matrix C, parts w_j^2. Of all rotations of the whitened vector it is the one whose components
     correlate most with their features. Source: Garthwaite and Koch (2016), Australian & New Zealand Journal
-    of Statistics 58(1), 99-119, doi:10.1111/anzs.12144.
+    of Statistics 58(1), 99-119, doi:10.1111/anzs.12144. Raise InvalidInputError as `distance_squared`.
 
     Parameters
     ----------

@@ -54,7 +54,10 @@ class SharedChange:
 
 @lru_cache(maxsize=64)
 def _tabulate_limits(n: int, p: int) -> FloatArray:
-    """Return the MEWMA limit at each of `RUN_LENGTHS`, shape (17,), for n baseline sets and p features."""
+    """Return the MEWMA limit at each of `RUN_LENGTHS`, shape (17,), for n baseline sets and p features.
+
+    Cached: callers must not write to it. Raise NotEnoughSetsError for n up to p.
+    """
     return np.array([estimated_limit(n, p, length) for length in RUN_LENGTHS.tolist()])
 
 
@@ -139,7 +142,8 @@ def typical_autocorrelation(baselines: Sequence[FloatArray]) -> FloatArray:
     """Return the median over the sensors of the autocorrelation along their directions, shape (p,), falling.
 
     One baseline shows its autocorrelation to about 1/sqrt(n); a sensor that by chance shows too little of it
-    would raise an alarm first. No feature has more autocorrelation than the first direction.
+    would raise an alarm first. No feature has more autocorrelation than the first direction. Baselines of
+    fewer than 15 complete sets or with a singular covariance are skipped; zeros if none remains.
 
     Parameters
     ----------

@@ -40,10 +40,11 @@ def left_out_distances(distances_squared: ArrayLike) -> FloatArray:
 def tail_limit(distances_squared: ArrayLike, p: int, rate: float = NOMINAL_RATE) -> float:
     """Return the limit of the squared distance from an F distribution fitted to the left-out distances.
 
-    Of normal sets each left-out distance over its scale is F(p, n - 1 - p). Fitted are a factor and the
-    denominator's degrees of freedom, at most these, by the median of the logarithm and by how far its upper
-    half reaches beyond on average: the small distances of few features hold no information on the tail, and
-    one gross set hardly affects the fit.
+    ``distances_squared`` are those of the baseline's n sets of p features, ``rate`` is the false-alarm rate
+    of one set. Of normal sets each left-out distance over its scale is F(p, n - 1 - p). Fitted are a factor
+    and the denominator's degrees of freedom, at most these, by the median of the logarithm and by how far its
+    upper half reaches beyond on average: the small distances of few features hold no information on the tail,
+    and one gross set hardly affects the fit.
     """
     d = np.asarray(distances_squared, dtype=np.float64)
     n = d.size

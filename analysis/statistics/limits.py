@@ -48,15 +48,19 @@ def _require_enough_sets(n: int, p: int) -> None:
 
 
 def predictive_scale(n: int, p: int) -> float:
-    """Return the ratio of the squared distance of a new normal set to F(p, n - p): p (n+1)(n-1)/(n (n-p))."""
+    """Return the ratio of the squared distance of a new normal set to F(p, n - p): p (n+1)(n-1)/(n (n-p)).
+
+    n is the number of sets of the baseline, above p, the number of features.
+    """
     return p * (n + 1) * (n - 1) / (n * (n - p))
 
 
 def f_predictive_limit(n: int, p: int, rate: float = NOMINAL_RATE) -> float:
     """Return the exact limit for a new normal set: p (n+1)(n-1) / (n (n-p)) F(1 - rate; p, n - p).
 
-    Source: Tracy, Young and Mason (1992), "Multivariate control charts for individual observations",
-    Journal of Quality Technology 24(2), 88-95, doi:10.1080/00224065.1992.12015232.
+    n is the number of sets of the baseline, p of features, ``rate`` the false-alarm rate. Source: Tracy,
+    Young and Mason (1992), "Multivariate control charts for individual observations", Journal of Quality
+    Technology 24(2), 88-95, doi:10.1080/00224065.1992.12015232.
 
     Raises
     ------
@@ -105,9 +109,9 @@ def paper_limit(baseline_distances_squared: ArrayLike) -> float:
 def phase_one_limit(n: int, p: int, rate: float = 0.05) -> float:
     """Return the limit for the baseline's own sets: (n-1)^2 / n Beta(1 - rate/n; p/2, (n-p-1)/2).
 
-    ``rate`` is the chance that any of the n healthy sets exceeds it (Bonferroni). Source as for
-    `f_predictive_limit`.
-    Raise NotEnoughSetsError for n up to p + 1, InvalidInputError for p below 1 or a rate outside (0, 1).
+    ``rate`` is the chance that any of the n healthy sets of p features exceeds it (Bonferroni). Source as for
+    `f_predictive_limit`. Raise NotEnoughSetsError for n up to p + 1, InvalidInputError for p below 1 or a
+    rate outside (0, 1).
     """
     _require_enough_sets(n, p)
     if n <= p + 1:
@@ -125,7 +129,8 @@ def compute_limit_pair(
     """Return the predictive F limit and the paper's, in this order, for a baseline of p features.
 
     The paper limit's rate treats its value as fixed before the baseline was taken: a good guide, not exact.
-    Raise NotEnoughSetsError for n up to p.
+    Raise NotEnoughSetsError for n up to p or below 2, InvalidInputError for p below 1 or a rate outside (0,
+    1).
     """
     distances = np.asarray(baseline_distances_squared, dtype=np.float64)
     n = distances.size

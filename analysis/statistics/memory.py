@@ -47,13 +47,17 @@ def autocorrelation(vectors: ArrayLike, lag: int) -> FloatArray:
 def corrected_autocorrelation(r: ArrayLike, n: int) -> FloatArray:
     """Return the autocorrelation without the bias from estimating the mean: (n r + 1)/(n - 4) within 0..0.95.
 
-    Source: Marriott and Pope (1954), "Bias in the estimation of autocorrelations", Biometrika 41, 390-402.
+    ``r`` is the estimate at lag 1 from n sets, n above 4. Source: Marriott and Pope (1954), "Bias in the
+    estimation of autocorrelations", Biometrika 41, 390-402.
     """
     return np.clip((n * np.asarray(r, dtype=np.float64) + 1.0) / (n - 4.0), 0.0, LARGEST_PHI)
 
 
 def pooled_phi(vectors: ArrayLike) -> float:
-    """Return the mean lag-1 autocorrelation of all features, corrected for the estimated mean, 0 to 0.95."""
+    """Return the bias-corrected mean lag-1 autocorrelation of all features, 0 to 0.95.
+
+    ``vectors`` has shape (n, p); rows with a NaN are gaps. Raise InvalidInputError for fewer than two rows.
+    """
     n = int(np.isfinite(np.asarray(vectors)).all(axis=1).sum())
     return float(corrected_autocorrelation(autocorrelation(vectors, 1).mean(), n))
 
@@ -64,15 +68,18 @@ def significant_phi(phi: float, n: int) -> float:
 
 
 def effective_sets(n: int, phi: float) -> float:
-    """Return the effective number of independent sets for the mean, n (1 - phi)/(1 + phi)."""
+    """Return the effective number of independent sets for the mean, n (1 - phi)/(1 + phi).
+
+    ``phi`` is the lag-1 autocorrelation of n sets.
+    """
     return n * (1.0 - phi) / (1.0 + phi)
 
 
 def prewhiten_sets(vectors: ArrayLike, mean: ArrayLike, phi: ArrayLike) -> FloatArray:
-    """Remove the dependence on the previous set: e_t = (z_t - phi^k z_(t-k)), scaled alike, z = x - mean.
+    """Remove the dependence on the previous set: z_t - phi^k z_(t-k), scaled to one variance, z = x - mean.
 
-    k is the distance to the last complete set, infinite for the first: e has the same variance,
-    (1 - phi^2) times that of z, over any gap.
+    k is the distance to the last complete set, infinite for the first: over any gap, the result has
+    (1 - phi^2) times the variance of z.
 
     Parameters
     ----------
@@ -94,12 +101,14 @@ def prewhiten_sets(vectors: ArrayLike, mean: ArrayLike, phi: ArrayLike) -> Float
 
 
 def innovation(z: FloatArray, before: FloatArray, distance: ArrayLike, phi: ArrayLike) -> FloatArray:
-    """Remove from deviations the dependence on those ``distance`` sets earlier, as `prewhitened` does.
+    """Remove from deviations the dependence on those ``distance`` sets earlier, as `prewhiten_sets` does.
 
     Parameters
     ----------
     z, before
         Deviations from the mean, shape (p,) or (n, p).
+    distance, phi
+        At least 1; lag-1 autocorrelation, a number or shape (p,).
     """
     phi = np.asarray(phi, dtype=np.float64)
     power = phi ** np.asarray(distance)

@@ -94,8 +94,9 @@ def known_limit(p: int, run_length: float, weight: float = WEIGHT) -> float:
 def estimated_limit(n: int, p: int, run_length: float, weight: float = WEIGHT) -> float:
     """Return the MEWMA limit for a baseline of ``n`` sets: wider, since mean and covariance are estimates.
 
-    h_n = h_inf F(n, 1/ARL)/chi2(1/ARL) [1 + (2 - weight)/(weight n)]: the ratio allows for the covariance's
-    error, the bracket for the mean's, which enters the average in full.
+    h_n = h_inf F(n, 1/ARL)/chi2(1/ARL) [1 + (2 - weight)/(weight n)], ARL the ``run_length`` in sets: the
+    ratio allows for the covariance's error, the bracket for the mean's, which enters the average in full.
+    Raise NotEnoughSetsError for n up to p, InvalidInputError unless ``run_length`` exceeds 1.
     """
     rate = 1.0 / run_length
     widened = f_predictive_limit(n, p, rate) / float(scipy.special.chdtri(p, rate))
@@ -105,7 +106,7 @@ def estimated_limit(n: int, p: int, run_length: float, weight: float = WEIGHT) -
 def compute_averages(whitened: ArrayLike, start: ArrayLike, weight: float = WEIGHT) -> FloatArray:
     """Return the exponential averages z_t = weight w_t + (1 - weight) z_(t-1), shape (n, p), from ``start``.
 
-    No value may be missing.
+    ``start``, shape (p,), is z before the first row of ``whitened``. No value may be missing.
     """
     w = np.asarray(whitened, dtype=np.float64)
     before = (1.0 - weight) * np.asarray(start, dtype=np.float64)[None, :]
@@ -129,7 +130,8 @@ def mewma(whitened: ArrayLike, weight: float = WEIGHT) -> FloatArray:
 def mcusum(whitened: ArrayLike, reference: float = REFERENCE) -> FloatArray:
     """Return Crosier's MCUSUM statistic of whitened sets, shape (n,): max(0, C - k), C = |s + w|.
 
-    The sum s starts from 0 and is shrunk by k each set; a row with a NaN gives NaN and does not change it.
+    The sum s starts from 0 and is shrunk by k, ``reference``, each set. A row with a NaN gives NaN and leaves
+    s unchanged.
     Source: Crosier (1988), "Multivariate generalizations of cumulative sum quality-control schemes",
     Technometrics 30, 291-303.
     """

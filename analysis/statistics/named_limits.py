@@ -133,5 +133,8 @@ LIMITS: Mapping[str, NamedLimit] = MappingProxyType(
 
 
 def compute_limits(facts: Facts) -> dict[str, float]:
-    """Compute every one of `LIMITS` for a baseline, by name in the order in which they are listed."""
+    """Compute every one of `LIMITS` for a baseline, by name in the order in which they are listed.
+
+    Raise InvalidInputError unless the rate is in (0, 1) and the run length exceeds 1.
+    """
     return {name: limit.value(facts) for name, limit in LIMITS.items()}

@@ -166,7 +166,7 @@ def _assess_complete_rows(
     *,
     textbooks: bool,
 ) -> Assessed:
-    """Assess the complete rows of a table with the baseline of its healthy rows; NaN where not assessed.
+    """Assess the complete rows of a table, shape (rows, p), against its healthy rows; NaN where not assessed.
 
     Raise NotEnoughSetsError for fewer than 15 complete healthy rows, SingularCovarianceError as
     `fit_baseline`.
@@ -261,7 +261,8 @@ def _compute_statistics(
 ) -> dict[str, FloatArray]:
     """Compute the statistics of all rows by name, shape (rows,), except that of the default chart.
 
-    ``followed`` has the baseline's and later rows.
+    ``followed`` is ``x`` with NaN in rows neither of the baseline nor after it; ``assessed`` are the row
+    numbers after the baseline.
     """
     baseline, by_default = design.baseline, design.by_default
     distances = np.where(complete, distance_squared(np.where(complete[:, None], x, 0.0), baseline), np.nan)

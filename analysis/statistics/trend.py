@@ -167,7 +167,7 @@ def join_fit_parts(parts: NDArray[np.void]) -> NDArray[np.void]:
 def fit_trend_of_part(part: np.void) -> Trend:
     """Fit a least-squares parabola through the points of one part, as `fit_trend` does.
 
-    The points are due times of sets, which all differ.
+    ``part`` is one element of the dtype `PART`. The points are due times of sets, which all differ.
 
     Raises
     ------

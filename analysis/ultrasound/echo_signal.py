@@ -17,10 +17,7 @@ FACTORS = (2, 3, 5, 7, 11)
 
 
 def compute_analytic_signal(values: FloatArray) -> NDArray[np.complex128]:
-    """Return the analytic signal of real values, shape (n,); its modulus is their envelope.
-
-    Its modulus is the envelope.
-    """
+    """Return the analytic signal of real values, shape (n,); its modulus is their envelope."""
     n = next_fast_length(values.size, FACTORS)
     return np.asarray(ifft(_one_sided_spectrum(fft(values, n))))[: values.size]
 
@@ -111,8 +108,9 @@ def correlation_coefficient(segment: FloatArray, template: FloatArray) -> float:
 def compute_cramer_rao_sd_s(volts: FloatArray, echo_v: FloatArray, rate_hz: float) -> float:
     """Return the lowest possible SD of an echo's arrival time in white noise (Cramer-Rao bound), in s.
 
-    It is the noise SD over the root of the energy of the echo's slope. The noise is estimated from the median
-    absolute deviation of differences between samples, which hold little of an echo.
+    It is the noise SD over the root of the energy of the slope of ``echo_v``, the echo of known shape. The
+    noise is estimated from the median absolute deviation of differences between samples of the record
+    ``volts``, which hold little of an echo.
     """
     differences = np.diff(volts)
     noise_v = MAD_TO_SD * float(np.median(np.abs(differences - np.median(differences)))) / math.sqrt(2.0)

@@ -45,12 +45,14 @@ def measure_wall_thickness(
 ) -> EchoReading:
     """Measure travel time and wall thickness in one pulse-echo record (paper, eq. 17).
 
-    A value that is not finite becomes None.
+    A value that is not finite becomes None: without an echo the quality is bad and there is no thickness.
 
     Raises
     ------
-    AnalysisError
-        It has no echo, or cannot be compared with the reference.
+    RecordError
+        Another sample rate than the reference's, or a record that does not reach the gate's end.
+    InvalidInputError
+        The delay, initial thickness or element separation is out of range.
     """
     travel = travel_time(waveform, reference)
     wall = compute_thickness(

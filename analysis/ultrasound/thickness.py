@@ -164,6 +164,8 @@ def find_reference_echo(
         Record of the pristine wall; its trigger is the firing pulse.
     delay_s
         D, to the envelope's peak of the front-wall echo.
+    initial_thickness_m
+        th_0, thickness of the pristine wall.
     velocity_m_per_s
         c, longitudinal wave speed (5,900 m/s for steel); used to find the echo only.
     thinnest_fraction, thickest_fraction
@@ -226,7 +228,7 @@ def find_reference_echo(
 def substitute_reference(
     later: EchoReference, *, travel_time_s: float, reference_travel_time_s: float
 ) -> EchoReference:
-    """Make a reference from the echo of a later record when the reference record is lost.
+    """Return a reference made from the echo of a later record, for when the reference record is lost.
 
     Its travel times continue those of the lost reference.
 
@@ -368,7 +370,7 @@ def thickness_interval(
     Wave speed, delay and initial thickness are taken as exact, and so is the separation: what they are wrong
     by comes on top. The amplitude is compared with the reference's without regard to attenuation, which in a
     thinner wall is smaller and hides a roughness of a few hundredths of a millimetre.
-    All values are NaN if there is no travel time.
+    All values are NaN if there is no travel time. Raise InvalidInputError as `compute_thickness`.
     """
     wall = compute_thickness(
         found.travel_time_s,
@@ -427,9 +429,10 @@ def _remove_median(waveform: Waveform) -> FloatArray:
 
 
 def _assess_reading_quality(coefficient: float, slipped: bool) -> tuple[Quality, str]:
-    """Rate a reading good, suspect or bad by its correlation; return the quality and the reasons (English).
+    """Rate a reading good, suspect or bad; return the quality and the reasons (English), empty for good.
 
-    The reasons are empty for a good one.
+    A correlation below 0.6 is bad, below 0.9 suspect; so is a possible slip by one carrier period
+    (``slipped``).
     """
     if not coefficient >= SUSPECT_CORRELATION:
         return "bad", f"correlation {coefficient:.2f} below {SUSPECT_CORRELATION}"

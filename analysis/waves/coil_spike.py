@@ -129,7 +129,9 @@ def measure_coil_spike(
     fall_s
         Nominal fall of the striker.
     pretrigger_s
-        What must be recorded before the wave.
+        Time that must be recorded before the wave.
+    trigger_level_v, rising
+        Level in V that triggers a record, and whether on a rising edge.
 
     Raises
     ------
@@ -184,7 +186,10 @@ def measure_coil_spike(
 
 
 def _find_wave_front(volts: FloatArray, earliest: int, rate_hz: float) -> tuple[int, float]:
-    """Find the sample where the incident wave's front starts, and the wave's height in V above that level."""
+    """Find the sample where the incident wave's front starts, and the wave's height in V above that level.
+
+    The wave is sought from sample ``earliest`` on; without one, the result is the largest rise of the noise.
+    """
     block = max(1, round(WAVE_BLOCK_S * rate_hz))
     n_blocks = (volts.size - earliest) // block
     means = volts[earliest : earliest + n_blocks * block].reshape(n_blocks, block).mean(axis=1)
@@ -199,7 +204,11 @@ def _find_wave_front(volts: FloatArray, earliest: int, rate_hz: float) -> tuple[
 def _measure_edge(
     volts: FloatArray, rate_hz: float, seen_v: float, limit_v: float, trigger_v: float
 ) -> EdgeSpike:
-    """Measure the coil's voltage after an edge at the first sample; zeros if it stays below ``seen_v``."""
+    """Measure the coil's voltage after an edge at the first sample; zeros if it stays below ``seen_v``.
+
+    It rings until the last sample of at least ``limit_v`` in magnitude, and triggers if it starts at
+    ``trigger_v`` or above, or rises to it.
+    """
     departed = np.abs(volts)
     if departed.max() < seen_v:
         return EdgeSpike()
@@ -222,7 +231,11 @@ def _apply_sign(edge: EdgeSpike, sign: float) -> EdgeSpike:
 
 
 def _propose_trigger_level(trigger_v: float, wave_v: float, noise_rms_v: float, sign: float) -> float | None:
-    """Propose a trigger level in V; None if the present one fits or no better one clears the noise."""
+    """Propose a trigger level in V, two digits; None if the present one fits or none clears the noise.
+
+    ``trigger_v``, the present level, and ``wave_v`` count from the quiet level in the direction of the slope
+    ``sign``, 1 or -1; the proposal counts from the quiet level with its sign.
+    """
     lowest, highest = FITTING_LEVEL
     proposed_v = max(LEVEL_OF_WAVE * wave_v, NOISE_PART * noise_rms_v)
     if lowest <= trigger_v / wave_v <= highest or proposed_v > highest * wave_v:

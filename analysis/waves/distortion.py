@@ -67,7 +67,7 @@ def find_flattened(outlines: Sequence[Outline], tofs_s: FloatArray) -> NDArray[n
 
 
 def _tabulate_outlines(outlines: Sequence[Outline]) -> tuple[FloatArray, FloatArray]:
-    """Stack points and standard deviations of all outlines, shape (n_outlines, n_points) each."""
+    """Stack points, shape (n_outlines, n_points), and SDs, shape (n_outlines,), of all outlines."""
     return np.array([one.points for one in outlines]), np.array([one.sd for one in outlines])
 
 
@@ -89,7 +89,10 @@ def _compute_slope(wave: FloatArray) -> FloatArray:
 
 
 def _build_variations(waves: Sequence[tuple[int, int, FloatArray]]) -> FloatArray:
-    """Build columns, shape (n, n_waves + 1), of a sound shot's variation: arrival of each wave, width."""
+    """Build columns, shape (n, n_waves + 1), of a sound shot's variation: arrival of each wave, width.
+
+    Each of ``waves`` is its first row, its first point from the peak, and its values; together they have n.
+    """
     n = sum(wave.size for _, _, wave in waves)
     columns = np.zeros((n, len(waves) + 1))
     for k, (begin, first, wave) in enumerate(waves):
@@ -100,7 +103,10 @@ def _build_variations(waves: Sequence[tuple[int, int, FloatArray]]) -> FloatArra
 
 
 def _fit_columns(columns: FloatArray, values: FloatArray) -> FloatArray:
-    """Fit least-squares weights, shape (k,) or (k, n), of columns, (m, k), to values, (m,) or (m, n)."""
+    """Return the least-squares weights of columns, shape (m, k), for values, shape (m,) or (m, n).
+
+    The result has the shape (k,) or (k, n). A ridge of 1e-13 of the trace keeps columns of zeros solvable.
+    """
     gram = columns.T @ columns
     gram.flat[:: len(gram) + 1] += GRAIN * gram.trace()
     return np.asarray(np.linalg.solve(gram, columns.T @ values))
@@ -114,7 +120,12 @@ def _find_lowered_shots(
     sd: FloatArray,
     least: float,
 ) -> NDArray[np.bool_]:
-    """Find shots that a pattern lowers by more than their scatter explains; Boolean, shape (n_shots,)."""
+    """Find shots that a pattern lowers by more than their scatter explains; Boolean, shape (n_shots,).
+
+    ``points`` has shape (n_shots, n), the median outline ``middle`` and ``pattern`` (n,). ``variation``,
+    shape (n, k), is how sound shots differ, ``sd`` each shot's noise, ``least`` the smallest lowering that
+    counts. A shot with a missing point is not found.
+    """
     if not (np.isfinite(middle).all() and pattern.any()):
         return np.zeros(len(points), dtype=bool)
     variation = np.column_stack([middle, variation])
@@ -131,9 +142,9 @@ def _find_lowered_shots(
 def find_shots_with_lost_samples(outlines: Sequence[Outline], tofs_s: FloatArray) -> NDArray[np.bool_]:
     """Find shots that lost samples after the top of the reflected wave; Boolean, shape (n_shots,).
 
-    What follows came earlier than in the middle of all shots by one length, at once: that must explain most
-    of the difference from it. Only shots of one wall are compared.
-    None is found among fewer than seven shots.
+    From some point on, such a shot is earlier than the median outline by one constant time: this must explain
+    most of its difference. None is found among fewer than seven shots, or if their times of flight ``tofs_s``
+    show more than one wall.
     """
     n = len(outlines)
     found = np.zeros(n, dtype=bool)
@@ -160,7 +171,9 @@ def _find_shots_with_cut(
 ) -> NDArray[np.bool_]:
     """Find shots that a cut of one length after one point explains; Boolean, shape (n_shots,).
 
-    Arrays below have the shape (shots, lengths, points).
+    ``left``, shape (n_shots, n_points), is their difference from the median outline ``middle``; ``noise2``,
+    shape (n_shots,), and ``scatter2`` are the variances of noise and of scatter between shots. Arrays below
+    have the shape (shots, lengths, points).
     """
     least = np.maximum(CUT_SD2 * noise2, max(CUT_SCATTER2 * scatter2, LEAST_CUT))[:, None]
     place = np.arange(middle.size)

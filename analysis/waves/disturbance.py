@@ -70,8 +70,8 @@ CLOSEST_ALIKE_S, STRAIGHT_CODES = 5e-6, 1.5
 def is_flat_topped(record: ReducedRecord, time_s: float, fwhm_s: float, noise_v: float) -> bool:
     """Check whether a pulse's top is too flat for a wave, as from a saturated amplifier.
 
-    `noise_v`, here and below, is the standard deviation of a block mean.
-    Return False if the width is unknown or the record does not reach around the top.
+    The pulse is at ``time_s`` from the trigger; ``noise_v`` is the SD of a block mean in V. Return False if
+    the width is unknown or the record does not reach around the top.
     """
     if not math.isfinite(fwhm_s):
         return False
@@ -91,7 +91,8 @@ def is_flat_topped(record: ReducedRecord, time_s: float, fwhm_s: float, noise_v:
 def is_clipped(record: ReducedRecord, time_s: float, fwhm_s: float, rate_hz: float) -> bool:
     """Check whether a pulse stays at one maximum value: the signal exceeded the converter's range.
 
-    At least 16 samples must be at it, over more of the width than a wave's top explains.
+    At least 16 samples must be at it, over more of the width ``fwhm_s`` than a wave's top explains. The pulse
+    is at ``time_s`` from the trigger.
     """
     centre = round(record.index(time_s) * record.block_samples)
     half = round(0.5 * fwhm_s * rate_hz) if math.isfinite(fwhm_s) else 0
@@ -153,7 +154,11 @@ def measure_deepest_pull(
 
 
 def has_edge(record: ReducedRecord, isw_v: float, isw_fwhm_s: float, noise_v: float) -> bool:
-    """Check for a jump in the record: samples lost in a flank, or the start of an electrical pulse."""
+    """Check for a jump in the record: samples lost in a flank, or the start of an electrical pulse.
+
+    A spike that returns to its level is none. ``isw_v`` and ``isw_fwhm_s`` are height and width of the ISW,
+    ``noise_v`` the SD of a block mean in V.
+    """
     width = max(1, round(EDGE_S / record.step_s))
     per_block = EDGE_PER_WIDTH * record.step_s / isw_fwhm_s * isw_v
     noise = math.sqrt(2.0) * noise_v
@@ -192,7 +197,8 @@ def has_drift(
 def _end_level(record: ReducedRecord, psw: Pulse | None) -> float:
     """Return the offset of the record's end from the quiet level in V; 0 if the end is on it or too short.
 
-    A third wave that passes there leaves some of them on the level.
+    It is one of the smaller 20-us means of the last 200 us after the PSW, each scaled as a linear drift, so
+    that a third wave there does not count.
     """
     first = record.blocks_v.size - round(END_S / record.step_s)
     if psw is not None:
@@ -217,7 +223,8 @@ def _end_level(record: ReducedRecord, psw: Pulse | None) -> float:
 def find_noise_free_flags(records: Sequence[ReducedRecord], rate_hz: float) -> list[set[str]]:
     """Find stretches without noise in records of one kind; return the flags of each record, empty for none.
 
-    Lost samples were replaced by zeros, by the last one, or by a line between their neighbours.
+    Lost samples were replaced by zeros, by the last one, or by a line between their neighbours. The flags are
+    ``lost_samples``, ``clipped`` and ``disturbed``; there must be at least one record.
     """
     stride = max(1, round(CLOSEST_ALIKE_S * rate_hz))
     n = (records[0].samples_v.size - 1) // stride
@@ -237,7 +244,10 @@ def find_noise_free_flags(records: Sequence[ReducedRecord], rate_hz: float) -> l
 
 
 def _find_noise_free_stretches(record: ReducedRecord, rate_hz: float) -> set[str]:
-    """Return the flags of stretches in one record whose samples are equal or on a line, without noise."""
+    """Return the flags of stretches in one record whose samples are equal or on a line, without noise.
+
+    Equal samples give ``lost_samples`` or ``clipped``, a line ``disturbed``.
+    """
     steps = np.diff(record.samples_v)
     shortest = max(FEWEST_ALIKE, SHORTEST_ALIKE_S * rate_hz)
     found = _find_constant_stretches(record, steps, shortest)
@@ -250,7 +260,11 @@ def _find_noise_free_stretches(record: ReducedRecord, rate_hz: float) -> set[str
 
 
 def _find_constant_stretches(record: ReducedRecord, steps: FloatArray, shortest: float) -> set[str]:
-    """Return the flags (lost samples, clipped) of stretches of equal samples too long for the noise."""
+    """Return the flags (lost samples, clipped) of stretches of equal samples too long for the noise.
+
+    ``steps`` are the differences between neighbouring samples in V, ``shortest`` is the length in samples
+    from which a stretch counts.
+    """
     samples = record.samples_v
     lowest, highest = float(samples.min()), float(samples.max())
     edges = np.flatnonzero(np.concatenate([[True], steps != 0.0, [True]]))

@@ -144,7 +144,7 @@ class ShotFeatures:
     sd: Mapping[str, float] = field(default_factory=dict)
 
     def values(self) -> dict[str, float]:
-        """Return every feature by name, in the order of `ALL_FEATURE_NAMES`."""
+        """Return every feature by name, in the order of `ALL_FEATURE_NAMES`; NaN where not available."""
         return dict(zip(ALL_FEATURE_NAMES, _EVERY_FEATURE(self), strict=True))
 
     def vector(self) -> FloatArray:
@@ -212,7 +212,8 @@ def extract_features(waveform: Waveform, settings: ExtractionSettings = Extracti
     Raises
     ------
     RecordError
-        The record is too short, too coarse or has no pre-trigger (a poor shot is flagged instead).
+        The record is too short, too coarse or has no pre-trigger (a poor shot is flagged instead), or a
+        calibration coefficient is not finite.
     """
     return extract_all([waveform], settings)[0]
 
@@ -223,14 +224,13 @@ def extract_all(
 ) -> list[ShotFeatures]:
     """Extract the features of many shots, bit-identical to those of each alone.
 
-    One step after the other for all of them costs less than one shot after the other: a processor that
-    repeats itself has at hand what it needs.
+    Each step runs for all shots before the next one, which is faster than one shot after the other.
     The result has the order of the waveforms, which may differ in rate and length.
 
     Raises
     ------
     RecordError
-        As for `extract_features`, where any record asks for it.
+        As for `extract_features` if any record is unsuitable, or a calibration coefficient is not finite.
     """
     if not all(np.isfinite(w.calibration.coefficients_v).all() for w in waveforms):
         raise RecordError("a calibration's coefficients must be finite")
@@ -244,14 +244,14 @@ def extract_from_average(
     waveforms: Sequence[Waveform],
     settings: ExtractionSettings = ExtractionSettings(),  # noqa: B008 frozen
 ) -> ShotFeatures:
-    """Extract the features of the mean of a set's records (the paper's way), clipped if any is.
+    """Extract the features of the mean of a set's records (the paper's way); clipped if any record is.
 
     The records are averaged as triggered, not aligned: a jitter of the trigger widens the pulses.
 
     Raises
     ------
     RecordError
-        No record, or records that differ in rate, length or pre-trigger.
+        No record, records that differ in rate, length or pre-trigger, or as for `extract_features`.
     """
     if not waveforms:
         raise RecordError("no record to average; a set needs at least one")
@@ -303,7 +303,10 @@ def extract_from_volts(
 def _extract_records(
     given: Sequence[VoltRecord], settings: ExtractionSettings, *, with_sd: bool = False
 ) -> list[ShotFeatures]:
-    """Extract the features of records, in their order; at most 32 of one kind are processed together."""
+    """Extract the features of records, in their order; at most 32 of one kind are processed together.
+
+    Raise RecordError as `extract_features`.
+    """
     kinds: dict[tuple[int, float, int], list[int]] = {}
     for number, one in enumerate(given):
         kinds.setdefault(one.kind, []).append(number)
@@ -321,7 +324,8 @@ def _extract_same_kind(
 ) -> list[ShotFeatures]:
     """Extract the features of records of one length, rate and pre-trigger (`VoltRecord.kind`).
 
-    A record with a false trigger or lost samples has no feature but its noise.
+    A record with a false trigger or lost samples has no feature but its noise. Raise RecordError if the
+    records are too short, too coarse or without pre-trigger.
     """
     records = reduce_records(given, settings)
     pulses = [find_pulses(record, settings) for record in records]
@@ -375,6 +379,7 @@ def _find_flags(
     """Return a shot's flags, except those of the ADC's range, and its `ShotFeatures.pull_fraction`.
 
     Lost samples, a jump at the trigger, an inverted wave or a missing incident wave exclude all other flags.
+    ``still`` are the flags of `find_noise_free_flags`, ``at_trigger`` the Booleans of `_check_trigger_jumps`.
     """
     if "lost_samples" in still:
         return still, math.nan
@@ -413,7 +418,8 @@ def _find_disturbance_flags(
 ) -> tuple[set[str], float]:
     """Return the flags of disturbances that exceed the noise, and the deepest pull over the ISW's amplitude.
 
-    ``noise_v`` is the standard deviation of a block mean in V.
+    The flags are ``disturbed``, ``clipped`` and ``baseline``; ``noise_v`` is the standard deviation of a
+    block mean in V.
     """
     psw_time_s = None if pulses.psw is None else pulses.psw.time_s
     pull, pulled = measure_deepest_pull(record, isw.amplitude_v, psw_time_s, noise_v)
@@ -502,9 +508,9 @@ def _compute_autocorrelation_features(
 ) -> dict[str, float]:
     """Compute time of flight in s and coefficient by autocorrelation, by name; empty without a maximum.
 
-    The gate's edges fall on blocks. R(k) is summed over every block of the moving mean instead of every
-    sample: the mean leaves nothing for the missing samples to add. The few lags wanted cost less one by one
-    than a transform that gives all.
+    The gate's edges fall on blocks. The autocorrelation is summed over every block of the moving mean instead
+    of every sample: the mean leaves nothing for the missing samples to add. The few lags wanted cost less one
+    by one than a transform that gives all.
     """
     n = record.blocks_v.size
     first = max(0, round(record.index(isw.time_s - settings.window_half_width_s)))
@@ -587,7 +593,10 @@ def average_features(shots: Sequence[ShotFeatures], minimum_valid: int = MINIMUM
 
 
 def _remove_outliers(table: FloatArray) -> FloatArray:
-    """Replace values more than 10 scaled MADs from their column's median by NaN; same shape."""
+    """Replace values more than 10 scaled MADs from their column's median by NaN; same shape.
+
+    Columns with a NaN, or with more than half of their values equal, stay as they are.
+    """
     known = np.where(np.isnan(table).any(axis=0), 0.0, table)  # a feature that some shots lack is left alone
     distance = np.abs(known - column_medians(known))
     middle = column_medians(distance)

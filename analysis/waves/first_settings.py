@@ -185,6 +185,10 @@ def cut_triggered_record(
     ----------
     after_s
         Time from the start of the strike's record until the trigger is armed.
+    level_v, rising
+        Trigger level in V, and whether on a rising edge.
+    pretrigger_samples, samples
+        Samples of the record before the trigger, and in all.
     """
     sign = 1.0 if rising else -1.0
     first = round(after_s * strike.sample_rate_hz)
@@ -201,14 +205,20 @@ def cut_triggered_record(
 
 
 def _average_blocks(volts: FloatArray, rate_hz: float) -> tuple[FloatArray, int]:
-    """Average volts in blocks of 10 us that hide electrical spikes; return means and samples per block."""
+    """Average volts in blocks of 10 us that hide electrical spikes; return means and samples per block.
+
+    Samples after the last full block are left out.
+    """
     block = max(1, round(WAVE_BLOCK_S * rate_hz))
     n_blocks = volts.size // block
     return volts[: n_blocks * block].reshape(n_blocks, block).mean(axis=1), block
 
 
 def _find_crest(one: StruckTransducer, earliest_s: float) -> float:
-    """Return the largest deviation from the quiet level in V, with its sign, from ``earliest_s`` on."""
+    """Return the largest deviation of a 10-us mean from the quiet level in V, with its sign.
+
+    Only means from ``earliest_s`` on count, in s from the start of the strike's record.
+    """
     rate_hz = one.strike.sample_rate_hz
     means, _ = _average_blocks(one.strike.volts()[round(earliest_s * rate_hz) :], rate_hz)
     departures = means - median(one.noise.volts())
@@ -220,7 +230,8 @@ def _choose_trigger_level(
 ) -> float | None:
     """Choose one trigger level in V, two digits, for all transducers; None without a wave or a level.
 
-    It depends on the smallest wave and the largest noise.
+    It depends on the smallest of the wave heights ``waves_v`` and the largest noise RMS; ``offset_v`` is the
+    mean quiet level, ``sign`` 1 for a rising slope, -1 for a falling one.
     """
     if not waves_v:
         return None
@@ -230,7 +241,11 @@ def _choose_trigger_level(
 
 
 def _rise_s(one: StruckTransducer, earliest_s: float, above_v: float, noise_v: float, sign: float) -> float:
-    """Return the time in s from the last quiet block before the wave until it reaches the level."""
+    """Return the time in s from the last quiet block before the wave until it reaches the level ``above_v``.
+
+    Return 0 if no block before it is quiet. The wave is sought from ``earliest_s`` on; ``above_v`` counts
+    from the quiet level in the direction of ``sign``.
+    """
     rate_hz = one.strike.sample_rate_hz
     volts = sign * (one.strike.volts()[round(earliest_s * rate_hz) :] - median(one.noise.volts()))
     means, block = _average_blocks(volts, rate_hz)
@@ -242,7 +257,7 @@ def _rise_s(one: StruckTransducer, earliest_s: float, above_v: float, noise_v: f
 def _choose_holdoff(surveys: Mapping[str, SpikeSurvey], fall_s: float) -> tuple[float | None, float, str]:
     """Choose one holdoff in s for all transducers; None if the coil rings for too long.
 
-    Return also the ringing time in s, and the transducer whose coil rings longest.
+    Return also the ringing time in s (0 without a holdoff), and the transducer whose coil rings longest.
     """
     loudest = max(surveys, key=lambda name: surveys[name].off.ringing_s)
     ringing_s = math.ceil(surveys[loudest].off.ringing_s * 1e4) / 1e4
@@ -253,7 +268,7 @@ def _choose_holdoff(surveys: Mapping[str, SpikeSurvey], fall_s: float) -> tuple[
 
 
 def _choose_range(one: StruckTransducer, listens_s: float) -> tuple[float, bool, bool]:
-    """Choose the smallest input range in V with headroom for the samples from ``listens_s`` on.
+    """Choose the smallest input range in V of at least 1.5 times the voltages from ``listens_s`` on.
 
     Return the largest range if none fits, then whether these samples were clipped, and whether a range fits.
     """

@@ -138,7 +138,12 @@ def _build_noise_colour(
     memory: float,
     of_differences: float,
 ) -> NoiseColour:
-    """Build the `NoiseColour` of a record from its variances in V^2 at several time scales."""
+    """Build the `NoiseColour` of a record from its variances in V^2 at several time scales.
+
+    ``bands`` are those of block means in `BANDS_HZ`, ``level`` the quiet level of each quiet block,
+    ``memory`` and ``of_differences`` sums of squared autocorrelations of samples and, less 1, of their
+    differences.
+    """
     block2, _, flank2, slow2 = bands
     return NoiseColour(
         sample2=sample2,
@@ -156,6 +161,7 @@ def _median_variance(n: int, level: FloatArray, block2: float, slow2: float) -> 
 
     pi s^2 / (2 n + 1.1) for white noise, n the blocks whose level is so near that noise decides their side
     (s^2 for n = 1, .45 for 3); correlated noise, sum of arcsin(rho), adds nearly what it adds to a mean.
+    ``level`` is that of each block, ``block2`` the variance s^2, ``slow2`` that of slow noise.
     """
     if block2 <= 0.0:
         return 0.0
@@ -173,7 +179,8 @@ def _chance_mean_square(n: float) -> float:
 def _build_quiet_basis(n: int, fwhm_blocks: int) -> FloatArray:
     """Build orthonormal columns that model the quiet part of a record, shape (n, n).
 
-    A constant, two of the wave's foot, cosines of rising frequency.
+    They are a constant, two of the wave's foot, cosines of rising frequency; n is the number of quiet blocks,
+    ``fwhm_blocks`` the ISW's width in blocks. Cached and read-only.
     """
     place = np.arange(n)
     cosines = np.cos(np.pi * np.outer(place + 0.5, np.arange(1, n - N_LEVEL + 1)) / n)
@@ -184,7 +191,10 @@ def _build_quiet_basis(n: int, fwhm_blocks: int) -> FloatArray:
 
 
 def _sum_squared_autocorrelation(x: FloatArray, lags: int) -> float:
-    """Return the sum of the squared autocorrelations over all lags, negative ones too; 1 for white noise."""
+    """Return the sum of the squared autocorrelations of x over all lags, negative ones too; white noise: 1.
+
+    Those beyond ``lags``, or within three standard errors of 0, are left out.
+    """
     begin = x[: x.size - lags]
     energy = float(begin @ begin)
     if energy == 0.0:

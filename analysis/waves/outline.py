@@ -90,12 +90,13 @@ def _fill_points(record: ReducedRecord, pulse: Pulse, first: int, stride: int, p
 
 
 def find_dissimilar_shots(outlines: Sequence[Outline], tofs_s: FloatArray) -> NDArray[np.bool_]:
-    """Find shots that no others resemble, or that arrived earlier than all similar ones; mask, shape (n,).
+    """Find shots that no others resemble, or whose PSW came earlier than similar ones'; mask, shape (n,).
 
     Parameters
     ----------
     outlines, tofs_s
-        Of each shot, of one transducer; of less than `FEWEST` none is reported.
+        Outline, and time of flight in s, of each shot of one transducer; among fewer than seven none is
+        found.
     """
     n = len(outlines)
     if n < FEWEST:
@@ -121,9 +122,10 @@ def find_dissimilar_shots(outlines: Sequence[Outline], tofs_s: FloatArray) -> ND
 
 
 def _compute_row_distances(table: FloatArray, start: int, others: NDArray[np.intp]) -> FloatArray:
-    """Compute RMS differences of 64 rows from each of the others, shape (n_parts, n_rows, n_others).
+    """Compute RMS differences of up to 64 rows of ``table``, from ``start`` on, from its rows ``others``.
 
-    The rows begin at ``start``. A distance is inf to the shot itself, and where one of both lacks the part.
+    Shape (3, n_rows, n_others) for the parts around the ISW, around the PSW and after it. A distance is inf
+    from a shot to itself, and where one of the two shots lacks the part.
     """
     rows = table[start : start + ROWS_AT_ONCE]
     differences = rows[:, None] - table[others]
@@ -135,9 +137,9 @@ def _compute_row_distances(table: FloatArray, start: int, others: NDArray[np.int
 
 
 def _find_comparable_shots(tofs_s: FloatArray, others: NDArray[np.intp]) -> NDArray[np.bool_]:
-    """Return a mask, shape (n,), of the shots whose wall at least seven shots show, by time of flight.
+    """Return a mask, shape (n,): seven or more of ``others`` are within 25 us of the shot's time of flight.
 
-    All are, if the middle eight of ten times of flight agree within 30 us. Corrosion changes the record after
+    All are if the middle eight of ten times of flight agree within 30 us. Corrosion changes the record after
     the incident wave, so only shots of the same wall are comparable there.
     """
     ordered = np.sort(tofs_s)
@@ -153,7 +155,8 @@ def _find_early_shots(
 ) -> list[int]:
     """Find the indices of shots whose reflected wave came earlier than those of similar shots.
 
-    Return an empty list if they are more than a third of all shots: another wall.
+    ``similar``, shape (n, n_others), marks which of ``others`` each shot resembles; candidates with fewer
+    than six are skipped. Return an empty list if more than a third of all shots are early: another wall.
     """
     early = []
     for index in candidates.tolist():

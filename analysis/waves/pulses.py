@@ -207,7 +207,10 @@ def search_windows_s(
 def _find_isw(
     record: ReducedRecord, maxima: list[int], top: float, settings: ExtractionSettings
 ) -> Pulse | None:
-    """Find the incident wave: the first large maximum that is wide enough; None if there is none."""
+    """Find the incident wave: the first maximum of at least half of ``top``; None if there is none.
+
+    Return None, too, if that pulse is too weak for the noise or as narrow as an electrical spike.
+    """
     first = next((index for index in maxima if record.matched_v[index] >= 0.5 * top), None)
     if first is None or top <= 0.0:
         return None
@@ -220,7 +223,10 @@ def _find_isw(
 
 
 def _has_room_for_reflection(record: ReducedRecord, isw: Pulse, settings: ExtractionSettings) -> bool:
-    """Check whether the record has room for a reflected wave; a short one only for an intact wall's."""
+    """Check whether the record has room for a reflected wave after the incident one.
+
+    A record too short for the latest reflection needs room only for that of an intact wall.
+    """
     window_s = settings.psw_latest_s + settings.window_half_width_s
     if record.end_s < window_s + LATEST_ISW_PER_FWHM * settings.isw_fwhm_s:
         window_s = min(window_s, minimum_after_isw_s(settings))
@@ -236,9 +242,9 @@ def _find_local_maxima(values: FloatArray) -> list[int]:
 def _find_first_pulse(
     record: ReducedRecord, maxima: list[int], first: float, last: float, fraction: float, floor: float
 ) -> Pulse | None:
-    """Find the first pulse in a range that is high enough; None if there is none.
+    """Find the first pulse from block ``first`` to ``last`` with ``fraction`` of the highest output there.
 
-    High enough is at least ``floor``, and ``fraction`` of the highest in the range.
+    Return None if there is none, or if its amplitude is below ``floor`` in V.
     """
     found = [index for index in maxima if first <= index <= last]
     inside = list(zip(found, record.matched_v[found].tolist(), strict=True)) if found else []
@@ -324,7 +330,10 @@ def _measure_width(values: FloatArray, peak: int, level: float) -> float:
 
 @lru_cache(maxsize=1024)
 def quartic_design_matrix(n: int) -> tuple[FloatArray, FloatArray]:
-    """Return the design matrix of a quartic on n points over -1..1, (n, 5), and its pseudo-inverse."""
+    """Return the design matrix of a quartic on n points over -1..1, (n, 5), and its pseudo-inverse, (5, n).
+
+    Both are cached and read-only.
+    """
     design = np.vander(np.linspace(-1.0, 1.0, n), 5, increasing=True)
     solver: FloatArray = np.asarray(np.linalg.pinv(design), dtype=np.float64)
     for array in (design, solver):
@@ -363,7 +372,8 @@ def _check_extra_pulses(
 ) -> tuple[bool, bool, bool]:
     """Return whether there is a second strike, a merged PSW, and a pulse that no strike causes.
 
-    `noise_v` is the standard deviation of a block mean.
+    ``noise_v``, the standard deviation of a block mean in V, raises the thresholds where it exceeds what they
+    allow for; 0 leaves them.
     """
     excess_v = max(0.0, noise_v / math.sqrt(record.smooth_blocks) - ALLOWED_NOISE * isw.amplitude_v)
     double = not (isw.regular and isw.fwhm_s <= settings.double_isw_width_ratio * settings.isw_fwhm_s)
@@ -398,8 +408,9 @@ def _has_second_reflection(
 ) -> bool:
     """Check for a hidden second strike by its reflection, when the first reflection covers its wave.
 
-    It is that part of the second wave which the PSW is of the first, and comes as much later than the PSW as
-    the second strike than the first. The PSW hides one that came about its time of flight after the first.
+    The ratio of that reflection to the second wave is that of PSW to ISW, and it follows the PSW by about the
+    time between the strikes. The PSW hides a wave that came about one time of flight after the first. Return
+    False for a time of flight above ``second_reflection_latest_tof_s``.
     """
     tof_s = psw.matched_time_s - isw.matched_time_s
     if tof_s > settings.second_reflection_latest_tof_s:
@@ -416,7 +427,10 @@ def _has_second_reflection(
 
 
 def find_prominent_maxima(values: FloatArray, floor: float, valley: float) -> list[int]:
-    """Return indices of maxima of at least ``floor``, with a fall of at least ``valley`` between any two."""
+    """Return indices of maxima of at least ``floor``, with a fall of at least ``valley`` between any two.
+
+    Of two maxima without such a fall between them, only the higher one is returned.
+    """
     accepted: list[int] = []
     for index in _find_local_maxima(np.maximum(values, floor)):
         if accepted:

@@ -186,14 +186,17 @@ def round_to_odd(width: float) -> int:
 def moving_mean(values: FloatArray, width: int) -> FloatArray:
     """Compute centred means of ``width`` (odd) neighbours, shape (n,), n >= width.
 
-    Zeros outside the record.
+    Values outside the record count as 0.
     """
     # Equal weights: correlation is convolution, without its reversal of an array.
     return np.correlate(values, mean_weights(width), "same")
 
 
 def moving_means(rows: FloatArray, width: int) -> FloatArray:
-    """Compute the moving mean over ``width`` (odd) neighbours of each row, shape (n_rows, n)."""
+    """Compute the moving mean over ``width`` (odd) neighbours of each row, shape (n_rows, n).
+
+    Values outside a row count as 0.
+    """
     # One correlation of all, with zeros between them.
     gap, (n_rows, n) = width // 2, rows.shape
     spaced = np.zeros(n_rows * (n + gap) + 2 * gap)
@@ -246,7 +249,10 @@ def kernel_noise_gain(width_blocks: float) -> float:
 
 @lru_cache(maxsize=64)
 def _kernel_spectrum(width_blocks: float, n_fft: int) -> NDArray[np.complex128]:
-    """Return the spectrum of the matched filter's weights, shape (n_fft // 2 + 1,), centred on sample 0."""
+    """Return the spectrum of the matched filter's weights, shape (n_fft // 2 + 1,), centred on sample 0.
+
+    Cached and read-only.
+    """
     weights = filter_kernel(width_blocks)
     half = weights.size // 2
     wrapped = np.zeros(n_fft)

@@ -93,7 +93,10 @@ class Template:
 
 
 def learn_template(shots: Sequence[ShotFeatures]) -> Template | None:
-    """Compute the typical wave from quantiles of the valid shots; None for fewer than three."""
+    """Compute the typical wave from quantiles of the valid shots; None for fewer than three.
+
+    A shot without a width of its incident wave does not count.
+    """
     valid = [shot for shot in shots if shot.valid and math.isfinite(shot.isw_fwhm_s)]
     if len(valid) < FEWEST_SHOTS:
         return None
@@ -130,7 +133,7 @@ def _column_quantiles(ordered: FloatArray, part: float) -> FloatArray:
 def flag_residual_reflections(shots: Sequence[ShotFeatures], usual_ratio: float | None) -> list[ShotFeatures]:
     """Flag shots ``no_psw`` whose reflection is too weak for any wall; only the incident wave's values stay.
 
-    Shots that were compared before are not changed.
+    A disturbed shot is flagged ``missed`` instead. Shots that were compared before are not changed.
 
     Parameters
     ----------
@@ -145,7 +148,10 @@ def flag_residual_reflections(shots: Sequence[ShotFeatures], usual_ratio: float 
 
 
 def _flag_without_reflection(shot: ShotFeatures) -> ShotFeatures:
-    """Return the shot without a reflected wave, with the flag ``no_psw`` (``missed`` if disturbed)."""
+    """Return the shot without a reflected wave, with the flag ``no_psw`` (``missed`` if disturbed).
+
+    Its outline and the flag ``psw_merged`` are removed.
+    """
     # What is no strike alone can be no sign of a hole.
     flag = "missed" if DISTURBED in shot.flags else "no_psw"
     return apply_flags(replace(_keep_incident_wave(shot), outline=None), {*shot.flags, flag} - {"psw_merged"})
@@ -159,7 +165,11 @@ def _keep_incident_wave(shot: ShotFeatures) -> ShotFeatures:
 
 
 def compare_with_others(shots: Sequence[ShotFeatures], template: Template | None) -> list[ShotFeatures]:
-    """Flag shots of one transducer that differ from its template, then from one another; same order."""
+    """Flag shots of one transducer that differ from its template, then from one another; same order.
+
+    Flags are those of `flag_residual_reflections` and `compare_with_template`; an outline unlike the others
+    gives ``disturbed``, a flattened top ``clipped``. Shots compared before stay as they are.
+    """
     typical_ratio = None if template is None else template.amplitude_ratio
     found = [
         compare_with_template(shot, template) for shot in flag_residual_reflections(shots, typical_ratio)
@@ -182,6 +192,7 @@ def compare_with_template(shot: ShotFeatures, template: Template | None) -> Shot
 
     A shot that is flagged ``missed`` keeps what was measured of its incident wave, and nothing else.
     Return the shot unchanged without a template, without an incident wave, or if it was compared before.
+    Other flags are ``clipped``, ``disturbed`` and ``double``.
     """
     if shot.compared or template is None or not math.isfinite(shot.isw_amplitude_v):
         return shot
@@ -215,7 +226,10 @@ def compare_with_template(shot: ShotFeatures, template: Template | None) -> Shot
 
 
 def _has_different_arrival(shot: ShotFeatures, template: Template) -> bool:
-    """Check whether the incident wave's arrival after the trigger differs from the template's."""
+    """Check whether the incident wave's arrival after the trigger differs from the template's.
+
+    It differs by more than half a usual width and six standard deviations. Return False if none is known.
+    """
     if template.isw_time_s is None:
         return False
     limit_s = max(LATEST_OWN * template.isw_fwhm_s, ARRIVAL_SD * template.isw_time_sd_s)

@@ -47,6 +47,8 @@ def propagate_noise_to_features(
 ) -> dict[str, float]:
     """Propagate a record's noise to the standard deviation of each available feature, by name.
 
+    Without an incident wave, only that of ``noise_rms_v`` is returned.
+
     Parameters
     ----------
     values
@@ -97,7 +99,10 @@ def propagate_noise_to_features(
 
 
 def _quartic_variances(pulse: Pulse, s2: float, step_s: float) -> tuple[float, float]:
-    """Return the variances of time (s^2) and height (V^2) of a pulse's quartic fit."""
+    """Return the variances of time (s^2) and height (V^2) of a pulse's quartic fit.
+
+    ``s2`` is the noise variance of a block mean in V^2, ``step_s`` the length of a block.
+    """
     u, inverse = pulse.top_place, _inverse_normal_matrix(pulse.top_points)
     powers = np.array([1.0, u, u * u, u**3, u**4])
     slopes = np.array([0.0, 1.0, 2.0 * u, 3.0 * u * u, 4.0 * u**3])
@@ -108,7 +113,10 @@ def _quartic_variances(pulse: Pulse, s2: float, step_s: float) -> tuple[float, f
 
 @lru_cache(maxsize=1024)
 def _inverse_normal_matrix(n: int) -> FloatArray:
-    """Return (X^T X)^-1 of the quartic fit on n points, shape (5, 5)."""
+    """Return (X^T X)^-1 of the quartic fit on n points, shape (5, 5).
+
+    X is the design matrix of `quartic_design_matrix`. Cached: callers must not write to the result.
+    """
     _, solver = quartic_design_matrix(n)
     return np.asarray(solver @ solver.T)
 
@@ -116,7 +124,10 @@ def _inverse_normal_matrix(n: int) -> FloatArray:
 def _matched_time_variance(
     pulse: Pulse, record: ReducedRecord, settings: ExtractionSettings, s2: float
 ) -> float:
-    """Return the variance of a matched-filter time in s^2; NaN where the filter has no maximum."""
+    """Return the variance of a matched-filter time in s^2; NaN where the filter has no maximum.
+
+    ``s2`` is the noise variance of a block mean in V^2.
+    """
     if pulse.matched_curvature_v >= 0.0:
         return math.nan
     slope2 = s2 * _kernel_slope_energy(settings.kernel_width_s / record.step_s)
@@ -134,7 +145,10 @@ def _kernel_slope_energy(width_blocks: float) -> float:
 def _coefficient_sd(
     record: ReducedRecord, isw: Pulse, ratio: float, gate_s: float, noise: NoiseColour
 ) -> float:
-    """Return the relative SD of the autocorrelation coefficient for a gate of ``gate_s`` seconds."""
+    """Return the relative SD of the autocorrelation coefficient for a gate of ``gate_s`` seconds.
+
+    ``ratio`` is the amplitude of the PSW over that of the ISW.
+    """
     both = 1.0 + ratio**2
     energy = ENERGY * isw.amplitude_v**2 * isw.fwhm_s / record.step_s
     of_ratio = noise.slow2 / energy * ((1.0 - ratio**2) / both) ** 2 * (1.0 + 1.0 / ratio**2)

@@ -76,5 +76,5 @@ def sphere_on_flat_stiffness(
 
 
 def indentation_m(force_n: float, stiffness: float) -> float:
-    """Return the indentation ``d = (F / A)^(2/3)`` in m of two bodies under a static force; 0 for a pull."""
+    """Return the indentation ``d = (F / A)^(2/3)`` in m under a static force, A in N/m^1.5; 0 for a pull."""
     return float((max(force_n, 0.0) / stiffness) ** (2.0 / 3.0))

@@ -86,7 +86,8 @@ class Chain:
     def dashpot_impulse_n_s_per_m(self) -> NDArray[np.float64]:
         """Return ``gamma / ((p + 1) d_r^p)`` of each contact, shape (n_bodies,).
 
-        Multiplied by [d]_+^(p + 1), it is the impulse of the dashpots.
+        gamma, p and d_r are the dashpot's constant, exponent and reference overlap. Multiplied by [d]_+^(p +
+        1), d the overlap, it is the impulse of the dashpots.
         """
         p = self.damping_exponent
         scale: float = 1.0 / ((p + 1.0) * self.damping_reference_overlap_m**p)
@@ -176,12 +177,12 @@ def change_strike(
 ) -> Chain:
     """Return the chain with another drop height in m, sensor tilt in rad and contacts.
 
-    On other contacts they are in static equilibrium again: ``d = (F / A)^(2/3)``.
+    With other contacts, the static overlaps are again those of equilibrium: ``d = (F / A)^(2/3)``.
 
     Parameters
     ----------
     damping_n_s_per_m
-        Of every contact within the chain, without tilt.
+        Of the sensor's contacts, without tilt; that to the plate stays.
     contacts
         None: as they were.
 

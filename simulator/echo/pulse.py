@@ -152,7 +152,10 @@ def _remaining_amplitude(way_m: float, echo: EchoParameters) -> float:
 
 
 def _attenuation_by_frequency(frequency_hz: FloatArray, way_m: float, echo: EchoParameters) -> FloatArray:
-    """Return the amplitude left at each frequency over that at the centre frequency, shape as given."""
+    """Return the amplitude left at each frequency over that at the centre frequency, shape as given.
+
+    ``way_m`` is the length of the sound path in the wall in m.
+    """
     relative = (frequency_hz / echo.centre_frequency_hz) ** echo.attenuation_exponent - 1.0
     filtered: FloatArray = 10.0 ** (-echo.attenuation_db_per_m * relative * way_m / 20.0)
     return filtered

@@ -44,7 +44,10 @@ class ProbedWall:
     warmer_k: float
 
     def volts(self, echo: EchoParameters) -> FloatArray:
-        """Simulate the noise-free record of this wall in V, shape (record_samples,)."""
+        """Simulate the noise-free record of this wall in V, shape (record_samples,).
+
+        Raise ValueError if a smooth wall has no thickness left.
+        """
         return simulate_echo(
             self.thickness_m if self.facets is None else self.facets, warm_probe_and_wall(echo, self.warmer_k)
         )
@@ -52,7 +55,8 @@ class ProbedWall:
     def truth(self, echo: EchoParameters) -> dict[str, float]:
         """Return the wall's true values that are stored with a record, by column name.
 
-        The travel time is that of a smooth wall.
+        They are ``thickness_m`` and ``travel_time_s``, that of a smooth wall, and for a rough wall
+        ``thickness_least_m`` and ``roughness_rms_m``.
         """
         known = {
             "thickness_m": self.thickness_m,
@@ -66,7 +70,11 @@ class ProbedWall:
 def build_wall(
     pristine_m: float, depth_fraction: float, spot: RoughSpot | None, warmer_k: float
 ) -> ProbedWall:
-    """Build the wall under a probe at one depth; without a spot or without loss it is smooth."""
+    """Build the wall under a probe at one depth; without a spot or without loss it is smooth.
+
+    ``depth_fraction`` is the mean loss over ``pristine_m``, ``warmer_k`` the temperature in K above that at
+    which the parameters hold.
+    """
     return ProbedWall(
         thickness_m=pristine_m * (1.0 - depth_fraction),
         facets=None if spot is None or depth_fraction == 0.0 else spot.at(pristine_m, depth_fraction),
@@ -93,7 +101,10 @@ class Disturbance:
 def draw_disturbance(
     echo: EchoParameters, *, seed: int, key: ShotKey
 ) -> tuple[Disturbance, dict[str, float]]:
-    """Draw couplant and bubbles of one acquisition; return also the true values of the active ones."""
+    """Draw couplant and bubbles of one acquisition; return also the true values of the active ones.
+
+    Those are ``coupling_gain`` and ``bubbles`` (0 or 1). Equal seed and key give the same result.
+    """
     gain, bubbles, truth = 1.0, False, {}
     if echo.coupling_sd_db > 0.0:
         level_db = echo.coupling_sd_db * keyed_generator(seed, Purpose.COUPLING, key=key).standard_normal()
@@ -129,10 +140,11 @@ def simulate_record(
     key: ShotKey,
     noisy: bool,
 ) -> tuple[FloatArray, int]:
-    """Simulate the mean of single records in volts, shape (record_samples,), and count the clipped.
+    """Simulate the mean of single records in V, shape (record_samples,); return also how many were clipped.
 
     Every record is cut off at the ends of the ADC's range before the mean, as in a receiver: with noise the
-    mean then no longer shows it. Where no record can come that far their noise is drawn once, as the mean's.
+    mean then no longer shows it. Where no record can come that far, their noise is drawn once, as the mean's.
+    Without ``noisy`` there is no noise.
     """
     low, high = calibration.full_scale_counts
     noise_v = echo.noise_rms_v if noisy else 0.0

@@ -40,7 +40,10 @@ class Interference:
     spike_fwhm_s: float
 
     def false_triggers_s(self, level_v: float) -> FloatArray:
-        """Return the times in s, negative, at which a spike alone reaches the trigger level."""
+        """Return the times in s, negative and rising, at which a spike alone reaches the trigger level.
+
+        They count from the noise-free crossing of the level by the wave.
+        """
         found: FloatArray = self.spike_time_s[(self.spike_time_s < 0.0) & (self.spike_v >= level_v)]
         return found
 

@@ -162,7 +162,7 @@ def simulate_triggered_record(
     Raises
     ------
     ValueError
-        The force ends before the record does.
+        The force ends before the record does, or the slope of the ADC's scaling varies by more than half.
     """
     volts = sensor_gain_v_per_n * dynamic_force_n
     crossing_s: float = find_first_crossing_s(volts, force_step_s, adc.trigger_level_v)
@@ -238,7 +238,10 @@ def _prepare_slow_noise_grid(n_samples: int, shortest_period: float) -> tuple[in
 
 @lru_cache(maxsize=64)
 def _lagrange_cubic_weights(per_step: int) -> FloatArray:
-    """Return weights of Lagrange's cubic through -1, 0, 1, 2 for samples in 0 to 1, shape (4, per_step)."""
+    """Return weights of Lagrange's cubic through -1, 0, 1, 2 for samples in 0 to 1, shape (4, per_step).
+
+    Cached: callers must not write to the result.
+    """
     x = np.arange(per_step) / per_step
     return np.array(
         [

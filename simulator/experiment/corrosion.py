@@ -96,7 +96,8 @@ class WallHistory:
     def _integrate_rate(self, u: float) -> float:
         """Integrate the uneven rate of thinning, relative to its mean, up to ``u``.
 
-        1 at u = 1 for any phases, since each term is periodic.
+        ``u`` is the time since onset over that from onset to the reference hour. The result is 1 at u = 1 for
+        any phases, since each term is periodic.
         """
         k = 2.0 * np.pi * np.arange(1, HARMONICS + 1)
         wobble = self.amplitudes / k * (np.sin(k * u + self.phases_rad) - np.sin(self.phases_rad))
@@ -122,7 +123,10 @@ def _compute_wall_state(history: WallHistory, hour_h: float) -> Wall:
 
 
 def draw_wall_history(thinning: ThinningParameters, *, seed: int, position: str) -> WallHistory:
-    """Draw the uneven corrosion rate of one position, and its pits if it has any; same seed, same history."""
+    """Draw the uneven corrosion rate of one position, and its pits if it has any; same seed, same history.
+
+    Raise SpecimenError if the mean depth at the hour of the hole leaves no room for the pits.
+    """
     random = keyed_generator(seed, Purpose.THINNING, position=position)
     shares = random.dirichlet(np.ones(HARMONICS))
     flat = WallHistory(

@@ -150,7 +150,11 @@ def _draw_block(
     hour_h: float,
     warmer_k: float,
 ) -> _Block:
-    """Draw the deviations of 16 shots of a set; the shot index of ``first`` is the number of the block."""
+    """Draw the deviations of 16 shots of a set; the shot index of ``first`` is the number of the block.
+
+    ``level`` is a key of `NUISANCE`; ``warmer_k`` is the temperature over the mean one without the climate,
+    in K. Cached; the factors are read-only.
+    """
     parameters, n = NUISANCE[level], chain.bodies
     seat = draw_seat_of_set(
         level,
@@ -247,7 +251,10 @@ def _build_ringing(
 def disturb_strike(
     strike: Strike, found: ShotNuisance, chain: ChainParameters, sensor: SensorParameters
 ) -> Strike:
-    """Return a strike with the variability applied: drop height, tilt with its loss of gain, and gain."""
+    """Return a strike with the variability applied: drop height, tilt with its loss of gain, and gain.
+
+    The drop height is limited to 0.01 times the nominal one and 1 m, the tilt to 0.2 rad.
+    """
     # A disk tilted past upright leans to the other side, which for the wave is the same tilt.
     tilt_rad = min(abs(strike.tilt_rad + found.tilt_rad), STEEPEST_TILT_RAD)
     tilt_loss = math.exp(-sensor.tilt_loss_per_rad * (tilt_rad - strike.tilt_rad))

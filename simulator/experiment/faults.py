@@ -125,7 +125,10 @@ def draw_faults_of_shot(faults: FaultParameters, *, seed: int, key: ShotKey, hou
 
 
 def _fault_size_fraction(onset_h: float, ramp_h: float, hour_h: float) -> float:
-    """Return the fraction of a gradual fault's full size: 0 before its onset, 1 after its ramp."""
+    """Return the fraction of a gradual fault's full size: 0 before its onset, 1 after its ramp.
+
+    It rises linearly in between; a ramp of 0 h is a step.
+    """
     if hour_h < onset_h:
         return 0.0
     return min((hour_h - onset_h) / ramp_h, 1.0) if ramp_h > 0.0 else 1.0

@@ -38,7 +38,7 @@ def draw_unit_t(random: np.random.Generator, dof: float, size: int | tuple[int, 
 
 
 def compute_ar1_weights(memory: FloatArray) -> FloatArray:
-    """Compute the weights of the last `LAGS` innovations in AR(1) processes, shape (LAGS, n).
+    """Compute the weights of the last `LAGS` innovations in AR(1) processes, shape (LAGS, n), oldest first.
 
     Parameters
     ----------
@@ -80,7 +80,7 @@ def draw_autocorrelated_values(
 def _draw_innovations(seed: int, position: str, block: int, size: int, dof: float) -> FloatArray:
     """Draw the innovations of a block of `LAGS` sets, shape (LAGS, size).
 
-    Block 0 holds those before the test.
+    Block 0 holds those before the test. Cached and read-only.
     """
     key = ShotKey(position=position, set_index=block, shot_index=0)
     return _make_read_only(
@@ -92,9 +92,10 @@ def _draw_innovations(seed: int, position: str, block: int, size: int, dof: floa
 def draw_slow_drift(
     purpose: Purpose, seed: int, position: str, size: int, shortest_h: float, longest_h: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Draw periods in h and phases in rad of `size` slow drifts, shape (size, WANDER_TERMS).
+    """Draw periods in h and phases in rad of `size` slow drifts, shape (size, WANDER_TERMS) each.
 
     One period is in each of equal steps of ln(period), so that slow and less slow parts are always present.
+    The arrays are cached and read-only.
     """
     random = keyed_generator(seed, purpose, position=position)
     steps = (np.arange(WANDER_TERMS) + random.uniform(0.0, 1.0, (size, WANDER_TERMS))) / WANDER_TERMS
@@ -115,10 +116,10 @@ def evaluate_slow_drift(hour_h: float, drawn: tuple[FloatArray, FloatArray]) -> 
 def draw_values_after_reseats(
     hour_h: float, rate_per_h: float, *, seed: int, position: str, size: int
 ) -> tuple[int, FloatArray]:
-    """Count the re-seats up to an hour; return also each source's value after the last one.
+    """Count the re-seats up to an hour; return also the values after the last one, shape (size,).
 
-    The re-seats are a Poisson process. The places are normal with SD 1, independent of the ones before, so
-    that a step is as often up as down; before the first re-seat they are 0.
+    The re-seats are a Poisson process. The values of ``size`` sources are normal with SD 1, independent of
+    the ones before, so that a step is as often up as down; before the first re-seat they are 0.
     """
     last = int(hour_h // RESEAT_BLOCK_H)
     blocks = [_draw_reseats(seed, position, block, rate_per_h, size) for block in range(last + 1)]
@@ -133,7 +134,10 @@ def draw_values_after_reseats(
 def _draw_reseats(
     seed: int, position: str, block: int, rate_per_h: float, size: int
 ) -> tuple[FloatArray, FloatArray]:
-    """Draw the re-seats of a block of 1,000 h: hours, rising, and values after each, shape (count, size)."""
+    """Draw the re-seats of a block of 1,000 h: hours, rising, and values after each, shape (count, size).
+
+    Both are cached and read-only.
+    """
     key = ShotKey(position=position, set_index=block, shot_index=0)
     random = keyed_generator(seed, Purpose.RESEATS, key=key)
     count = int(random.poisson(rate_per_h * RESEAT_BLOCK_H))

@@ -66,7 +66,10 @@ def list_liquid_factors(parameters: NuisanceParameters) -> tuple[float, ...]:
 
 
 def draw_climate(level: str, *, seed: int, warmest_hour_h: float) -> Climate:
-    """Draw season, process temperature and refill times of a test from the seed."""
+    """Draw season, process temperature and refill times of a test from the seed.
+
+    ``level`` is a key of `NUISANCE`, ``warmest_hour_h`` the hour of the day's highest temperature.
+    """
     parameters = NUISANCE[level]
     return Climate(
         parameters=parameters,
@@ -107,7 +110,10 @@ class _Sources:
 
 @lru_cache(maxsize=64)
 def _effects_of_sources(level: str, chain: ChainParameters) -> _Sources:
-    """Return sizes and effects of all sources of variability on a chain, cached by level and chain."""
+    """Return sizes and effects of all sources of variability on a chain.
+
+    ``level`` is a key of `NUISANCE`. Cached: the arrays must not be written.
+    """
     n = chain.bodies
     of_stiffness, of_damping, last = np.eye(n), np.zeros((n, n)), np.eye(2 * n + 3)[:, 2 * n :]
     curvature = _contact_radius_exponent(chain)
@@ -191,6 +197,8 @@ def draw_seat_of_set(
 
     Parameters
     ----------
+    level, weather
+        Key of `NUISANCE`, and the climate of the test.
     warmer_k
         Temperature of the transducer over the mean one without the climate, K.
     """

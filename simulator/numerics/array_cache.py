@@ -55,13 +55,14 @@ def read_or_compute_arrays(
     """Read the arrays stored in `folder` under `key`, or compute and store them.
 
     Unfinished files of killed writers are removed; a file that cannot be written is only logged.
+    Errors of ``compute`` are passed on.
 
     Parameters
     ----------
     folder
         None computes without any disk. Kept or not, the arrays are the same to the last bit.
     key
-        From `compute_cache_key`: whatever changes the arrays must change it.
+        From `compute_cache_key`: every change of the arrays must change it.
     compute
         Makes the arrays, float64 of any shape, by name.
     """
@@ -82,7 +83,8 @@ def compute_cache_key(described: Mapping[str, object]) -> str:
     Parameters
     ----------
     described
-        The name of the computation and all its inputs, for `json.dumps`.
+        The name of the computation and all its inputs; a value that `json.dumps` does not accept raises
+        TypeError.
     """
     text = json.dumps({"described": described, "made_with": _describe_environment()}, sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()

@@ -40,7 +40,8 @@ def driven_modes(
     load
         Force on the last unknown for a unit force on the system.
     steps
-        Size of the part of T, and number of modes; at most r, which gives the exact ones.
+        Size of the part of the tridiagonal matrix that is used, and number of modes; at most r, which gives
+        the exact ones.
 
     Returns
     -------

@@ -36,12 +36,14 @@ class Lanes(types.Type):
     """Vector type of float64 for numba."""
 
     def __init__(self, width: int) -> None:
+        """Create the type of a vector of ``width`` float64 numbers."""
         self.width = width
         super().__init__(name=f"Lanes({width})")
 
 
 class _LanesModel(models.PrimitiveModel):  # type: ignore[misc]
     def __init__(self, manager: Any, lanes: Lanes) -> None:
+        """Represent the type in machine code as an LLVM vector."""
         super().__init__(manager, lanes, _vector_type(lanes))
 
 

@@ -32,6 +32,7 @@ class _Compilations(event.Listener):
     """Listener that counts nested compilations; loading from the cache is no such event."""
 
     def __init__(self, report: Callable[[bool], None]) -> None:
+        """Keep the callback; no compilation is in progress."""
         self._report, self._depth = report, 0
 
     def on_start(self, event: object) -> None:

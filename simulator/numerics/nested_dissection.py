@@ -153,7 +153,11 @@ def factorize(fronts: list[Front], cell_matrix: Callable[[int], FloatArray]) -> 
 def _eliminate_unknowns(
     matrix: FloatArray, done: IntArray, rest: IntArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Eliminate unknowns; return their Cholesky factor, its continuation below, and the Schur complement."""
+    """Eliminate unknowns; return their Cholesky factor, its continuation below, and the Schur complement.
+
+    ``done`` and ``rest`` are the places of eliminated and remaining unknowns. Raise SpecimenError if the
+    matrix is not positive definite.
+    """
     below = np.asfortranarray(matrix[np.ix_(rest, done)])
     schur = matrix[np.ix_(rest, rest)]
     if not len(done):

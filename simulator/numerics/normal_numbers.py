@@ -27,7 +27,10 @@ Words = NDArray[np.uint64]
 
 
 def draw_standard_normals(random: np.random.Generator, n: int) -> Table:
-    """Draw n standard normal float32 numbers, as NumPy's generator does; fast from an SFC64."""
+    """Draw n standard normal float32 numbers, as NumPy's generator does; fast from an SFC64.
+
+    The generator's state advances as with NumPy's own method.
+    """
     bits = random.bit_generator
     if not isinstance(bits, np.random.SFC64):
         return random.standard_normal(n, dtype=np.float32)

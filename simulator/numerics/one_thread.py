@@ -14,7 +14,7 @@ from threadpoolctl import ThreadpoolController
 
 @cache
 def _find_blas_libraries() -> ThreadpoolController:
-    """Find the loaded numerical libraries, once per process because the search is slow."""
+    """Return the controller of the loaded numerical libraries; cached, because the search is slow."""
     import scipy.linalg  # noqa: F401 its library must be loaded before we look
 
     return ThreadpoolController()

@@ -32,6 +32,7 @@ class SeedWords(ISeedSequence):
     """
 
     def __init__(self, words: Words) -> None:
+        """Keep the words of the seed; nothing is mixed yet."""
         self._words = words
 
     def generate_state(self, n_words: int, dtype: Any = np.uint32) -> NDArray[Any]:

@@ -36,7 +36,10 @@ class Axis:
 
     @property
     def first(self) -> IntArray:
-        """Return the number of the first node of each interval, and that of the last node."""
+        """Return the number of the first node of each interval, then that of the last node.
+
+        The shape is (intervals + 1,).
+        """
         return np.concatenate(([0], np.cumsum(self.degrees)))
 
     @property
@@ -54,7 +57,7 @@ class Axis:
         return np.arange(first[interval], first[interval + 1] + 1)
 
     def interval_matrices(self, interval: int) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Compute ``int N_i N_j``, ``int N_i' N_j``, ``int N_i' N_j'`` over one interval, row i, column j."""
+        """Compute ``int N_i N_j``, ``int N_i' N_j``, ``int N_i' N_j'`` over an interval in m, as [i, j]."""
         length = float(self.breaks_m[interval + 1] - self.breaks_m[interval])
         mass, slope, stiffness = _reference_element_matrices(self.degrees[interval])
         return mass * (0.5 * length), slope, stiffness * (2.0 / length)
@@ -83,7 +86,10 @@ class Axis:
 
 @cache
 def lobatto_points(degree: int) -> FloatArray:
-    """Compute the degree + 1 Gauss-Lobatto-Legendre points on -1..1, rising, both ends included."""
+    """Compute the degree + 1 Gauss-Lobatto-Legendre points on -1..1, rising, both ends included.
+
+    Cached: callers must not write to the result.
+    """
     top = np.zeros(degree + 1)
     top[degree] = 1.0
     inner = np.sort(legendre.legroots(legendre.legder(top)).real)
@@ -102,7 +108,10 @@ def lagrange(degree: int, at: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 @cache
 def _reference_element_matrices(degree: int) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Compute mass, coupling and stiffness matrices on [-1, 1], shape (degree + 1, degree + 1) each."""
+    """Compute mass, coupling and stiffness matrices on [-1, 1], shape (degree + 1, degree + 1) each.
+
+    Cached: callers must not write to the results.
+    """
     points, weights = legendre.leggauss(degree + 1)
     value, slope = lagrange(degree, points)
     weighted_value, weighted_slope = weights[:, None] * value, weights[:, None] * slope

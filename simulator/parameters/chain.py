@@ -108,7 +108,7 @@ class ChainParameters:
     25 C, 198 at 100 C, 192 at 200 C)."""
 
     def __post_init__(self) -> None:
-        """Raise ValueError for implausible densities, a disk on the plate, or bad spheres or moduli."""
+        """Raise ValueError for a density, sphere or modulus out of bounds, or a disk sensor on the plate."""
         _check_density("mass_kg", self.mass_kg, self.radius_m)
         if self.spheres_below == 0 and self.sensor == "disk":
             raise ValueError(
@@ -170,7 +170,10 @@ class ChainParameters:
         return self.mass_kg if other.radius_m is None else self.mass_kg * (radius / self.radius_m) ** 3
 
     def _check_spheres(self) -> None:
-        """Raise ValueError for a described body that does not exist, is described twice or implausible."""
+        """Raise ValueError for a described body that does not exist, is described twice or is implausible.
+
+        Implausible are a density outside 1 to 100,000 kg/m3, and a radius, mass or density of a sensor disk.
+        """
         described: set[int] = set()
         for other in self.spheres:
             if other.bodies[-1] >= self.bodies:

@@ -50,7 +50,7 @@ class ThinningParameters:
     before the first and after the last."""
 
     def __post_init__(self) -> None:
-        """Raise ValueError for a history that does not rise, or hours in the wrong order."""
+        """Raise ValueError for hours in the wrong order, or a history that is not one law of rising depth."""
         if self.history:
             self._check_history()
         check_field_relation(self, "reference_h", "later than", "onset_h", " h")
@@ -61,7 +61,7 @@ class ThinningParameters:
             )
 
     def _check_history(self) -> None:
-        """Raise ValueError if hours or depths do not rise, or are out of range, or a second law is given."""
+        """Raise ValueError if hours do not rise, depths fall, one is out of range, or two laws are given."""
         if self.depth_fraction != 0.0 or self.unevenness != 0.0:
             raise ValueError(
                 f"history is given together with depth_fraction {self.depth_fraction} and unevenness "

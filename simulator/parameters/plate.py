@@ -94,7 +94,11 @@ class PlateParameters:
     """Mesh of `solid`, which takes Hertz's pressure over `contact_radius_m`."""
 
     def __post_init__(self) -> None:
-        """Raise ValueError for a grid, modulus, contact or liquid that the model cannot have."""
+        """Raise ValueError for a grid, modulus, contact or liquid that the model cannot have.
+
+        That is an odd number of elements, too large elements at the contact, a Young's modulus below 1e5 Pa
+        at the plate's temperature, a contact over the edge, or a liquid on a model other than ``mindlin``.
+        """
         if self.elements_per_edge % 2:
             raise ValueError(f"elements_per_edge is {self.elements_per_edge}; it must be even")
         largest = min(self.width_m, self.height_m) / self.elements_per_edge
@@ -209,7 +213,7 @@ class CorrosionParameters:
     """Lost part of the thickness: 0 pristine, at most 0.95; beyond that the position is a hole."""
 
     def __post_init__(self) -> None:
-        """Raise ValueError for more than 32 further patches, or a first patch that makes no sense."""
+        """Raise ValueError for more than 32 further patches, or a first patch with a wrong ``size_y_m``."""
         if len(self.further) > MOST_FURTHER_PATCHES:
             raise ValueError(
                 f"further has {len(self.further)} patches; at most {MOST_FURTHER_PATCHES} are possible"

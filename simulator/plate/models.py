@@ -46,6 +46,8 @@ def prepare_modal_plate(
     ------
     SpecimenError
         The patch does not fit the plate, or the model does not know it.
+    numpy.linalg.LinAlgError
+        A matrix of the Mindlin plate is not positive definite.
     """
     if plate.model == "mindlin":
         return load_reduced_plate(plate, corrosion, cache_folder)
@@ -85,7 +87,8 @@ class CachedSolid:
     def modes(self, depth_fraction: float) -> PlateModes:
         """Return the modes of the solid with the patch thinned by `depth_fraction`, from memory if known.
 
-        A call blocks while another thread computes a depth; the last 256 depths are kept.
+        A call blocks while another thread computes a depth; the last 256 depths are kept. Raise SpecimenError
+        if the solid model does not cover this depth.
         """
         with self._lock:  # two threads must not compute the same depth
             found = self._known.get(depth_fraction)
@@ -97,7 +100,10 @@ class CachedSolid:
             return found
 
     def _compute_modes(self, corrosion: CorrosionParameters) -> PlateModes:
-        """Compute the modes of a thinned plate: from one basis for all depths if so set, else on its own."""
+        """Compute the modes of a thinned plate: from one basis for all depths if so set, else on its own.
+
+        Raise SpecimenError if the solid model does not cover the plate at this depth.
+        """
         check_solid_parameters(self._plate, corrosion)
         lost = corrosion.depth_fraction * corrosion.depth_factor
         if not self._plate.solid.one_basis or lost < SHALLOWEST_FRACTION:
@@ -108,7 +114,10 @@ class CachedSolid:
             return self._family.modes(1.0 - lost)
 
     def _load_or_compute_modes(self, corrosion: CorrosionParameters) -> PlateModes:
-        """Read the modes of a thinned plate from the disk cache, or compute and store them."""
+        """Read the modes of a thinned plate from the disk cache, or compute and store them.
+
+        Raise SpecimenError as `solid_modes`.
+        """
 
         def compute() -> dict[str, FloatArray]:
             """Compute the modes in one BLAS thread; return their arrays by name."""
@@ -121,7 +130,10 @@ class CachedSolid:
         return PlateModes(**found, residual_compliance_m_per_n=residual_m_per_n)
 
     def _load_or_compute_family(self) -> SolidFamily:
-        """Read the basis for all depths from the disk cache, or compute and store it."""
+        """Read the basis for all depths from the disk cache, or compute and store it.
+
+        Raise SpecimenError as `build_solid_family`.
+        """
 
         def compute() -> dict[str, FloatArray]:
             """Compute the family in one BLAS thread; return its arrays by name."""

@@ -22,6 +22,8 @@ def gauss_rule(count: int, end: float) -> tuple[FloatArray, FloatArray]:
 def hertz_pressure_points(radius_m: float) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return quadrature points over a quarter of the circle: x, y in m, and share; shape (2304,) each.
 
+    A share is proportional to the force at its point; they add up to pi / 6.
+
     With ``c = sqrt(1 - r^2 / a^2)`` the force on a ring is ``c r dr ~ c^2 dc``, smooth in c: Gauss points
     in c and in the angle carry the pressure.
     """

@@ -61,8 +61,8 @@ class PlateModes:
         omega_rad_per_s
             No mode above this frequency is kept.
         yielding_per_kg
-            Nor one with which the sum of phi^2, by which the plate yields to a sudden impulse, would
-            exceed this.
+            Nor one with which the sum of squared participations, by which the plate yields to a sudden
+            impulse, would exceed this.
         """
         flexibility = (self.participation / self.omega_rad_per_s) ** 2
         seen = flexibility > UNSEEN_FRACTION * flexibility.sum()

@@ -97,7 +97,10 @@ _compiled = jit_compile(nogil=True, error_model="numpy")
 
 @_compiled
 def _power_of_overlap(overlap: Any, law: int) -> Any:
-    """Compute ``overlap^(1 + p)``, p of index `law` in `LAWS_OF_DAMPING`, by square roots only."""
+    """Compute ``overlap^(1 + p)``, p of index `law` in `LAWS_OF_DAMPING`, by square roots only.
+
+    ``overlap`` is a vector in m, not negative.
+    """
     if law == 0:
         return overlap
     root = sqrt(overlap)
@@ -127,7 +130,10 @@ _step = jit_compile(inline="always", nogil=True, error_model="numpy")
 
 @_step
 def _set_bodies_at_rest(chains: Chains, speed: Any, step: float, width: int) -> Bodies:
-    """Create the state of all bodies but the last: at rest, the striker with its exact past of free fall."""
+    """Create the state of all bodies but the last: at rest, the striker with its exact past of free fall.
+
+    ``speed`` is the impact speed in each lane in m/s, ``step`` the time step in s.
+    """
     last = chains.mass.shape[0] - 1
     row = -(-last * width // BLOCK) * BLOCK + width + BLOCK
     overlap, gap, static_overlap = np.zeros(row), np.zeros(row), np.zeros(row)
@@ -172,7 +178,11 @@ def _set_bodies_at_rest(chains: Chains, speed: Any, step: float, width: int) -> 
 def _compute_contact_weights(
     chains: Chains, specimen: Propagator, step: float, width: int, law: int, linear: bool
 ) -> Contact:
-    """Return the constants of a step that act on the contact with the plate, one lane per shot."""
+    """Return the constants of a step that act on the contact with the plate, one lane per shot.
+
+    ``step`` is in s, ``law`` an index of `LAWS_OF_DAMPING`; ``linear`` allows a difference of order three
+    where the dashpot is weak enough.
+    """
     last = chains.mass.shape[0] - 1
     bank, compliance = specimen.bank, specimen.residual_compliance_m_per_n
     w_per_i = w_per_s = specimen.mobility_m_per_n_s
@@ -230,7 +240,10 @@ def _compute_contact_weights(
 
 @_step
 def _set_last_body_at_rest(chains: Chains, contact: Contact, zero: Any, width: int) -> LastBody:
-    """Create the state of the last body at rest under its static load, with its contact's stored energy."""
+    """Create the state of the last body at rest under its static load, with its contact's stored energy.
+
+    ``zero`` is a vector of ``width`` zeros, one lane per shot.
+    """
     held = np.empty(width)
     row = (chains.mass.shape[0] - 1) * width
     for k in range(width):
@@ -254,7 +267,10 @@ def _set_last_body_at_rest(chains: Chains, contact: Contact, zero: Any, width: i
 
 @_step
 def _compute_initial_energy(chains: Chains, strikes: Strikes, compliance: float, width: int) -> FloatArray:
-    """Compute the initial energy of all contacts and the striker in J for each shot, shape (width,)."""
+    """Compute the initial energy of all contacts and the striker in J for each shot, shape (width,).
+
+    ``compliance`` is that of the modes above the cut, in m/N.
+    """
     last = chains.mass.shape[0] - 1
     energy = np.empty(width)
     for k in range(width):
@@ -279,8 +295,9 @@ def _apply_second_strike(
 ) -> float:
     """Apply a second impact of the striker of lane `k` at step `n`; return the energy added in J.
 
-    It was taken off before: its contact is open and has an open past. The impulse that it gave stays with
-    the body below.
+    The striker was lifted before, so its contact starts open; the impulse that it gave stays with the body
+    below. ``speed`` is that of the second impact in m/s. ``launch_speed`` is updated in place: the speed at
+    the start with which the striker would have fallen freely to this one.
     """
     gravity, mass = chains.gravity, chains.mass[0]
     below = width + k
@@ -306,7 +323,9 @@ def _advance_mode(
 ) -> Any:
     """Advance one mode by a step; return its deflection without the share of I and S, and its state.
 
-    What the last step gave is added at the end: nothing else needs to wait for its contact.
+    The state is ``bent`` and ``gain``, re and g of `modal_weights`; ``i0`` and ``s0`` are I and S of the last
+    step, the other arguments weights. What the last step gave is added at the end: nothing else waits for its
+    contact.
     """
     gain = fma(m, bent, gain)
     bent = bent + gain
@@ -317,7 +336,8 @@ def _advance_mode(
 def _advance_modes_of_two(y: FloatArray, sums: FloatArray, bank: FloatArray, last: LastBody) -> None:
     """Advance the modes of a plate for two shots in place, eight modes of one shot at a time.
 
-    `sums` then holds each shot's deflection without the share of this step's I and S.
+    ``y`` is their state, ``bank`` the result of `modal_weights`. `sums` then holds each shot's deflection
+    without the share of this step's I and S.
     """
     total, other = broadcast(0.0, BLOCK), broadcast(0.0, BLOCK)
     i0, s0, i1, s1 = lane(last.i[0], 0), lane(last.s[0], 0), lane(last.i[0], 1), lane(last.s[0], 1)
@@ -357,7 +377,8 @@ def _advance_modes_of_many(
 ) -> None:
     """Advance the modes of shots side by side in place, one mode of all shots at a time.
 
-    `sums` then holds eight vectors, each the sum of every eighth mode's deflection.
+    ``y`` is their state, ``bank`` the result of `modal_weights`. `sums` then holds eight vectors, each the
+    sum of every eighth mode's deflection.
     """
     for j in range(BLOCK):
         total = broadcast(0.0, width)
@@ -391,7 +412,10 @@ def _sum_eight_vectors(sums: FloatArray, width: int) -> Any:
 
 @_step
 def _predict_displacements(bodies: Bodies, last: LastBody, row_of_last: int, size: int, h24: float) -> None:
-    """Predict the displacements of all bodies by an Adams-Bashforth step of order four, into `ahead`."""
+    """Predict the displacements of all bodies by an Adams-Bashforth step of order four, into `ahead`.
+
+    ``h24`` is a 24th of the step in s; ``size`` numbers belong to the bodies but the last.
+    """
     for k in range(0, size, BLOCK):
         past = fma(load(bodies.v2, k, BLOCK), 37.0, -9.0 * load(bodies.v3, k, BLOCK))
         past = fma(load(bodies.v1, k, BLOCK), -59.0, past)
@@ -405,7 +429,8 @@ def _predict_displacements(bodies: Bodies, last: LastBody, row_of_last: int, siz
 def _predict_impulses(bodies: Bodies, striker: Any, size: int, width: int, h24: float, law: int) -> None:
     """Compute the impulses on every body from the predicted overlaps, into `given`.
 
-    `striker` is the impulse that moves the striker.
+    `striker` is the impulse that moves the striker in N s, ``h24`` a 24th of the step in s, ``law`` an index
+    of `LAWS_OF_DAMPING`.
     """
     store(bodies.given, 0, striker)
     for k in range(0, size, BLOCK):
@@ -423,7 +448,10 @@ def _predict_impulses(bodies: Bodies, striker: Any, size: int, width: int, h24: 
 
 @_step
 def _move_bodies(bodies: Bodies, size: int, width: int, h24: float) -> None:
-    """Correct velocities and displacements of all bodies but the last in place (Adams-Moulton)."""
+    """Correct velocities and displacements of all bodies but the last in place (Adams-Moulton).
+
+    ``h24`` is a 24th of the step in s; values of earlier steps move one step into the past.
+    """
     for k in range(0, size, BLOCK):
         v = load(bodies.given, k, BLOCK) - load(bodies.given, k + width, BLOCK)
         v = v * load(bodies.per_mass, k, BLOCK)
@@ -440,9 +468,9 @@ def _move_bodies(bodies: Bodies, size: int, width: int, h24: float) -> None:
 def _solve_overlap_root(
     d_free: Any, last: LastBody, contact: Contact, zero: Any, law: int, linear: bool
 ) -> Any:
-    """Solve ``p + (..) p^q + (..) p^(3/2) = d_free`` for sqrt(p); return 0 if d_free is negative.
+    """Solve ``p + drag p^q + soft p^(3/2) = d_free`` for the root of the overlap p; 0 if d_free is negative.
 
-    Two steps with the slope where the last three overlaps point; that slope waits for nothing.
+    Two chord steps take the slope at the overlap extrapolated from the last three, which waits for nothing.
     Newton's method, at most 60 steps, finishes lanes that have not converged.
     """
     soft, drag = contact.soft, contact.drag
@@ -489,7 +517,8 @@ def _solve_plate_contact(
 ) -> LastBody:
     """Solve the contact with the plate implicitly; return the last body after the step.
 
-    `above` is the impulse on it from the contact above.
+    `above` is the impulse on it from the contact above in N s, ``w_free`` the plate's deflection in m without
+    the share of this step's I and S.
     """
     h24 = contact.step / 24.0
     h38 = 9.0 * h24
@@ -534,7 +563,11 @@ def _solve_plate_contact(
 def _add_plate_losses(
     last: LastBody, contact: Contact, p: Any, s: Any, total: Any, stretch: Any, stored: Any, zero: Any
 ) -> Any:
-    """Return the dissipation at the plate with this step's losses added, those at a release included."""
+    """Return the dissipation at the plate, times the step, with this step's losses, also at a release.
+
+    ``p`` is the overlap, ``s`` and ``total`` the impulses of dashpot and contact, ``stretch`` and ``stored``
+    compression and energy of contact and cut modes, all after the step.
+    """
     impulse = total - last.total
     # Touching for the part of the step in which `stretch` is positive.
     part = where_greater(stretch, zero, stretch / (stretch - last.stretch), zero + 1.0)
@@ -549,7 +582,10 @@ def _add_plate_losses(
 
 @_step
 def _correct_forces(bodies: Bodies, size: int, width: int, h24: float, law: int) -> None:
-    """Correct forces inside the chain and their impulses in place; add the losses of the dashpots."""
+    """Correct forces inside the chain and their impulses in place; add the losses of the dashpots.
+
+    ``h24`` is a 24th of the step in s; the losses are counted times the step.
+    """
     for k in range(0, size, BLOCK):
         d = load(bodies.u, k, BLOCK) - load(bodies.u, k + width, BLOCK)
         d = d + load(bodies.static_overlap, k, BLOCK)
@@ -583,7 +619,7 @@ def _compute_contact_force(
 ) -> Any:
     """Compute the force of contact i in N, one lane per shot; 0 where the contact is open.
 
-    `closing` is the rate at which the contact with the plate is pressed.
+    `closing` is the rate in m/s at which the contact with the plate is pressed.
     """
     if i < chains.mass.shape[0] - 1:
         p = load(bodies.overlap, i * width, width)
@@ -600,7 +636,10 @@ def _compute_contact_force(
 
 @_step
 def _sum_body_energy(bodies: Bodies, last: LastBody, contact: Contact, chains: Chains, width: int) -> Any:
-    """Sum energy and losses of chain and contacts in J, without the modes of the plate."""
+    """Sum energy and losses of chain and contacts in J, without the modes of the plate.
+
+    The result has one lane per shot; it stays constant with the energy of the modes added.
+    """
     n_last = chains.mass.shape[0] - 1
     spent = last.dissipated
     for i in range(n_last):
@@ -681,7 +720,10 @@ def _sum_mode_energy_of_many(
 
 @_step
 def _compute_mode_energy(bent: Any, gain: Any, acting: Any, bending: Any, moving: Any) -> Any:
-    """Compute the energy of a mode in J from I now, one and two steps ago and S now."""
+    """Compute the energy of a mode in J from its state and ``acting``: I now, one and two steps ago, S now.
+
+    ``bending`` and ``moving`` are the rows of `modal_weights` that lead to deflection and speed.
+    """
     speed = fma(moving[0], gain, moving[1] * bent)
     speed = fma(moving[2], acting[0], fma(moving[3], acting[1], speed))
     speed = fma(moving[4], acting[2], fma(moving[5], acting[3], speed))

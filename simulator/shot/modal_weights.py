@@ -62,8 +62,9 @@ def modal_weights(omega_rad_per_s: FloatArray, participation: FloatArray, step_s
 def _gauss_rule_of_step(points: int) -> tuple[FloatArray, FloatArray]:
     """Return each Gauss point's distance from the step's end, (points,), and six weights of it, (points, 6).
 
-    These are of the cubic through I at tau = 1, 0, -1 and -2 and of the line through S at 1 and 0, with
-    tau in steps from the step's start.
+    These are of the cubic through I at tau = 1, 0, -1 and -2 and of the line through S at 1 and 0, with tau
+    in steps from the step's start; I and S are those of `modal_weights`. Cached: callers must not write to
+    them.
     """
     roots, weights = np.polynomial.legendre.leggauss(points)
     tau = 0.5 * (roots + 1.0)

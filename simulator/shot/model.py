@@ -182,6 +182,7 @@ class ShotModel:
         prepared_plate: ModalPlate | None = None,
         energy_tolerance: float = ENERGY_TOLERANCE,
     ) -> None:
+        """Build the chain and prepare the plate, whose reduction is read from the cache or computed."""
         self._chain = chain
         self._plate = plate
         self._corrosion = corrosion
@@ -208,8 +209,7 @@ class ShotModel:
     def with_chain(self, chain: ChainParameters) -> ShotModel:
         """Return a model of another chain on the same plate, whose slow reduction is shared.
 
-        A chain of about the same speed shares step and prepared depths, too: contacts may wear with every
-        set. It has a step of its own where that must be less than 0.4 of this model's.
+        Step and prepared depths are shared, too, unless its own step would be below 0.4 of this model's.
         """
         nominal = build_chain(chain, self._plate)
         if choose_step_s(nominal) < 0.4 * self._step_s and not self._chosen_step:
@@ -264,7 +264,7 @@ class ShotModel:
         Raises
         ------
         ValueError
-            A replacement breaks the bounds of its parameter.
+            A replacement breaks the bounds of its parameter, or a plate without patch gets a depth.
         IntegrationError
             The energy balance fails even with the finest step.
         """
@@ -283,7 +283,7 @@ class ShotModel:
         return self.shots([impact], contact_forces=contact_forces)[0]
 
     def shots(self, impacts: Iterable[Impact], *, contact_forces: bool = False) -> list[ShotForce]:
-        """Simulate many strikes in order, side by side per depth, bit-identical to each alone; see `shot`."""
+        """Simulate strikes in order, side by side per depth, bit-identical to each alone; raise as `shot`."""
         by_wall: dict[tuple[float, float, bool], list[tuple[int, Chain]]] = {}
         count = 0
         for count, impact in enumerate(impacts, start=1):
@@ -302,7 +302,7 @@ class ShotModel:
         return [forces[order] for order in range(count)]
 
     def _find_wall_depth(self, impact: Impact) -> float:
-        """Return an impact's depth fraction; SpecimenError if a plate without patch is to have one."""
+        """Return an impact's depth fraction; ValueError out of bounds, SpecimenError without a patch."""
         if impact.depth_fraction is None:
             return self._corrosion.depth_fraction
         depth = float(impact.depth_fraction)
@@ -314,7 +314,7 @@ class ShotModel:
         return depth
 
     def _build_struck_chain(self, impact: Impact) -> Chain:
-        """Return the chain with an impact's height, tilt, contacts and second strike, bounds checked."""
+        """Return the chain with an impact's height, tilt, contacts and second strike, or raise ValueError."""
         chain, height_m, tilt_rad = self._chain, impact.drop_height_m, impact.tilt_rad
         struck = self._nominal
         if height_m is not None or tilt_rad is not None or impact.contacts is not None:

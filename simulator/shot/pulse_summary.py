@@ -92,7 +92,7 @@ def summarise_pulses(force: ShotForce) -> PulseSummary:
 def _find_waves(force_n: FloatArray, time_s: FloatArray, preload_n: float, turn_s: float) -> tuple[int, int]:
     """Find the sample indices of ISW and PSW in a force; -1 for one that is not there.
 
-    ``turn_s`` is NaN if nothing is reflected.
+    ``turn_s`` is the time of the largest force on the specimen, NaN if nothing is reflected.
     """
     n = force_n.shape[0]
     strongest = -np.inf

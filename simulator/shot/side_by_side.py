@@ -40,7 +40,8 @@ def integrate_chains(
 ) -> list[Record]:
     """Integrate chains that differ in impact speed and contacts only, up to eight at once; same order.
 
-    The energy balance is not checked.
+    Each record has ``steps`` samples at intervals of ``step`` in s; ``retainer_force_n`` carries the last
+    sphere where there is no specimen. The energy balance is not checked.
     """
     records: list[Record] = []
     while len(records) < len(chains):
@@ -61,7 +62,10 @@ def _run_kernel(
     retainer_force_n: float,
     contact_forces: bool,
 ) -> list[Record]:
-    """Run one pass of the kernel for at most `width` chains; return a record for each, in order."""
+    """Run one pass of the kernel for at most `width` chains; return a record for each, in order.
+
+    Lanes without a chain of their own repeat the last one.
+    """
     lanes = chains + [chains[-1]] * (width - len(chains))
     chain = lanes[0]
 

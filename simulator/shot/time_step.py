@@ -46,8 +46,9 @@ def peak_overlap_m(chain: Chain) -> float:
 def choose_record_duration_s(chain: Chain) -> float:
     """Return the duration in s that includes the reflected wave: 1.4 ms, more for slower chains.
 
-    A solitary wave needs about ``1.2 (m^2 / (A^2 v))^(1/5)`` from one contact to the next, down the
-    chain and back to the sensor; 2.5 times that leaves room for a soft specimen.
+    A solitary wave needs about ``1.2 (m^2 / (A^2 v))^(1/5)`` from one contact to the next, with a sphere's
+    mass m, the contact's stiffness A and the striker's speed v, down the chain and back to the sensor; 2.5
+    times that leaves room for a soft specimen.
     """
     m = float(chain.mass_kg.max())
     a = float(chain.stiffness_n_per_m15.min())

@@ -165,18 +165,18 @@ def _integrate_impact(inelasticity: float, tolerance: float) -> tuple[float, flo
 
 
 def approximate_restitution(inelasticity: float) -> float:
-    """Approximate the restitution by eq. 10, ``e = exp(-1.6605 lambda)``.
+    """Approximate the restitution e, speed after over speed before, from the inelasticity lambda by eq. 10.
 
-    Raise SpecimenError for lambda outside 0 to 1.
+    ``e = exp(-1.6605 lambda)`` (paper). Raise SpecimenError for lambda outside 0 to 1.
     """
     _check_inelasticity(inelasticity, LARGEST_FOR_EQUATION_10, "use solve_impact beyond eq. 10")
     return math.exp(-1.6605 * inelasticity)
 
 
 def approximate_contact_time(inelasticity: float) -> float:
-    """Approximate the contact time by eq. 12, ``tau_c = 2.762 + 0.4568 exp(1.27 lambda)``.
+    """Approximate the dimensionless contact time tau_c from the inelasticity lambda by eq. 12 of the paper.
 
-    Raise SpecimenError for lambda outside 0 to 2.
+    ``tau_c = 2.762 + 0.4568 exp(1.27 lambda)``. Raise SpecimenError for lambda outside 0 to 2.
     """
     _check_inelasticity(inelasticity, LARGEST_FOR_EQUATION_12, "use solve_impact beyond eq. 12")
     return 2.762 + 0.4568 * math.exp(1.27 * inelasticity)
@@ -309,8 +309,8 @@ def compute_reflection(
     ValueError
         The depth is out of bounds.
     SpecimenError
-        Lambda is, the plate being too thin for the spheres; or the spheres are not all equal, pressed, or on
-        a wet plate.
+        Lambda is out of bounds: the plate is too thin for the spheres. Or the spheres are not all equal,
+        precompressed, or on a wet plate.
     IntegrationError
         As `solve_impact`.
     """
@@ -367,7 +367,11 @@ def chain_time_of_flight_s(
     contact_time: float,
     impact_speed_m_per_s: float,
 ) -> float:
-    """Compute the time of flight of a chain on a plate by eq. 13, with stiffnesses of eq. 2, in s."""
+    """Compute the time of flight of a chain on a plate by eq. 13, with stiffnesses of eq. 2, in s.
+
+    Restitution and contact time are dimensionless. Raise ValueError for a value out of its range, such as a
+    chain without spheres below the sensor.
+    """
     sphere = chain.radius_m, chain.body(0).youngs_modulus_pa, chain.poisson_ratio
     return time_of_flight_s(
         restitution=restitution,

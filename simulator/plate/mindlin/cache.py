@@ -29,6 +29,13 @@ def load_reduced_plate(
         The specimen; `corrosion.depth_fraction` has no influence.
     folder
         None computes without any disk. Cached or not, the answer is the same to the last bit.
+
+    Raises
+    ------
+    SpecimenError
+        A patch does not fit on the plate, overlaps another one or cannot be meshed.
+    numpy.linalg.LinAlgError
+        A matrix is not positive definite.
     """
 
     def compute_arrays() -> dict[str, FloatArray]:

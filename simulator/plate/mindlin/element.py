@@ -55,21 +55,24 @@ def element_matrices(
 def thinned_element_matrices(
     plate: PlateParameters, a: FloatArray, b: FloatArray, linear: FloatArray, cubic: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Compute stiffness and mass of rectangles whose thickness varies between Gauss points.
+    """Compute the coefficients of 1, s, s^2, s^3 in stiffness and mass of elements of uneven thickness.
+
+    s is the fraction of the thickness that remains in the middle of a patch; the local thickness differs
+    from one Gauss point to the next.
 
     Parameters
     ----------
     plate
         Material and pristine thickness.
     a, b
-        Sizes along x and y, shape (n,).
+        Sizes along x and y in m, shape (n,).
     linear, cubic
         Coefficients of 1, s, s^2, s^3 in the thickness and in its cube, relative to the pristine ones,
         shape (4, 4, n): coefficient, Gauss point, element.
 
     Returns
     -------
-    Two float64 arrays, shape (4, n, 12, 12): coefficient, element.
+    Stiffness and mass, float64, shape (4, n, 12, 12): coefficient, element.
     """
     stiffness, mass = np.zeros((2, 4, len(a), 12, 12))
     for point, (bending, shear, translation, rotation) in enumerate(
@@ -85,7 +88,11 @@ def thinned_element_matrices(
 def _compute_gauss_point_matrices(
     plate: PlateParameters, a: FloatArray, b: FloatArray
 ) -> Iterator[tuple[FloatArray, FloatArray, FloatArray, FloatArray]]:
-    """Yield the contribution of each Gauss point to the four matrices, each shape (len(a), 12, 12)."""
+    """Yield the contribution of each Gauss point to the four matrices, each shape (n, 12, 12).
+
+    In order: bending, shear, translational and rotary; ``a`` and ``b``, shape (n,), are the elements' sizes
+    along x and y in m.
+    """
     h, nu, modulus_pa = plate.thickness_m, plate.poisson_ratio, plate.warm_youngs_modulus_pa
     c = plane_modulus_pa(modulus_pa, nu) * np.array(
         [[1.0, nu, 0.0], [nu, 1.0, 0.0], [0.0, 0.0, (1.0 - nu) / 2.0]]
@@ -108,7 +115,11 @@ def _compute_gauss_point_matrices(
 def _strain_displacement_rows(
     xi: float, eta: float, a: FloatArray, b: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Compute rows that turn 12 nodal values into curvatures, shear strains and values, (n, 3 or 2, 12)."""
+    """Compute rows that turn 12 nodal values into curvatures, shear strains and values, (n, 3 or 2, 12).
+
+    They hold at the natural coordinates ``xi``, ``eta`` of elements of the sizes ``a``, ``b`` in m, shape
+    (n,).
+    """
     node_xi = np.array([-1.0, 1.0, 1.0, -1.0])
     node_eta = np.array([-1.0, -1.0, 1.0, 1.0])
     shape = 0.25 * (1.0 + xi * node_xi) * (1.0 + eta * node_eta)

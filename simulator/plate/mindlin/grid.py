@@ -139,7 +139,8 @@ def _list_needed_lines(start_m: float, end_m: float, first_m: float, lines_m: Se
 def _solve_shared_growth(near: FloatArray, far: FloatArray, elements: int) -> float:
     """Find the growth g at which the graded pieces need the given number of elements.
 
-    It solves ``sum ln((1 + g far) / (1 + g near)) / g = elements``.
+    It solves ``sum ln((1 + g far) / (1 + g near)) / g = elements``; ``near`` and ``far`` are the distances of
+    the pieces' ends from the elements at the contact, in sizes of these.
     """
 
     def excess(g: float) -> float:
@@ -155,7 +156,10 @@ def _solve_shared_growth(near: FloatArray, far: FloatArray, elements: int) -> fl
 
 
 def _distribute_elements(wanted: FloatArray, total: int) -> IntArray:
-    """Round positive numbers to integers of at least 1 that add up to `total`, keeping their ratios."""
+    """Round positive numbers to integers of at least 1 that add up to `total`, keeping their ratios.
+
+    ``total`` must not be less than their count.
+    """
     counts = np.maximum(1, np.floor(wanted)).astype(np.int64)
     while counts.sum() < total:
         counts[np.argmax(wanted / counts)] += 1

@@ -68,6 +68,8 @@ def layer_mass(
 ) -> scipy.sparse.linalg.LinearOperator:
     """Build the operator of the liquid's mass on the free unknowns of a mesh, without a matrix.
 
+    Without ``terms``, raise SpecimenError as `choose_sine_terms`.
+
     Parameters
     ----------
     liquid, plate
@@ -128,7 +130,7 @@ def integrate_hats_times_sines(
 ) -> FloatArray:
     """Integrate hat functions on `lines_m` times ``sqrt(2 / a) sin(m pi (x - start) / a)``.
 
-    The integrals are exact for elements of any size relative to the wave.
+    a is ``edge_m``, m one of ``orders``. The integrals are exact for elements of any size.
 
     Returns
     -------

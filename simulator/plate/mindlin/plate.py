@@ -112,7 +112,8 @@ class PlateThinning:
     def coefficients(self, power: int) -> FloatArray:
         """Return coefficients of 1, s, s^2, s^3 in the relative thickness to `power` (1 to 3).
 
-        The shape is (4, Gauss points, elements).
+        s is the fraction of the thickness that remains in the middle of a patch. The shape is (4, Gauss
+        points, elements).
         """
         rest = 1.0 - self.covered.sum(axis=0)
         total = rest * _binomial_coefficients(self.profile, power)
@@ -122,7 +123,10 @@ class PlateThinning:
 
 
 def _binomial_coefficients(p: FloatArray, power: int) -> FloatArray:
-    """Expand ``((1 - p) + s p)^power`` in 1, s, s^2, s^3; coefficients along a new first axis."""
+    """Expand ``((1 - p) + s p)^power`` in 1, s, s^2, s^3; coefficients along a new first axis.
+
+    ``p`` is the local depth over that in the middle of the patch.
+    """
     terms = [math.comb(power, j) * (1.0 - p) ** (power - j) * p**j for j in range(power + 1)]
     return np.stack([*terms, *[np.zeros_like(p)] * (3 - power)])
 
@@ -168,7 +172,10 @@ def build_plate(
 def _make_edge_lines(
     plate: PlateParameters, edge_m: float, contact_m: float, lines_m: list[float], half: bool
 ) -> FloatArray:
-    """Place grid lines in m along one edge, or along its half with positive coordinates if ``half``."""
+    """Place grid lines in m along one edge, or along its half with positive coordinates if ``half``.
+
+    The contact is at 0, a line at each of ``lines_m``. Raise SpecimenError if the lines do not fit.
+    """
     first_m, elements = plate.contact_element_m, plate.elements_per_edge
     if not half:
         return make_graded_edge(
@@ -181,7 +188,10 @@ def _make_edge_lines(
 
 
 def evaluate_thinning(x_m: FloatArray, y_m: FloatArray, corrosion: CorrosionParameters) -> PlateThinning:
-    """Evaluate the patches on the elements of a grid with its origin at the contact."""
+    """Return the thinning of a grid's elements by flat and by smooth patches, from lines in m.
+
+    The origin of the lines is the contact.
+    """
     flat = [patch for patch in corrosion.patches if patch.profile == "flat"]
     elements = (len(x_m) - 1) * (len(y_m) - 1)
     covered = [patch_fraction(x_m, y_m, patch).ravel() for patch in flat]
@@ -221,6 +231,11 @@ def assemble_plate(
         Where the elements of this grid are thinned.
     symmetric
         Whether the grid is the part with x >= 0 (y >= 0) of a plate symmetric in x (y).
+
+    Raises
+    ------
+    SpecimenError
+        The plate is too large for its thickness to carry a liquid.
     """
     nodes = _number_element_nodes(len(x_m), len(y_m))
     dof = (nodes[:, :, None] * DOF_PER_NODE + np.arange(DOF_PER_NODE)).reshape(len(nodes), -1)
@@ -267,7 +282,9 @@ def _element_coefficients(
 ) -> tuple[list[_Elements], list[_Elements]]:
     """Compute each element's coefficients of 1, s, s^2, s^3 in stiffness and in mass.
 
-    They come with the elements where they act.
+    s is the fraction of the thickness that remains in the middle of a patch. Each coefficient is a pair: the
+    numbers of the elements where it acts, and their matrices. ``pristine`` is the result of
+    `element_matrices`.
     """
     bending, shear, translation, rotation = pristine
     linear, cubic = thinning.coefficients(1), thinning.coefficients(3)

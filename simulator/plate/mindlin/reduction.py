@@ -82,7 +82,8 @@ def _fill_krylov_space(
 ) -> FloatArray:
     """Fill the rows of `vectors` with a Krylov space; return the columns that combine them to modes.
 
-    Each mode is as strong as its part in the response.
+    Each mode is as strong as its part in the response at ``depth``, a fraction of the thickness. Raise
+    LinAlgError if the shifted stiffness is not positive definite.
     """
     s = 1.0 - depth
     factor = factors.factor(s)

@@ -59,7 +59,7 @@ def surface_flexibility_m_per_pa(plate: PlateParameters, thickness_m: float, k: 
 def transform_hertz_pressure(q: FloatArray) -> FloatArray:
     """Return the Fourier transform of Hertz's pressure per force at q = k a > 0; shape as q.
 
-    It is ``3 (sin q - q cos q) / q^3``.
+    It is ``3 (sin q - q cos q) / q^3``, k the wave number and a the radius of contact.
     """
     return np.asarray(3.0 * (np.sin(q) - q * np.cos(q)) / q**3)
 
@@ -94,7 +94,11 @@ def _sum_wave_series(
     highest_per_m: float,
     flexibility: Callable[[FloatArray], FloatArray],
 ) -> float:
-    """Sum the waves that move the plate's centre, each weighted by Hertz's pressure twice, in m/N."""
+    """Sum the waves that move the plate's centre, each weighted by Hertz's pressure twice, in m/N.
+
+    ``sizes`` and ``radius_m``, of plate and load, are in m; ``flexibility`` is in m/Pa over the wave number,
+    up to ``highest_per_m``.
+    """
     alpha, beta = (
         np.arange(1.0, highest_per_m * size / math.pi + 2.0, 2.0) * (math.pi / size) for size in sizes
     )

@@ -67,7 +67,8 @@ class SolidFamily:
     def modes(self, remaining: float) -> PlateModes:
         """Compute modes with the fraction `remaining` of the thickness left within the patch.
 
-        They are ready for a shot: no negative residual compliance.
+        They are ready for a shot: no negative residual compliance. Raise SpecimenError as
+        `make_modes_passive`.
         """
         added = float(chebyshev.chebval(_position_of_depth(remaining), self.residual))
         return make_modes_passive(self.projected.modes(remaining, added))

@@ -30,7 +30,11 @@ CUT_POINTS = 16
 def integrate_over_patch(
     x: Axis, y: Axis, corrosion: CorrosionParameters
 ) -> tuple[FloatArray, dict[tuple[int, int], tuple[FloatArray, ...]]]:
-    """Return the fraction of each element within the patch, and integrals of elements that a circle cuts."""
+    """Return the fraction of each element within the patch, and integrals of elements that a circle cuts.
+
+    The fractions have the shape (elements of x, of y). The integrals, as of `integrate_in_plane`, are those
+    of what is left of the element, by its numbers along x and y; none for another outline than a circle.
+    """
     half_x, half_y = corrosion.half_sizes_m
     near_x, near_y = (np.minimum(np.abs(a.breaks_m[1:]), np.abs(a.breaks_m[:-1])) for a in (x, y))
     far_x, far_y = (np.maximum(np.abs(a.breaks_m[1:]), np.abs(a.breaks_m[:-1])) for a in (x, y))
@@ -51,7 +55,8 @@ def integrate_over_patch(
 def integrate_in_plane(x: Axis, y: Axis, ex: int, ey: int) -> tuple[FloatArray, ...]:
     """Integrate products of shape functions over one element; six arrays, shape (nodes, nodes).
 
-    ``N N``, ``N_,x N_,x``, ``N_,y N_,y``, ``N_,x N``, ``N_,y N`` and ``N_,x N_,y``, the first factor by row.
+    ``N N``, ``N_,x N_,x``, ``N_,y N_,y``, ``N_,x N``, ``N_,y N`` and ``N_,x N_,y``, the first factor by row;
+    N are the shape functions, N_,x and N_,y their derivatives.
     """
     mass_x, slope_x, stiffness_x = x.interval_matrices(ex)
     mass_y, slope_y, stiffness_y = y.interval_matrices(ey)
@@ -125,7 +130,8 @@ def compute_in_plane_elasticity(
 
     Unknowns are numbered (node, component).
 
-    The stiffness is ``A x (Z Z) + B x (Z' Z') + C x (Z' Z) + its transpose``, the mass ``D x (Z Z)``.
+    The stiffness is ``A x (Z Z) + B x (Z' Z') + C x (Z' Z) + its transpose``, the mass ``D x (Z Z)``; Z are
+    the functions through the thickness, x is the Kronecker product.
 
     Returns
     -------

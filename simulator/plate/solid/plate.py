@@ -116,7 +116,7 @@ class SolidPlate:
         return np.asarray(components[:, :, None] * nodes_z + np.arange(nodes_z))
 
     def layer_matrices(self, kind: int, *, upper: bool) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Integrate over z of one layer for nodes of `kind`: mass, slope, stiffness, as `Axis.matrices`."""
+        """Integrate over z of one layer for nodes of `kind`; return the three of `Axis.interval_matrices`."""
         layer = range(self.upper) if upper else range(self.upper, len(self.z.degrees))
         integrals = self.z.integrate_intervals(layer)
         if kind == 0:
@@ -229,7 +229,10 @@ def check_solid_parameters(plate: PlateParameters, corrosion: CorrosionParameter
 def _mesh_in_plane_axis(
     length_m: float, half_m: float, mesh: SolidMesh, h: float, *, round_patch: bool
 ) -> Axis:
-    """Mesh an axis in the plane from 0 to `length_m`, refined at the contact and at the patch's edge."""
+    """Mesh an axis in the plane from 0 to `length_m`, refined at the contact and at the patch's edge.
+
+    ``half_m`` is half the patch, ``h`` the thickness of the plate, in m.
+    """
     features = [(0.0, mesh.contact_element * h), (half_m, mesh.edge_element * h)]
     if round_patch:  # the circle crosses every line up to half_m
         features += [(half_m * t, max(mesh.edge_element, 0.25) * h) for t in np.linspace(0.5, 1.0, 9)]
@@ -246,7 +249,7 @@ def _mesh_in_plane_axis(
 def _mesh_thickness_axis(lost: float, mesh: SolidMesh, h: float) -> Axis:
     """Mesh the thickness in m, with grid lines at fixed fractions of the remaining and the lost layer.
 
-    So results change smoothly with the depth.
+    So results change smoothly with the depth. ``lost`` is the fraction of the thickness ``h`` that is lost.
     """
     graded = mesh.degree - 2
     breaks = (1.0 - lost) * h * np.array(UPPER_LINES)
@@ -324,7 +327,10 @@ def assemble_solid(
 def _classify_nodes(
     x: Axis, y: Axis, inside: FloatArray, corrosion: CorrosionParameters, strip_m: float
 ) -> IntArray:
-    """Classify the unknowns of each node as `SolidPlate.kinds`, shape (nodes of x, nodes of y)."""
+    """Classify the unknowns of each node as `SolidPlate.kinds`, shape (nodes of x, nodes of y).
+
+    Within ``strip_m`` of the patch's edge, and in elements that a circle cuts, every layer keeps its own.
+    """
     half_x, half_y = corrosion.half_sizes_m
     at_x, at_y = np.abs(x.nodes_m)[:, None], np.abs(y.nodes_m)[None, :]
     if corrosion.shape == "round":

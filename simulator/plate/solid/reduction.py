@@ -46,7 +46,8 @@ def contact_correction_m_per_n(plate: SolidPlate, corrosion: CorrosionParameters
     """Compute the compliance that the mesh lacks under the contact, in m/N, from an exact case.
 
     The same elements as those within the patch make a plate of its remaining thickness, simply supported at
-    the patch's edge: its averaged deflection is too small, by nearly what that of the whole plate is.
+    the patch's edge: its averaged deflection is too small, by nearly what that of the whole plate is. Raise
+    SpecimenError if its stiffness is not positive definite.
     """
     under = cut_out_remaining_wall(plate, corrosion)
     solver = make_shifted_solver(under, 0.0)
@@ -60,12 +61,18 @@ Fold = tuple[IntArray, sparse.csr_matrix]
 
 
 def list_column_folds(plate: SolidPlate) -> list[Fold]:
-    """Return for each column its sorted unknowns, and the map from them to its displacements."""
+    """Return for each column of elements its sorted unknowns, and the map between them and its displacements.
+
+    The map is a sparse matrix, shape (unknowns, displacements).
+    """
     return [_fold_column(plate, int(ex), int(ey)) for ex, ey in plate.columns]
 
 
 def _fold_column(plate: SolidPlate, ex: int, ey: int) -> Fold:
-    """Return the sorted unknowns of one column, and the matrix that maps them to its nodes."""
+    """Return the sorted unknowns of one column, and the map to its displacements (`list_column_folds`).
+
+    ``ex``, ``ey`` are the column's numbers along x and y.
+    """
     kind, nodes = _find_column_kind(plate, ex, ey)
     if kind:
         at = np.ix_(plate.x.nodes_of(ex), plate.y.nodes_of(ey))
@@ -81,7 +88,10 @@ def _fold_column(plate: SolidPlate, ex: int, ey: int) -> Fold:
 
 
 def _find_column_kind(plate: SolidPlate, ex: int, ey: int) -> tuple[int, int]:
-    """Return the kind of a column's nodes, 0 if they differ, and the number of unknowns or nodes along z."""
+    """Return the kind of a column's nodes, 0 if they differ, and the number of unknowns or nodes along z.
+
+    Kinds are those of `SolidPlate.kinds`; a column of one kind has unknowns along z, another one nodes.
+    """
     kinds = plate.kinds[np.ix_(plate.x.nodes_of(ex), plate.y.nodes_of(ey))]
     if kinds.flat[0] and np.all(kinds == kinds.flat[0]):
         kind = int(kinds.flat[0])
@@ -90,7 +100,11 @@ def _find_column_kind(plate: SolidPlate, ex: int, ey: int) -> tuple[int, int]:
 
 
 def column_matrices(plate: SolidPlate, column: int, fold: sparse.csr_matrix) -> tuple[FloatArray, FloatArray]:
-    """Compute stiffness and mass of one column over its unknowns, times the number of symmetric copies."""
+    """Compute stiffness and mass of one column over its unknowns, times the number of symmetric copies.
+
+    Both have the shape (unknowns, unknowns). ``column`` is a row of ``plate.columns``, ``fold`` its map: see
+    `list_column_folds`.
+    """
     ex, ey = (int(e) for e in plate.columns[column])
     kind, nodes = _find_column_kind(plate, ex, ey)
     whole = integrate_in_plane(plate.x, plate.y, ex, ey)
@@ -119,7 +133,11 @@ def _fold_matrix(matrix: FloatArray, fold: sparse.csr_matrix) -> FloatArray:
 
 
 def make_shifted_solver(plate: SolidPlate, shift_rad_per_s: float) -> Callable[[FloatArray], FloatArray]:
-    """Factorize ``K + sigma^2 M``; return a function that solves it for one vector, shape (unknowns,)."""
+    """Factorize ``K + sigma^2 M``, sigma the shift; return a function that solves for one vector, shape (n,).
+
+    K and M are stiffness and mass over the n unknowns. Raise SpecimenError if the sum is not positive
+    definite.
+    """
     folds = list_column_folds(plate)
 
     def cell(column: int) -> FloatArray:
@@ -167,7 +185,10 @@ def make_mass_product(plate: SolidPlate) -> Callable[[FloatArray], FloatArray]:
 
 
 def krylov_fields(plate: SolidPlate, vectors: int) -> FloatArray:
-    """Build the load's mass-orthonormal Krylov space as nodal displacements, shape (n, vectors)."""
+    """Build the load's mass-orthonormal Krylov space as displacements of all nodes, shape (n, vectors).
+
+    Raise SpecimenError if the shifted stiffness is not positive definite.
+    """
     solve, mass = make_shifted_solver(plate, SHIFT_RAD_PER_S), make_mass_product(plate)
     basis = np.empty((vectors, len(plate.load)))
     mass_basis = np.empty_like(basis)
@@ -206,7 +227,8 @@ class ProjectedSolid:
     def modes(self, remaining: float, residual_compliance_m_per_n: float) -> PlateModes:
         """Compute modes with the fraction `remaining` of the thickness left within the patch.
 
-        The given residual compliance becomes that of the result, and may be negative.
+        The given residual compliance becomes that of the result, and may be negative. Raise LinAlgError if
+        the mass is not positive definite.
         """
         s, lost = remaining, 1.0 - remaining
         factors = np.array([s, 1.0 / s, 1.0, lost, 1.0 / lost if lost else 0.0, 1.0 if lost else 0.0])
@@ -268,7 +290,8 @@ def solid_modes(
     Raises
     ------
     SpecimenError
-        The model does not know such a plate or patch; see `build_solid_plate`.
+        The model does not know such a plate or patch (`build_solid_plate`), or the circle of contact is too
+        small for the mesh.
     """
     corrosion = _remove_shallow_patch(corrosion)
     built = build_solid_plate(plate, corrosion)
@@ -278,7 +301,10 @@ def solid_modes(
 
 
 def contact_residual_m_per_n(plate: SolidPlate, corrosion: CorrosionParameters) -> float:
-    """Return the compliance to add to the modes in m/N: the mesh's missing part less the half-space's."""
+    """Return the compliance to add to the modes in m/N: the mesh's missing part less the half-space's.
+
+    Raise SpecimenError as `contact_correction_m_per_n`.
+    """
     indentation = half_space_indentation_m_per_n(
         plate.parameters.warm_youngs_modulus_pa,
         plate.parameters.poisson_ratio,
