@@ -29,7 +29,7 @@ class Reservations:
         return dict(self._held)
 
     def take(self, resources: Iterable[str], holder: Holder) -> None:
-        """Reserve all of the resources or none.
+        """Reserve all of the resources or none; those that the holder has already stay with it.
 
         Raises
         ------
