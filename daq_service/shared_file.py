@@ -123,7 +123,7 @@ def read_shared(path: Path, first: int = 0, last: int | None = None) -> bytes:
 
 
 def read_best_effort(path: Path) -> bytes | None:
-    """Read a file without waiting; return None if it is absent or cannot be read at this moment."""
+    """Read a file without waiting; return None if it is absent or (logged) cannot be read now."""
     try:
         return path.read_bytes()
     except FileNotFoundError:
@@ -200,7 +200,9 @@ def write_durably(
 
 
 def write_output(path: Path, content: bytes | Iterator[bytes]) -> None:
-    """Write or replace a file for a person, durably, completely or not at all; create parent folders.
+    """Write or replace a file that a person requested, durably, and completely or not at all.
+
+    Missing parent folders are created.
 
     Raises
     ------

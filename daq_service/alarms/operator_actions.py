@@ -42,9 +42,9 @@ def acknowledge_alarm(row: AlarmRow, author: str, note: str, moment: Moment) -> 
 
 
 def reset_alarm(row: AlarmRow, author: str, note: str, moment: Moment) -> Change:
-    """Return the change that resets an alarm to normal, also a latched one.
+    """Return the change that resets an alarm to normal, also a latched one, for a person (``author``).
 
-    A person has removed its cause, or ends its monitoring. An earlier acknowledgement keeps its author and
+    The person has removed its cause, or ends its monitoring. An earlier acknowledgement keeps its author and
     time; an empty note keeps the earlier note.
 
     Raises
@@ -85,10 +85,9 @@ def remove_expired_shelf(row: AlarmRow, *, utc_ns: int, wall_utc_ns: int) -> Ala
 
 
 def end_expired_shelf(row: AlarmRow, moment: Moment, wall_utc_ns: int) -> Change | None:
-    """Return the change that ends an expired shelf.
+    """Return the change that ends an expired shelf; None without a shelf, or while it runs.
 
-    None without a shelf, or before either clock reaches its end. ``wall_utc_ns`` is real time, ns of UTC; the
-    moment has the time on the experiment's clock.
+    ``wall_utc_ns`` is real time, ns of UTC; the moment has the time on the experiment's clock.
     """
     current_row = remove_expired_shelf(row, utc_ns=moment.utc_ns, wall_utc_ns=wall_utc_ns)
     return None if current_row is row else change_state(current_row, row.state, moment, "alarm_shelf_expired")

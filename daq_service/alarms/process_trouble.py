@@ -9,14 +9,12 @@ WEB_NOT_RESPONDING = "web_not_responding"
 
 
 def build_recorder_condition(finding: str, hour: float) -> Condition:
-    """Return the condition ``recorder_not_running`` (priority high).
-
-    It is present if ``finding`` is not empty.
+    """Return the condition ``recorder_not_running`` (priority high), present if there is a ``finding``.
 
     Parameters
     ----------
     finding
-        Evidence that no recorder runs, a sentence of the message.
+        Evidence that no recorder runs, a sentence of the message; empty: not present.
     hour
         Hour of the test, for the message.
     """

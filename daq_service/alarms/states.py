@@ -199,7 +199,7 @@ def add_evidence(row: AlarmRow, evidence: Mapping[str, object], moment: Moment) 
 
 
 def _build_new_row(condition: Condition, moment: Moment) -> AlarmRow:
-    """Return the row of a new, unacknowledged alarm that a condition raises at a moment."""
+    """Return the row of a new alarm, unacknowledged and not suppressed, that a condition raises."""
     return AlarmRow(
         position=condition.position,
         kind=condition.kind,

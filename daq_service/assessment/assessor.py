@@ -80,7 +80,7 @@ class Assessor(Protocol):
 
     @property
     def baseline_id(self) -> int | None:
-        """Return the id of the baseline that the state belongs to; None without a baseline."""
+        """Return the id of the baseline that the state belongs to; None for a method without baselines."""
         ...
 
     def assess_set(

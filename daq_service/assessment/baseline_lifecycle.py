@@ -98,7 +98,7 @@ def renew(
     Parameters
     ----------
     present
-        The newest baseline row, or None (`baseline_range`); a baseline that still collects is retired, too.
+        The newest baseline row of the position, also one that still collects; None: the first one collects.
     first_set
         Index of the first set that belongs to the successor.
 

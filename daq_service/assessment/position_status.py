@@ -117,9 +117,9 @@ def is_data_stale(schedule: ScheduleSettings, fresh: Freshness, age_h: float | N
 
 
 def find_set_interval_h(schedule: ScheduleSettings, hour: float) -> float:
-    """Return the interval between sets, h, in the phase at an hour of the test.
+    """Return the interval between sets, h, of the schedule's phase at an hour of the test.
 
-    After the end, in the last.
+    After the end of the schedule, that of the last phase.
     """
     for phase in schedule.phases:
         if hour <= phase.until_h:

@@ -49,7 +49,7 @@ class PulseEchoAssessor:
         self.lost: tuple[ThicknessRow, ArchiveError] | None = None
 
     def set_reference(self, reference: EchoReference) -> None:
-        """Set the reference echo that later records are compared with; the alarm state stays."""
+        """Replace the reference echo that later records are compared with; the alarm state stays."""
         self.state = replace(self.state, reference=reference)
 
     def add(self, row: ThicknessRow) -> None:
@@ -149,9 +149,9 @@ class PulseEchoAssessor:
         )
 
     def exceeds_limit(self, row: ThicknessRow) -> bool | None:
-        """Return whether a reading's wall loss exceeds the limit.
+        """Return whether a reading's wall loss exceeds the limit of the alarm.
 
-        None if it is bad, missing or not finite.
+        None for a reading that is bad, or whose loss is missing or not finite.
         """
         loss_m = row.thickness_loss_m
         if row.quality == "bad" or loss_m is None or not math.isfinite(loss_m):

@@ -469,10 +469,10 @@ AlarmBasis = tuple[bool, float | None, str, dict[str, Any]]
 def _get_chart_basis(
     position: str, design: Design, state: State, rules: Rules, assessment: AssessmentRow
 ) -> AlarmBasis:
-    """Return the basis of the wall alarm if the MEWMA chart decides: it, or the diagnosis, raised the alarm.
+    """Return presence, multiple of the limit, message and evidence of an alarm that the MEWMA chart decides.
 
-    The evidence has statistic, limit, contribution of each feature, and the design rate. Raise AssertionError
-    if the state has no chart (``memory``).
+    The evidence has statistic, limit, contribution of each feature, design rate, and whether the chart or the
+    diagnosis raised it. Raise AssertionError if the state has no chart.
     """
     memory = state.memory
     assert memory is not None, "checked by the caller"
@@ -502,10 +502,9 @@ def _get_chart_basis(
 
 
 def _build_k_of_n_basis(position: str, state: State, rules: Rules, assessment: AssessmentRow) -> AlarmBasis:
-    """Return the basis of the wall alarm if k outliers of n sets decide: rule, limit and contributions.
+    """Return presence, multiple of the limit, message and evidence of an alarm by k outliers of n sets.
 
-    The multiple of the limit is None if statistic or limit is missing. Raise KeyError for an unknown limit
-    name.
+    The multiple is None if statistic or limit is missing. Raise KeyError for an unknown limit name.
     """
     alarm, rule = state.alarm, rules.alarm
     statistics = {
@@ -535,12 +534,12 @@ def build_no_reflection_condition(
 ) -> Condition:
     """Return the condition ``no_reflection`` (critical, latched): a hole, or a chain that lost contact.
 
-    It is present if the state has the hole (``rule``: number of shots and of consecutive sets).
+    It is present after `rule.consecutive_sets` sets with enough shots without a reflected wave.
 
     Parameters
     ----------
     flags
-        Flags of each accepted shot; ``no_psw`` counts in the message.
+        Flags of each accepted shot; those with ``no_psw`` are counted in the message.
     """
     n_without_psw = sum("no_psw" in of_shot for of_shot in flags)
     return Condition(

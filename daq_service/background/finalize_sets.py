@@ -100,8 +100,8 @@ class SetFinalizer(BackgroundTask):
     def submit(self, work: Callable[..., T], *arguments: Any) -> Future[T] | None:
         """Submit other work (a picklable function) to the worker; start the worker if needed.
 
-        Return its future; None if sets wait for their files, or the worker has died, which the next call
-        starts again.
+        Return its future; None if sets wait for their files, or the worker has died (the next call starts
+        another).
         """
         if self.waits:
             return None

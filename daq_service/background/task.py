@@ -25,5 +25,5 @@ class BackgroundTask(Protocol):
         return
 
     def close(self) -> None:
-        """Stop the task; unfinished work is left to the next recorder."""
+        """Stop the task, once at the end of the recorder; unfinished work is left to the next recorder."""
         return

@@ -69,7 +69,7 @@ class InProcess(httpx.BaseTransport):
     def handle_request(self, request: httpx.Request) -> httpx.Response:
         """Return the application's complete response to a request.
 
-        Block until it is there, raise its errors.
+        Block until the response is there; errors of the application are raised.
         """
         return self._portal.call(self._answer, request)
 

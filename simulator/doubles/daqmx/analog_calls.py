@@ -57,7 +57,10 @@ def create_voltage_channel(bench: Bench, task: Task, arguments: Arguments) -> No
 
 
 def _change_settings(task: Task, settings: Mapping[str, Any]) -> None:
-    """Change settings of an input task, now unverified; raise Status if it is no input task, or runs."""
+    """Change settings of an input task, which must then be verified again.
+
+    Raise Status if it is no input task, or runs.
+    """
     if task.kind != "ai":
         raise Status(
             statuses.NO_CHANNELS if not task.kind else statuses.ATTRIBUTE_NOT_IN_THIS_TASK, task=task.name

@@ -117,7 +117,10 @@ class AnalogInput:
     """Analog input as a `tasks.TaskKind`."""
 
     def verify(self, bench: Bench, task: Task) -> None:
-        """Check range, rate, clock, record, triggers and delay; raise Status if the board lacks them."""
+        """Check range, rate, sample clock, record, triggers and start delay against the board.
+
+        Raise Status if one of them does not fit.
+        """
         _ = task.channel.range_v
         rate_hz(task)
         if task.settings.get("SampTimingType") != SAMPLE_CLOCK:
@@ -150,7 +153,7 @@ class AnalogInput:
         fire_edge(bench, f"/{task.device.name}/ai/StartTrigger", at_ns)
 
     def stop(self, bench: Bench, task: Task, now_ns: int, cause: str) -> None:
-        """End the acquisition; its samples can no longer be read."""
+        """End the acquisition, if there is one; its samples can no longer be read."""
         if task.run is not None:
             task.run.ended = True
 
@@ -310,7 +313,7 @@ def _pretrigger_samples(task: Task) -> int:
 
 
 def _post_trigger_ns(task: Task) -> int:
-    """Return the time from the trigger to the end of the record, ns."""
+    """Return the time from trigger to end of the record, ns; raise Status if the rate is not possible."""
     return round((record_samples(task) - _pretrigger_samples(task)) / rate_hz(task) * NS_PER_S)
 
 
@@ -415,9 +418,9 @@ def _find_position(bench: Bench, channel: InputChannel) -> str | None:
 
 
 def discard_strike_records(bench: Bench, strike: Strike, now_ns: int) -> None:
-    """Discard the records that a changed strike has triggered, unless they were complete at ``now_ns``.
+    """Discard the records that a cut or cancelled strike has triggered, unless complete at ``now_ns``.
 
-    The strike was cut short or cancelled. Their tasks look for a trigger again, also by this strike.
+    The tasks of these records look for a trigger again, also by this strike.
     """
     for task in bench.tasks.values():
         run = task.run

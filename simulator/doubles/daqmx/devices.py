@@ -72,11 +72,11 @@ class Devices:
         return tuple(device for device in self if device.plugged)
 
     def get_by_serial(self, serial_number: int) -> Device:
-        """Return a board by serial number; raise KeyError if there is none."""
+        """Return a board by serial number, plugged in or not; raise KeyError if there is none."""
         return self._devices[serial_number]
 
     def find(self, name: str) -> Device:
-        """Return a plugged board by its name; case and slashes around it do not matter.
+        """Return the plugged-in board of a name; case and slashes around the name do not matter.
 
         Raises
         ------

@@ -161,7 +161,7 @@ def disconnect_terminals(bench: Bench, client: str, arguments: Arguments) -> Non
 
 
 def tristate_terminal(bench: Bench, client: str, arguments: Arguments) -> None:
-    """Answer `DAQmxTristateOutputTerm`: stop driving a terminal; that of a counter goes low.
+    """Answer `DAQmxTristateOutputTerm`: stop driving a terminal; the output of a counter goes low.
 
     Raise Status if it is unknown, or a route ends at it.
     """

@@ -258,7 +258,7 @@ class Strikes:
         ]
 
     def warm_up(self) -> None:
-        """Compute one shot per position, so that no later one waits for a compiler or a plate.
+        """Simulate one shot per position, so that no later one waits for compilation or the plate's model.
 
         Log a warning for a position that cannot be computed.
         """
@@ -272,7 +272,7 @@ class Strikes:
 
 
 def _insert_wave(volts: FloatArray, wave: FloatArray, at: int) -> None:
-    """Overwrite part of a longer record in place with a wave from index ``at`` on, as far as it fits."""
+    """Overwrite ``volts`` in place with a wave from index ``at`` (may be negative), as far as it fits."""
     first, last = max(at, 0), min(at + wave.size, volts.size)
     if first < last:
         volts[first:last] = wave[first - at : last - at]

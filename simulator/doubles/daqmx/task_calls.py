@@ -21,9 +21,9 @@ def _get_error_string(bench: Bench, client: str, arguments: Arguments) -> Answer
 
 
 def _create_task(bench: Bench, client: str, arguments: Arguments) -> Answer:
-    """Answer `DAQmxCreateTask` with the handle of a new task.
+    """Answer `DAQmxCreateTask` with the handle of a new task; an empty name is replaced by a generated one.
 
-    Raise Status if the client has one of that name.
+    Raise Status if the client has a task of that name.
     """
     return {"task": tasks.create_task(bench, client, arguments["session_name"]).handle}
 
@@ -52,7 +52,7 @@ def _control_task(bench: Bench, task: Task, arguments: Arguments) -> None:
 
 
 def _start_task(bench: Bench, task: Task, arguments: Arguments) -> None:
-    """Answer `DAQmxStartTask`; raise Status if the task runs, does not fit its board, or that is reserved."""
+    """Answer `DAQmxStartTask`; raise Status if the task runs, or to verify or reserve it fails."""
     tasks.start_task(bench, task)
 
 

@@ -286,7 +286,7 @@ def advance_task(bench: Bench, task: Task, target: TaskState) -> None:
 def mark_changed(task: Task) -> None:
     """Mark a task as changed, so that its next start verifies and programs it again.
 
-    Raise Status -200479 if it runs.
+    A committed task becomes reserved. Raise Status -200479 if it runs.
     """
     task.require_not_running()
     if task.state is TaskState.COMMITTED:
@@ -327,12 +327,12 @@ def is_task_done(bench: Bench, task: Task) -> bool:
 
 
 def stop_task(bench: Bench, task: Task) -> None:
-    """Stop a task; do nothing if it is not running.
+    """Stop a task and restore its state before the start; do nothing if it is not running.
 
     Raises
     ------
     Status
-        The warning 200010 if it was not done.
+        The warning 200010, after the stop, if it was not done; never for a watchdog.
     """
     if task.state is not TaskState.RUNNING:
         return

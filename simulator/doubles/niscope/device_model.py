@@ -191,7 +191,10 @@ class NiscopeBrain:
         """Accept a lock without effect, because it concerns the caller's own threads."""
 
     def _commit_session(self, session: Session, _: Arguments) -> None:
-        """Check that the session can commit; raise ScopeStatus while it acquires, or without its board."""
+        """Check that the session can commit; nothing is programmed.
+
+        Raise ScopeStatus while an acquisition is not aborted, or without the board.
+        """
         require_idle(session)
         self._require_present(session)
 

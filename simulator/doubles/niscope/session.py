@@ -127,7 +127,7 @@ def set_attribute(session: Session, arguments: Arguments) -> None:
 
 
 def channels_of(session: Session, arguments: Arguments) -> list[tuple[str, Channel]]:
-    """Return the channels of a comma-separated list by name, all for an empty one.
+    """Return the channels, with their names, of the comma-separated ``channel_list``; all for an empty list.
 
     Raise ScopeStatus if one is unknown.
     """

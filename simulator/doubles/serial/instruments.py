@@ -45,7 +45,7 @@ class ClimateProbe:
     def answer(self, command: str) -> str | None:
         """Answer queries of identity, temperature (°C) and relative humidity (%); None for any other command.
 
-        The swing has a period of one day from the start of the double.
+        Both swing with a period of one day from the start of the double.
         """
         phase = 2.0 * math.pi * (self._seconds() - self._start_s) / 86_400.0
         match command.upper():

@@ -291,7 +291,7 @@ class SerialLink:
                 self.withheld()
 
     def _transmit(self, text: bytes) -> None:
-        """Send bytes to the client at once, if one is connected; hang up if it has closed."""
+        """Send bytes to the client at once; do nothing if none is connected, hang up if it has closed."""
         if self._terminal is not None:
             try:
                 os.write(self._terminal[0], text)

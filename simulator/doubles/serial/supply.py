@@ -135,7 +135,7 @@ class Supply:
         self._switch(on, "front panel")
 
     def _switch(self, on: bool, cause: str) -> None:
-        """Switch the output on or off, and record a change of state with time and cause."""
+        """Switch the output on or off; record a change of state with its monotonic time and its cause."""
         if on != self._on:
             self._on = on
             self.output.append(OutputChange(mono_ns=time.monotonic_ns(), on=on, cause=cause))
@@ -181,7 +181,7 @@ class Supply:
         return None  # an instrument does not answer what it does not know
 
     def _execute_command(self, header: str, argument: str) -> str | None:
-        """Execute an SCPI command; return its error, None if there is none.
+        """Execute an SCPI command; return its SCPI error, None if there is none.
 
         Raises
         ------

@@ -120,7 +120,7 @@ class DoublesControl:
         return found
 
     def clear_record(self) -> None:
-        """Discard recorded calls, line events and leaks; levels, tasks and strikes stay."""
+        """Discard recorded calls, level changes and leaked tasks; levels, tasks and strikes stay."""
         self._send_command("clear_record")
 
     def unplug(self, serial_number: int) -> None:

@@ -124,9 +124,10 @@ def decode_call(body: bytes) -> tuple[EntryPoint, dict[str, Any]]:
 def encode_answer(
     entry: EntryPoint, arguments: Mapping[str, Any], status: int, text: str, values: Mapping[str, Any]
 ) -> bytes:
-    """Encode the body of an answer: status, text, and outputs with a byte 1 each; a missing one is 0.
+    """Encode the body of an answer: status, text and outputs.
 
-    Raise struct.error if a number does not fit its type.
+    Each output has a byte in front: 1, or 0 for an output without a value, which is left out. Raise
+    struct.error if a number does not fit its type.
     """
     parts = [struct.pack("<i", status), _encode_text(text)]
     for parameter in list_outputs(entry, arguments.get("attribute", 0)):
@@ -161,7 +162,7 @@ def decode_value(parameter: Parameter, reader: Reader) -> Any:
     Raises
     ------
     WireError
-        The frame ends before.
+        The body ends before.
     """
     if parameter.role in (Role.TEXT, Role.OUT_TEXT):
         return reader.text()
