@@ -69,10 +69,10 @@ def retry(
     report_after_s: float = REPORT_AFTER_S,
     pause: Callable[[float], None] = time.sleep,
 ) -> T:
-    """Call a function again while it is refused; return its result.
+    """Call a function, again while it is refused, for up to ``patience_s``; return its result.
 
-    The pauses grow from 1 ms to `LONGEST_PAUSE_S`. Any other error, and a refusal after ``patience_s``, is
-    raised.
+    The pauses grow from 1 ms to `LONGEST_PAUSE_S`. Any other error is raised at once, a refusal after
+    ``patience_s``.
 
     Parameters
     ----------
@@ -80,6 +80,8 @@ def retry(
         Whether an error is worth another try; default: a PermissionError.
     report_after_s
         A refusal that lasts longer is logged once as a warning.
+    pause
+        Waits a number of seconds; injected by tests.
     """
     started_s = time.monotonic()
     pause_s, reported = 0.001, False
@@ -98,18 +100,19 @@ def retry(
 
 
 def read_shared(path: Path, first: int = 0, last: int | None = None) -> bytes:
-    """Read a file that another process may be replacing, or the bytes of it from ``first`` up to ``last``.
+    """Read a file that another process may be replacing, or its bytes ``first`` to ``last`` (exclusive).
 
-    Bytes after the end of the file are left out.
+    Bytes after the end of the file are left out. A refusal by Windows is retried for `PATIENCE_S`.
 
     Raises
     ------
     OSError
-        It cannot be read, also after `PATIENCE_S`; or ``last`` is None and it has more than `LARGEST_BYTES`.
+        It cannot be read, also after `PATIENCE_S`; or ``last`` is None and more than `LARGEST_BYTES` are
+        left.
     """
 
     def read() -> bytes:
-        """Read the requested bytes once; a file above `LARGEST_BYTES` raises OSError (EFBIG)."""
+        """Read the requested bytes once; more than `LARGEST_BYTES` without ``last`` raise OSError (EFBIG)."""
         with path.open("rb") as file:
             if last is None and file.seek(0, os.SEEK_END) - first > LARGEST_BYTES:
                 raise OSError(errno.EFBIG, f"{os.strerror(errno.EFBIG)}: more than {LARGEST_BYTES} bytes")
@@ -120,7 +123,7 @@ def read_shared(path: Path, first: int = 0, last: int | None = None) -> bytes:
 
 
 def read_best_effort(path: Path) -> bytes | None:
-    """Read a file without waiting; return None if it is absent or cannot be read at this moment."""
+    """Read a file without waiting; return None if it is absent or (logged) cannot be read now."""
     try:
         return path.read_bytes()
     except FileNotFoundError:
@@ -147,13 +150,15 @@ def write_best_effort(path: Path, content: bytes) -> OSError | None:
 def write_durably(
     path: Path, content: bytes | Iterator[bytes], *, temporary: Path, mode: int = 0o644
 ) -> tuple[float, float, float]:
-    """Write a temporary file, sync it, rename it, sync its folder.
+    """Write a file that survives a power cut: write and sync a temporary file, rename it, sync the folder.
 
-    Content may come in parts. On an error no new file remains, as far as the disk still allows it; a
-    ``path`` that existed remains, old or new.
+    Content may come in parts. On an error no new file remains, as far as the disk still allows it; a ``path``
+    that existed remains, old or new. Refusals by Windows are retried for `PATIENCE_S`.
 
     Parameters
     ----------
+    temporary
+        Path of the temporary file, on the same volume; overwritten if it exists.
     mode
         Rights of the new file; Windows ignores them and applies those of the folder.
 
@@ -165,8 +170,8 @@ def write_durably(
     Raises
     ------
     OSError
-        ``content`` is not durable. A failed fsync is never repeated on the same file, since the
-        second one may succeed although the data are gone: call again, which writes a new file.
+        ``content`` is not durable. A failed fsync is never repeated on the same file, since the second one
+        may succeed although the data are gone: call again, which writes a new file.
     """
     start = time.perf_counter()
     existed = path.exists()
@@ -195,12 +200,14 @@ def write_durably(
 
 
 def write_output(path: Path, content: bytes | Iterator[bytes]) -> None:
-    """Write a file that a person asked for, complete or not at all; create missing parent folders.
+    """Write or replace a file that a person requested, durably, and completely or not at all.
+
+    Missing parent folders are created.
 
     Raises
     ------
     StorageUnavailableError
-        The disk refuses.
+        The disk refuses; the message names the file.
     """
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -214,7 +221,7 @@ def write_output(path: Path, content: bytes | Iterator[bytes]) -> None:
 def sync_folder(folder: Path, *, patience_s: float = PATIENCE_S) -> None:
     """Sync a folder to disk (fsync), so that new names in it survive a power cut; do nothing on Windows.
 
-    Windows has no such call and journals names itself.
+    Windows has no such call and journals names itself. A PermissionError at opening is retried.
 
     Raises
     ------
@@ -231,9 +238,9 @@ def sync_folder(folder: Path, *, patience_s: float = PATIENCE_S) -> None:
 
 
 def remove_quietly(path: Path) -> None:
-    """Remove a file if it exists.
+    """Remove a file if it exists; no OSError is raised.
 
-    A refusal is retried for `PATIENCE_S`, then logged, and no error is raised.
+    A refusal is retried for `PATIENCE_S`; an error that remains is logged as a warning.
     """
     try:
         retry(lambda: os.unlink(path))  # noqa: PTH108 - the seam is os
@@ -244,9 +251,9 @@ def remove_quietly(path: Path) -> None:
 
 
 def write_all(descriptor: int, buffers: Sequence[bytes | memoryview]) -> None:
-    """Write all buffers in order to an open file, completely.
+    """Write all buffers completely, in order, to an open file descriptor.
 
-    Up to `BUFFERS_A_CALL` per call with ``writev``.
+    Up to `BUFFERS_A_CALL` buffers are passed per call where the system has ``writev``.
 
     Raises
     ------

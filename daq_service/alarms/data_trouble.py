@@ -17,14 +17,14 @@ def damage_condition(
     """Return the condition ``data_corrupt``: sets in quarantine, or stored files that are corrupt or missing.
 
     It is present if either argument has an entry; its priority is high with damaged files, else medium. The
-    message names at most `SHOWN` damaged files.
+    message names every set in quarantine and at most `SHOWN` damaged files; the evidence has all of both.
 
     Parameters
     ----------
     set_aside
         Sets in quarantine, by the archive's names.
     damaged
-        Files of sets that have rows, and copies of journal segments, with the fault of each.
+        Fault of each damaged file: files of sets that have rows, and copies of journal segments.
     """
     messages = [f"{file} {_describe_file_problem(fault)}" for file, fault in list(damaged.items())[:SHOWN]]
     messages += [f"and {len(damaged) - SHOWN} more"] if len(damaged) > SHOWN else []
@@ -41,7 +41,7 @@ def damage_condition(
 
 
 def _describe_file_problem(fault: str) -> str:
-    """Return a file's fault as a predicate: unchanged if it starts with "is ", else "is damaged: <fault>"."""
+    """Format a file's fault as a predicate: "is damaged: <fault>"; unchanged if it starts with "is "."""
     return fault if fault.startswith("is ") else f"is damaged: {fault}"
 
 
@@ -52,6 +52,8 @@ def space_condition(free_space: str, *, present: bool, stops: bool) -> Condition
     ----------
     free_space
         Text with the free space, the start of the message.
+    present
+        False: the alarm returns to normal.
     """
     consequence = "nothing more is stored until some is freed" if stops else "soon nothing more is stored"
     return Condition(
@@ -63,14 +65,16 @@ def space_condition(free_space: str, *, present: bool, stops: bool) -> Condition
 
 
 def storage_condition(message: str, *, present: bool, waits_in: str = "memory") -> Condition:
-    """Return the condition ``write_failed`` (priority high): the disk refuses, and sets wait to be written.
+    """Return the condition ``write_failed`` (priority high): a write failed, and the sets wait to be written.
 
     Parameters
     ----------
     message
-        Error message of the disk or the operating system.
+        Error message of the disk or the operating system, the end of the alarm's message.
+    present
+        False: the alarm returns to normal.
     waits_in
-        Where they wait: ``memory``, or ``journal`` for complete sets.
+        Where the sets wait: ``memory``, or ``journal`` for complete sets.
     """
     return Condition(
         kind="write_failed",

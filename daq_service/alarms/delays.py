@@ -22,8 +22,8 @@ def apply_delays(
 ) -> tuple[Condition | None, int | None]:
     """Apply on-delay, off-delay and deadband (ISA-18.2) to the condition of an alarm.
 
-    If the kind has a deadband, the condition of an active alarm also counts as present within the deadband,
-    and without ``times_limit``.
+    With a deadband, the condition of an active alarm also counts as present while its ``times_limit``
+    (quantity divided by limit) is None or above 1 - `dead_band_fraction`.
 
     Parameters
     ----------
@@ -37,9 +37,10 @@ def apply_delays(
     Returns
     -------
     Condition or None
-        Condition to apply; None if the alarm stays as it is.
+        Condition to apply, present also within the deadband; None while a delay runs: the alarm stays as it
+        is.
     int or None
-        New value of ``since_ns``.
+        New value of ``since_ns``; None if no delay runs.
     """
     is_active = row is not None and row.state in ("unacknowledged", "acknowledged")
     # An unknown quantity has not returned to normal.

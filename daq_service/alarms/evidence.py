@@ -31,15 +31,16 @@ MOST_FEATURES = 3
 def build_evidence_sentences(
     row: AlarmRow, baselines: Mapping[int, BaselineRow] = MappingProxyType({})
 ) -> list[str]:
-    """Return the evidence of an alarm as sentences: values, limits, largest contributions, and time.
+    """Return the evidence of an alarm as sentences: values, limits, contributions, baseline anomalies, time.
 
-    The most important come first; the time when it was raised (hours of the test) comes last and is always
-    there.
+    The most important come first; the last sentence, always there, has the set (if any), the hour of the test
+    and the extractor version (if known) with which the alarm was raised.
 
     Parameters
     ----------
     baselines
-        Rows by their id. Without its row, a baseline is called "the baseline", without its quality.
+        Rows by their id. Without its row, a baseline is called "the baseline", and its anomalies are left
+        out.
     """
     baseline = baselines.get(row.evidence.get("baseline_id", 0))
     name = None if baseline is None else baseline.name
@@ -55,18 +56,19 @@ def build_evidence_sentences(
 
 
 def describe_evidence(kind: str, evidence: Evidence) -> list[str]:
-    """Return the evidence of an alarm as sentences without the time, the most important first.
+    """Return the evidence of an alarm of a kind as sentences without the time, the most important first.
 
-    The list is empty if the evidence has no known value. A kind without texts of its own is described by its
-    supply values.
+    A sentence with an unknown value is left out; the list may be empty. A kind without texts of its own is
+    described by the supply values in the evidence.
     """
     return list(_OF_KIND.get(kind, _describe_supply)(evidence))
 
 
 def describe_baseline_anomalies(baseline_quality: Mapping[str, Any] | None) -> list[str]:
-    """Describe each anomaly of a baseline (`assessment.baseline_quality`) as a clause.
+    """Describe each anomaly of a baseline (group, outlier or trend of its sets) as a clause.
 
-    The list is empty without anomalies. An unknown kind of anomaly is described by its name.
+    The list is empty without anomalies, or if the quality (column ``baseline_quality``) is None. An unknown
+    kind of anomaly is described by its name.
     """
     return [
         {
@@ -82,14 +84,14 @@ class _Sentences(Formatter):
     """Fills sentences in; an unknown value raises KeyError, and units are formats."""
 
     def get_field(self, field_name: str, args: Sequence[object], kwargs: Mapping[str, object]) -> object:
-        """Return the value of a placeholder; raise KeyError if it is missing or None."""
+        """Return the value of a placeholder, with its key; raise KeyError if it is missing or None."""
         name, *_ = field_name.partition("[")
         if kwargs.get(name) is None or (found := super().get_field(field_name, args, kwargs))[0] is None:
             raise KeyError(field_name)
         return found
 
     def format_field(self, value: object, format_spec: str) -> str:
-        """Format a number in the unit that the format names (`_UNITS`); format all else as Python does."""
+        """Format a number in the unit that the format spec names (`_UNITS`, from SI); else as Python does."""
         unit = _UNITS.get(format_spec)
         if unit is not None and isinstance(value, int | float):
             return unit(value)
@@ -97,7 +99,10 @@ class _Sentences(Formatter):
 
 
 def _fill_sentences(part: str, evidence: Evidence) -> Iterator[str]:
-    """Yield the sentences of a part of the text table; one with a missing or None value is left out."""
+    """Yield the sentences of a section of the text table `evidence.toml`, filled with evidence values.
+
+    A sentence whose value is missing or None is left out. Raise KeyError for an unknown section.
+    """
     for sentence in _TEXTS["sentences"][part]:
         try:
             text = _Sentences().vformat(sentence, (), evidence)
@@ -107,9 +112,9 @@ def _fill_sentences(part: str, evidence: Evidence) -> Iterator[str]:
 
 
 def _describe_signal_change(evidence: Evidence) -> Iterator[str]:
-    """Yield the sentences of a signal change: size, diagnosis and confirmation set.
+    """Yield the sentences of a signal change: its size, its diagnosis, and the result of a confirmation set.
 
-    The size is that of the control chart if it decides, otherwise the squared distance.
+    The size is that of the MEWMA chart if the evidence has its statistic, otherwise the squared distance.
     """
     statistic = evidence.get("mewma_statistic")
     part = "diagnosis" if evidence.get("raised_by") == "diagnosis" else "chart"
@@ -143,10 +148,10 @@ def _describe_signal_change(evidence: Evidence) -> Iterator[str]:
 
 
 def describe_confirmation(confirmation: Evidence) -> str:
-    """Describe the result of a confirmation set (`assessment.confirmation.ConfirmationResult`) as a sentence.
+    """Describe the result of a confirmation set (`ConfirmationResult` as a mapping) in one sentence.
 
-    It names UTC and hour of the set; the distance and its limit only if both are known; the reason if the
-    result is undetermined.
+    It has UTC and hour of the set; for an undetermined result the reason; otherwise also the squared distance
+    and its limit, if both are known.
     """
     at = f"{format_utc(confirmation['utc_ns'], 0)} (hour {confirmation['due_h']:.2f})"
     if confirmation["confirms"] is None:
@@ -163,9 +168,9 @@ def describe_confirmation(confirmation: Evidence) -> str:
 
 
 def _format_largest_contributions(contributions: Mapping[str, float | None]) -> str:
-    """Return the largest `MOST_FEATURES` contributions as text, in percent of the sum.
+    """Format the largest `MOST_FEATURES` contributions of features, descending, in percent of the sum.
 
-    Empty if none is positive.
+    Contributions that are None or not positive are left out; empty if none remains.
     """
     known = {name: value for name, value in contributions.items() if value is not None}
     total = sum(known.values())
@@ -178,7 +183,7 @@ def _format_largest_contributions(contributions: Mapping[str, float | None]) -> 
 
 
 def _describe_thickness(evidence: Evidence) -> Iterator[str]:
-    """Yield the sentences of a wall thickness and its limit; the difference only if both are known."""
+    """Yield sentences about a wall thickness, its limit, their difference (if both are known), roughness."""
     known = dict(evidence)
     if values := _collect_values(evidence, "thickness_m", "limit_m"):
         wall_m, limit_m = values
@@ -190,7 +195,7 @@ def _describe_thickness(evidence: Evidence) -> Iterator[str]:
 
 
 def _describe_rig_error(evidence: Evidence) -> Iterator[str]:
-    """Yield the sentences of an instrument error in a set; without a set index, of one at opening."""
+    """Yield the sentences of an instrument error in a set; without a set index, of one at opening the rig."""
     if (set_index := evidence.get("set_index")) is None:
         yield from _fill_sentences("opening", evidence)
     else:
@@ -199,7 +204,7 @@ def _describe_rig_error(evidence: Evidence) -> Iterator[str]:
 
 
 def _describe_corrupt_files(evidence: Evidence) -> Iterator[str]:
-    """Yield a sentence for each damaged file, and one for all sets in quarantine; none without any."""
+    """Yield a sentence for each damaged file with its fault, then one for all sets in quarantine (if any)."""
     for file, fault in (evidence.get("damaged") or {}).items():
         yield f"{file}: {fault}."
     if quarantined := evidence.get("set_aside"):
@@ -207,7 +212,7 @@ def _describe_corrupt_files(evidence: Evidence) -> Iterator[str]:
 
 
 def _describe_supply(evidence: Evidence) -> Iterator[str]:
-    """Yield the sentences of the supply's newest reading; nothing if its values are unknown."""
+    """Yield the sentences of the supply's reading in the evidence with its age; none for unknown values."""
     age_s = evidence.get("supply_age_s")
     yield from _fill_sentences("supply", {**evidence, "age": "" if age_s is None else f", {age_s:.0f} s old"})
 
@@ -232,7 +237,7 @@ def _collect_values(evidence: Evidence, *names: str) -> list[Any]:
 
 
 def _format_value(value: float) -> str:
-    """Format a number with three significant digits; from 1000 on as an integer."""
+    """Format a number with three significant digits; from 1000 on (absolute value) as an integer."""
     return f"{value:.3g}" if abs(value) < 1000.0 else f"{value:.0f}"
 
 

@@ -44,14 +44,14 @@ GUIDANCE: Mapping[str, Guidance] = {
 def join_numbered_steps(steps: Sequence[str]) -> str:
     """Join steps, numbered from 1, to one text; empty for no steps.
 
-    A semicolon separates them, but none follows a question mark.
+    They are separated by "; ", but only by a space after a question mark.
     """
     parts = [f"{number} {step}" for number, step in enumerate(steps, start=1)]
     return "".join(part + (" " if part.endswith("?") else "; ") for part in parts).rstrip("; ")
 
 
 def format_guidance_markdown() -> str:
-    """Return the guidance on all kinds of alarm as the Markdown table of the how-to, one row per kind."""
+    """Return the guidance on all kinds of alarm as a Markdown table, one row per kind, as in `GUIDANCE`."""
     lines = ["| Kind | It says | It does not say | Look first | Whom to call |", "|---|---|---|---|---|"]
     for kind, guidance in GUIDANCE.items():
         cells = (

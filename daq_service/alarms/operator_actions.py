@@ -21,6 +21,8 @@ LONGEST_SHELF_H = 72.0
 def acknowledge_alarm(row: AlarmRow, author: str, note: str, moment: Moment) -> Change:
     """Return the change that acknowledges an alarm, with author, note and time.
 
+    An unacknowledged alarm becomes ``acknowledged``; one whose condition has gone becomes ``normal``.
+
     Raises
     ------
     ValueError
@@ -40,9 +42,9 @@ def acknowledge_alarm(row: AlarmRow, author: str, note: str, moment: Moment) -> 
 
 
 def reset_alarm(row: AlarmRow, author: str, note: str, moment: Moment) -> Change:
-    """Return the change that resets an alarm to normal, also a latched one.
+    """Return the change that resets an alarm to normal, also a latched one, for a person (``author``).
 
-    A person has removed its cause, or ends its monitoring. An earlier acknowledgement keeps its author and
+    The person has removed its cause, or ends its monitoring. An earlier acknowledgement keeps its author and
     time; an empty note keeps the earlier note.
 
     Raises
@@ -83,7 +85,10 @@ def remove_expired_shelf(row: AlarmRow, *, utc_ns: int, wall_utc_ns: int) -> Ala
 
 
 def end_expired_shelf(row: AlarmRow, moment: Moment, wall_utc_ns: int) -> Change | None:
-    """Return the change that ends an expired shelf; None without a shelf, or while it runs."""
+    """Return the change that ends an expired shelf; None without a shelf, or while it runs.
+
+    ``wall_utc_ns`` is real time, ns of UTC; the moment has the time on the experiment's clock.
+    """
     current_row = remove_expired_shelf(row, utc_ns=moment.utc_ns, wall_utc_ns=wall_utc_ns)
     return None if current_row is row else change_state(current_row, row.state, moment, "alarm_shelf_expired")
 
@@ -91,8 +96,8 @@ def end_expired_shelf(row: AlarmRow, moment: Moment, wall_utc_ns: int) -> Change
 def shelve(row: AlarmRow, author: str, reason: str, for_h: float, moment: Moment, wall_utc_ns: int) -> Change:
     """Return the change that shelves an alarm for ``for_h`` hours of the test or of real time.
 
-    The shelf ends with whichever of them is over first. A running shelf is replaced. The caller checks the
-    limit `LONGEST_SHELF_H`.
+    The shelf ends when the first of the two is over. A running shelf is replaced. The limit `LONGEST_SHELF_H`
+    is not checked. ``wall_utc_ns`` is the current real time, ns of UTC.
 
     Raises
     ------
@@ -118,12 +123,12 @@ def shelve(row: AlarmRow, author: str, reason: str, for_h: float, moment: Moment
 
 
 def take_out_of_service(row: AlarmRow, author: str, reason: str, moment: Moment) -> Change:
-    """Return the change that takes an alarm out of service until a person returns it; a shelf is removed.
+    """Return the change that takes an alarm out of service until a person returns it; its shelf is removed.
 
     Raises
     ------
     ValueError
-        It is out of service already.
+        The alarm is out of service already.
     """
     if row.suppressed == "out_of_service":
         raise ValueError(f"alarm {row.id} is out of service already: {row.suppressed_reason}")
@@ -137,7 +142,7 @@ def take_out_of_service(row: AlarmRow, author: str, reason: str, moment: Moment)
 
 
 def end_suppression(row: AlarmRow, wanted: Suppression, author: str, note: str, moment: Moment) -> Change:
-    """Return the change that unshelves an alarm, or returns it to service; the author stays in the row.
+    """Return the change that unshelves an alarm, or returns it to service; author and note remain in the row.
 
     Parameters
     ----------

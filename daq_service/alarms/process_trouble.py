@@ -9,12 +9,12 @@ WEB_NOT_RESPONDING = "web_not_responding"
 
 
 def build_recorder_condition(finding: str, hour: float) -> Condition:
-    """Return the condition ``recorder_not_running`` (priority high); absent when a scheduled set is stored.
+    """Return the condition ``recorder_not_running`` (priority high), present if there is a ``finding``.
 
     Parameters
     ----------
     finding
-        Evidence that the recorder is missing, a sentence of the message; empty: not present.
+        Evidence that no recorder runs, a sentence of the message; empty: not present.
     hour
         Hour of the test, for the message.
     """
@@ -29,14 +29,14 @@ def build_recorder_condition(finding: str, hour: float) -> Condition:
 
 
 def build_web_condition(hour: float, *, present: bool) -> Condition:
-    """Return the condition ``web_not_responding`` (priority medium).
-
-    The web service of this test stalls, or has ended without notice.
+    """Return the condition ``web_not_responding`` (priority medium): no heartbeat of the test's web service.
 
     Parameters
     ----------
     hour
         Hour of the test, for the message.
+    present
+        False: the alarm returns to normal.
     """
     message = f"Dashboard not responding. No heartbeat (hour {hour:.1f})."
     action = "Read `logs/`, then restart `solimon serve`."

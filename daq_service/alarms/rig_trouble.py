@@ -14,12 +14,12 @@ PASSING = (BusyError.__name__, ConnectionLostError.__name__)
 
 
 def find_connection_loss(missed: Sequence[MissedShot]) -> str:
-    """Return the cause of the last attempt if all attempts lost the connection; else, or without any, empty.
+    """Return the cause of the last missed shot if all of them lost the connection; otherwise an empty text.
 
     Parameters
     ----------
     missed
-        All attempts with an instrument; none of them has a record.
+        All missed shots of an instrument that has no record in the set; may be empty.
     """
     if not missed or any(item.reason != "connection_lost" for item in missed):
         return ""
@@ -29,7 +29,8 @@ def find_connection_loss(missed: Sequence[MissedShot]) -> str:
 def build_rig_condition(due: DueSet, trouble: str, unanswered: str, *, proven: bool) -> Condition:
     """Return the condition ``instruments_unavailable`` (priority high) after a set.
 
-    The instruments do not respond, are busy, or report an error.
+    It is present if an error ended the set or no instrument responded. The message says whether the next set
+    is tried: after `PASSING` errors, or with ``proven``.
 
     Parameters
     ----------
@@ -61,9 +62,9 @@ def build_rig_condition(due: DueSet, trouble: str, unanswered: str, *, proven: b
 
 
 def build_opening_condition(trouble: InstrumentError | None) -> Condition:
-    """Return the condition ``instruments_unavailable`` of a test that waits for its rig to open.
+    """Return the condition ``instruments_unavailable`` (priority high) of a rig that cannot be opened yet.
 
-    Its evidence has no set. It is not present if ``trouble`` is None.
+    Its evidence has the class of the error, but no set. It is not present if ``trouble`` is None.
     """
     return Condition(
         kind=RIG_UNAVAILABLE,

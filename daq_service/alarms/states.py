@@ -88,9 +88,9 @@ class Change:
     author: str | None = None
 
     def event(self, moment: Moment) -> EventRow:
-        """Return the event of the change (topic ``alarms``).
+        """Return the event of the change: topic ``alarms``, kind, time, set, position, and author if known.
 
-        The commit adds the row (`SetCommit.add_alarm`).
+        The row is not in its payload: the commit adds it (`SetCommit.add_alarm`).
         """
         author = {} if self.author is None else {"author": self.author}
         return moment.event("alarms", self.event_kind, author, position=self.row.position)
@@ -107,7 +107,7 @@ class Moment:
 
     @classmethod
     def of_set(cls, due: DueSet, utc_ns: int) -> Moment:
-        """Return the moment of a set: its indices and scheduled hour, with a time in ns of UTC."""
+        """Create the moment of a set: its indices, its scheduled hour, and a time in ns of UTC."""
         return cls(
             utc_ns=utc_ns,
             due_h=due.due_h,
@@ -118,7 +118,7 @@ class Moment:
     def event(
         self, topic: str, kind: str, payload: Mapping[str, Any], *, position: str | None = None
     ) -> EventRow:
-        """Return an event row of this moment and its set; the payload is copied."""
+        """Create an event row with the time and the set of this moment; the payload is copied."""
         return EventRow(
             utc_ns=self.utc_ns,
             topic=topic,
@@ -131,12 +131,12 @@ class Moment:
 
 
 def find_disabled(alarms: Iterable[AlarmRow]) -> dict[str, str]:
-    """Return the disabled transducers by position, each with the message of its alarm.
+    """Return the disabled transducers by position, each with the message of the alarm that disabled it.
 
     Parameters
     ----------
     alarms
-        Rows; those that have returned to normal are ignored.
+        Alarm rows; only `RETIRING` kinds that have not returned to normal count, the last row of a position.
     """
     return {
         row.position: row.message
@@ -146,10 +146,11 @@ def find_disabled(alarms: Iterable[AlarmRow]) -> dict[str, str]:
 
 
 def update_alarm(row: AlarmRow | None, condition: Condition, moment: Moment) -> Change | None:
-    """Update an alarm with the condition of one assessment; return None if nothing changes.
+    """Return the change of an alarm by the condition of one assessment; None if nothing changes.
 
     It is raised, becomes active again, rises in priority or diagnosis (then it is unacknowledged again and no
-    longer shelved), or is cleared. A latched alarm is never cleared.
+    longer shelved), or is cleared. A latched alarm is never cleared. A new row keeps the suppression of
+    ``row``.
 
     Parameters
     ----------
@@ -198,7 +199,7 @@ def add_evidence(row: AlarmRow, evidence: Mapping[str, object], moment: Moment) 
 
 
 def _build_new_row(condition: Condition, moment: Moment) -> AlarmRow:
-    """Return the row of a new, unacknowledged alarm that a condition raises at a moment."""
+    """Return the row of a new alarm, unacknowledged and not suppressed, that a condition raises."""
     return AlarmRow(
         position=condition.position,
         kind=condition.kind,
@@ -216,20 +217,20 @@ def _build_new_row(condition: Condition, moment: Moment) -> AlarmRow:
 
 
 def _compute_updated_columns(row: AlarmRow, condition: Condition) -> dict[str, Any]:
-    """Return priority (never lower), message and evidence of an alarm, updated with its condition."""
+    """Return the updated priority (never lower), message and evidence of an alarm under its condition."""
     priority = max(row.priority, condition.priority, key=PRIORITIES.index)
     return {"priority": priority, "message": condition.message, "evidence": _build_evidence(condition)}
 
 
 def _build_evidence(condition: Condition) -> dict[str, Any]:
-    """Return the evidence of a condition; with a confirmed diagnosis also as the key ``known``."""
+    """Return a copy of a condition's evidence, with a confirmed diagnosis, if any, as the key ``known``."""
     return dict(condition.evidence) | ({"known": condition.known} if condition.known else {})
 
 
 def change_state(row: AlarmRow, state: AlarmState, moment: Moment, event_kind: str, **changed: Any) -> Change:
-    """Return the change of an alarm to a state at a moment, with further changed columns.
+    """Return the change of an alarm to a state at a moment, with new values of other columns (``changed``).
 
-    The transition is not checked.
+    The transition is not checked. Raise TypeError for an unknown column.
     """
     return Change(
         row=replace(row, **changed, state=state, changed_utc_ns=moment.utc_ns), event_kind=event_kind

@@ -20,10 +20,11 @@ _BY_THEMSELVES = ("alarm_raised", "alarm_reactivated", "alarm_priority_raised")
 
 
 def build_transition(event: EventRow) -> dict[str, Any]:
-    """Convert an event of the topic ``alarms`` to a transition for the API; times in ns of UTC.
+    """Convert an event of the topic ``alarms`` to a transition of the alarm for the API, as a dict.
 
-    The reason is that of the person, or the message where the alarm was raised, became active again or rose
-    in priority. Missing values are None.
+    It has id and kind of the event, times in ns of UTC, state, priority, suppression, author, reason and end
+    of the shelf; missing values are None. The reason is that of the person, or the alarm's message where it
+    was raised, became active again or rose in priority.
     """
     payload = event.payload
     author, reason = _AUTHOR_AND_REASON.get(event.kind, ("", ""))

@@ -80,7 +80,7 @@ class Assessor(Protocol):
 
     @property
     def baseline_id(self) -> int | None:
-        """Return the id of the baseline that the state belongs to; None without a baseline."""
+        """Return the id of the baseline that the state belongs to; None for a method without baselines."""
         ...
 
     def assess_set(
@@ -91,37 +91,37 @@ class Assessor(Protocol):
         Parameters
         ----------
         features
-            Features of the set's shots by their sequence.
+            Features of the set's shots by the shot's sequence number; a probe ignores them.
         """
         ...
 
     def assess_unscheduled(
         self, due: DueSet, record: SetRecord, features: Mapping[int, ShotFeatures]
     ) -> PositionResult:
-        """Assess an unscheduled set; control chart and baseline never use it.
+        """Assess an unscheduled set; only the diagnosis state may change, never control chart and baseline.
 
         Raises
         ------
         AssertionError
-            The method takes no unscheduled sets.
+            The measuring method takes no unscheduled sets.
         """
         ...
 
     @property
     def not_assessed_reason(self) -> str:
-        """Return why a set cannot be compared with a baseline; empty if it can."""
+        """Return why sets of this position cannot be compared with a baseline; empty if they can."""
         ...
 
     def assess_empty_set(self, due: DueSet, n_tried: int) -> PositionResult:
-        """Assess a scheduled set without any record and update the state.
+        """Assess a scheduled set without any record at this position and update the state.
 
         Parameters
         ----------
         n_tried
-            Shots that were tried, repetitions not counted.
+            Number of shots that were tried, repetitions not counted.
         """
         ...
 
     def enable(self) -> None:
-        """Clear the faults that disabled the transducer, because a person has enabled it."""
+        """Clear the faults in the state that disabled the transducer, because a person has enabled it."""
         ...

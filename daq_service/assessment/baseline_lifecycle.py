@@ -40,12 +40,13 @@ class BaselineRange:
 def baseline_range(position: str, settings: Settings, present: BaselineRow | None) -> BaselineRange:
     """Return the number, row id and range of sets of a position's current baseline.
 
-    The number of sets is that of the complete schedule up to `baseline.hours`.
+    The first baseline has the sets that the complete schedule (also after `schedule.end_h`) places up to
+    `baseline.hours`; a successor has as many.
 
     Parameters
     ----------
     present
-        The newest row of the position; None: the first baseline is being recorded.
+        The newest baseline row of the position; None: the first baseline is being recorded.
 
     Raises
     ------
@@ -67,9 +68,9 @@ def baseline_range(position: str, settings: Settings, present: BaselineRow | Non
 
 
 def build_first_baseline(position: str, settings: Settings, epoch_utc_ns: int) -> BaselineRow:
-    """Return the row of a position's first baseline while it collects; it is not stored before it is frozen.
+    """Return the row of a position's first baseline while it collects sets; it is not stored in this state.
 
-    Its creation time is the epoch of the test, ns of UTC.
+    Its creation time is the epoch of the test, ns of UTC. Raise ValueError if there is no such position.
     """
     row = _build_collecting_row(
         position, settings.baseline.approval, baseline_range(position, settings, None)
@@ -92,12 +93,12 @@ def renew(
     reason: str,
     utc_ns: int,
 ) -> tuple[BaselineRow, BaselineRow]:
-    """Retire the current baseline and start its successor, with as many scheduled sets.
+    """Return the rows that retire the current baseline and start its successor, with as many scheduled sets.
 
     Parameters
     ----------
     present
-        As of `baseline_range`; a baseline that still collects is retired too: its history has no gap.
+        The newest baseline row of the position, also one that still collects; None: the first one collects.
     first_set
         Index of the first set that belongs to the successor.
 
@@ -109,7 +110,8 @@ def renew(
     Raises
     ------
     ValueError
-        The schedule ends before the successor is complete, or it would have too few sets.
+        The schedule ends before the successor is complete, it would have too few sets, or the position is
+        unknown.
     """
     current = baseline_range(position, settings, present)
     n_sets, minimum = 1 + current.last_set - current.first_set, settings.baseline.minimum_sets
@@ -141,12 +143,12 @@ def renew(
 
 
 def approve(row: BaselineRow, author: str, utc_ns: int) -> BaselineRow:
-    """Return the row of a baseline as approved by a person at a time, ns of UTC; its state is not checked."""
+    """Return a baseline's row as approved by a person at a time, ns of UTC; its state is not checked."""
     return replace(row, state="approved", approval=author, approved_utc_ns=utc_ns)
 
 
 def _build_collecting_row(position: str, approval: str, sets: BaselineRange) -> BaselineRow:
-    """Return the row of a baseline that is being collected: its range of sets, without statistics."""
+    """Return the row of a baseline that collects sets: name, range of sets, approval; no statistics."""
     return BaselineRow(
         id=sets.row_id,
         name=format_baseline_name(position, sets.number),

@@ -39,7 +39,7 @@ class Confirmation:
     author: str = ""
 
     def payload(self) -> dict[str, Any]:
-        """Return the payload of its event `CONFIRMATION_ASKED`, without the position."""
+        """Return the payload of its event `CONFIRMATION_ASKED`: indices, due time, reason and author."""
         due = self.due
         return {
             "confirmation_set_index": due.set_index,
@@ -78,14 +78,14 @@ def find_rejection_reason(
     available_ns: float,
     set_ns: int,
 ) -> str:
-    """Return why a requested confirmation set is rejected; empty if it is accepted.
+    """Return why an automatic request for a confirmation set is rejected; empty if it is accepted.
 
     The limit per day is checked first, then the overlap with the next scheduled set.
 
     Parameters
     ----------
     requests
-        Earlier requests of every position.
+        Earlier requests of every position; those with an author do not count.
     at_h
         Hour of the test.
     maximum_per_day
@@ -103,13 +103,13 @@ def find_rejection_reason(
 
 
 def count_requests(position: str, requests: Iterable[Confirmation], at_h: float) -> int:
-    """Count the automatic requests (without an author) at a transducer in the last `BUDGET_H` hours."""
+    """Count the automatic requests (without author) at a position in the `BUDGET_H` hours before ``at_h``."""
     recent = [request for request in requests if request.due.position == position and not request.author]
     return sum(request.due.due_h > at_h - BUDGET_H for request in recent)
 
 
 def find_overlap(available_ns: float, set_ns: int) -> str:
-    """Return why a set that takes ``set_ns`` would overlap the next scheduled one; empty if it does not."""
+    """Return why a set of ``set_ns`` overlaps the next scheduled one, due in ``available_ns``; else empty."""
     if set_ns <= available_ns:
         return ""
     available_s, set_s = available_ns / NS_PER_S, set_ns / NS_PER_S
@@ -117,15 +117,15 @@ def find_overlap(available_ns: float, set_ns: int) -> str:
 
 
 def compute_longest_set_ns(schedule: ScheduleSettings, restrikes: int, read_timeout_s: float) -> int:
-    """Return the maximum duration of a transducer's set, ns: all strikes, repeated ones, one read timeout."""
+    """Compute the maximum duration of a transducer's set, ns: all shots and restrikes, one read timeout."""
     strikes = schedule.shots_per_set + restrikes
     return round((strikes * schedule.shot_interval_s + read_timeout_s) * NS_PER_S)
 
 
 def find_next_unscheduled_index(requests: Iterable[Confirmation], planned_set: int) -> int | None:
-    """Return the index, from 1, of the next unscheduled set after a scheduled one.
+    """Return the index, from 1, of the next unscheduled set after the scheduled set ``planned_set``.
 
-    None if there are `MOST_UNSCHEDULED` already.
+    It is one above the highest index requested there; None if that is `MOST_UNSCHEDULED`.
     """
     numbers = (
         due.unscheduled_index for due in (request.due for request in requests) if due.set_index == planned_set
@@ -159,7 +159,8 @@ class ConfirmationResult:
 def summarize_confirmation(its_set: SetRow, assessment: AssessmentRow | None) -> ConfirmationResult:
     """Summarize the rows of a confirmation set for the evidence of an alarm.
 
-    Without an assessment (no record) the result is undetermined, with the set's own reason.
+    With an assessment: result, squared distance, limit and reason. Without one (no record) the result is
+    undetermined, with the set's own reason.
     """
     facts: dict[str, Any] = {
         **its_set.set_key._asdict(),
@@ -176,7 +177,10 @@ def summarize_confirmation(its_set: SetRow, assessment: AssessmentRow | None) ->
 
 
 def read_confirmations(catalogue: Catalogue) -> list[Confirmation]:
-    """Read all requests for confirmation sets from the catalogue, in the order of their events."""
+    """Read all requests for confirmation sets from the catalogue, in the order of their events.
+
+    Raise KeyError for an event without a value of the request, StorageError if the catalogue cannot be read.
+    """
     events = catalogue.rows(EventRow, topic="service", kind=CONFIRMATION_ASKED)
     return [
         parse_confirmation_payload(event.position, event.payload)
@@ -186,7 +190,10 @@ def read_confirmations(catalogue: Catalogue) -> list[Confirmation]:
 
 
 def read_newest_confirmation(catalogue: Catalogue, position: str) -> ConfirmationResult | None:
-    """Read and summarize the newest confirmation set of a position; return None if it has none."""
+    """Read and summarize the newest confirmation set of a position; return None if it has none.
+
+    Raise StorageError if the catalogue cannot be read.
+    """
     rows = catalogue.read_last_rows(SetRow, position, 1, purpose="confirmation")
     if not rows:
         return None

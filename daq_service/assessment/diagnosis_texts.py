@@ -40,10 +40,12 @@ ABRUPT = (
 
 
 def build_operator_texts(cause: str, abrupt: float) -> tuple[str, str]:
-    """Return observation and action of a diagnosis, for operators.
+    """Return the observation and the recommended action of a diagnosis, as clauses for operators.
 
     Parameters
     ----------
+    cause
+        A key of `SENTENCES`.
     abrupt
         Probability of a step; above 0.5, an undetermined diagnosis has texts of its own.
 
@@ -56,9 +58,10 @@ def build_operator_texts(cause: str, abrupt: float) -> tuple[str, str]:
 
 
 def build_diagnosis_details(assessment: Diagnosis) -> dict[str, Any]:
-    """Return the details of a diagnosis for an assessment row: texts, probabilities, changes.
+    """Return the details of a diagnosis for an assessment row: texts, probabilities, changes, confirmation.
 
-    Cause and its probability have columns of their own.
+    ``probabilities`` are by cause, ``abrupt`` is the probability of a step. Cause and its probability have
+    columns of their own. Raise KeyError for an unknown cause.
     """
     sentence, action = build_operator_texts(assessment.cause, assessment.abrupt)
     return {

@@ -19,9 +19,10 @@ log = logging.getLogger(__name__)
 
 
 def replay_stored_set(assessor: Assessor, stored: StoredResult) -> Sequence[AssessmentRow]:
-    """Update an assessor's state with a set by its stored rows.
+    """Update an assessor's state with the stored rows of a set, without assessing it again.
 
-    Return the assessments of a baseline that the set completes; empty otherwise, and for a probe.
+    Return the assessments of a baseline that the set completes; empty otherwise, and for a probe. A
+    transducer's unscheduled set changes only the diagnosis state.
     """
     if isinstance(assessor, SolitaryWaveAssessor):
         return _update_from_shots(assessor, stored)
@@ -36,7 +37,7 @@ def replay_stored_set(assessor: Assessor, stored: StoredResult) -> Sequence[Asse
 def _update_from_shots(assessor: SolitaryWaveAssessor, stored: StoredResult) -> Sequence[AssessmentRow]:
     """Update a transducer's state with a stored set; return the assessments of a baseline that it completes.
 
-    An unscheduled set changes only the diagnosis state.
+    An unscheduled set changes only the diagnosis state and returns none.
     """
     row, result, before = stored.its_set, stored.result, assessor.state
     set_of_shots = SetOfShots(
@@ -58,10 +59,10 @@ def _update_from_shots(assessor: SolitaryWaveAssessor, stored: StoredResult) -> 
 
 
 def _restore_reference(assessor: PulseEchoAssessor, stored: StoredResult, reading: ThicknessRow) -> None:
-    """Restore a probe's reference echo from its stored record; if that is lost, from the next good reading.
+    """Set a probe's reference echo from its stored record; if that is lost, from the next good reading.
 
-    A first record that cannot be read is kept in ``lost`` with its error; one without an echo changes
-    nothing. A substitute is logged.
+    A first record that cannot be read is stored in ``assessor.lost`` with its error; one without an echo
+    changes nothing. A substitute from a later reading is logged as a warning.
     """
     if assessor.lost is not None and (reading.quality != "good" or reading.thickness_m is None):
         return

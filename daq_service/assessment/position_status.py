@@ -31,13 +31,14 @@ PositionStatus = Literal[
 
 
 def find_status(last: LatestRows) -> PositionStatus:
-    """Return the status of a position; it is never ``normal`` while an alarm is active.
+    """Return the status of a position from its latest rows; it is never ``normal`` while an alarm is active.
+
+    The order is: disabled, no data, alarm, out of service, shelved, outlier, then the state of the baseline.
 
     Parameters
     ----------
     last
-        Its latest rows, with the current alarms (`Freshness.expire_shelves`): an expired shelf hides
-        none.
+        Its latest rows, with the current alarms: expired shelves removed (`Freshness.expire_shelves`).
     """
     assessment = last.last_assessment
     if find_disabled(last.active_alarms):
@@ -57,10 +58,7 @@ def find_status(last: LatestRows) -> PositionStatus:
 
 
 def find_data_age_h(last: LatestRows, fresh: Freshness) -> float | None:
-    """Return the age of the newest measured set of a position, h of the test, not negative.
-
-    None without one.
-    """
+    """Return the age of a position's newest set with data, h of the test, at least 0; None without one."""
     data_h = find_newest_data_hour(last)
     return None if data_h is None else fresh.age_h(data_h)
 
@@ -68,9 +66,9 @@ def find_data_age_h(last: LatestRows, fresh: Freshness) -> float | None:
 def read_latest_rows(
     catalogue: Catalogue, fresh: Freshness, positions: Mapping[str, PositionSettings]
 ) -> dict[str, LatestRows]:
-    """Read the newest rows of each configured position, with its alarms in their present state.
+    """Read the newest rows of each configured position, with expired shelves removed from its alarms.
 
-    A position without rows gets empty ones.
+    A position without rows gets empty ones. Raise StorageError if the catalogue cannot be read.
     """
     stored = catalogue.read_latest_rows()
     return {
@@ -80,9 +78,9 @@ def read_latest_rows(
 
 
 def find_limit(last: LatestRows, thinnest_m: float) -> float | None:
-    """Return the limit of a position: minimum thickness in m of a probe, outlier limit of a transducer.
+    """Return a position's limit: minimum thickness of a probe in m, or the chosen limit of a transducer.
 
-    None if there is no limit yet.
+    None for a transducer without an assessment, or whose assessment has no limit.
 
     Parameters
     ----------
@@ -98,7 +96,7 @@ def find_limit(last: LatestRows, thinnest_m: float) -> float | None:
 
 
 def find_newest_data_hour(last: LatestRows) -> float | None:
-    """Return the hour of the newest set with data; None before the first one.
+    """Return the hour of the test when the newest set with data was due; None before the first one.
 
     A set that was missed, or scheduled for a disabled transducer, has no data.
     """
@@ -108,9 +106,10 @@ def find_newest_data_hour(last: LatestRows) -> float | None:
 
 
 def is_data_stale(schedule: ScheduleSettings, fresh: Freshness, age_h: float | None) -> bool:
-    """Return whether the newest set is older than `STALE_INTERVALS` intervals, or no recorder runs.
+    """Return whether the newest data are older than `STALE_INTERVALS` set intervals, or no recorder runs.
 
-    True also if there is no set (``age_h`` None).
+    True also if there are no data (``age_h`` None). The interval is that of the current phase of the
+    schedule.
     """
     if age_h is None or fresh.recorder.status in {"not_responding", "not_started", "stopped"}:
         return True
@@ -118,9 +117,9 @@ def is_data_stale(schedule: ScheduleSettings, fresh: Freshness, age_h: float | N
 
 
 def find_set_interval_h(schedule: ScheduleSettings, hour: float) -> float:
-    """Return the hours between two sets of the phase at an hour of the test.
+    """Return the interval between sets, h, of the schedule's phase at an hour of the test.
 
-    After the end, of the last phase.
+    After the end of the schedule, that of the last phase.
     """
     for phase in schedule.phases:
         if hour <= phase.until_h:

@@ -49,11 +49,11 @@ class PulseEchoAssessor:
         self.lost: tuple[ThicknessRow, ArchiveError] | None = None
 
     def set_reference(self, reference: EchoReference) -> None:
-        """Set the reference echo that later records are compared with; the alarm state stays."""
+        """Replace the reference echo that later records are compared with; the alarm state stays."""
         self.state = replace(self.state, reference=reference)
 
     def add(self, row: ThicknessRow) -> None:
-        """Update the k-of-n state of the thickness alarm with one reading."""
+        """Update the k-of-n state of the thickness alarm with one reading; a bad one counts as unknown."""
         alarm = update_alarm_state(self.state.alarm, self.exceeds_limit(row), self._rule)
         self.state = replace(self.state, alarm=alarm)
 
@@ -63,7 +63,7 @@ class PulseEchoAssessor:
     def assess_set(
         self, due: DueSet, record: SetRecord, features: Mapping[int, ShotFeatures]
     ) -> PositionResult:
-        """Assess the record of this probe; return an empty result if the set has none."""
+        """Assess the first record of this probe in a set; return an empty result if the set has none."""
         del features
         echoes = [echo for echo in record.echoes if echo.key.position == self.position]
         return self.assess(due, echoes[0]) if echoes else PositionResult()
@@ -88,7 +88,8 @@ class PulseEchoAssessor:
         """Compute the thickness of one record and the condition of its alarm; update the state.
 
         The first record with an echo becomes the reference. A record without an echo gives a reading of
-        quality ``bad``; a clipped one is ``suspect``.
+        quality ``bad`` and an invalid sequence; a good reading of a clipped record becomes ``suspect``. No
+        analysis error is raised: the note has its text.
         """
         settings = self._settings.ultrasound
         try:
@@ -132,7 +133,7 @@ class PulseEchoAssessor:
         )
 
     def build_reference_echo(self, waveform: Waveform, thickness_m: float) -> EchoReference:
-        """Return the reference echo of a record of a wall of known thickness, m.
+        """Find the reference echo in a record of a wall of known thickness, m.
 
         Raises
         ------
@@ -148,7 +149,10 @@ class PulseEchoAssessor:
         )
 
     def exceeds_limit(self, row: ThicknessRow) -> bool | None:
-        """Return whether the wall loss of a reading exceeds the limit; None for a bad or missing value."""
+        """Return whether a reading's wall loss exceeds the limit of the alarm.
+
+        None for a reading that is bad, or whose loss is missing or not finite.
+        """
         loss_m = row.thickness_loss_m
         if row.quality == "bad" or loss_m is None or not math.isfinite(loss_m):
             return None
@@ -156,11 +160,15 @@ class PulseEchoAssessor:
 
     @property
     def _limit_loss_m(self) -> float:
-        """Return the thickness loss that raises the alarm, m."""
+        """Return the thickness loss above which a reading counts for the alarm, m."""
         return self._settings.alarms.thickness_loss_fraction * self._settings.ultrasound.initial_thickness_m
 
     def _build_condition(self, due: DueSet, row: ThicknessRow, reading: EchoReading) -> Condition:
-        """Return the condition ``thickness_low`` (priority high) after a reading; the k-of-n rule decides."""
+        """Return the condition ``thickness_low`` (priority high) after a reading; present by the k-of-n rule.
+
+        Its ``times_limit`` (loss divided by limit) is None for a bad or missing loss; lengths in the evidence
+        are in m.
+        """
         fraction = self._settings.alarms.thickness_loss_fraction
         initial_m = self._settings.ultrasound.initial_thickness_m
         remaining_m, loss_m = row.thickness_m, row.thickness_loss_m
@@ -197,6 +205,9 @@ class PulseEchoAssessor:
 
 
 def _find_echo_flags(reading: EchoReading, echo: PulseEchoRecord) -> tuple[str, ...]:
-    """Return the flags of an echo; only the instrument knows whether averaged records were clipped."""
+    """Return the flags of an echo: ``no_echo`` for a bad reading, ``clipped`` for a clipped record.
+
+    Of an average, the settings of the instrument give the number of clipped records.
+    """
     clipped = echo.waveform.clipped or float(echo.settings.get("clipped_records", 0.0)) > 0.0
     return (("no_echo",) if reading.quality == "bad" else ()) + (("clipped",) if clipped else ())

@@ -34,12 +34,17 @@ STATE_FORMAT = 1
 def restore_solitary_wave(
     position: str, settings: Settings, catalogue: Catalogue, archive: SetReader, rehearsal: bool
 ) -> SolitaryWaveAssessor:
-    """Restore the assessor of a transducer from the catalogue, or from all stored sets (`_restore_state`).
+    """Restore the assessor of a transducer from its stored state, or from all stored sets (`_restore_state`).
 
     Parameters
     ----------
     rehearsal
         Its waveforms are noise: no alarm of wall or transducer.
+
+    Raises
+    ------
+    StorageError
+        Catalogue or archive cannot be read.
     """
     from daq_service.assessment.solitary_wave import SolitaryWaveAssessor
 
@@ -57,12 +62,16 @@ def restore_solitary_wave(
 def restore_pulse_echo(
     position: str, settings: Settings, catalogue: Catalogue, archive: SetReader, rehearsal: bool
 ) -> PulseEchoAssessor:
-    """Restore the assessor of a probe; a rehearsal's echoes are real ones.
+    """Restore the assessor of a probe; ``rehearsal`` is ignored, because its echoes are real ones.
+
+    A lost reference is replaced by the next good reading whose record can be read.
 
     Raises
     ------
     ArchiveError
         Its reference is not stored, and no record of any good reading is left.
+    StorageError
+        The catalogue cannot be read.
     """
     from daq_service.assessment.pulse_echo import PulseEchoAssessor
 
@@ -76,10 +85,12 @@ def restore_pulse_echo(
 
 
 def _restore_state(assessor: A, configuration_hash: str, catalogue: Catalogue, archive: SetReader) -> A:
-    """Restore the state of a new assessor and return the assessor.
+    """Restore the state of a new assessor, in place, and return the assessor.
 
-    The stored state is used if this version and configuration wrote all of it; otherwise all stored sets are
-    replayed. A state of an earlier baseline is ignored: the new baseline starts empty.
+    The stored state is used if this state format and configuration wrote all of it; otherwise all stored sets
+    are replayed. A state of an earlier baseline is ignored: the new baseline starts empty. Raise StorageError
+    if the catalogue cannot be read, ValueError, KeyError or TypeError for a stored state that cannot be
+    decoded.
     """
     from analysis.assessment.exact_json import from_json
 
@@ -95,7 +106,8 @@ def _restore_state(assessor: A, configuration_hash: str, catalogue: Catalogue, a
 def replay_stored_sets(assessor: Assessor, catalogue: Catalogue, archive: SetReader) -> None:
     """Update the state of a new assessor with all stored sets in the order of their commits.
 
-    The faults of a transducer are cleared where a person enabled it.
+    The faults of a transducer are cleared where a person enabled it. Raise StorageError if the catalogue
+    cannot be read.
     """
     from daq_service.assessment.follow_rows import replay_stored_set
 
@@ -135,14 +147,14 @@ def is_assessed(row: SetRow) -> bool:
 
 
 def read_first_waveform(archive: SetReader, row: SetRow) -> Waveform:
-    """Read the waveform of the first shot of a set at its position.
+    """Read the waveform of the first shot (index 0), or of the pulse-echo record, of a set at its position.
 
     Raises
     ------
     SetNotFoundError
-        The set has no file.
+        The set has no file, or its file or record is missing.
     CorruptArchiveError
-        The record cannot be read.
+        The record is corrupt.
     """
     if row.file is None:
         raise SetNotFoundError(f"set {row.set_key} has a reading of {row.position!r} and no file")
@@ -158,9 +170,10 @@ def _read_accepted_flags(catalogue: Catalogue, row: SetRow) -> list[list[str]]:
 
 
 def _find_sets_after_enabling(position: str, catalogue: Catalogue) -> set[SetKey]:
-    """Return the first set that was committed after each time the transducer was enabled.
+    """Return the key of the first set that was committed after each time the transducer was enabled.
 
-    `NEVER` is among them if no set was committed after one of them.
+    `NEVER` is among them if no set was committed after one of them. Raise StorageError if the catalogue
+    cannot be read.
     """
     found = set[SetKey]()
     for event in catalogue.rows(EventRow, topic="alarms", kind="alarm_reset", position=position):

@@ -16,7 +16,10 @@ MADE_BY = "extractor_version"
 
 
 def read_set_results(catalogue: Catalogue, set_key: SetKey) -> Results:
-    """Read the results of a set from the catalogue, as columns of each table; empty if it has no results."""
+    """Read the results of a set from the catalogue, as columns of each table (`build_result_tables`).
+
+    Empty if it has no results. Raise StorageError if the catalogue cannot be read.
+    """
     of_set = set_key._asdict()
     positions = [row.position for row in catalogue.rows(SetRow, **of_set)]
     return build_result_tables(
@@ -27,9 +30,10 @@ def read_set_results(catalogue: Catalogue, set_key: SetKey) -> Results:
 
 
 def read_newest_results(catalogue: RecorderCatalogue, set_key: SetKey) -> Results:
-    """Return the results of a set as columns of each table.
+    """Return the results of a set as columns of each table (`build_result_tables`).
 
-    The set that this process stored last is not read again; others are read from the catalogue.
+    Those of the set that this process stored last come from memory; others are read from the catalogue, which
+    raises StorageError if it cannot be read.
     """
     newest = catalogue.newest
     if all(row.set_key != set_key for row in newest.sets):
@@ -42,8 +46,9 @@ def build_result_tables(
 ) -> Results:
     """Convert the rows of one set to columns of the tables ``features``, ``set_features`` and ``thickness``.
 
-    A row whose record is lost is left out, and so is a table without rows. A missing or infinite value is
-    NaN.
+    Each has the measured values, position, quality and extractor version; a row of a shot also its id,
+    validity (1 or 0) and flags. A row whose shot is not among ``shots`` is left out, and so is a table
+    without rows. A missing or infinite value is NaN.
     """
     shot_of: dict[int | None, ShotRow] = {row.sequence: row for row in shots}
     tables: dict[str, list[dict[str, Any]]] = {"features": [], "set_features": [], "thickness": []}
@@ -69,14 +74,15 @@ def build_result_tables(
 
 
 def _to_columns(rows: Sequence[Mapping[str, Any]]) -> dict[str, list[Any]]:
-    """Convert the rows of a table, at least one and with equal keys, to a list of values per column."""
+    """Convert the rows of a table, at least one and with equal keys, to a list of values for each column."""
     return {name: [row[name] for row in rows] for name in rows[0]}
 
 
 def find_differences(copy: Results, rows: Results) -> Iterator[str]:
     """Yield a text for each difference between a file's copy of the results and the rows of the catalogue.
 
-    Rows of another extractor version, and columns that only one of them has, are not compared.
+    Rows that only one of them has differ; rows of another extractor version, and columns that only one has,
+    are not compared. Two NaN are equal.
     """
     for table, key in RESULTS.items():
         copied, expected = _index_by_key(key, copy.get(table, {})), _index_by_key(key, rows.get(table, {}))
@@ -92,7 +98,10 @@ def find_differences(copy: Results, rows: Results) -> Iterator[str]:
 
 
 def _index_by_key(key: str, columns: Mapping[str, Sequence[Any]]) -> dict[Any, dict[str, Any]]:
-    """Convert the columns of a table to rows, indexed by their key column; empty without columns."""
+    """Convert the columns of a table to rows, by the value of their column ``key``; empty without columns.
+
+    Raise ValueError for columns of different lengths, KeyError without the key column.
+    """
     rows = (dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True))
     return {row[key]: row for row in rows}
 

@@ -15,10 +15,12 @@ HOURS_PER_DAY = 24.0
 def build_rules(
     settings: Settings, *, baseline: BaselineRange, position: str, has_chart: bool = True
 ) -> Rules:
-    """Return the rules of a transducer's assessment from the configuration.
+    """Build the rules of a transducer's assessment from the configuration.
 
     Parameters
     ----------
+    baseline
+        Range of sets of the current baseline.
     has_chart
         False: no control chart (``run_length`` is None), as for a baseline of a version without charts.
     """
@@ -42,10 +44,10 @@ def build_rules(
 
 
 def compute_run_length(schedule: ScheduleSettings, baseline_end_h: float, alarms_per_year: float) -> float:
-    """Compute the mean number of sets between two false alarms of a healthy transducer.
+    """Compute the mean number of sets between two false alarms of a healthy transducer (average run length).
 
-    It is the design false-alarm rate at the mean interval of the complete schedule after the baseline. A test
-    that ends early keeps its rate.
+    It corresponds to ``alarms_per_year`` at the mean interval of the complete schedule after the baseline;
+    without a set there, at the interval of the last phase. A test that ends early keeps its rate.
     """
     phases = schedule.phases
     hours_after = [hour for hour in list_due_hours(phases) if hour > baseline_end_h]

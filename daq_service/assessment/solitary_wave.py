@@ -105,7 +105,8 @@ class SolitaryWaveAssessor:
     ) -> PositionResult:
         """Assess the records of a scheduled set at this position and update the state.
 
-        All shots have rows, but only accepted ones count. In a rehearsal the result has no conditions.
+        All shots have rows, but only accepted ones count. In a rehearsal the result has no conditions and no
+        suspicion. Raise KeyError if ``features`` lacks a shot.
         """
         shots = [shot for shot in record.shots if shot.key.position == self.position]
         position_result = self.assess(
@@ -118,9 +119,9 @@ class SolitaryWaveAssessor:
         return replace(position_result, conditions=(), suspicion="") if self._rehearsal else position_result
 
     def assess_empty_set(self, due: DueSet, n_tried: int) -> PositionResult:
-        """Assess a scheduled set without any record.
+        """Assess a scheduled set without any record, update the state, and return conditions and a note.
 
-        If all its shots were tried, it counts as too few valid shots.
+        If all its shots were tried, it counts as a set with too few valid shots.
         """
         return self.assess(due, [], [], n_tried=n_tried)
 
@@ -135,14 +136,15 @@ class SolitaryWaveAssessor:
     ) -> PositionResult:
         """Assess one scheduled set from its shots and their features, and update the state.
 
-        A set without a record has neither rows nor an assessment, only conditions.
+        A set without a record has neither rows nor an assessment, only conditions and a note. The set that
+        completes the baseline also has its row, and the assessments of all its sets.
 
         Parameters
         ----------
         shots, features
-            Shots with a waveform, in order, every attempt.
+            Shots with a waveform, in order, every attempt, and the features of each.
         outcomes
-            Outcome of each shot that is not ``accepted``, by its sequence.
+            Outcome of each shot that is not ``accepted``, by its sequence number.
         n_tried
             Shots that were struck, with or without a record; None: those that have one.
         """
@@ -180,9 +182,9 @@ class SolitaryWaveAssessor:
     def assess_unscheduled(
         self, due: DueSet, record: SetRecord, features: Mapping[int, ShotFeatures]
     ) -> PositionResult:
-        """Assess an unscheduled set; control chart and baseline never use it.
+        """Assess an unscheduled set; it may change the diagnosis state, but never control chart and baseline.
 
-        Before the baseline is complete the result has features, but no assessment.
+        Before the baseline is complete the result has features, but no assessment; it never has conditions.
         """
         shots = [shot for shot in record.shots if shot.key.position == self.position]
         combined = self._average_valid(shots, [features[shot.sequence] for shot in shots], record.outcomes)
@@ -199,10 +201,10 @@ class SolitaryWaveAssessor:
         return replace(result, assessments=[row])
 
     def diagnose_unscheduled(self, set_of_shots: SetOfShots) -> Diagnosis | None:
-        """Diagnose an unscheduled set and add it to the diagnosis state.
+        """Diagnose an unscheduled set and update the diagnosis state with it.
 
-        Return None, with the state unchanged, if the baseline has no diagnosis model or the set lacks a
-        feature.
+        Return None, with the state unchanged, if the baseline is not complete or has no diagnosis model, or
+        the set lacks a feature.
         """
         parameters = None if self.state.baseline is None else self.state.baseline.causes
         if parameters is None or set_of_shots.vector() is None:
@@ -215,7 +217,7 @@ class SolitaryWaveAssessor:
 
     @property
     def not_assessed_reason(self) -> str:
-        """Return why a set cannot be compared with a baseline; empty if it can."""
+        """Return why sets cannot be compared with a baseline that has limits; empty if they can."""
         if self.state.baseline is None:
             return "it has no baseline yet; wait until it is recorded"
         return self.state.baseline.reason or ""
@@ -225,9 +227,8 @@ class SolitaryWaveAssessor:
     ) -> CombinedShots:
         """Flag the shots of a set by comparison, and average each feature over its valid accepted shots.
 
-        Instead, `features.of_set` can take the features of their mean waveform. Missing, invalid and rejected
-        shots do not enter the mean; with too few valid shots it is NaN and its quality ``bad``
-        (`combine_shots`).
+        With `features.of_set` = averaged_waveform the features are those of the mean waveform of these shots.
+        With too few valid shots the mean is NaN and its quality ``bad`` (`combine_shots`).
         """
         return combine_shots(
             shots,
@@ -239,7 +240,11 @@ class SolitaryWaveAssessor:
         )
 
     def _build_shot_results(self, due: DueSet, combined: CombinedShots) -> PositionResult:
-        """Return the feature rows of the shots and of their mean, with flags, without an assessment."""
+        """Return the result of a set without an assessment, conditions and baseline.
+
+        It has a feature row for each shot, then that of their mean; the number of valid shots, the flags by
+        sequence number, the numbers of invalid shots, and the reason for a poor mean as note.
+        """
         of_shots = list(zip(combined.shots, combined.features, strict=True))
         rows = [_build_feature_row(due, shot, features) for shot, features in of_shots]
         return PositionResult(
@@ -253,9 +258,10 @@ class SolitaryWaveAssessor:
     # Rows ----------------------------------------------------------------------------------------
 
     def _build_baseline_row(self) -> BaselineRow:
-        """Return the row of the baseline that this set has completed.
+        """Return the row of the baseline that this set has completed, ``proposed`` or ``approved``.
 
-        Without enough usable sets its mean and covariance consist of None, and it cannot be approved.
+        Without enough usable sets its mean and covariance consist of None, and it is always ``proposed``;
+        otherwise automatic approval makes it ``approved``.
         """
         state, rules = self.state, self.rules
         assert state.baseline is not None, "just closed"
@@ -291,9 +297,10 @@ class SolitaryWaveAssessor:
         )
 
     def build_baseline_assessments(self) -> list[AssessmentRow]:
-        """Return the assessment rows of the sets of the completed baseline, in order.
+        """Return the assessment rows of the usable sets of the completed baseline, in order.
 
-        They have the squared distances from the baseline. These are None if the baseline has no limits.
+        They have the squared distances from the baseline, None if it has no limits. Raise AssertionError
+        before it is complete.
         """
         state = self.state
         assert state.baseline is not None, "just closed"
@@ -311,9 +318,9 @@ class SolitaryWaveAssessor:
     def _build_assessment_row(
         self, set_index: int, due_h: float, assessment: SetAssessment, unscheduled_index: int = 0
     ) -> AssessmentRow:
-        """Return the row of an assessment with the limits of the baseline.
+        """Return the row of an assessment with the limits of the baseline, its statistics and its diagnosis.
 
-        Columns without a value are None.
+        Columns without a value are None. ``due_h`` is the scheduled hour of the test.
         """
         baseline = self.state.baseline
         limits = {} if baseline is None else baseline.limits
@@ -349,12 +356,12 @@ class SolitaryWaveAssessor:
 
 
 def has_completed_baseline(before: State, after: State) -> bool:
-    """Return whether the set between two states completed the baseline."""
+    """Return whether the set between two states, before and after it, completed the baseline."""
     return before.baseline is None and after.baseline is not None
 
 
 def _build_feature_row(due: DueSet, shot: Shot, features: ShotFeatures) -> FeatureRow:
-    """Return the row of the features of one shot; ``n_valid`` is 1 if the shot is valid, else 0."""
+    """Return the row of the features of one shot; ``n_valid`` is 1 if the shot is valid, else 0; no id."""
     return FeatureRow(
         id=None,
         set_index=due.set_index,
@@ -371,7 +378,7 @@ def _build_feature_row(due: DueSet, shot: Shot, features: ShotFeatures) -> Featu
 
 
 def _build_set_feature_row(position: str, due: DueSet, mean: SetFeatures) -> FeatureRow:
-    """Return the row of the mean features of a set; it has no shot index and no sequence."""
+    """Return the row of the mean features of a set; ``shot_index`` and ``sequence`` are None."""
     return FeatureRow(
         id=None,
         set_index=due.set_index,
@@ -391,10 +398,10 @@ def _build_set_feature_row(position: str, due: DueSet, mean: SetFeatures) -> Fea
 
 
 def find_conditions(position: str, state: State, rules: Rules, assessment: AssessmentRow) -> list[Condition]:
-    """Return the conditions ``wall_change`` and ``transducer_change`` after a set; at most one is present.
+    """Return the conditions ``wall_change`` (high) and ``transducer_change`` (medium) after a set.
 
-    A change with a diagnosis other than the wall raises the transducer alarm; an undetermined one raises the
-    wall alarm (`diagnosis.update_origin`).
+    At most one is present: a change with a diagnosis other than the wall raises the transducer alarm; an
+    undetermined one raises the wall alarm (`diagnosis.update_origin`).
 
     Parameters
     ----------
@@ -438,14 +445,14 @@ def find_conditions(position: str, state: State, rules: Rules, assessment: Asses
 
 
 def describe_false_alarm_rate(design: Design, budget: float) -> str:
-    """Describe the design false-alarm rate of the chart for a healthy transducer.
-
-    If it is not verified, the text has the reason.
+    """Describe the design false-alarm rate of a transducer's chart; if it is not verified, add the reason.
 
     Parameters
     ----------
+    design
+        Chart parameters of the baseline.
     budget
-        False alarms per year.
+        Design false-alarm rate, false alarms per year.
     """
     rate = f"{budget:g} false alarms a year"
     return (
@@ -462,7 +469,11 @@ AlarmBasis = tuple[bool, float | None, str, dict[str, Any]]
 def _get_chart_basis(
     position: str, design: Design, state: State, rules: Rules, assessment: AssessmentRow
 ) -> AlarmBasis:
-    """Return the basis of the wall alarm if the control chart decides: statistic, limit and contributions."""
+    """Return presence, multiple of the limit, message and evidence of an alarm that the MEWMA chart decides.
+
+    The evidence has statistic, limit, contribution of each feature, design rate, and whether the chart or the
+    diagnosis raised it. Raise AssertionError if the state has no chart.
+    """
     memory = state.memory
     assert memory is not None, "checked by the caller"
     limit, average = design.limits[MEWMA], np.array(memory.averages[MEWMA])
@@ -491,9 +502,9 @@ def _get_chart_basis(
 
 
 def _build_k_of_n_basis(position: str, state: State, rules: Rules, assessment: AssessmentRow) -> AlarmBasis:
-    """Return the basis of the wall alarm if k outliers of n sets decide.
+    """Return presence, multiple of the limit, message and evidence of an alarm by k outliers of n sets.
 
-    The multiple of the limit is None if statistic or limit is missing.
+    The multiple is None if statistic or limit is missing. Raise KeyError for an unknown limit name.
     """
     alarm, rule = state.alarm, rules.alarm
     statistics = {
@@ -521,14 +532,14 @@ def _build_k_of_n_basis(position: str, state: State, rules: Rules, assessment: A
 def build_no_reflection_condition(
     position: str, due: DueSet, state: State, rule: HoleRule, flags: Sequence[Sequence[str]]
 ) -> Condition:
-    """Return the condition ``no_reflection`` (priority critical, latched).
+    """Return the condition ``no_reflection`` (critical, latched): a hole, or a chain that lost contact.
 
-    The wall has a hole, or the chain lost contact.
+    It is present after `rule.consecutive_sets` sets with enough shots without a reflected wave.
 
     Parameters
     ----------
     flags
-        Flags of each accepted shot.
+        Flags of each accepted shot; those with ``no_psw`` are counted in the message.
     """
     n_without_psw = sum("no_psw" in of_shot for of_shot in flags)
     return Condition(
@@ -555,14 +566,15 @@ def build_no_reflection_condition(
 def build_transducer_conditions(
     position: str, due: DueSet, state: State, rules: Rules, quality: QualitySettings, reason: str
 ) -> list[Condition]:
-    """Return the conditions ``few_valid_shots`` and, latched after more sets, ``transducer_disabled``.
+    """Return the conditions ``few_valid_shots`` (medium) and, latched, ``transducer_disabled`` (high).
 
-    `quality.retire_after_sets` = 0 never disables a transducer.
+    They are present from `quality.no_data_sets` and `quality.retire_after_sets` consecutive poor sets on; 0
+    for the latter never disables a transducer.
 
     Parameters
     ----------
     reason
-        Why the set's feature is bad or suspect.
+        Why the set's features are bad or suspect, for the message.
     """
     poor = state.poor_sets
     finding = f"{poor} sets running with too few valid shots at {position} (last: {reason})"
@@ -593,12 +605,12 @@ def build_transducer_conditions(
 def build_not_assessed_condition(
     position: str, due: DueSet, state: State, baseline_id: int, reason: str
 ) -> Condition:
-    """Return the condition ``not_assessed``: present if the baseline is complete, but has no limits.
+    """Return the condition ``not_assessed`` (medium): present if the baseline is complete, but has no limits.
 
     Parameters
     ----------
     reason
-        Why it has none (`SolitaryWaveAssessor.not_assessed_reason`).
+        Why it has none (`SolitaryWaveAssessor.not_assessed_reason`), for the message.
     """
     return Condition(
         position=position,

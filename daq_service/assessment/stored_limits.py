@@ -12,7 +12,7 @@ from daq_service.settings.tree import AlarmSettings
 def collect_limits_by_name(row: BaselineRow | AssessmentRow) -> dict[str, float]:
     """Return the limits of a stored row by name; empty if it has none.
 
-    Rows of earlier versions have two limits, in columns.
+    Rows of earlier versions have at most two limits, in columns.
     """
     if row.limits is not None:
         return dict(row.limits)
@@ -23,7 +23,7 @@ def collect_limits_by_name(row: BaselineRow | AssessmentRow) -> dict[str, float]
 
 
 def find_limit_statistic(row: AssessmentRow, limit_name: str) -> float | None:
-    """Return the statistic that a named limit applies to; None if the row does not have it.
+    """Return the value of the statistic that a named limit applies to; None if the row does not have it.
 
     Raises
     ------
@@ -38,7 +38,7 @@ def find_limit_statistic(row: AssessmentRow, limit_name: str) -> float | None:
 
 
 def find_chart_statistic(row: AssessmentRow | None, alarms: AlarmSettings) -> tuple[float, float] | None:
-    """Return statistic and limit of the MEWMA control chart; None if it does not decide the wall alarm.
+    """Return statistic and limit of the MEWMA control chart if it decides the wall alarm, else None.
 
     None also without an assessment, a statistic or a limit.
     """

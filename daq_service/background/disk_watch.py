@@ -51,7 +51,7 @@ class DiskWatch(BackgroundTask):
         self.on_change: Callable[[DiskSpace], None] = lambda space: None
 
     def run_for(self, seconds: float) -> None:
-        """Measure the free space if it is due, and call `on_change` if its level has changed.
+        """Measure the free space if it is due (`check`), and call `on_change` if its level has changed.
 
         It takes no noticeable time, so it may also run between shots; ``seconds`` is ignored.
         """
@@ -59,14 +59,15 @@ class DiskWatch(BackgroundTask):
             self.on_change(space)
 
     def close(self) -> None:
-        """Remove the reserve file; a refusal is logged."""
+        """Remove the reserve file; an error of the disk is logged, not raised."""
         self.free_reserve()
 
     def check(self) -> DiskSpace | None:
-        """Measure the free space, at most every `LOOK_EVERY_S`.
+        """Measure the free space, at most every `LOOK_EVERY_S`; return it if its level has changed.
 
-        Return it if its level has changed, else None. The reserve file is allocated while more than twice its
-        size is free, and deleted below a quarter of it. None also if the volume cannot be measured.
+        `space` is updated. The reserve file is allocated while more than twice its size is free (not at the
+        level "stop"), and deleted below a quarter of it. Return None otherwise, also if the volume cannot be
+        measured.
         """
         if self._machine.mono_s() < self._next_s:
             return None
@@ -84,20 +85,20 @@ class DiskWatch(BackgroundTask):
 
     @property
     def refusal(self) -> str:
-        """Return the reason why nothing can be stored at present; empty if there is room."""
+        """Return the reason why nothing can be stored, by the newest measurement; empty if there is room."""
         return refusal(self.space, self._settings)
 
     def free_reserve(self) -> None:
-        """Delete the reserve file, so that the data waiting in memory fit on the disk.
+        """Delete the reserve file, if any, so that the data waiting in memory fit on the disk.
 
-        A refusal is logged.
+        An error of the disk is logged, not raised.
         """
         remove_quietly(self._path)
 
     def _allocate_reserve(self) -> None:
         """Allocate the reserve file with its full size, unless it exists with that size or the size is 0.
 
-        If the disk refuses, the file is removed and the error is logged.
+        An error of the disk is logged, not raised; a file that could not be allocated is removed.
         """
         try:
             if not self._reserve_bytes or self._path.stat().st_size == self._reserve_bytes:

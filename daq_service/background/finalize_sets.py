@@ -76,8 +76,8 @@ class SetFinalizer(BackgroundTask):
     def after_set(self, set_key: SetKey) -> None:
         """Submit a complete set of the journal to the worker, which writes its file.
 
-        Start the worker if needed. If the worker has died, or the results cannot be read, the set is retried
-        later.
+        Start the worker if needed. If it has died, or the results cannot be read (logged), the set is retried
+        later, and no error is raised.
         """
         if self._executor is None:
             self._executor = self._start()
@@ -98,9 +98,10 @@ class SetFinalizer(BackgroundTask):
             self._keep_in_journal(set_key, error)
 
     def submit(self, work: Callable[..., T], *arguments: Any) -> Future[T] | None:
-        """Submit other work to the worker.
+        """Submit other work (a picklable function) to the worker; start the worker if needed.
 
-        Return None if sets wait for their files, or the worker has just died.
+        Return its future; None if sets wait for their files, or the worker has died (the next call starts
+        another).
         """
         if self.waits:
             return None
@@ -113,9 +114,9 @@ class SetFinalizer(BackgroundTask):
             return None
 
     def run_for(self, seconds: float = 0.0) -> None:
-        """Process the results of the worker, and submit failed sets again after `AGAIN_AFTER_S`.
+        """Process the finished results of the worker, and submit failed sets again after `AGAIN_AFTER_S`.
 
-        Never block.
+        It never waits for the worker; ``seconds`` is ignored.
         """
         for set_key in [key for key, future in self._running.items() if future.done()]:
             self._take_result(set_key, self._running.pop(set_key))
@@ -125,10 +126,10 @@ class SetFinalizer(BackgroundTask):
             self.after_set(set_key)
 
     def _take_result(self, set_key: SetKey, future: Future[tuple[SetReference, str, str]]) -> None:
-        """Process the result of the worker for a set: report its file, then remove the set from the journal.
+        """Process the worker's result for a set: report its file, then remove the set from the journal.
 
-        After an error of disk or worker it is retried later; a corrupt set stays in the journal and is listed
-        in `damaged`.
+        A set that is not in the journal any more counts as done. After any other error it is retried later
+        (logged), but a corrupt set stays in the journal and is listed in `damaged`.
         """
         try:
             file, sha256, message = future.result()
@@ -152,14 +153,14 @@ class SetFinalizer(BackgroundTask):
         self.trouble = self.trouble if self._again_s else ""
 
     def _keep_in_journal(self, set_key: SetKey, error: Exception) -> None:
-        """Keep a set in the journal after an error, log it, and schedule a retry after `AGAIN_AFTER_S`."""
+        """Keep a set in the journal after an error: log it as `trouble`, and retry after `AGAIN_AFTER_S`."""
         log.error("set %s has no file yet and stays in the journal: %s", set_key, error)
         self.trouble = f"{error}"
         self._again_s[set_key] = self._machine.mono_s() + AGAIN_AFTER_S
 
     @property
     def n_under_way(self) -> int:
-        """Return the number of sets that the worker has not finished."""
+        """Return the number of sets whose result from the worker is not processed yet."""
         return len(self._running)
 
     @property
@@ -174,9 +175,9 @@ class SetFinalizer(BackgroundTask):
         self.run_for()
 
     def close(self) -> None:
-        """Stop the worker, without waiting for sets that it still writes.
+        """Stop the worker; wait for other work of it, but not for sets that it still writes.
 
-        They remain in the journal for the next start.
+        These remain in the journal for the next start.
         """
         if self._executor is not None:
             self._executor.shutdown(wait=not self._running, cancel_futures=True)

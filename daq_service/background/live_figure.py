@@ -34,15 +34,17 @@ MARKS = ("isw_time_s", "isw_amplitude_v", "psw_time_s", "psw_amplitude_v", "ssw_
 
 
 def encode_live_figure(header: Mapping[str, Any], waveform: Waveform) -> bytes:
-    """Encode header and ADC codes as the bytes of a live file and of a live message.
+    """Encode a header and the ADC codes of a waveform as the bytes of a live file and of a live message.
 
-    The layout is that of the module: u32 length, JSON header padded to a multiple of 8, little-endian
-    samples.
+    Layout: u32 length of the header, JSON header, padded until the samples start at a multiple of 8, samples;
+    all little-endian.
 
     Raises
     ------
     ValueError
         A number of the header is not finite.
+    TypeError
+        JSON cannot hold a value of the header.
     """
     text = json.dumps(dict(header), separators=(",", ":"), allow_nan=False).encode()
     text += b" " * (-(4 + len(text)) % 8)
@@ -64,9 +66,10 @@ class LiveFigure(BackgroundTask):
         self._refused: int | None = None
 
     def due(self, position: str) -> bool:
-        """Return whether the live figure of a position is due for an update; the first one is.
+        """Return whether the live figure of a position is due for an update; the first one always is.
 
-        The interval is 0.1 to 1 s; it grows with the time that writing takes (`COSTS_BETWEEN`).
+        The interval since the last one, 0.1 to 1 s, grows with the number of positions and the time that
+        writing takes (`COSTS_BETWEEN`).
         """
         last = self._written_ns.get(position)
         pause_ns = COSTS_BETWEEN * len(self._written_ns) * self._cost_ns
@@ -76,12 +79,15 @@ class LiveFigure(BackgroundTask):
     def show(
         self, measurement: Shot | PulseEchoRecord, *, due_h: float, features: ShotFeatures | None
     ) -> None:
-        """Replace the live figure of a position by a record.
+        """Replace the live figure file of a position by a record, whether it is due or not.
 
-        A disk error loses the figure, not the shot; it is logged once until it changes.
+        An OSError is logged as a warning once until its errno changes, and not raised: the figure is lost,
+        not the shot.
 
         Parameters
         ----------
+        due_h
+            Scheduled hour of the test.
         features
             Features of a shot: their times, amplitudes and flags are marked; None: no marks.
         """

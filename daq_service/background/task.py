@@ -11,7 +11,7 @@ class BackgroundTask(Protocol):
     """Work that the recorder runs in short pieces while no set is due."""
 
     def run_for(self, seconds: float) -> None:
-        """Process one short piece of background work; called repeatedly while no set is due.
+        """Process one short piece of background work; the recorder calls it repeatedly while no set is due.
 
         Parameters
         ----------
@@ -21,9 +21,9 @@ class BackgroundTask(Protocol):
         return
 
     def after_set(self, set_key: SetKey) -> None:
-        """Handle a set with records, once its rows are stored."""
+        """React to a set that has records; called once its rows are stored."""
         return
 
     def close(self) -> None:
-        """Stop the task; unfinished work is left to the next recorder."""
+        """Stop the task, once at the end of the recorder; unfinished work is left to the next recorder."""
         return

@@ -30,9 +30,16 @@ EVERY_S, SETS_A_TURN = 10.0, 4
 def add_record_to_tiles(
     folder: Path, experiment: str, anchors: Mapping[int, float], record: SetRecord
 ) -> str:
-    """Add the records of a scheduled set to the tiles; return an error message, empty on success.
+    """Add a scheduled set to the tiles, complete blocks only; return an error message, empty on success.
 
     An unscheduled set is skipped. No error is raised, because the tiles are a cache.
+
+    Parameters
+    ----------
+    experiment
+        Identifier of the test.
+    anchors
+        Time of the first pulse or echo in s, by sequence number (`extract_anchors`).
     """
     if record.unscheduled_index:
         return ""
@@ -44,7 +51,7 @@ def add_record_to_tiles(
 
 
 def add_files_to_tiles(folder: Path, experiment: str, sets: Sequence[tuple[str, Results]]) -> str:
-    """Add stored sets (file, results) to the tiles; return the last error message, empty on success.
+    """Add stored sets (file and results of each) to the tiles; return the last error message, or empty.
 
     After an error the next set follows; none is raised.
     """
@@ -64,14 +71,16 @@ def rebuild_tiles(
     results: Callable[[SetKey], Results],
     progress: Callable[[int, int], None],
 ) -> list[str]:
-    """Remove the tiles of a folder and build them from the files of all scheduled sets.
+    """Delete all tiles of a folder, build them from all scheduled sets, and return error messages.
 
-    Return error messages. If the old tiles cannot be removed, nothing is built.
+    If the old tiles cannot be removed, nothing is built. Errors of ``results`` and ``progress`` are raised.
 
     Parameters
     ----------
+    files, results
+        Files of sets by key, and a function that returns the results of a set.
     progress
-        Called after each set with the number of sets done and of all files.
+        Called after each scheduled set with the number of sets done and of all files.
     """
     try:
         remove_tiles(folder)
@@ -86,7 +95,7 @@ def rebuild_tiles(
 
 
 def _select_scheduled_files(files: Mapping[SetKey, str]) -> dict[SetKey, str]:
-    """Return the files of the scheduled sets in the given order; the waterfall shows no others."""
+    """Return the files of the scheduled sets by key, in the given order; the waterfall shows no others."""
     return {key: file for key, file in files.items() if not key.unscheduled_index}
 
 
@@ -122,10 +131,11 @@ class TileMaker(BackgroundTask):
         self._last_message = ""
 
     def run_for(self, seconds: float) -> None:
-        """Process the result of the worker, and submit up to `SETS_A_TURN` sets, at most every `EVERY_S`.
+        """Process the result of the worker, then submit up to `SETS_A_TURN` sets, at most every `EVERY_S`.
 
-        None is submitted within `QUIET_S` of the next set, while sets wait for their files, or without disk
-        space.
+        None is submitted while the worker has the last ones, within `QUIET_S` of the next set, while sets
+        wait for their files, or without disk space. ``seconds`` is the time until the next set. An error of
+        ``files`` is raised.
         """
         if self._running is not None:
             if not self._running.done():
@@ -138,9 +148,10 @@ class TileMaker(BackgroundTask):
             self._submit_sets(self._select_next_sets())
 
     def _select_next_sets(self) -> list[tuple[SetKey, str]]:
-        """Return up to `SETS_A_TURN` next sets of this round, the newest sets first.
+        """Remove up to `SETS_A_TURN` sets from the end of the round and return their keys and files.
 
-        List all files at its start. The list is empty if the test has no files.
+        The newest sets come first. An empty round starts again with all scheduled files; the list is empty if
+        the test has none.
         """
         if not self._round:
             self._round = sorted(_select_scheduled_files(self._files()).items())
@@ -150,7 +161,7 @@ class TileMaker(BackgroundTask):
     def _submit_sets(self, sets: Sequence[tuple[SetKey, str]]) -> None:
         """Submit files and results of some sets to the worker.
 
-        If the catalogue cannot be read, log it and skip them.
+        If their results cannot be read (logged), or the worker takes no work, they wait for the next round.
         """
         try:
             files_and_results = [(file, self._results(set_key)) for set_key, file in sets]
@@ -163,7 +174,7 @@ class TileMaker(BackgroundTask):
             )
 
     def _take_result(self, future: Future[str]) -> None:
-        """Process the result of the worker; log its message once until it changes."""
+        """Process the result of the worker: log its message, or its error, once until that changes."""
         try:
             message = future.result()
         except Exception as error:  # noqa: BLE001 - a worker that died; the round comes again

@@ -68,14 +68,15 @@ class IdleVerification(BackgroundTask):
         self.files_read = 0
 
     def begin(self, known: Mapping[str, str] = MappingProxyType({})) -> None:
-        """Start a round: list all files of sets, corrupt ones first, and the missing ones as damaged.
+        """Start a round: list all files of sets, corrupt ones first, and add the missing ones to `damaged`.
 
-        If the catalogue cannot be read, the previous round is kept and the error logged.
+        Other entries of files that no longer exist are removed from `damaged`. If the catalogue cannot be
+        read, the previous round is kept and a warning is logged.
 
         Parameters
         ----------
         known
-            Corrupt files found by an earlier process: they are verified first.
+            Fault of each corrupt file that an earlier process found: these are verified first, too.
         """
         try:
             lost = self._lost()
@@ -91,8 +92,14 @@ class IdleVerification(BackgroundTask):
     def run_for(self, seconds: float) -> None:
         """Process the result of a verified file, else submit the next one, at most every `EVERY_S`.
 
-        None is submitted within `QUIET_S` of the next set, or while the worker writes files. The last file of
-        a round is followed by the first of a new one.
+        None is submitted within `QUIET_S` of the next set, or while the worker writes files. After the last
+        file of a round a new round begins. An error of disk or catalogue is logged, and the file is tried
+        again.
+
+        Parameters
+        ----------
+        seconds
+            Time until the next set is due.
         """
         if self._running is not None:
             file, is_noted, future = self._running
@@ -118,8 +125,13 @@ class IdleVerification(BackgroundTask):
     def _take_result(self, file: str, is_noted: bool, future: Future[tuple[str, str]]) -> None:
         """Process the result for a file: update `damaged`, and report a SHA-256 that is not stored yet.
 
-        After an error of the disk, the catalogue or the worker the file is left for the next round; the error
-        is logged.
+        After an error of the disk, the catalogue or the worker the file is left for the next round, and the
+        error is logged. A file that has disappeared counts as damaged.
+
+        Parameters
+        ----------
+        is_noted
+            The catalogue has the SHA-256 of the file.
         """
         try:
             fault, sha256 = future.result()
@@ -141,12 +153,12 @@ class IdleVerification(BackgroundTask):
 
 
 def _parse_set_key(file: str) -> SetKey:
-    """Return the key of a set from the name of its file.
+    """Parse the key of a set from the path of its file.
 
     Raises
     ------
     ValueError
-        It is no name of a set.
+        The file name is not that of a set.
     """
     (set_key,) = parse_set_keys([Path(file).name])
     return set_key

@@ -21,7 +21,7 @@ TIMEOUT_S = 60.0
 
 
 def open(where: str | Path, *, token: str | None = None, timeout_s: float = TIMEOUT_S) -> Experiment:  # noqa: A001 - read as client.open
-    """Open a test.
+    """Open a test for reading; close it with ``close()`` or a with statement.
 
     Parameters
     ----------
@@ -30,7 +30,7 @@ def open(where: str | Path, *, token: str | None = None, timeout_s: float = TIME
     token
         Access token of a service; default: the environment's ``SOLIMON_TOKEN``. A folder needs none.
     timeout_s
-        Time limit of every answer of a service.
+        Time limit of every answer of a service, in s. No request is sent yet.
 
     Raises
     ------

@@ -57,19 +57,19 @@ class Connection:
         self.http.close()
 
     def get(self, path: str, **parameters: Parameter) -> Json:
-        """Return the JSON answer of a path below ``/api/v1/``.
+        """Request a path below ``/api/v1/`` and return its JSON answer.
 
         Parameters
         ----------
         **parameters
-            Of the query; None: left out.
+            Query parameters; those that are None are left out.
 
         Raises
         ------
         RefusedError
-            The service refuses the request, with its reason; or it is no service of solimon.
+            The service refuses the request, with its reason; or the answer is not that of a solimon service.
         UnreachableError
-            It does not answer.
+            No service answers.
         """
         response = self.response(path, **parameters)
         try:
@@ -79,12 +79,12 @@ class Connection:
         return answer
 
     def response(self, path: str, **parameters: Parameter) -> httpx.Response:
-        """Return the HTTP response of a path below ``/api/v1/``; parameters that are None are left out.
+        """Request a path below ``/api/v1/`` and return the response; parameters that are None are left out.
 
         Raises
         ------
         RefusedError, UnreachableError
-            As for `get`.
+            As for `get`, but the content is not checked.
         """
         parameters_given = {name: value for name, value in parameters.items() if value is not None}
         try:
@@ -97,14 +97,21 @@ class Connection:
         return response
 
     def pages(self, resource: str, **parameters: Parameter) -> tuple[list[Json], Json]:
-        """Read all pages of a listing, `LARGEST_PAGE` rows each.
+        """Read all pages of a listing of the API, `LARGEST_PAGE` rows each, into memory.
+
+        Parameters
+        ----------
+        resource
+            Path of the listing below ``/api/v1/``.
+        **parameters
+            Query parameters; those that are None are left out.
 
         Returns
         -------
         list of dict
             Rows, in the order of the service.
         dict
-            ``as_of`` of the last page.
+            ``as_of`` of the last page: time of reading and status of the recorder.
 
         Raises
         ------
@@ -121,9 +128,10 @@ class Connection:
                 return items, page["as_of"]
 
     def events(self, after: int, topics: str | None) -> Iterator[Json]:
-        """Yield events after an id endlessly, in order, with ``gap`` and ``topic`` as in the stream.
+        """Yield events with ids above ``after`` in order, as dicts with ``id``, ``topic`` and ``kind``.
 
-        It blocks while there is none, and ends only after `close`.
+        It blocks while there is none, and ends only after `close`. Skipped events are reported by one of
+        topic ``gap``. Raise RefusedError if the service refuses the stream.
 
         Parameters
         ----------
@@ -133,10 +141,10 @@ class Connection:
         return (self._events or self._stream_events)(after, topics)
 
     def _stream_events(self, after: int, topics: str | None) -> Iterator[Json]:
-        """Yield events after an id.
+        """Yield events with a higher id than ``after`` from the service's stream until `close`.
 
-        Reconnect after the last one, `RETRY_S` later, while the service is unreachable. Each new reason is
-        logged. RefusedError is raised for a client error that a retry cannot cure.
+        While the service is unreachable, reconnect every `RETRY_S` after the last event; each new reason is
+        logged as a warning. Raise RefusedError for a client error (status 4xx) that a retry cannot cure.
         """
         parameters: Mapping[str, str] = {} if topics is None else {"topics": topics}
         url, last_reason = self.http.base_url, ""
@@ -162,9 +170,9 @@ class Connection:
 
 
 def raise_for_error_response(response: httpx.Response) -> None:
-    """Raise RefusedError with status, type and reason if a response is no success; else return None.
+    """Raise RefusedError with status, problem type and reason if a response is no success; else return None.
 
-    A response without a problem of RFC 9457 names a service that is not solimon.
+    Without a problem of RFC 9457 in it, the reason is that the address is not a service of solimon.
     """
     if response.is_success:
         return
@@ -177,17 +185,17 @@ def raise_for_error_response(response: httpx.Response) -> None:
 
 
 def _build_foreign_service_error(response: httpx.Response) -> RefusedError:
-    """Return the error for an answer that no service of solimon gives, with the address and its proxy."""
+    """Build the RefusedError of an answer that is not solimon's, with address, status and proxy."""
     status = f"{response.url} answers {response.status_code}{proxy_note(response.url)}"
     reason = f"{status}; give the address of a service of solimon"
     return RefusedError(response.status_code, "about:blank", reason)
 
 
 def split_lines(chunks: Iterable[bytes]) -> Iterator[str]:
-    """Yield the complete lines of a stream of events, without their ends (CR, LF or both).
+    """Yield the complete lines of a byte stream, decoded from UTF-8, without their ends (CR, LF or both).
 
-    Invalid UTF-8 is replaced. Of a line without an end at most `LONGEST_LINE_BYTES` are kept; at the end of
-    the stream an incomplete line is dropped.
+    Invalid UTF-8 is replaced. Of an incomplete line at most `LONGEST_LINE_BYTES` are kept; at the end of the
+    stream it is dropped.
     """
     pending, after_cr = b"", False
     for chunk in chunks:
@@ -199,9 +207,10 @@ def split_lines(chunks: Iterable[bytes]) -> Iterator[str]:
 
 
 def parse_events(lines: Iterator[str]) -> Iterator[Json]:
-    """Yield the events of server-sent lines (WHATWG HTML), without heartbeats and the final `bye`.
+    """Parse the lines of server-sent events (WHATWG HTML) and yield the events as dicts of their JSON data.
 
-    An unreadable frame, or one with an id outside 0 to 10**18, is logged and skipped.
+    Heartbeats, the final `bye` and frames without data are left out. An unreadable frame, or one with an id
+    outside 0 to 10**18, is logged as a warning and skipped.
     """
     fields: dict[str, str] = {}
     for line in lines:

@@ -62,7 +62,7 @@ class Experiment:
         self._connection.close()
 
     def info(self) -> Json:
-        """Return name, rig, clock, schedule, limits and positions (`/api/v1/info`)."""
+        """Read name, rig, clock, schedule, limits, positions and last event id (`/api/v1/info`)."""
         return self._connection.get("info")
 
     def sets(
@@ -74,7 +74,13 @@ class Experiment:
         state: str | None = None,
         purpose: Purposes = "planned",
     ) -> pd.DataFrame:
-        """Read one row per set and position: due time, state, numbers of shots, reason, and file."""
+        """Read one row per set and position: due time, state, numbers of shots, reason, and file.
+
+        Parameters
+        ----------
+        state
+            Only sets in this state; None: all.
+        """
         filters = {"position": position, "from_h": from_h, "to_h": to_h, "state": state, "purpose": purpose}
         return self._read_table(rows.SetRow, "sets", **filters)
 
@@ -115,7 +121,7 @@ class Experiment:
         return self._read_table(rows.ThicknessRow, "thickness", position=position, from_h=from_h, to_h=to_h)
 
     def environment(self, *, from_h: float | None = None, to_h: float | None = None) -> pd.DataFrame:
-        """Read supply and climate around each set, one row per set; empty where neither is configured."""
+        """Read supply and climate around each set, one row per set; empty if neither is configured."""
         return self._read_table(rows.EnvironmentRow, "environment", from_h=from_h, to_h=to_h)
 
     def alarms(self, position: str | None = None, *, active: bool | None = None) -> pd.DataFrame:
@@ -131,7 +137,7 @@ class Experiment:
     def annotations(
         self, position: str | None = None, *, from_h: float | None = None, to_h: float | None = None
     ) -> pd.DataFrame:
-        """Read annotations of hours of the test, one row each, including withdrawn ones."""
+        """Read annotations of hours of the test, one row per annotation, including withdrawn ones."""
         return self._read_table(
             rows.AnnotationRow, "annotations", position=position, from_h=from_h, to_h=to_h
         )
@@ -160,7 +166,8 @@ class Experiment:
         Raises
         ------
         ClientError
-            No waveform is stored there, or they differ in length or rate.
+            There is no such position, no waveform is stored there, the waveforms differ in length or rate, or
+            both a set and a range are given.
         """
         methods = {entry["position"]: entry["method"] for entry in self.info()["positions"]}
         if position not in methods:
@@ -179,9 +186,10 @@ class Experiment:
         return read_waveforms(self._connection, position, methods[position], indices)
 
     def follow(self, *topics: str, after: int | None = None) -> Iterator[Event]:
-        """Yield new events, also over restarts of recorder and service, until `close`.
+        """Yield new events in order, also over restarts of recorder and service, until `close`.
 
-        It blocks while there is none.
+        It blocks while there is none. Raise RefusedError if the service refuses; UnreachableError only at the
+        start, if ``after`` is None.
 
         Parameters
         ----------
@@ -209,6 +217,9 @@ class Experiment:
             )
 
     def _read_table(self, kind: type[Row], resource: str, **filters: Parameter) -> pd.DataFrame:
-        """Read all pages of a listing as a data frame with the columns of a kind of row."""
+        """Read all pages of a listing of the API as a data frame with the columns of a kind of row.
+
+        Raise RefusedError or UnreachableError as `Connection.get` does.
+        """
         items, as_of = self._connection.pages(resource, **filters)
         return build_data_frame(kind, items, as_of)

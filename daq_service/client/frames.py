@@ -14,15 +14,22 @@ DTYPES: dict[Form, str] = {"number": "float64", "integer": "Int64", "truth": "bo
 
 
 def build_data_frame(kind: type[Row], items: Sequence[Json], as_of: Json) -> pd.DataFrame:
-    """Build a data frame of the rows of a listing; a missing value is NaN, NaT or NA.
+    """Build a data frame from the rows of a listing of the API; a missing value is NaN, NaT or NA.
 
-    Without rows it has all columns, too, with their types. Rows with an hour have a column ``age_h``.
+    An empty listing gives all columns with their types. Rows with an hour have a column ``age_h``, their age
+    in h. Raise KeyError if a row lacks a column.
+
+    Parameters
+    ----------
+    kind
+        Class of the rows, which has the published columns.
+    as_of
+        Time of reading and status of the recorder.
 
     Returns
     -------
     DataFrame
-        ``attrs["units"]`` has the unit of each number, ``attrs["as_of"]`` the time of reading and the status
-        of the recorder.
+        ``attrs["units"]`` has the unit of each number, ``attrs["as_of"]`` the argument.
     """
     columns = list(list_shown_columns(kind))
     if any(column.name in ("due_h", "raised_h") for column in columns):
@@ -41,6 +48,8 @@ def _build_series(column: PublishedColumn, items: Sequence[dict[str, object]]) -
     ------
     KeyError
         A row lacks the column.
+    ValueError, TypeError
+        A value does not have the type.
     """
     values = [item[column.name] for item in items]
     if column.form == "time":

@@ -22,7 +22,9 @@ UNCOMPRESSED = {"Accept-Encoding": "identity"}
 
 
 def open_folder_connection(folder: Path) -> Connection:
-    """Return a connection to a data folder, read by the service's own code; the test may run or have ended.
+    """Open a connection to a data folder, read by the service's own code; the test may run or have ended.
+
+    It starts an event loop in a thread, and reads all events by polling; `close` of the connection ends both.
 
     Raises
     ------
@@ -37,9 +39,10 @@ def open_folder_connection(folder: Path) -> Connection:
     closed = threading.Event()
 
     def follow_events(after: int, topics: str | None) -> Iterator[dict[str, object]]:
-        """Yield the stored events after an id, of these topics, until the connection closes.
+        """Yield the stored events with ids above ``after``, of these topics, until the connection closes.
 
-        Poll every `POLL_S`.
+        Poll the catalogue every `POLL_S`. Topics are comma-separated, None: all. Raise StorageError if it
+        cannot be read.
         """
         selected_topics = None if topics is None else set(topics.split(","))
         while not closed.is_set():
@@ -64,7 +67,10 @@ class InProcess(httpx.BaseTransport):
         self._portal = self._portal_context.__enter__()
 
     def handle_request(self, request: httpx.Request) -> httpx.Response:
-        """Return the complete response to one request; block until it is there."""
+        """Return the application's complete response to a request.
+
+        Block until the response is there; errors of the application are raised.
+        """
         return self._portal.call(self._answer, request)
 
     async def _answer(self, request: httpx.Request) -> httpx.Response:
@@ -79,6 +85,6 @@ class InProcess(httpx.BaseTransport):
         )
 
     def close(self) -> None:
-        """End the event loop, then close the catalogue."""
+        """End the event loop and its thread, then close the catalogue."""
         self._portal_context.__exit__(None, None, None)
         find_app_context(self._app).catalogue_access.close()

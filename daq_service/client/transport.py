@@ -24,7 +24,8 @@ LOOPBACK = ("localhost", "*.localhost", "127.0.0.0/8", "::1", "::ffff:127.0.0.0/
 def create_http_client(address: str, *, headers: dict[str, str], timeout_s: float) -> httpx.Client:
     """Create an HTTP client of an address, without opening a connection.
 
-    The environment sets only proxies and certificates: passwords of a ``.netrc`` are not used.
+    The environment sets only proxies and certificates: passwords of a ``.netrc`` are not used. ``timeout_s``
+    is the time limit in s of connecting, and of each read and write.
 
     Raises
     ------
@@ -53,10 +54,10 @@ def create_http_client(address: str, *, headers: dict[str, str], timeout_s: floa
 
 
 def find_proxy(url: httpx.URL) -> tuple[str, str | None]:
-    """Return the environment variable that names the proxy of an address, and the proxy's URL.
+    """Find the proxy of an address: return the environment variable that names it, and its URL.
 
-    Empty and None: no proxy, as for loopback addresses and those in ``NO_PROXY``. A proxy that no variable
-    names is one of the operating system; then the first text names it so.
+    Empty and None: no proxy, as for loopback addresses and those in ``NO_PROXY``. For a proxy that only the
+    operating system's settings name, the first is "the proxy setting of this system".
     """
     proxies, host = getproxies(), url.host.lower()
     scheme = next(filter(proxies.get, (url.scheme, "all")), None)
@@ -76,7 +77,7 @@ def proxy_note(url: httpx.URL) -> str:
 
 
 def _matches_host(entry: str, host: str) -> bool:
-    """Return whether an entry of NO_PROXY matches a host, as an IP network or as a pattern of names."""
+    """Return whether an entry of NO_PROXY (IP network, or pattern of names with wildcards) matches a host."""
     try:
         return ip_address(host) in ip_network(entry.strip("[]"), strict=False)
     except ValueError:
@@ -87,9 +88,9 @@ CERTIFICATES = ("SSL_CERT_FILE", "SSL_CERT_DIR")
 
 
 def _create_tls_context(scheme: str) -> ssl.SSLContext:
-    """Create the TLS context with the certificates of the environment or of certifi.
+    """Create the TLS context with the certificates of the environment, or else of certifi.
 
-    For plain HTTP an empty one.
+    For another scheme than ``https`` it has no certificates.
 
     Raises
     ------

@@ -18,7 +18,17 @@ PER_SHOT = ("set_index", "unscheduled_index", "shot_index", "sequence", "valid")
 def read_waveforms(
     connection: Connection, position: str, method: str, indices: Sequence[int | str]
 ) -> xarray.DataArray:
-    """Read the accepted waveforms of sets in volts, shape (shots, samples); see `Experiment.waveforms`.
+    """Read the accepted waveforms of sets in volts, with one request per shot; see `Experiment.waveforms`.
+
+    Parameters
+    ----------
+    indices
+        Set indices, or ``"12.1"`` for an unscheduled set.
+
+    Returns
+    -------
+    DataArray, shape (shots, samples)
+        ``due_h`` is NaN and ``quality`` None for a shot without results.
 
     Raises
     ------

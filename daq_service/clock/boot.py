@@ -15,7 +15,7 @@ _PROCESS_FRAME = f"process-{uuid.uuid4()}"
 
 
 def _read_sysctl_text(name: str) -> str:
-    """Return the text of a kernel variable of macOS, at most 63 characters.
+    """Read the text of a kernel variable of macOS (``sysctlbyname``), at most 63 characters.
 
     Raises
     ------
@@ -23,6 +23,8 @@ def _read_sysctl_text(name: str) -> str:
         There is no such variable, or its text is longer.
     AttributeError
         The system has no ``sysctlbyname``.
+    UnicodeDecodeError
+        The text is not ASCII.
     """
     import ctypes
 
@@ -34,10 +36,7 @@ def _read_sysctl_text(name: str) -> str:
 
 
 def _read_memory_word(address: int) -> int:
-    """Read an unsigned 32-bit word of this process's memory.
-
-    An address that is not mapped ends the process.
-    """
+    """Read an unsigned 32-bit word of this process's memory; an unmapped address ends the process."""
     import ctypes
 
     return ctypes.c_uint32.from_address(address).value
@@ -50,19 +49,19 @@ def boot_name(
     sysctl: Callable[[str], str] = _read_sysctl_text,
     word_at: Callable[[int], int] = _read_memory_word,
 ) -> str | None:
-    """Return the name of this boot: the same in each process, different after the next start.
+    """Return the name of the current boot: the same in each process, different after the next start.
 
     The time of the boot is no name: the kernels of Windows and macOS move it when the clock is set.
 
     Parameters
     ----------
     linux_file, sysctl, word_at
-        How the kernel is asked on Linux, macOS and Windows; injected by tests.
+        File or functions that read the kernel's value on Linux, macOS and Windows; injected by tests.
 
     Returns
     -------
     str or None
-        None where the kernel names no boot (Windows before 10, other systems).
+        None where the kernel names no boot (Windows before 10, other systems), or its value cannot be read.
     """
     try:
         if platform == "win32":
@@ -75,8 +74,8 @@ def boot_name(
 
 
 def read_boot_id() -> str:
-    """Return an identifier of this boot; if the kernel names none, an identifier of this process.
+    """Return an identifier of the current boot; if the kernel names none, a random one of this process.
 
-    Monotonic times of equal identifiers can be compared.
+    Monotonic times of processes with equal identifiers can be compared.
     """
     return boot_name() or _PROCESS_FRAME

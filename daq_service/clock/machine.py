@@ -16,11 +16,11 @@ KERNEL_GIVES_UP_US = 16_000_000
 
 
 def select_elapsed_clock(platform: str = sys.platform) -> Callable[[], int]:
-    """Return the clock of the time since the boot in ns, sleep included, which cannot be set.
+    """Return the function that reads the time since the boot in ns, sleep included, on this platform.
 
-    Linux and macOS have one in addition to the usual monotonic clock, which stops in their sleep. That of
-    Windows (GetTickCount64, from Python 3.13 on QueryPerformanceCounter) counts on; elsewhere sleep is not
-    counted.
+    This clock cannot be set. Linux and macOS have it in addition to the usual monotonic clock, which stops in
+    their sleep; that of Windows (GetTickCount64, from Python 3.13 on QueryPerformanceCounter) counts on.
+    Elsewhere sleep is not counted.
     """
     name = {"linux": "CLOCK_BOOTTIME", "darwin": "CLOCK_MONOTONIC_RAW"}.get(platform, "")
     clock_id = getattr(time, name, None)
@@ -33,8 +33,8 @@ elapsed_ns = select_elapsed_clock()
 def is_synchronised(platform: str = sys.platform) -> bool:
     """Return whether the kernel reports the system's UTC as synchronised; False if it is unknown.
 
-    Only Linux is asked (adjtimex), for its estimate of the error: some programs set its flag for another
-    reason.
+    Only Linux is asked (adjtimex): its maximum error must be below `KERNEL_GIVES_UP_US`. The flag of the
+    kernel is not used, because some programs set it for another reason.
     """
     if platform != "linux":
         return False
@@ -87,7 +87,7 @@ class MachineClock:
     sleep: Callable[[float], None] = time.sleep
 
     def mono_s(self) -> float:
-        """Return the monotonic time in s, from an arbitrary start."""
+        """Return the monotonic time in s, counted from an arbitrary start."""
         return self.mono_ns() / NS_PER_S
 
 

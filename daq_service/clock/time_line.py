@@ -38,10 +38,15 @@ class TimeLine:
     ahead_ns: int = 0
 
     def at(self, system_ns: int, elapsed_ns: int) -> TimeLine:
-        """Return the line at a later moment of the same boot, from the system's UTC and the elapsed time, ns.
+        """Return the line at a later moment of the same boot.
 
-        Between two readings the line runs 500 ppm faster or slower than elapsed time at most, towards the
-        system's UTC; it never runs back. A step changes nothing but ``ahead_ns``.
+        Between two readings experiment time runs at most 500 ppm faster or slower than elapsed time, towards
+        the system's UTC; it never runs back. A larger step of UTC changes only ``ahead_ns``.
+
+        Parameters
+        ----------
+        system_ns, elapsed_ns
+            The system's UTC, and the time since the boot, at that moment, ns.
         """
         passed_ns = elapsed_ns - self.elapsed_ns
         drift_ns = passed_ns * LARGEST_DRIFT_PPM // 1_000_000
@@ -96,8 +101,8 @@ class Before:
     def find_clock_doubt(self, system_ns: int, *, synchronised: bool) -> str:
         """Return why the system's UTC (ns) is unverified after a reboot; empty if it is verified.
 
-        It is unverified if it is before the last stored time, or more than ``doubt_after_h`` after it and not
-        synchronised.
+        It is unverified if it is before the last stored time, or more than ``doubt_after_h`` after it while
+        the kernel does not report it as synchronised.
         """
         says = f"the system's clock says {format_utc(system_ns, 0)}"
         last = f"what was stored last ({format_utc(self.last_utc_ns, 0)})"

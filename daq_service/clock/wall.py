@@ -40,9 +40,9 @@ class WallClock:
             self._doubted = before
 
     def utc_ns(self) -> int:
-        """Return the experiment time in ns of UTC; detected steps of the system's clock are kept for `steps`.
+        """Return the experiment time, ns of UTC; keep a detected step of the system's clock for `steps`.
 
-        While the system's UTC is unverified, it is the last stored time.
+        While the system's UTC is unverified, return the last stored time.
         """
         if self._doubted is not None:
             return self._doubted.last_utc_ns
@@ -62,7 +62,7 @@ class WallClock:
         """Wait until an experiment time, ns of UTC, in steps of at most `IDLE_INTERVAL_S`.
 
         ``idle`` is called before each step and at the end. Return False as soon as it returns False, else
-        True.
+        True. While the system's UTC is unverified, experiment time does not advance.
         """
         while (left_ns := utc_ns - self.utc_ns()) > 0:
             if not idle():
@@ -71,32 +71,33 @@ class WallClock:
         return idle()
 
     def line(self) -> TimeLine | None:
-        """Return experiment and elapsed time of one moment for a later recorder.
+        """Return experiment and elapsed time of the same moment, for a later recorder of this boot.
 
-        None while UTC is unverified.
+        None while the system's UTC is unverified.
         """
         self.utc_ns()
         return None if self._doubted is not None else self._line
 
     def steps(self) -> list[Step]:
-        """Return the steps of the system's clock detected since the last call, in order, and forget them."""
+        """Return and remove the detected steps of the system's clock, in order: each is returned once."""
         found, self._steps = self._steps, []
         return found
 
     # While the system's UTC is doubted ---------------------------------------------------------------
 
     def wait_while_doubted(self, idle: Callable[[str], bool]) -> Step | None:
-        """Wait until the system's UTC is verified, or a person accepts it (`accept_system_clock`).
+        """Block until the system's UTC is verified, or a person accepts it (`accept_system_clock`).
 
         Parameters
         ----------
         idle
-            Called with the reason at least every 0.2 s; False ends the wait.
+            Called with the reason about every `IDLE_INTERVAL_S`; False ends the wait.
 
         Returns
         -------
         Step or None
-            How time continues; None if nothing was unverified, or ``idle`` ended the wait.
+            Step of 0 s with the time at which the test continues; None if UTC was verified from the start, or
+            ``idle`` ended the wait.
         """
         waited = self._doubted is not None
         while self._doubted is not None:
@@ -118,7 +119,7 @@ class WallClock:
         Raises
         ------
         ValueError
-            It is verified already.
+            The system's UTC is verified already.
         """
         if self._doubted is None:
             raise ValueError("the system's clock is believed already")
@@ -126,7 +127,10 @@ class WallClock:
         return self._build_step(0, "the system's clock is trusted").message
 
     def _resume_test_time(self, system_ns: int, elapsed_ns: int) -> None:
-        """Continue experiment time at the system's UTC, but not before the last stored time; times in ns."""
+        """Continue experiment time at the system's UTC, but not before the last stored time; arguments in ns.
+
+        Raise AssertionError if the system's UTC is verified.
+        """
         assert self._doubted is not None, "only a doubted clock is believed anew"
         utc_ns = max(system_ns, self._doubted.last_utc_ns)
         self._line = TimeLine(utc_ns=utc_ns, elapsed_ns=elapsed_ns, ahead_ns=system_ns - utc_ns)
@@ -135,9 +139,10 @@ class WallClock:
     # -------------------------------------------------------------------------------------------------
 
     def _read_both(self) -> tuple[int, int]:
-        """Read the system's UTC and the elapsed time of one moment, in ns.
+        """Read the system's UTC and the time since the boot of one moment, in this order, ns.
 
-        They are read again if the machine slept or stalled between them, up to `LOOKS` times in all.
+        If they are read more than 0.1 s apart (the machine slept or stalled), they are read again, `LOOKS`
+        times in all; then the last pair is returned.
         """
         for _ in range(LOOKS):
             elapsed, system = self._machine.elapsed_ns(), self._machine.utc_ns()
@@ -146,7 +151,7 @@ class WallClock:
         return system, elapsed
 
     def _build_step(self, step_ns: int, what: str) -> Step:
-        """Return a step of the system's clock (ns, 0: none) with its message, which starts with ``what``."""
+        """Build a step of the system's clock of ``step_ns`` (0: none); its message starts with ``what``."""
         step_s, ahead_s = step_ns / NS_PER_S, self._line.ahead_ns / NS_PER_S
         utc_ns, system_ns = self._line.utc_ns, self._line.utc_ns + self._line.ahead_ns
         by = f" by {step_s:+.3f} s" if step_ns else ""

@@ -8,12 +8,12 @@ from hardware_drivers.nanoseconds import NS_PER_S
 
 
 def parse_utc(text: str) -> int:
-    """Convert an RFC 3339 time to integer nanoseconds of UTC, with a resolution of 1 µs.
+    """Parse an RFC 3339 time with a UTC offset to integer nanoseconds of UTC, with a resolution of 1 µs.
 
     Raises
     ------
     ValueError
-        It is not a time, or has no offset.
+        The text is not a time, or has no offset.
     """
     moment = datetime.fromisoformat(text)
     if moment.tzinfo is None:

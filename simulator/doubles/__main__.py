@@ -59,7 +59,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _start_grpc_front(brain: Brain) -> GrpcFront | None:
-    """Start the gRPC server and return it; return None, with a logged reason, if gRPC is not installed."""
+    """Start the gRPC server and return it; None, with a logged warning, if gRPC is not installed.
+
+    Raise DoublesError if it cannot listen.
+    """
     reason = find_unavailability_reason()
     if reason:
         logging.getLogger(__name__).warning("no gRPC front: %s", reason)

@@ -76,10 +76,10 @@ TASK_HANDLERS: Mapping[str, TaskHandler] = {
 
 
 def _create_niscope_boards(description: Description, bench: Bench) -> NiscopeBrain:
-    """Create the NI-SCOPE boards of the described probes, on the specimen of the bench."""
+    """Create the device model of all described NI-SCOPE boards, on the specimen of the bench."""
 
     def next_echo(position: str) -> tuple[ShotKey, float]:
-        """Return key and hour of the next pulse-echo record at a position, under the lock of the bench."""
+        """Return and use up key and hour of a position's next pulse-echo record, under the bench's lock."""
         with bench.changed:
             return bench.strikes.take_next_echo(position)
 
@@ -162,7 +162,7 @@ class Brain:
     # Clients
 
     def open_client(self, kind: ClientKind, label: str) -> str:
-        """Register a client and return its unique name ``<kind>:<label>:<number>``; tasks belong to it."""
+        """Register a client that tasks can belong to; return its unique name ``<kind>:<label>:<number>``."""
         with self.bench.changed:
             self._client_count += 1
             client = f"{kind}:{label}:{self._client_count}"
@@ -170,10 +170,10 @@ class Brain:
             return client
 
     def close_client(self, client: str) -> None:
-        """Remove a client and record what it left behind; do nothing if it is unknown.
+        """Remove a client and record the tasks and sessions that it left; do nothing if it is unknown.
 
-        The tasks of a library end with its process; those of a gRPC server stay. NI-SCOPE sessions are
-        closed.
+        The tasks of a library are cleared, as its process has ended; those of a gRPC server stay. NI-SCOPE
+        sessions are closed.
         """
         with self.bench.changed:
             kind = self._clients.pop(client, None)
@@ -208,14 +208,10 @@ class Brain:
     # Calls
 
     def call(self, client: str, function: str, arguments: Mapping[str, Any]) -> dict[str, Any]:
-        """Execute one API call of a client and record it with its status and times.
+        """Execute one API call of a client, with faults, and return its outputs; record its status and times.
 
-        Raises
-        ------
-        Status
-            An error, or a warning that brings its values along.
-        KeyError
-            There is no such function.
+        Raise Status for an error, or a warning with its outputs; KeyError for an unknown function or a
+        missing argument.
         """
         entry = ENTRY_POINTS[function]
         attribute = ATTRIBUTES.get(arguments.get("attribute", 0))
@@ -243,7 +239,10 @@ class Brain:
     def _answer_with_faults(
         self, client: str, entry: EntryPoint, attribute: str, arguments: Arguments
     ) -> dict[str, Any]:
-        """Answer a call, unless an injected fault makes it hang, fail, answer wrongly or end the process."""
+        """Answer a call, unless an injected fault makes it hang, fail, answer wrongly or end the process.
+
+        Raise the Status of the call or the fault, or TRANSFER_ABORTED if the client is gone after a hang.
+        """
         fault = self.faults.due(entry.name, attribute)
         if fault is not None and fault.kind == "death":
             self._die()
@@ -258,7 +257,7 @@ class Brain:
         return self._answer(client, entry, arguments)
 
     def _answer(self, client: str, entry: EntryPoint, arguments: Arguments) -> dict[str, Any]:
-        """Answer a call by the handler of its function, under the lock of the bench for NI-DAQmx."""
+        """Answer a call by its handler, under the bench's lock for NI-DAQmx; raise Status as it does."""
         if entry.library == "niScope":
             return dict(self.niscope.call(client, entry.name, arguments))
         with self.bench.changed:
@@ -270,7 +269,7 @@ class Brain:
     # Control
 
     def announce(self, key: ShotKey, hour_h: float) -> None:
-        """Set set, shot and hour of the next strike at the key's position.
+        """Set key and hour of the next strike, or pulse-echo record, at the key's position.
 
         Raise ValueError if nothing is wired there.
         """
@@ -278,7 +277,7 @@ class Brain:
             self.bench.strikes.announce(key, hour_h)
 
     def disturb(self, position: str, crosstalk: Mapping[str, Any]) -> None:
-        """Set the crosstalk from the coil at a position into its sensor.
+        """Replace the crosstalk from the coil at a position into its sensor; missing keys get defaults.
 
         Raise TypeError for an unknown key, ValueError for a value out of bounds.
         """
@@ -286,9 +285,9 @@ class Brain:
             self.bench.strikes.disturb(position, Crosstalk(**crosstalk))
 
     def unplug(self, serial_number: int) -> None:
-        """Remove a board from the chassis: its tasks are lost, its sessions fail.
+        """Remove a board from the chassis: its tasks are lost, the calls of its sessions fail.
 
-        Raise KeyError if there is none.
+        Raise KeyError if no board has this serial number.
         """
         if self.niscope.has_board(serial_number):
             self.niscope.unplug(serial_number)
@@ -299,7 +298,7 @@ class Brain:
     def plug(self, serial_number: int, name: str = "") -> None:
         """Plug a removed board in again, under another name if one is given.
 
-        Raise KeyError if there is none.
+        Raise KeyError if no board has this serial number, or an NI-SCOPE board was not removed.
         """
         if self.niscope.has_board(serial_number):
             self.niscope.plug(serial_number, name)
@@ -308,7 +307,10 @@ class Brain:
             self.bench.devices.plug(serial_number, name)
 
     def occupy(self, resource: str, owner: str) -> None:
-        """Reserve ``<board name or serial number>/<part>`` or an NI-SCOPE board for an outside program."""
+        """Reserve ``<board name or serial number>/<part>`` or an NI-SCOPE board for an outside program.
+
+        A present holder is replaced. Raise Status for an unknown board name.
+        """
         if resource in self.niscope.names():
             self.niscope.occupy(resource, owner)
             return
@@ -318,7 +320,7 @@ class Brain:
             self.bench.reservations.occupy(f"{serial_number}/{part}", owner)
 
     def vacate(self, owner: str) -> None:
-        """Release everything that `occupy` has reserved for an outside program."""
+        """Release everything that `occupy` has reserved for an outside program, if anything."""
         self.niscope.vacate(owner)
         with self.bench.changed:
             for holder in set(self.bench.reservations.held.values()):
@@ -326,7 +328,7 @@ class Brain:
                     self.bench.reservations.release(holder)
 
     def wait_until_no_tasks(self, timeout_s: float) -> bool:
-        """Wait until every task is gone, as after a client's end; return False after ``timeout_s``."""
+        """Wait until no NI-DAQmx task exists, as after a client's end; return False after ``timeout_s``."""
         with self.bench.changed:
             return self.bench.changed.wait_for(lambda: not self.bench.tasks, timeout_s)
 
@@ -349,7 +351,8 @@ class Brain:
     def record(self) -> dict[str, Any]:
         """Return everything that the double recorded, in JSON types, with times in monotonic ns.
 
-        Of the calls, level changes and strikes only the newest are kept.
+        It has clients, calls, line changes, levels, tasks, reservations, sessions, leaked tasks, strikes and
+        boards. Of the calls, level changes and strikes only the newest are kept.
         """
         sessions = self.niscope.list_open_sessions()
         with self.bench.changed:
@@ -403,12 +406,12 @@ class Brain:
             }
 
     def _get_counter_line(self, serial_number: int, counter: int) -> str:
-        """Return the name of the line that a counter drives, ``<serial number>/<terminal>``."""
+        """Return the line that a counter drives by default, ``<serial number>/<terminal>``."""
         kind = self.bench.devices.get_by_serial(serial_number).kind
         return f"{serial_number}/{kind.counter_terminals[counter]}"
 
     def clear_record(self) -> None:
-        """Discard recorded calls, line events and leaks; levels and tasks stay."""
+        """Discard recorded calls, level changes and leaked tasks; levels, tasks and strikes stay."""
         with self.bench.changed:
             self.bench.settle()
             self._calls.clear()

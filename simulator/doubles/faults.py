@@ -77,13 +77,17 @@ class Faults:
             C name, or ``<C name>:<attribute>``.
         kind
             ``error``, ``hang``, ``lie`` or ``death``.
+        code
+            Status of an ``error``.
         times
             0: every call from then on.
+        seconds
+            Duration of a ``hang``; None: until `release`.
 
         Raises
         ------
         ValueError
-            No such function or kind, an ``error`` without its code, or a number that is too small.
+            No such function, attribute or kind, an ``error`` without its code, or a number that is too small.
         """
         name, _, attribute = function.partition(":")
         if name not in ENTRY_POINTS:
@@ -101,14 +105,14 @@ class Faults:
             self._orders.append(Fault(function, found, code or 0, nth - 1, times, seconds))
 
     def clear(self) -> None:
-        """Discard every pending fault; calls that hang continue to do so until released."""
+        """Discard every requested fault; calls that hang continue to do so until released."""
         with self._lock:
             self._orders.clear()
 
     def due(self, function: str, attribute: str) -> Fault | None:
-        """Count a call and return the fault that it gets.
+        """Count a call for all matching faults and return the oldest that is due; None if none is.
 
-        None if none is due. Of several, the oldest acts.
+        A fault is removed after its last call.
         """
         with self._lock:
             struck: Fault | None = None
@@ -126,7 +130,7 @@ class Faults:
             return struck
 
     def hang(self, seconds: float | None) -> None:
-        """Block this call until `release`, or for at most ``seconds``."""
+        """Block the calling thread until `release`, or for at most ``seconds`` (None: no limit)."""
         with self._released:
             count = self._release_count
             self._hanging += 1
@@ -136,13 +140,13 @@ class Faults:
             self._released.notify_all()
 
     def release(self) -> None:
-        """Release every call that hangs now; later ones hang again."""
+        """Release every call that hangs now; later calls can hang again."""
         with self._released:
             self._release_count += 1
             self._released.notify_all()
 
     def wait_until_hanging(self, timeout_s: float) -> bool:
-        """Wait until at least one call hangs; return False if none does within ``timeout_s``."""
+        """Block until at least one call hangs; return False if none does within ``timeout_s``."""
         with self._released:
             return self._released.wait_for(lambda: self._hanging > 0, timeout=timeout_s)
 
@@ -152,8 +156,9 @@ def build_wrong_answer(
 ) -> dict[str, Any]:
     """Return a plausible wrong answer: success without the effect, or slightly changed values.
 
-    A function without outputs is not executed. A read returns half of its samples, a rate is one per cent
-    off, a flag is inverted, a text is empty, an array is doubled, a handle belongs to no task.
+    A function without outputs is not executed; others are, by ``answer``, whose errors are raised. A read
+    returns half of its samples, a float is 1 % larger, a flag is inverted, another integer is 1 larger, a
+    text is empty, an array is doubled, a handle belongs to no task.
     """
     parameters = list_outputs(entry, arguments.get("attribute", 0))
     if not parameters:
@@ -173,7 +178,7 @@ def build_wrong_answer(
 
 
 def _distort_value(parameter: Parameter, value: Any) -> Any:
-    """Return a value changed slightly, by the type of its parameter, as `build_wrong_answer` says."""
+    """Return a slightly wrong value by the role and type of its parameter (`build_wrong_answer`)."""
     if parameter.role is Role.OUT_TEXT:
         return ""
     if parameter.role is Role.OUT_ARRAY:

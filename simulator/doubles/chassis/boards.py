@@ -58,7 +58,10 @@ class BoardType:
         return 16 if self.resolution_bits <= 16 else 32
 
     def coerced_rate_hz(self, rate_hz: float) -> float:
-        """Return the next sample rate at or above the requested one that divides the timebase, in Hz."""
+        """Return the lowest rate at or above the requested one, Hz, that divides the timebase evenly.
+
+        Above the timebase, return the timebase. Raise ZeroDivisionError for a rate of 0.
+        """
         divisor = max(int(self.timebase_hz / rate_hz * (1.0 + 1e-12)), 1)
         return self.timebase_hz / divisor
 
@@ -81,7 +84,7 @@ BOARD_TYPES: Mapping[str, BoardType] = {
 
 
 def find_line_terminal(line: str) -> str:
-    """Return the terminal of a digital line.
+    """Return the terminal of a digital line such as ``port1/line0``.
 
     Ports 1 and 2 are PFI0 to PFI15; another line is its own terminal.
     """
@@ -89,7 +92,11 @@ def find_line_terminal(line: str) -> str:
 
 
 def list_terminals(kind: BoardType, name: str) -> tuple[str, ...]:
-    """Return the full names of all terminals of a board, as `Dev.Terminals` lists them."""
+    """Return the full names (``/Dev1/PFI0``) of all terminals of a board, as `Dev.Terminals` lists them.
+
+    PFI lines come first, then other counter outputs, triggers and clocks of input and backplane, and
+    counters.
+    """
     counters = [
         f"Ctr{index}{part}"
         for index in range(len(kind.counter_terminals))
@@ -102,12 +109,12 @@ def list_terminals(kind: BoardType, name: str) -> tuple[str, ...]:
 
 
 def board_calibration(adc: AdcParameters, offset_shift_v: float = 0.0) -> Calibration:
-    """Return the scaling polynomial of a board in one input range.
+    """Return the scaling polynomial of a board from codes to V in the input range of its converter.
 
     Parameters
     ----------
     offset_shift_v
-        Shift of the constant term by self-calibration.
+        Shift of the constant term by self-calibration, V.
     """
     calibration = make_adc_calibration(adc)
     coefficients_v = calibration.coefficients_v.copy()

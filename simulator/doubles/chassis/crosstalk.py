@@ -52,7 +52,7 @@ class Crosstalk:
 
     @property
     def reach_s(self) -> float:
-        """Return the longest time after an edge at which its voltage still exceeds `FADED_V`, s."""
+        """Return the time after an edge until its spike, bounces and flyback are below `FADED_V`, s."""
         tallest_v = max(abs(self.on_v), abs(self.off_v))
         fading_s = self.decay_s * math.log(max(tallest_v / FADED_V, 1.0))
         return max(self.bounces * self.bounce_s + fading_s, self.flyback_s if self.flyback_v else 0.0)
@@ -60,14 +60,16 @@ class Crosstalk:
     def volts(
         self, pulses: Iterable[tuple[int, int]], first_ns: float, rate_hz: float, samples: int
     ) -> FloatArray:
-        """Compute the crosstalk voltage at the input in V, shape (samples,).
+        """Compute the crosstalk voltage (hum, spikes, flyback) at the input in V, shape (samples,).
 
         Parameters
         ----------
         pulses
-            When the coil went on and off, ns.
+            Times when the coil went on and off, ns, one pair per pulse.
         first_ns
-            Time of the first sample on the same clock.
+            Time of the first sample on the same clock, ns.
+        rate_hz
+            Sample rate, Hz.
         """
         volts = np.zeros(samples)
         if self.hum_v:
@@ -86,7 +88,10 @@ class Crosstalk:
         return volts
 
     def _add_spike(self, volts: FloatArray, since_s: float, rate_hz: float, height_v: float) -> None:
-        """Add the decaying spike of one edge to ``volts`` in place, ``since_s`` after the first sample."""
+        """Add the decaying spike of one edge, ``height_v`` high, to ``volts`` in place until it has faded.
+
+        The edge is ``since_s`` after the first sample; what is outside the record is left out.
+        """
         fading_s = self.decay_s * math.log(max(abs(height_v) / FADED_V, 1.0))
         after, t = _select_after_edge(volts, since_s, fading_s, rate_hz)
         spike = height_v * np.exp(-t / self.decay_s)
@@ -98,7 +103,7 @@ def _select_after_edge(
 ) -> tuple[FloatArray, FloatArray]:
     """Return a view of the samples within ``length_s`` after an edge, and the time of each since the edge, s.
 
-    Both are empty if the edge is outside the record.
+    ``since_s`` is the time of the edge after the first sample. Both are empty if none is in the record.
     """
     first = min(max(math.ceil(since_s * rate_hz), 0), volts.size)
     last = min(max(math.ceil((since_s + length_s) * rate_hz), first), volts.size)

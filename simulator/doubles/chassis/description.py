@@ -62,7 +62,7 @@ class BoardParameters:
         return BOARD_TYPES[self.product]
 
     def adc(self, record: AdcParameters) -> AdcParameters:
-        """Return the converter of this board for a record, with this board's resolution and errors.
+        """Return the converter parameters of a record with this board's resolution, over-range and errors.
 
         Raises
         ------
@@ -158,7 +158,7 @@ class Description:
 
     @property
     def all_scopes(self) -> tuple[ScopeParameters, ...]:
-        """Return all NI-SCOPE boards: `scopes`, then a default one for each further resource of a probe."""
+        """Return all NI-SCOPE boards: `scopes`, then a default one for each other resource of a probe."""
         named = {scope.name for scope in self.scopes}
         missing = dict.fromkeys(
             probe.resource for probe in self.probes.values() if probe.resource not in named
@@ -235,14 +235,15 @@ SLOW = BoardParameters(serial_number=0x00C16021, product="PCI-6221", name="Dev1"
 
 
 def _footprint(size_m: float) -> CorrosionParameters:
-    """Return the parameters of a corrosion patch of this size, m."""
+    """Build the parameters of a corrosion patch of size ``size_m``, m; all else is the default."""
     return CorrosionParameters(size_m=size_m)
 
 
 def build_default_description(twin: TwinParameters | None = None) -> Description:
-    """Return the description of a chassis with four boards of different kinds.
+    """Build the description of a chassis with four boards of different kinds.
 
-    The paper's transducers B, C and D each have another board; probe A has a digitizer.
+    The paper's transducers B, C and D each have another board; probe A has a digitizer. The twin is the
+    default if ``twin`` is None.
     """
     boards = (SIMULTANEOUS_18_BIT, SIMULTANEOUS_16_BIT, SIMULTANEOUS_12_BIT, SLOW)
     wide, usual, narrow, _ = (board.serial_number for board in boards)

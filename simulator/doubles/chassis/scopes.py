@@ -51,7 +51,7 @@ class ScopeParameters:
     """Temperature at both."""
 
     def calibration(self, range_v: float, vertical_offset_v: float) -> Calibration:
-        """Return the scaling of unpadded codes to V in a range (-range_v to +range_v) plus an offset."""
+        """Return the scaling of unpadded codes to V in a range (-range_v to +range_v) plus an offset, V."""
         half = float(1 << (self.resolution_bits - 1))
         gain_v = range_v * (1.0 + self.over_range_fraction) / half * (1.0 + self.gain_error_fraction)
         return Calibration(
@@ -71,16 +71,13 @@ class ScopeParameters:
         return 1 << (SAMPLE_BITS - self.resolution_bits)
 
     def next_range_v(self, asked_v: float) -> float | None:
-        """Return the smallest range (-r to +r) that includes a requested voltage, V.
-
-        None above the largest.
-        """
+        """Return the smallest range (-r to +r) that includes a voltage, V; None above the largest."""
         return next((range_v for range_v in sorted(self.ranges_v) if range_v >= asked_v * (1.0 - 1e-9)), None)
 
     def next_rate_hz(self, asked_hz: float) -> float | None:
         """Return the lowest sample rate at or above the requested one, Hz; None above the highest.
 
-        Rates are the highest one divided by a whole number.
+        Rates are the highest one divided by a whole number. Raise ZeroDivisionError for 0.
         """
         divisor = math.floor(self.maximum_rate_hz / asked_hz * (1.0 + 1e-9))
         return self.maximum_rate_hz / divisor if divisor >= 1 else None

@@ -27,9 +27,10 @@ from simulator.doubles.vendor_api.statuses import Status
 
 
 def create_voltage_channel(bench: Bench, task: Task, arguments: Arguments) -> None:
-    """Answer `DAQmxCreateAIVoltageChan`: make an empty task an input task.
+    """Answer `DAQmxCreateAIVoltageChan`: give an empty task a voltage input channel.
 
-    Raise Status if it has a channel, or for limits, input or terminal configuration that the board lacks.
+    Raise Status if it has a channel or runs, for a minimum not below the maximum, and for an unknown board,
+    input or terminal configuration; the range is checked when the task is verified.
     """
     task.require_empty()
     minimum_v, maximum_v = arguments["min_val"], arguments["max_val"]
@@ -56,7 +57,10 @@ def create_voltage_channel(bench: Bench, task: Task, arguments: Arguments) -> No
 
 
 def _change_settings(task: Task, settings: Mapping[str, Any]) -> None:
-    """Change settings of an input task; raise Status if it is no input task, or runs."""
+    """Change settings of an input task, which must then be verified again.
+
+    Raise Status if it is no input task, or runs.
+    """
     if task.kind != "ai":
         raise Status(
             statuses.NO_CHANNELS if not task.kind else statuses.ATTRIBUTE_NOT_IN_THIS_TASK, task=task.name
@@ -68,7 +72,8 @@ def _change_settings(task: Task, settings: Mapping[str, Any]) -> None:
 def configure_sample_clock(bench: Bench, task: Task, arguments: Arguments) -> None:
     """Answer `DAQmxCfgSampClkTiming`: set rate, mode and length of the record.
 
-    Raise Status for another clock than the board's own; the rate is checked when the task is verified.
+    Raise Status for another clock than the board's own, for no input task, or while it runs; the values are
+    checked when the task is verified.
     """
     if short_name(arguments["source"]) not in ("", "onboardclock"):
         detail = "The double samples by the board's own clock only."
@@ -85,9 +90,9 @@ def configure_sample_clock(bench: Bench, task: Task, arguments: Arguments) -> No
 
 
 def configure_reference_trigger(bench: Bench, task: Task, arguments: Arguments) -> None:
-    """Answer `DAQmxCfgAnlgEdgeRefTrig`: trigger on an analog edge.
+    """Answer `DAQmxCfgAnlgEdgeRefTrig`: set source, slope, level in V and pre-trigger samples of the trigger.
 
-    The settings are checked at verification.
+    Raise Status if the task is no input task, or runs; the values are checked when it is verified.
     """
     _change_settings(
         task,
@@ -102,15 +107,18 @@ def configure_reference_trigger(bench: Bench, task: Task, arguments: Arguments) 
 
 
 def disable_reference_trigger(bench: Bench, task: Task, arguments: Arguments) -> None:
-    """Answer `DAQmxDisableRefTrig`: record without an analog trigger."""
+    """Answer `DAQmxDisableRefTrig`: record without an analog trigger.
+
+    Raise Status if the task is no input task, or runs.
+    """
     _change_settings(task, {"RefTrig.Type": NO_TRIGGER})
 
 
 def _wait_for_samples(bench: Bench, task: Task, count: int, room: int, timeout_s: float) -> NDArray[Any]:
-    """Wait for raw samples and return the next ``count`` of them, shape (count,); a negative count means all.
+    """Wait for the record and return its next ``count`` raw codes, shape (count,); negative: the rest.
 
     A task that does not run is started. Raise Status if the record has fewer left, the caller's buffer
-    (``room``) is too small, or they are not there within ``timeout_s`` (negative: no limit).
+    (``room``) is too small, the task is stopped, or ``timeout_s`` is over (negative: no limit).
     """
     if task.state is not TaskState.RUNNING:
         tasks.start_task(bench, task)
@@ -143,9 +151,10 @@ def _wait_for_samples(bench: Bench, task: Task, count: int, room: int, timeout_s
 
 
 def _read_raw_codes(dtype: type[np.integer[Any]], bench: Bench, task: Task, arguments: Arguments) -> Answer:
-    """Answer `DAQmxReadBinary..` with raw codes of type ``dtype``, as `_samples` returns them.
+    """Answer `DAQmxReadBinary..` with raw codes of type ``dtype`` and their number; wait for the record.
 
-    Raise Status if the task is no input task, or the type is too narrow for the board's codes.
+    Raise Status if the task is no input task, the type is too narrow for the board's codes, or as
+    `_wait_for_samples`.
     """
     if task.kind != "ai":
         raise Status(statuses.NOT_AN_INPUT_TASK, task=task.name)

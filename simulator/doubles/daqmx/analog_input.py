@@ -66,7 +66,7 @@ class InputChannel:
         Raises
         ------
         Status
-            None is wide enough.
+            No range of the board is wide enough.
         """
         reach_v = max(abs(self.minimum_v), abs(self.maximum_v))
         found = self.device.kind.coerced_range_v(reach_v)
@@ -117,7 +117,10 @@ class AnalogInput:
     """Analog input as a `tasks.TaskKind`."""
 
     def verify(self, bench: Bench, task: Task) -> None:
-        """Check limits, rate, record and start trigger against the board; raise Status if they do not fit."""
+        """Check range, rate, sample clock, record, triggers and start delay against the board.
+
+        Raise Status if one of them does not fit.
+        """
         _ = task.channel.range_v
         rate_hz(task)
         if task.settings.get("SampTimingType") != SAMPLE_CLOCK:
@@ -127,14 +130,14 @@ class AnalogInput:
         _verify_start(bench, task)
 
     def resources(self, bench: Bench, task: Task) -> tuple[str, ...]:
-        """Return the resource that the task needs: the analog input of its board, for one task at a time."""
+        """Return the name of the only resource that the task needs: the analog input of its board."""
         return (format_resource(task.device.serial_number, "ai"),)
 
     def commit(self, bench: Bench, task: Task) -> None:
         """Do nothing, because analog input drives no line."""
 
     def start(self, bench: Bench, task: Task, now_ns: int) -> None:
-        """Start sampling now, or at the start trigger; a simulated board has its record at once."""
+        """Start sampling now, or at the start trigger; a simulated board has a sine wave at once."""
         task.n_starts += 1
         if task.device.parameters.simulated:
             codes = quantise_volts(_simulate_sine_volts(task), task.channel.calibration)
@@ -145,19 +148,20 @@ class AnalogInput:
             self.triggered(bench, task, now_ns)
 
     def triggered(self, bench: Bench, task: Task, at_ns: int) -> None:
-        """Start sampling after the delay; also start the tasks that wait for this board's start trigger."""
+        """Start sampling after the delay; start also the tasks that wait for this board's start trigger."""
         task.run.begin_ns = at_ns + round(start_delay_s(task) * NS_PER_S)
         fire_edge(bench, f"/{task.device.name}/ai/StartTrigger", at_ns)
 
     def stop(self, bench: Bench, task: Task, now_ns: int, cause: str) -> None:
-        """End the acquisition; its samples can no longer be read."""
+        """End the acquisition, if there is one; its samples can no longer be read."""
         if task.run is not None:
             task.run.ended = True
 
     def done_ns(self, bench: Bench, task: Task) -> int | None:
-        """Return the time in ns when the record is complete.
+        """Determine the monotonic time in ns when the record is complete, and store it in the acquisition.
 
-        None while no strike or start trigger determines it.
+        None while no strike or start trigger determines it. Raise Status if the twin cannot compute the
+        record.
         """
         run: Acquisition = task.run
         if run.done_ns is None and run.begin_ns is not None:
@@ -170,9 +174,10 @@ class AnalogInput:
 
 
 def _simulate_sine_volts(task: Task) -> FloatArray:
-    """Create the full-scale sine wave with 3 % noise that NI's driver returns for a simulated device.
+    """Simulate the full-scale sine wave with 3 % noise of a simulated device, V, shape (record samples,).
 
-    How fast it is NI does not say: a hundred samples a period are an assumption.
+    NI does not state its frequency: 100 samples per period are an assumption. The phase is random, by channel
+    and number of starts.
     """
     random = np.random.default_rng([task.channel.number, task.n_starts])
     samples = np.arange(record_samples(task))
@@ -182,7 +187,7 @@ def _simulate_sine_volts(task: Task) -> FloatArray:
 
 
 def rate_hz(task: Task) -> float:
-    """Return the sample rate that the board takes for the requested one, in Hz.
+    """Return the sample rate that the board coerces the requested one (default 1000) to, in Hz.
 
     Raises
     ------
@@ -200,26 +205,23 @@ def rate_hz(task: Task) -> float:
 
 
 def start_delay_s(task: Task) -> float:
-    """Return the time in s from start trigger to first sample, rounded to ticks of the timebase.
-
-    Default 0.
-    """
+    """Return the time from start trigger to first sample, s, in whole ticks of the timebase; default 0."""
     timebase_hz = task.device.kind.timebase_hz
     return round(float(task.settings.get("StartTrig.Delay", 0.0)) * timebase_hz) / timebase_hz
 
 
 def record_samples(task: Task) -> int:
-    """Return the length of the record in samples per channel; default 1000."""
+    """Return the configured length of the record in samples per channel; 1000 if it is not set."""
     return int(task.settings.get("SampQuant.SampPerChan", 1000))
 
 
 def _has_reference_trigger(task: Task) -> bool:
-    """Return whether the task records around an analog edge, rather than from its start."""
+    """Return whether the task records around an analog edge (reference trigger), not from its start."""
     return bool(task.settings.get("RefTrig.Type", NO_TRIGGER) == ANALOG_EDGE)
 
 
 def _verify_start(bench: Bench, task: Task) -> None:
-    """Raise Status if the start trigger cannot reach the board, or its delay is outside the limits."""
+    """Raise Status if the start trigger cannot reach the board, or its delay is not in s or out of bounds."""
     if start_trigger_of(task):
         require_start_route(bench, task)
     if "StartTrig.Delay" not in task.settings:
@@ -237,9 +239,10 @@ def _verify_start(bench: Bench, task: Task) -> None:
 
 
 def _verify_record(task: Task) -> None:
-    """Raise Status if the record is not finite, too short for its pre-trigger, or triggers elsewhere.
+    """Raise Status if the record is not finite or too short, or its reference trigger is not supported.
 
-    The double triggers on a rising edge of the task's own channel, between 0 V and the range.
+    The double triggers on a rising edge of the task's own channel, between 0 V and the range, with at least 2
+    samples before and after the trigger.
     """
     settings = task.settings
     if settings.get("SampQuant.SampMode", FINITE) != FINITE:
@@ -270,7 +273,11 @@ def _verify_record(task: Task) -> None:
 
 
 def _build_adc(task: Task, pretrigger_samples: int, trigger_level_v: float) -> AdcParameters:
-    """Return the parameters of the converter as a task has configured it."""
+    """Build the converter parameters of the task's board, with its range, rate and record length.
+
+    ``trigger_level_v`` is in V. Raise Status if range or rate is not possible, ValueError if the twin has no
+    such converter.
+    """
     record = AdcParameters(
         range_v=task.channel.range_v,
         sample_rate_hz=rate_hz(task),
@@ -282,9 +289,10 @@ def _build_adc(task: Task, pretrigger_samples: int, trigger_level_v: float) -> A
 
 
 def _find_trigger(bench: Bench, task: Task, run: Acquisition) -> None:
-    """Find the first trigger of a record, and store its codes and end in ``run``.
+    """Find the first trigger of a record (wave or crosstalk); store its codes, end and strike in ``run``.
 
-    Edges in the pre-trigger are ignored. Without one nothing is stored.
+    Edges before the pre-trigger samples are filled are ignored. Without a trigger nothing is stored. Raise
+    Status if the twin cannot compute a wave.
     """
     assert run.begin_ns is not None
     filled_ns = run.begin_ns + round(_pretrigger_samples(task) / rate_hz(task) * NS_PER_S)
@@ -300,22 +308,22 @@ def _find_trigger(bench: Bench, task: Task, run: Acquisition) -> None:
 
 
 def _pretrigger_samples(task: Task) -> int:
-    """Return the configured number of samples before the trigger."""
+    """Return the set number of samples before the reference trigger; raise KeyError if it is not set."""
     return int(task.settings["RefTrig.PretrigSamples"])
 
 
 def _post_trigger_ns(task: Task) -> int:
-    """Return the time from the trigger to the end of the record, ns."""
+    """Return the time from trigger to end of the record, ns; raise Status if the rate is not possible."""
     return round((record_samples(task) - _pretrigger_samples(task)) / rate_hz(task) * NS_PER_S)
 
 
 def _find_first_wave(
     bench: Bench, task: Task, run: Acquisition, filled_ns: int
 ) -> tuple[Strike, Acquired, int] | None:
-    """Find the first strike whose wave crosses the level after ``filled_ns``; None if there is none.
+    """Find the first strike whose wave crosses the level from ``filled_ns`` on; None if there is none.
 
-    Return the strike, its record and the time of the crossing in ns. Raise Status if the twin cannot compute
-    it.
+    Return the strike, its record and the time of the crossing in ns. Strikes that do not trigger are added to
+    ``run.seen``. Raise Status if the twin cannot compute the wave.
     """
     position = _find_position(bench, task.channel)
     for strike in bench.strikes.planned:
@@ -340,7 +348,7 @@ def _find_first_wave(
 
 
 def _false_trigger(bench: Bench, task: Task, run: Acquisition, position: str, wave_ns: int | None) -> bool:
-    """Store a record that crosstalk or hum triggers before the wave; return whether there is one.
+    """Find a trigger by crosstalk or hum before the wave; store its record, and return whether there is one.
 
     The comparator sees the same noise as the record that follows.
 
@@ -384,9 +392,9 @@ def _false_trigger(bench: Bench, task: Task, run: Acquisition, position: str, wa
 
 
 def get_recorded_codes(bench: Bench, task: Task) -> Counts | None:
-    """Return the raw codes of a record, shape (samples,); None while its reference trigger is missing.
+    """Return the raw codes of a record, shape (samples,); None before its start or reference trigger.
 
-    Without a reference trigger they are simulated at the first call, from the start of sampling.
+    Without a reference trigger they are simulated at the first call, from the start of sampling, and stored.
     """
     run: Acquisition = task.run
     if run.codes is not None or run.begin_ns is None or _has_reference_trigger(task):
@@ -401,7 +409,7 @@ def get_recorded_codes(bench: Bench, task: Task) -> Counts | None:
 
 
 def _find_position(bench: Bench, channel: InputChannel) -> str | None:
-    """Return the position whose sensor is wired to an input; None if none is."""
+    """Return the position of the transducer whose sensor is wired to an input; None if there is none."""
     wanted = (channel.device.serial_number, channel.number)
     for position, wiring in bench.description.transducers.items():
         if (wiring.ai_serial, wiring.ai_channel) == wanted:
@@ -410,7 +418,10 @@ def _find_position(bench: Bench, channel: InputChannel) -> str | None:
 
 
 def discard_strike_records(bench: Bench, strike: Strike, now_ns: int) -> None:
-    """Discard the trigger of unfinished records whose strike was cut short or cancelled, to find another."""
+    """Discard the records that a cut or cancelled strike has triggered, unless complete at ``now_ns``.
+
+    The tasks of these records look for a trigger again, also by this strike.
+    """
     for task in bench.tasks.values():
         run = task.run
         if isinstance(run, Acquisition):
@@ -422,8 +433,8 @@ def discard_strike_records(bench: Bench, strike: Strike, now_ns: int) -> None:
 def correct_started_tasks(bench: Bench, terminal: str, pulse: Pulse, now_ns: int) -> None:
     """Correct the start of tasks that an edge of a pulse has started, when the pulse ends early.
 
-    Tasks wait again if the pulse had not started; those on its falling edge start now. Their records are
-    discarded.
+    Tasks started by ``terminal`` wait again if the pulse had not started by ``now_ns``; those on its falling
+    edge start now. Their records are discarded.
     """
     for task in bench.tasks.values():
         run = task.run

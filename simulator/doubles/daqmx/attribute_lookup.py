@@ -14,7 +14,7 @@ Subject = TypeVar("Subject")
 
 
 def _find_attribute(arguments: Arguments, family: str) -> Attribute:
-    """Return the attribute that a call names; raise Status if its family has no such attribute."""
+    """Return the attribute whose number a call names; raise Status if its family has no such attribute."""
     found = ATTRIBUTES.get(arguments["attribute"])
     if found is None or found.family != family:
         raise Status(
@@ -26,12 +26,16 @@ def _find_attribute(arguments: Arguments, family: str) -> Attribute:
 def answer_attribute(
     values: Mapping[str, Callable[[Subject], object]], arguments: Arguments, family: str, subject: Subject
 ) -> Answer:
-    """Answer a call with the value of an attribute; raise Status if the family or the subject lacks it.
+    """Answer a call with the value of an attribute; raise Status if the family or ``values`` lacks it.
 
     Parameters
     ----------
     values
-        Attribute name to the function that returns its value.
+        Attribute name to the function that returns its value; its Status is raised, too.
+    family
+        Family of attributes of the entry point, such as ``Timing``.
+    subject
+        Argument of these functions: bench, board, channel or task.
     """
     name = _find_attribute(arguments, family).name
     if name not in values:

@@ -37,7 +37,10 @@ _PULSE_CHANNEL: Mapping[str, Callable[[PulseChannel], object]] = {
 
 
 def _require_channel(task: Task, name: str) -> InputChannel | PulseChannel:
-    """Return the task's channel if ``name`` is its virtual or physical name, or empty; else raise Status."""
+    """Return the task's channel if ``name`` is its virtual or physical name, or empty.
+
+    Raise Status for another name, or if the task has no channel. Case does not matter.
+    """
     channel = task.channel
     if not isinstance(channel, InputChannel | PulseChannel):
         raise Status(statuses.ATTRIBUTE_NOT_IN_THIS_TASK, "The task has no channel.", task=task.name)
@@ -48,18 +51,18 @@ def _require_channel(task: Task, name: str) -> InputChannel | PulseChannel:
 
 
 def _find_terminal(device: Device, name: str) -> str:
-    """Return a terminal of a board by its name, with or without the board's in front.
+    """Find a terminal of a board by its name, with or without that of the board; empty if there is none.
 
-    Empty if there is none.
+    It is returned without the board. Case does not matter.
     """
     known = {short_name(end): end.split("/", 2)[2] for end in list_terminals(device.kind, device.name)}
     return known.get(short_name(name if "/" in name.strip("/") else f"{device.name}/{name}"), "")
 
 
 def get_channel_attribute(bench: Bench, task: Task, arguments: Arguments) -> Answer:
-    """Answer `DAQmxGetChanAttribute` with an attribute of an input or pulse channel.
+    """Answer `DAQmxGetChanAttribute` with an attribute of the task's input or pulse channel.
 
-    Raise Status for another channel, or an attribute that it lacks.
+    Raise Status for another channel, an attribute that it lacks, or a range that the board lacks.
     """
     channel = _require_channel(task, arguments["channel"])
     if isinstance(channel, InputChannel):
@@ -68,9 +71,9 @@ def get_channel_attribute(bench: Bench, task: Task, arguments: Arguments) -> Ans
 
 
 def set_channel_attribute(bench: Bench, task: Task, arguments: Arguments) -> None:
-    """Answer `DAQmxSetChanAttribute` for an input's coupling (DC only) or a pulse's output terminal.
+    """Answer `DAQmxSetChanAttribute`: set an input's coupling (DC only) or a pulse's output terminal.
 
-    Raise Status for other attributes or values, or while the task runs.
+    Raise Status for other channels, attributes or values, or while the task runs.
     """
     name, value = require_settable(task, arguments, "Chan"), arguments["value"]
     channel = _require_channel(task, arguments["channel"])

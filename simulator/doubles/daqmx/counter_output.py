@@ -40,7 +40,7 @@ class PulseChannel:
 
     @property
     def pin(self) -> str:
-        """Return the terminal where the pulse leaves the board."""
+        """Return the terminal where the pulse leaves the board: the chosen one, or else the counter's own."""
         return self.terminal or self.device.kind.counter_terminals[self.number]
 
     @property
@@ -50,7 +50,7 @@ class PulseChannel:
 
     @property
     def line(self) -> str:
-        """Return the name of its line in the record, ``<serial number>/<terminal>``."""
+        """Return the name of the driven line in the line record, ``<serial number>/<terminal>``."""
         return f"{self.device.serial_number}/{self.pin}"
 
 
@@ -67,7 +67,7 @@ class CounterOutput:
     """Pulse generation as a `tasks.TaskKind`."""
 
     def verify(self, bench: Bench, task: Task) -> None:
-        """Raise Status if a pulse time does not fit the counter: at least two ticks high, at most 32 bits."""
+        """Raise Status if delay or high time exceeds 32 bits at 100 MHz, or the latter is below two ticks."""
         longest_s = (2**COUNTER_BITS - 1) / TIMEBASE_HZ
         for name, time_s, shortest_s in (
             ("CO.Pulse.Time.InitialDelay", task.channel.initial_delay_s, 0.0),
@@ -85,13 +85,13 @@ class CounterOutput:
         return tuple(format_resource(channel.device.serial_number, part) for part in parts)
 
     def commit(self, bench: Bench, task: Task) -> None:
-        """Drive the pin low from now on."""
+        """Drive the pin low from now on, after all edges that are due."""
         bench.lines.drive(task.channel.line, 0, bench.settle(), "idle")
 
     def start(self, bench: Bench, task: Task, now_ns: int) -> None:
-        """Start counting now, or at the start trigger.
+        """Start the pulse's delay now, or wait for the start trigger.
 
-        Raise Status after the board's watchdog has expired.
+        Raise Status if a watchdog of the board has expired.
         """
         for watch in bench.tasks.values():
             mine = watch.kind == "watchdog" and watch.is_on(task.device.serial_number)
@@ -122,9 +122,9 @@ class CounterOutput:
         bench.changed.notify_all()
 
     def stop(self, bench: Bench, task: Task, now_ns: int, cause: str) -> None:
-        """Set the line low, end the pulse now, and let a lifted striker fall.
+        """Set the line low and end the pulse at ``now_ns``; a lifted striker falls.
 
-        Do nothing before the first start.
+        The start of tasks by its edges is corrected. Do nothing before the first start.
         """
         run: Generation | None = task.run
         if run is None:
@@ -136,14 +136,15 @@ class CounterOutput:
             run.pulse = replace(run.pulse, end_ns=now_ns)
 
     def done_ns(self, bench: Bench, task: Task) -> int | None:
-        """Return the time in ns when the pulse ends; None before its start trigger."""
+        """Return the monotonic time in ns when the pulse ends; None before its start trigger."""
         return None if task.run.pulse is None else int(task.run.pulse.end_ns)
 
 
 def disconnect_pin(bench: Bench, task: Task, level: int, now_ns: int, cause: str) -> None:
-    """Disconnect a pin from its counter, which continues to count, and drive it to a level.
+    """Disconnect a pin from its counter, which continues to count, and drive it to a level (0 or 1).
 
-    A lifted striker falls now.
+    A striker that is still lifted at ``now_ns`` falls then, or its strike is cancelled; records of the strike
+    are discarded.
     """
     run: Generation = task.run
     bench.lines.cut(task.channel.line, level, now_ns, cause)
@@ -161,7 +162,10 @@ def _round_to_ns(time_s: float) -> int:
 
 
 def _plan_strike(bench: Bench, channel: PulseChannel, pulse: Pulse) -> Strike | None:
-    """Plan the strike of a coil's pulse; None if no coil is wired to the pin, or the pulse is too short."""
+    """Plan the strike of a coil's pulse; None if no coil is wired to the counter, or the pulse is too short.
+
+    None also if the pulse leaves at another pin than the counter's own.
+    """
     if channel.pin != channel.device.kind.counter_terminals[channel.number]:
         # The coil hangs at the counter's own pin; a pulse sent elsewhere moves nothing.
         return None
@@ -172,9 +176,10 @@ def _plan_strike(bench: Bench, channel: PulseChannel, pulse: Pulse) -> Strike | 
 
 
 def create_pulse_channel(bench: Bench, task: Task, arguments: Arguments) -> None:
-    """Answer `DAQmxCreateCOPulseChanTime`: make an empty task a pulse task.
+    """Answer `DAQmxCreateCOPulseChanTime`: give an empty task a pulse channel.
 
-    Raise Status if it has a channel, or for an unknown counter or a high idle state.
+    Raise Status if it has a channel or runs, for an unknown board or counter, or a high idle state; the times
+    are checked when the task is verified.
     """
     task.require_empty()
     device, number = bench.devices.channel(arguments["counter"], "ctr")

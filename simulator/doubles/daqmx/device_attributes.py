@@ -43,22 +43,25 @@ _CALIBRATION: Mapping[str, Callable[[Device], object]] = {
 
 
 def get_system_attribute(bench: Bench, client: str, arguments: Arguments) -> Answer:
-    """Answer `DAQmxGetSystemInfoAttribute` with an attribute of driver or chassis.
+    """Answer `DAQmxGetSystemInfoAttribute` with the driver's version or the names of the boards plugged in.
 
-    Raise Status if unknown.
+    Raise Status for another attribute.
     """
     return answer_attribute(_SYSTEM, arguments, "SystemInfo", bench)
 
 
 def get_device_attribute(bench: Bench, client: str, arguments: Arguments) -> Answer:
-    """Answer `DAQmxGetDeviceAttribute` with an attribute of a board; raise Status if either is unknown."""
+    """Answer `DAQmxGetDeviceAttribute` with an attribute of a board.
+
+    Raise Status if the board is unknown or not plugged in, or the attribute is unknown.
+    """
     return answer_attribute(_DEVICE, arguments, "Device", bench.devices.find(arguments["device_name"]))
 
 
 def get_calibration_attribute(bench: Bench, client: str, arguments: Arguments) -> Answer:
-    """Answer `DAQmxGetCalInfoAttribute` with calibration data of a board.
+    """Answer `DAQmxGetCalInfoAttribute`: self-calibration support and temperature, present temperature, °C.
 
-    Raise Status if either is unknown.
+    Raise Status if the board is unknown or not plugged in, or the attribute is unknown.
     """
     return answer_attribute(_CALIBRATION, arguments, "CalInfo", bench.devices.find(arguments["device_name"]))
 

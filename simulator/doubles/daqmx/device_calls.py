@@ -26,9 +26,9 @@ def _require_present(bench: Bench, name: str) -> Device:
 
 
 def _take_from_tasks(bench: Bench, device: Device, status: int, cause: str) -> None:
-    """Remove a board from all its tasks: later calls of them answer ``status``.
+    """Remove a board from all its tasks, which are stopped; their next calls answer ``status``.
 
-    All its reservations are released, and its lines go low.
+    All its reservations are released, and its lines go low; ``cause`` is recorded with these level changes.
     """
     for task in tuple(bench.tasks.values()):
         if task.is_on(device.serial_number) and not task.lost:
@@ -41,7 +41,10 @@ def _take_from_tasks(bench: Bench, device: Device, status: int, cause: str) -> N
 
 
 def reset_board(bench: Bench, client: str, arguments: Arguments) -> None:
-    """Answer `DAQmxResetDevice`: its tasks are lost, its lines go low, its routes are removed."""
+    """Answer `DAQmxResetDevice`: its tasks are lost, its lines go low, the routes to it are removed.
+
+    Raise Status if the board is unknown or has been removed.
+    """
     device = _require_present(bench, arguments["device_name"])
     _take_from_tasks(bench, device, statuses.DEVICE_ABORTED, "reset")
     own = f"{device.name.casefold()}/"
@@ -49,7 +52,10 @@ def reset_board(bench: Bench, client: str, arguments: Arguments) -> None:
 
 
 def self_calibrate_board(bench: Bench, client: str, arguments: Arguments) -> None:
-    """Answer `DAQmxSelfCal`: shift the board's offset; raise Status while a task holds part of the board."""
+    """Answer `DAQmxSelfCal`: shift the board's offset and set time (UTC) and temperature of its calibration.
+
+    Raise Status while a task holds part of the board, or if it is unknown or has been removed.
+    """
     device = _require_present(bench, arguments["device_name"])
     for holder in bench.reservations.holders_of_board(device.serial_number):
         raise Status(
@@ -60,9 +66,9 @@ def self_calibrate_board(bench: Bench, client: str, arguments: Arguments) -> Non
 
 
 def get_last_self_calibration(bench: Bench, client: str, arguments: Arguments) -> Answer:
-    """Answer `DAQmxGetSelfCalLastDateAndTime`, to the minute.
+    """Answer `DAQmxGetSelfCalLastDateAndTime` with year, month, day, hour and minute.
 
-    Raise Status for a simulated device, as NI does.
+    Raise Status for an unknown board, and for a simulated device, as NI does.
     """
     device = bench.devices.find(arguments["device_name"])
     if device.parameters.simulated:
@@ -72,7 +78,7 @@ def get_last_self_calibration(bench: Bench, client: str, arguments: Arguments) -
 
 
 def _find_power_up_lines(bench: Bench, device: Device, names: str) -> list[str]:
-    """Return a board's digital lines by their names in a call; raise Status for an unknown one."""
+    """Return a board's digital lines by names, one per text line; raise Status for an unknown one."""
     known = {f"{device.name}/{line}".casefold(): line for line in device.kind.digital_lines}
     found = []
     for name in names.splitlines():
@@ -83,7 +89,11 @@ def _find_power_up_lines(bench: Bench, device: Device, names: str) -> list[str]:
 
 
 def set_power_up_states(bench: Bench, client: str, arguments: Arguments) -> None:
-    """Answer `DAQmxSetDigitalPowerUpStates`; raise Status, and set none, for an unknown line or state."""
+    """Answer `DAQmxSetDigitalPowerUpStates`: store the power-up state of each named digital line.
+
+    Raise Status, and set none, for an unknown board, line or state; ValueError if there are not as many
+    states as lines.
+    """
     device = bench.devices.find(arguments["device_name"])
     lines = _find_power_up_lines(bench, device, arguments["channel_names"])
     states = [int(state) for state in arguments["state"]]
@@ -94,16 +104,19 @@ def set_power_up_states(bench: Bench, client: str, arguments: Arguments) -> None
 
 
 def get_power_up_states(bench: Bench, client: str, arguments: Arguments) -> Answer:
-    """Answer `DAQmxGetDigitalPowerUpStates`; a line without a stored state is tristate."""
+    """Answer `DAQmxGetDigitalPowerUpStates` with the state of each named line; tristate if none is stored.
+
+    Raise Status for an unknown board or line.
+    """
     device = bench.devices.find(arguments["device_name"])
     lines = _find_power_up_lines(bench, device, arguments["channel_names"])
     return {"state": [device.power_up_states.get(line, POWER_UP_TRISTATE) for line in lines]}
 
 
 def unplug_board(bench: Bench, serial_number: int) -> None:
-    """Remove a board from the chassis: its tasks are lost, its lines go low.
+    """Remove a board from the chassis: its tasks are lost, its lines go low, waiting calls wake up.
 
-    Raise KeyError if there is none.
+    Raise KeyError if no board has this serial number.
     """
     _take_from_tasks(bench, bench.devices.get_by_serial(serial_number), statuses.DEVICE_REMOVED, "unplug")
     bench.devices.unplug(serial_number)

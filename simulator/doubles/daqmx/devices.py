@@ -42,7 +42,7 @@ class Device:
 
     @property
     def temperature_c(self) -> float:
-        """Return the temperature of its own sensor, °C; a simulated board has none and returns 0."""
+        """Return the temperature of the board's own sensor, °C; a simulated board has none and returns 0."""
         return 0.0 if self.parameters.simulated else self.parameters.temperature_c
 
     def calibration(self, range_v: float) -> Calibration:
@@ -51,7 +51,7 @@ class Device:
         return board_calibration(adc, self.offset_shift_v)
 
     def self_calibrate(self, now: datetime) -> None:
-        """Record time and temperature of a self-calibration, and shift the offset by the described step."""
+        """Set time and temperature of the last self-calibration; shift the offset by the described step."""
         self.calibrated = now
         self.calibration_temperature_c = self.temperature_c
         self.offset_shift_v += self.parameters.self_calibration_shift_v
@@ -72,16 +72,16 @@ class Devices:
         return tuple(device for device in self if device.plugged)
 
     def get_by_serial(self, serial_number: int) -> Device:
-        """Return a board by serial number; raise KeyError if there is none."""
+        """Return a board by serial number, plugged in or not; raise KeyError if there is none."""
         return self._devices[serial_number]
 
     def find(self, name: str) -> Device:
-        """Return a board by name.
+        """Return the plugged-in board of a name; case and slashes around the name do not matter.
 
         Raises
         ------
         Status
-            Not plugged in (-201003) or unknown (-200220).
+            The board is not plugged in or was renamed (-201003), or is unknown (-200220).
         """
         wanted = name.strip().strip("/").casefold()
         for device in self:
@@ -96,19 +96,22 @@ class Devices:
         self.get_by_serial(serial_number).plugged = False
 
     def plug(self, serial_number: int, name: str = "") -> None:
-        """Plug a board in again, under another name if one is given; raise KeyError if there is none."""
+        """Plug a board in again, under another name if one is given; raise KeyError if there is none.
+
+        A former name is then known, but not accessible.
+        """
         device = self.get_by_serial(serial_number)
         self._former_names.add(device.name.casefold())
         device.name = name or device.name
         device.plugged = True
 
     def channel(self, text: str, part: str) -> tuple[Device, int]:
-        """Parse a physical channel like ``Dev1/ai0`` into board and number.
+        """Parse a physical channel like ``Dev1/ai0`` (``part``: ``ai`` or ``ctr``) into board and number.
 
         Raises
         ------
         Status
-            -200170 for what is no single channel of its board, and as `find`.
+            -200170 for a text that is not a single channel of its board, and as `find`.
         """
         name, _, end = text.strip().strip("/").partition("/")
         device = self.find(name)
@@ -123,14 +126,12 @@ class Devices:
         return device, int(number)
 
     def lines(self, text: str) -> list[tuple[Device, str]]:
-        """Parse names of digital lines like ``Dev1/port2/line4:6, Dev1/port1/line0``.
-
-        Return each with its board, in order.
+        """Parse names of lines like ``Dev1/port2/line4:6, Dev1/port1/line0`` into boards and lines, in order.
 
         Raises
         ------
         Status
-            -200170 for what is no line of its board, a whole port included, and as `find`.
+            -200170 for a text that is no line of its board, a whole port included, and as `find`.
         """
         found: list[tuple[Device, str]] = []
         for piece in text.split(","):

@@ -56,7 +56,7 @@ class LineRecord:
         return tuple(self._events)
 
     def clear_events(self) -> None:
-        """Discard the level changes; levels and pulses stay."""
+        """Discard the recorded level changes; levels and scheduled pulses stay."""
         self._events.clear()
 
     def level(self, line: str) -> int:
@@ -64,23 +64,20 @@ class LineRecord:
         return self._levels.get(line, 0)
 
     def drive(self, line: str, level: int, ns: int, cause: str) -> None:
-        """Drive a line to a level (0 or 1) at a time.
+        """Drive a line to a level (0 or 1) at a monotonic time in ns; scheduled edges stay.
 
-        Record a change with its cause. Scheduled edges stay.
+        A change of the level is recorded with its cause.
         """
         if self.level(line) != level:
             self._levels[line] = level
             self._events.append(LineEvent(line=line, level=level, ns=ns, cause=cause))
 
     def start(self, pulse: Pulse) -> None:
-        """Schedule both edges of a pulse.
-
-        Those of an earlier pulse of its line that are still due are dropped.
-        """
+        """Schedule both edges of a pulse in place of those that are still due on its line."""
         self._edges[pulse.line] = [(pulse.start_ns, 1), (pulse.end_ns, 0)]
 
     def settle(self, now_ns: int) -> None:
-        """Record every edge that is due by ``now_ns``, of all lines in order of time."""
+        """Drive and record every scheduled edge that is due by ``now_ns``, of all lines in order of time."""
         while self._edges:
             line = min(self._edges, key=lambda name: self._edges[name][0])
             ns, level = self._edges[line][0]
@@ -92,6 +89,6 @@ class LineRecord:
                 del self._edges[line]
 
     def cut(self, line: str, level: int, ns: int, cause: str) -> None:
-        """Cancel the pending edges of a line and drive it to a level."""
+        """Cancel the scheduled edges of a line and drive it to a level (0 or 1) at a monotonic time in ns."""
         self._edges.pop(line, None)
         self.drive(line, level, ns, cause)

@@ -29,7 +29,7 @@ class Reservations:
         return dict(self._held)
 
     def take(self, resources: Iterable[str], holder: Holder) -> None:
-        """Reserve all of the resources or none.
+        """Reserve all of the resources or none; those that the holder has already stay with it.
 
         Raises
         ------
@@ -51,7 +51,7 @@ class Reservations:
         self._held.update(dict.fromkeys(wanted, holder))
 
     def occupy(self, resource: str, owner: str) -> None:
-        """Reserve a resource for another process, replacing the present holder."""
+        """Reserve a resource for a program ``owner`` in another process, replacing the present holder."""
         self._held[resource] = Holder(client="another process", task=owner)
 
     def release(self, holder: Holder) -> None:
@@ -59,7 +59,7 @@ class Reservations:
         self._held = {resource: other for resource, other in self._held.items() if other != holder}
 
     def release_board(self, serial_number: int) -> None:
-        """Release all resources of one board, as its reset does."""
+        """Release all resources of one board, of every holder."""
         held = self._held.items()
         self._held = {name: holder for name, holder in held if parse_serial(name) != serial_number}
 

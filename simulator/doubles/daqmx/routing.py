@@ -20,12 +20,12 @@ INTERNAL_OUTPUT = "internaloutput"
 
 
 def short_name(terminal: str) -> str:
-    """Normalize a terminal's name for comparison: lower case, without the leading slash."""
+    """Normalize a terminal's name for comparison: lower case, without outer spaces and leading slashes."""
     return terminal.strip().lstrip("/").casefold()
 
 
 def start_trigger_of(task: Task) -> str:
-    """Return the normalized terminal whose edge starts the task; empty if it starts at once."""
+    """Return the normalized terminal whose edge starts the task; empty if it has no digital start trigger."""
     if task.settings.get("StartTrig.Type", NO_TRIGGER) != DIGITAL_EDGE:
         return ""
     return short_name(str(task.settings["DigEdge.StartTrig.Src"]))
@@ -36,6 +36,8 @@ def fire_edge(bench: Bench, terminal: str, at_ns: int, edge: int = RISING) -> No
 
     Parameters
     ----------
+    at_ns
+        Monotonic time of the edge, ns.
     edge
         `RISING` or `FALLING`.
     """
@@ -75,7 +77,7 @@ def _has_terminal(bench: Bench, terminal: str) -> bool:
 
 
 def configure_start_trigger(bench: Bench, task: Task, arguments: Arguments) -> None:
-    """Answer `DAQmxCfgDigEdgeStartTrig`: start the task at a digital edge.
+    """Answer `DAQmxCfgDigEdgeStartTrig`: start the task at a digital edge of a terminal.
 
     Raise Status for an unknown board or terminal, or while the task runs.
     """
@@ -98,12 +100,15 @@ def configure_start_trigger(bench: Bench, task: Task, arguments: Arguments) -> N
 
 
 def require_start_route(bench: Bench, task: Task) -> None:
-    """Check that the counter's edge which starts an input task can reach its board; others are not checked.
+    """Check that the counter whose internal output starts an input task can reach its board.
+
+    Other start triggers are not checked.
 
     Raises
     ------
     Status
-        The board cannot be started by that counter (-89136), or is in another chassis (-89125).
+        The board cannot be started by that counter (-89136), is in another chassis (-89125), or the counter's
+        board is unknown.
     """
     name, _, end = start_trigger_of(task).partition("/")
     if not end.endswith(INTERNAL_OUTPUT):
@@ -120,20 +125,20 @@ def require_start_route(bench: Bench, task: Task) -> None:
 
 
 def _parse_chassis_name(name: str) -> str:
-    """Return the chassis in a board's usual name, `pxi1` for `PXI1Slot3`; a name without slot as it is."""
+    """Return the chassis in a board's name, `pxi1` for `PXI1Slot3`; a name without slot in lower case."""
     return name.casefold().partition("slot")[0]
 
 
 def disable_start_trigger(bench: Bench, task: Task, arguments: Arguments) -> None:
-    """Answer `DAQmxDisableStartTrig`: start the task at once; raise Status while it runs."""
+    """Answer `DAQmxDisableStartTrig`: let the task start without a trigger; raise Status while it runs."""
     tasks.mark_changed(task)
     task.settings["StartTrig.Type"] = NO_TRIGGER
 
 
 def connect_terminals(bench: Bench, client: str, arguments: Arguments) -> None:
-    """Answer `DAQmxConnectTerms`: add a route between two terminals.
+    """Answer `DAQmxConnectTerms`: add a route from a source to a destination terminal.
 
-    Raise Status if one is unknown, or another route ends at the destination.
+    Raise Status if one is unknown, or a route from another source ends at the destination.
     """
     source, destination = arguments["source_terminal"], arguments["destination_terminal"]
     if not _has_terminal(bench, source):
@@ -156,9 +161,9 @@ def disconnect_terminals(bench: Bench, client: str, arguments: Arguments) -> Non
 
 
 def tristate_terminal(bench: Bench, client: str, arguments: Arguments) -> None:
-    """Answer `DAQmxTristateOutputTerm`: stop driving a terminal, which goes low.
+    """Answer `DAQmxTristateOutputTerm`: stop driving a terminal; the output of a counter goes low.
 
-    Raise Status if it is unknown, or a route uses it.
+    Raise Status if it is unknown, or a route ends at it.
     """
     terminal = short_name(arguments["output_terminal"])
     if not _has_terminal(bench, terminal):

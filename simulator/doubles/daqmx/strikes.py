@@ -75,12 +75,14 @@ class Strikes:
         return tuple(strike for strike in self._planned if not strike.cancelled)
 
     def announce(self, key: ShotKey, hour_h: float) -> None:
-        """Set set, shot and hour of the next strike, or pulse-echo record, at the key's position.
+        """Set key and hour of the next strike, or pulse-echo record, at the key's position.
+
+        The hour also applies to later ones that are not announced.
 
         Raises
         ------
         ValueError
-            Nothing is wired there.
+            Nothing is wired to this position.
         """
         if key.position not in self.specimen.walls:
             names = ", ".join(self.specimen.walls) or "none"
@@ -89,9 +91,9 @@ class Strikes:
         self._hour_h = hour_h
 
     def take_next_echo(self, position: str) -> tuple[ShotKey, float]:
-        """Return key and hour of the next pulse-echo record at a position, and use them up.
+        """Return key and hour of the next pulse-echo record at a position, and remove or count them.
 
-        They are the announced ones, or the next in the count of sets.
+        They are the announced ones, or the next in the count of sets at the present hour.
         """
         announced = self._announced.pop(position, None)
         if announced is not None:
@@ -103,7 +105,8 @@ class Strikes:
     def plan(self, position: str, lifted_ns: int, released_ns: int) -> Strike | None:
         """Plan the strike of a coil's pulse (ns); None if the pulse is too short to lift the striker.
 
-        Its key is the announced one, or the next in the count of shots.
+        Its key is the announced one, which is used up, or the next in the count of shots. A short pulse is
+        stored, too, for its crosstalk. Raise KeyError if no transducer has this position.
         """
         lift_s = self._description.transducers[position].lift_s
         if released_ns - lifted_ns < round(lift_s * NS_PER_S):
@@ -135,7 +138,7 @@ class Strikes:
         return strike
 
     def cut(self, strike: Strike, ns: int) -> None:
-        """Switch the coil off early, at ``ns``; do nothing if it is off already.
+        """Switch the coil of a strike off early, at ``ns``; do nothing if it is off already.
 
         The striker falls now; if it had not been lifted, the strike is cancelled and its key is used again.
         """
@@ -154,19 +157,24 @@ class Strikes:
             self._counted[position] -= 1
 
     def _count_next_key(self, position: str) -> ShotKey:
-        """Return the key of the next strike at a position that was not announced, and increase the count."""
+        """Return the key of the next unannounced strike at a position, and increase its count of shots."""
         index = self._counted.get(position, 0)
         self._counted[position] = index + 1
         set_index, shot_index = divmod(index, self._description.shots_per_set)
         return ShotKey(position=position, set_index=set_index, shot_index=shot_index)
 
     def _fall_time_ns(self, key: ShotKey, hour_h: float) -> int:
-        """Return how long the striker of a shot falls freely from its drop height, ns."""
+        """Return the time in ns in which the striker of a shot falls freely from its drop height."""
         height_m = self.specimen.strike(key, hour_h).drop_height_m
         return round(math.sqrt(2.0 * height_m / FALL_ACCELERATION_M_PER_S2) * NS_PER_S)
 
     def record(self, strike: Strike, adc: AdcParameters, calibration: Calibration) -> Acquired | None:
-        """Simulate a board's record of a strike; None if it does not reach the trigger level.
+        """Simulate a board's record of a strike with crosstalk; None if the wave does not trigger it.
+
+        Parameters
+        ----------
+        calibration
+            Polynomial from codes to V of the board in its range.
 
         Raises
         ------
@@ -185,7 +193,10 @@ class Strikes:
     def _simulate_board_record(
         self, specimen: Specimen, strike: Strike, adc: AdcParameters, calibration: Calibration
     ) -> Acquired | None:
-        """Simulate a strike's record with the converter of a board; None if the wave does not trigger it."""
+        """Simulate a strike's record with the converter of a board; None if the wave does not trigger it.
+
+        Raise SimulatorError or ValueError as `record` does.
+        """
         twin = replace(specimen.twin, adc=adc)
         through_board = replace(specimen, twin=twin, adc_calibration=calibration)
         return through_board.simulate_wave(strike.key, strike.hour_h)
@@ -196,13 +207,14 @@ class Strikes:
         """Simulate the untriggered voltage at a sensor's input in V, shape (record_samples,).
 
         It has noise if that is on, the waves of strikes as far as a usual record shows them, and crosstalk.
+        Raise SimulatorError or ValueError if the twin cannot compute a wave.
 
         Parameters
         ----------
         key
             Position, and the key of the noise.
         first_ns
-            Time of the first sample.
+            Monotonic time of the first sample, ns.
         """
         twin, rate_hz = self.specimen.twin, adc.sample_rate_hz
         volts = np.zeros(adc.record_samples)
@@ -230,15 +242,15 @@ class Strikes:
         return volts
 
     def crosstalk(self, position: str) -> Crosstalk:
-        """Return the crosstalk from the coil at a position into its sensor; silent if none is set."""
+        """Return the crosstalk from the coil at a position into its sensor; a silent one if none is set."""
         return self._crosstalk.get(position, Crosstalk())
 
     def disturb(self, position: str, crosstalk: Crosstalk) -> None:
-        """Set the crosstalk from the coil at a position into its sensor from now on."""
+        """Replace the crosstalk from the coil at a position into its sensor from now on."""
         self._crosstalk[position] = crosstalk
 
     def list_coil_pulses(self, position: str) -> list[tuple[int, int]]:
-        """Return when the coil at a position was switched on and off, ns; only the newest pulses are kept."""
+        """Return when the coil at a position was switched on and off, ns; only the newest are kept."""
         return [
             (strike.lifted_ns, strike.released_ns)
             for strike in self._planned
@@ -246,7 +258,7 @@ class Strikes:
         ]
 
     def warm_up(self) -> None:
-        """Compute one shot per position, so that no later one waits for a compiler or a plate.
+        """Simulate one shot per position, so that no later one waits for compilation or the plate's model.
 
         Log a warning for a position that cannot be computed.
         """
@@ -260,7 +272,7 @@ class Strikes:
 
 
 def _insert_wave(volts: FloatArray, wave: FloatArray, at: int) -> None:
-    """Overwrite part of a longer record in place with a wave from index ``at`` on, as far as it fits."""
+    """Overwrite ``volts`` in place with a wave from index ``at`` (may be negative), as far as it fits."""
     first, last = max(at, 0), min(at + wave.size, volts.size)
     if first < last:
         volts[first:last] = wave[first - at : last - at]

@@ -18,7 +18,7 @@ Values = Mapping[str, Callable[[Task], object]]
 
 
 def _build_setting_getter(name: str, default: float | str) -> Callable[[Task], object]:
-    """Create a function that returns a task's setting, or ``default`` if it was not set."""
+    """Create a function that returns a task's setting by attribute name, or ``default`` if it was not set."""
     return lambda task: task.settings.get(name, default)
 
 
@@ -56,7 +56,10 @@ _TRIGGER: Values = {
 
 
 def _get_attribute(family: str, values: Values, bench: Bench, task: Task, arguments: Arguments) -> Answer:
-    """Answer `DAQmxGet<family>Attribute`; raise Status if the task has no channel or no such attribute."""
+    """Answer `DAQmxGet<family>Attribute`; raise Status if the task has no channel or no such attribute.
+
+    The family Task needs no channel; a pulse task has no Timing attributes.
+    """
     if family != "Task":
         _require_channel_task(task)
     if family == "Timing" and task.kind == "co":
@@ -67,9 +70,9 @@ def _get_attribute(family: str, values: Values, bench: Bench, task: Task, argume
 
 
 def _set_attribute(family: str, bench: Bench, task: Task, arguments: Arguments) -> None:
-    """Answer `DAQmxSet<family>Attribute`; the value is checked when the task is verified.
+    """Answer `DAQmxSet<family>Attribute`: store the value, which is checked when the task is verified.
 
-    Raise Status for a task without channel, a read-only attribute, or while the task runs.
+    Raise Status for a task without channel, an unknown or read-only attribute, or while the task runs.
     """
     _require_channel_task(task)
     name = require_settable(task, arguments, family)
@@ -91,7 +94,10 @@ def _get_expired_flag(task: Task) -> int:
 
 
 def get_watchdog_attribute(bench: Bench, task: Task, arguments: Arguments) -> Answer:
-    """Answer `DAQmxGetWatchdogAttribute`; raise Status if the task is no watchdog."""
+    """Answer `DAQmxGetWatchdogAttribute` with 1 if the watchdog has expired, else 0.
+
+    Raise Status if the task is no watchdog or not reserved, or for another attribute.
+    """
     if task.kind != "watchdog":
         raise Status(statuses.ATTRIBUTE_NOT_IN_THIS_TASK, "The task is no watchdog.", task=task.name)
     bench.settle()

@@ -21,9 +21,9 @@ def _get_error_string(bench: Bench, client: str, arguments: Arguments) -> Answer
 
 
 def _create_task(bench: Bench, client: str, arguments: Arguments) -> Answer:
-    """Answer `DAQmxCreateTask` with the handle of a new task.
+    """Answer `DAQmxCreateTask` with the handle of a new task; an empty name is replaced by a generated one.
 
-    Raise Status if the client has one of that name.
+    Raise Status if the client has a task of that name.
     """
     return {"task": tasks.create_task(bench, client, arguments["session_name"]).handle}
 
@@ -47,25 +47,25 @@ def _get_last_created_channel(bench: Bench, client: str, arguments: Arguments) -
 
 
 def _control_task(bench: Bench, task: Task, arguments: Arguments) -> None:
-    """Answer `DAQmxTaskControl`: move a task to the requested state.
-
-    Raise Status if that fails (`tasks.control`).
-    """
+    """Answer `DAQmxTaskControl`: execute an action on a task; raise Status if it fails (`control_task`)."""
     tasks.control_task(bench, task, arguments["action"])
 
 
 def _start_task(bench: Bench, task: Task, arguments: Arguments) -> None:
-    """Answer `DAQmxStartTask`; raise Status if the task does not fit the board or the board is reserved."""
+    """Answer `DAQmxStartTask`; raise Status if the task runs, or to verify or reserve it fails."""
     tasks.start_task(bench, task)
 
 
 def _stop_task(bench: Bench, task: Task, arguments: Arguments) -> None:
-    """Answer `DAQmxStopTask`; a task that was not done raises the warning 200010."""
+    """Answer `DAQmxStopTask`; raise Status 200010, a warning, if the task was stopped before it was done."""
     tasks.stop_task(bench, task)
 
 
 def _wait_until_done(bench: Bench, task: Task, arguments: Arguments) -> None:
-    """Answer `DAQmxWaitUntilTaskDone`; raise Status after the timeout in s (negative: no limit)."""
+    """Answer `DAQmxWaitUntilTaskDone`: block until the task is done or stopped.
+
+    Raise Status after the timeout in s (negative: no limit), or if the board is lost meanwhile.
+    """
     timeout_s = arguments["time_to_wait"]
     late = Status(statuses.NOT_DONE_IN_TIME, f"Time to wait: {timeout_s} s", task=task.name)
     tasks.wait_until_done(bench, task, timeout_s, late)

@@ -53,10 +53,7 @@ class Clock(Protocol):
         ...
 
     def wait(self, changed: threading.Condition, until_ns: int | None) -> None:
-        """Wait on a condition, which the caller holds, at most until a monotonic time in ns.
-
-        None: no limit.
-        """
+        """Wait on a condition that the caller holds, at most until a monotonic time in ns; None: no limit."""
         ...
 
 
@@ -68,7 +65,7 @@ class WallClock:
         return time.monotonic_ns()
 
     def wait(self, changed: threading.Condition, until_ns: int | None) -> None:
-        """Wait on a condition, at most until a monotonic time in ns; None waits without limit."""
+        """Wait on a condition that the caller holds, at most until a monotonic time in ns; None: no limit."""
         changed.wait(None if until_ns is None else max(until_ns - self.now_ns(), 0) / NS_PER_S)
 
 
@@ -114,7 +111,7 @@ class Task:
 
     @property
     def device(self) -> Device:
-        """Return the board of its channel; the task must have one."""
+        """Return the board of the task's channel; raise AttributeError if it has no channel."""
         device: Device = self.channel.device
         return device
 
@@ -123,7 +120,7 @@ class Task:
         return self.channel is not None and self.device.serial_number == serial_number
 
     def require_empty(self) -> None:
-        """Raise Status if the task has a channel, or runs; a task of the double has one channel."""
+        """Raise Status if the task runs or has a channel already; a task of the double has one channel."""
         self.require_not_running()
         if self.channel is not None:
             raise Status(
@@ -133,7 +130,7 @@ class Task:
             )
 
     def set_channel(self, kind: str, channel: Any) -> None:
-        """Set kind and channel of the task; it becomes unverified."""
+        """Set kind (``ai``, ``co``, ``watchdog``) and channel of the task, which becomes unverified."""
         self.kind, self.channel, self.state, self.verified = kind, channel, TaskState.UNVERIFIED, False
 
     def require_not_running(self) -> None:
@@ -154,23 +151,23 @@ class TaskKind(Protocol):
         ...
 
     def commit(self, bench: Bench, task: Task) -> None:
-        """Program the board with the task's settings, once its resources are reserved."""
+        """Program the board with the task's settings; called once its resources are reserved."""
         ...
 
     def start(self, bench: Bench, task: Task, now_ns: int) -> None:
-        """Start the hardware of the task without waiting for its end."""
+        """Start the hardware of the task at a monotonic time in ns, without waiting for its end."""
         ...
 
     def triggered(self, bench: Bench, task: Task, at_ns: int) -> None:
-        """Continue a started task at its start trigger, at a time in ns."""
+        """Continue a started task at its start trigger, at a monotonic time in ns."""
         ...
 
     def stop(self, bench: Bench, task: Task, now_ns: int, cause: str) -> None:
-        """Stop the task's running hardware at a time in ns; ``cause`` is recorded with its level changes."""
+        """Stop the task's hardware at a time in ns; ``cause`` is recorded with its level changes."""
         ...
 
     def done_ns(self, bench: Bench, task: Task) -> int | None:
-        """Return the time in ns when the running task will be done; None if it is unknown."""
+        """Return the monotonic time in ns when the running task will be done; None while that is unknown."""
         ...
 
 
@@ -192,7 +189,7 @@ class Bench:
     next_handle: int = 0x10001
 
     def settle(self) -> int:
-        """Process every edge and watchdog that is due; return the monotonic time now in ns."""
+        """Process every watchdog and edge that is due, and return the present monotonic time in ns."""
         now_ns = self.clock.now_ns()
         for task in tuple(self.tasks.values()):
             if task.kind == "watchdog" and task.state is TaskState.RUNNING:
@@ -212,7 +209,7 @@ TaskHandler = Callable[[Bench, Task, Arguments], Answer]
 
 
 def create_task(bench: Bench, client: str, name: str) -> Task:
-    """Create a task of a client, with a generated name for an empty one.
+    """Create a task of a client without a channel; an empty name is replaced by a generated one.
 
     Raise Status if the client has a task of that name.
     """
@@ -232,7 +229,8 @@ def find_task(bench: Bench, client: str, handle: int) -> Task:
     Raises
     ------
     Status
-        No such task of this client (-200088), or its board is gone (-88710 at first, then -88709).
+        No such task of this client (-200088), or its board was reset or removed (the cause at first, then
+        -88709).
     """
     task = bench.tasks.get(handle)
     if task is None or task.client != client:
@@ -243,19 +241,19 @@ def find_task(bench: Bench, client: str, handle: int) -> Task:
 
 
 def raise_lost_status(task: Task) -> None:
-    """Raise the status of a task that lost its board: the first time with the cause, then -88709."""
+    """Raise the Status of a task that lost its board: the first time with the cause, from then on -88709."""
     code = task.lost
     task.lost = -88709
     raise Status(code, task=task.name)
 
 
 def lose_board(bench: Bench, task: Task, code: int, cause: str) -> None:
-    """Stop a task whose board is gone, release its resources, and let later calls fail with ``code``.
+    """Stop a task whose board is gone, release its resources, and let its next call fail with ``code``.
 
     Parameters
     ----------
     cause
-        Of the level changes, in their record.
+        Cause that is recorded with the level changes.
     """
     if task.kind:
         bench.kinds[task.kind].stop(bench, task, bench.settle(), cause)
@@ -268,7 +266,7 @@ def lose_board(bench: Bench, task: Task, code: int, cause: str) -> None:
 def advance_task(bench: Bench, task: Task, target: TaskState) -> None:
     """Move a task forward to a state below running: verify, reserve and commit as needed.
 
-    Raise Status if it has no channel or one of the steps fails.
+    Raise Status if it has no channel or one of the steps fails; steps before it remain done.
     """
     if task.channel is None:
         raise Status(statuses.NO_CHANNELS, task=task.name)
@@ -288,7 +286,7 @@ def advance_task(bench: Bench, task: Task, target: TaskState) -> None:
 def mark_changed(task: Task) -> None:
     """Mark a task as changed, so that its next start verifies and programs it again.
 
-    Raise Status -200479 if it runs.
+    A committed task becomes reserved. Raise Status -200479 if it runs.
     """
     task.require_not_running()
     if task.state is TaskState.COMMITTED:
@@ -297,9 +295,9 @@ def mark_changed(task: Task) -> None:
 
 
 def start_task(bench: Bench, task: Task) -> None:
-    """Start a task, through the states that are missing.
+    """Start a task, through the states that are missing, and wake up the calls that wait.
 
-    Raise Status if it runs already or a step fails; then what was reserved for this start is released.
+    Raise Status if it runs already or a step fails; then resources reserved only for this start are released.
     """
     task.require_not_running()
     task.resume = max(task.state, TaskState.VERIFIED)
@@ -317,7 +315,10 @@ def start_task(bench: Bench, task: Task) -> None:
 
 
 def is_task_done(bench: Bench, task: Task) -> bool:
-    """Return whether a task is not running, or its record or pulse is complete."""
+    """Return whether a task is not running, or its record or pulse is complete.
+
+    Raise Status if the twin cannot compute its record.
+    """
     if task.state is not TaskState.RUNNING:
         return True
     now_ns = bench.settle()
@@ -326,12 +327,12 @@ def is_task_done(bench: Bench, task: Task) -> bool:
 
 
 def stop_task(bench: Bench, task: Task) -> None:
-    """Stop a task; do nothing if it is not running.
+    """Stop a task and restore its state before the start; do nothing if it is not running.
 
     Raises
     ------
     Status
-        The warning 200010 if it was not done.
+        The warning 200010, after the stop, if it was not done; never for a watchdog.
     """
     if task.state is not TaskState.RUNNING:
         return
@@ -346,7 +347,7 @@ def stop_task(bench: Bench, task: Task) -> None:
 
 
 def _stop_hardware(bench: Bench, task: Task) -> None:
-    """Stop the hardware of a task and restore the state before its start, with its reservations."""
+    """Stop the hardware of a task and restore its state before the start, with its reservations."""
     bench.kinds[task.kind].stop(bench, task, bench.settle(), "stop")
     task.state = task.resume
     if task.state < TaskState.RESERVED:
@@ -357,8 +358,8 @@ def _stop_hardware(bench: Bench, task: Task) -> None:
 def control_task(bench: Bench, task: Task, action: int) -> None:
     """Execute an action of `DAQmxTaskControl` on a task.
 
-    Verifying, reserving and committing a running task do nothing. Raise Status for an unknown action, or if
-    the step fails.
+    To verify, reserve or commit a running task does nothing; to abort stops it without a warning. Raise
+    Status for an unknown action, if the step fails, or if a running task is to be unreserved.
     """
     match action:
         case Action.START:
@@ -386,7 +387,7 @@ def control_task(bench: Bench, task: Task, action: int) -> None:
 
 
 def _release_resources(bench: Bench, task: Task) -> None:
-    """Release the resources of a task and set it to verified; do nothing if it has none."""
+    """Release the resources of a task and set it to verified; do nothing if it has reserved none."""
     if task.state >= TaskState.RESERVED:
         bench.reservations.release(task.holder)
         task.state = TaskState.VERIFIED
@@ -394,7 +395,7 @@ def _release_resources(bench: Bench, task: Task) -> None:
 
 
 def clear_task(bench: Bench, task: Task) -> None:
-    """Stop a task without a warning, release its resources and remove it."""
+    """Stop a task without a warning, release its resources, remove it, and wake up waiting calls."""
     if task.state is TaskState.RUNNING:
         _stop_hardware(bench, task)
     _release_resources(bench, task)
@@ -403,12 +404,14 @@ def clear_task(bench: Bench, task: Task) -> None:
 
 
 def wait_until_done(bench: Bench, task: Task, timeout_s: float, expired: Status) -> None:
-    """Wait until a task is done, stopped, or the timeout is over; a negative timeout waits for ever.
+    """Block until a task is done or stopped, at most ``timeout_s``; a negative timeout has no limit.
+
+    The caller holds the bench's lock, which is released while waiting.
 
     Raises
     ------
     Status
-        `expired` at the deadline; -88710 and the like if the board goes away meanwhile.
+        ``expired`` at the deadline; the task's own if it loses its board, is cleared, or is started again.
     """
     deadline_ns = None if timeout_s < 0.0 else bench.clock.now_ns() + round(timeout_s * NS_PER_S)
     n_starts = task.n_starts

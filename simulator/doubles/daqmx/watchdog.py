@@ -45,9 +45,10 @@ class Countdown:
     expired_ns: int | None = None
 
     def settle(self, bench: Bench, task: Task, now_ns: int) -> None:
-        """Expire the watchdog at its own time, if its timeout has passed; its lines take their safe levels.
+        """Expire the watchdog if its timeout has passed by ``now_ns``; its lines take their safe levels.
 
-        The recorded time does not depend on when calls come. A pulse on a watched line is cut.
+        The recorded time is that of the expiration, whenever this is called. A pulse on a watched line is
+        cut.
         """
         if self.expired_ns is not None or self.begin_ns is None or self.timeout_s == NEVER:
             return
@@ -83,7 +84,7 @@ class Watchdog:
         """Do nothing: no line is driven before the timer expires."""
 
     def start(self, bench: Bench, task: Task, now_ns: int) -> None:
-        """Start the countdown with the configured timeout."""
+        """Start the countdown now with the configured timeout in s."""
         task.n_starts += 1
         task.run = Countdown(begin_ns=now_ns, timeout_s=task.settings["Watchdog.Timeout"])
 
@@ -91,7 +92,7 @@ class Watchdog:
         """Do nothing: a watchdog waits for no trigger."""
 
     def stop(self, bench: Bench, task: Task, now_ns: int, cause: str) -> None:
-        """End the countdown; an expired watchdog stays expired until it is cleared."""
+        """End the countdown; an expired watchdog stays expired until it is cleared or started again."""
         if task.run is not None and task.run.expired_ns is None:
             task.run = None
 
@@ -103,7 +104,8 @@ class Watchdog:
 def create_watchdog(bench: Bench, client: str, arguments: Arguments) -> Answer:
     """Answer `DAQmxCreateWatchdogTimerTaskEx` with the handle of a new watchdog task.
 
-    Raise Status for an unknown board, one without a watchdog, or a timeout outside its limits (-1: never).
+    Raise Status for an unknown board, one without a watchdog, a timeout in s outside its limits (-1: never),
+    or a name that the client's tasks have already.
     """
     device = bench.devices.find(arguments["device_name"])
     if not device.kind.watchdog:
@@ -130,8 +132,8 @@ def _require_watchdog(task: Task) -> None:
 def configure_expiration(bench: Bench, task: Task, arguments: Arguments) -> None:
     """Answer `DAQmxCfgWatchdogDOExpirStates`: set the level that each line takes on expiration.
 
-    A counter is watched by the line of its terminal. Raise Status for unknown lines, lines of another board
-    or unknown states, or while the watchdog runs.
+    A counter is watched by the line of its terminal. Raise Status for another kind of task, unknown lines or
+    states, lines of another board, another number of states, or while the watchdog runs.
     """
     _require_watchdog(task)
     tasks.mark_changed(task)
@@ -150,9 +152,10 @@ def configure_expiration(bench: Bench, task: Task, arguments: Arguments) -> None
 
 
 def control_watchdog(bench: Bench, task: Task, arguments: Arguments) -> None:
-    """Answer `DAQmxControlWatchdogTask`: reset the timer or clear an expiration.
+    """Answer `DAQmxControlWatchdogTask`: restart the countdown, or clear an expiration.
 
-    Raise Status if it was not started, for an unknown action, or for a reset after the expiration.
+    Raise Status for another kind of task, if it was not started, for an unknown action, or for a restart
+    after the expiration.
     """
     _require_watchdog(task)
     now_ns = bench.settle()

@@ -72,14 +72,14 @@ class NiscopeBrain:
     # What a test or the control channel asks for
 
     def has_board(self, serial_number: int) -> bool:
-        """Return whether a board with this serial number is described, plugged in or not."""
+        """Return whether a board with this serial number exists, plugged in or removed."""
         known = {board.serial_number for board in self._boards.values()}
         return serial_number in known | set(self._unplugged)
 
     def unplug(self, serial_number: int) -> None:
-        """Remove a board: its sessions stay open, but their calls fail.
+        """Remove a board: its sessions stay open, but their calls fail, also those that wait.
 
-        Do nothing if it is not plugged in.
+        Do nothing if no board with this serial number is plugged in.
         """
         with self._changed:
             for name, board in tuple(self._boards.items()):
@@ -88,7 +88,7 @@ class NiscopeBrain:
             self._changed.notify_all()
 
     def plug(self, serial_number: int, name: str = "") -> None:
-        """Plug a removed board in again, under another name if one is given.
+        """Plug a removed board in, under another name if one is given.
 
         Raise KeyError if it was not removed.
         """
@@ -103,7 +103,7 @@ class NiscopeBrain:
             return frozenset(self._boards)
 
     def occupy(self, resource: str, owner: str) -> None:
-        """Reserve a board for another process; new sessions on it fail, open ones continue."""
+        """Reserve a board by its name for another process; new sessions on it fail, open ones continue."""
         with self._changed:
             self._foreign_owners[resource] = owner
 
@@ -130,12 +130,15 @@ class NiscopeBrain:
     # Entry points
 
     def call(self, client: str, function: str, arguments: Arguments) -> Answer:
-        """Answer one call of the NI-SCOPE API.
+        """Answer one call of the NI-SCOPE API with its outputs by name; a fetch blocks.
 
         Raises
         ------
         Status
-            What the entry returns instead of 0; a positive code is a warning and carries the outputs.
+            The status that the entry returns instead of 0; a positive code is a warning and carries the
+            outputs. It is stored for ``GetError``.
+        KeyError
+            There is no such function, or an argument is missing.
         """
         name = function.removeprefix("niScope_")
         if name == "SetRuntimeEnvironment":
@@ -161,7 +164,7 @@ class NiscopeBrain:
             raise
 
     def _open_session(self, client: str, resource: str) -> Answer:
-        """Open a session on a board and answer with its handle.
+        """Open a session with default settings on a board and answer with its handle.
 
         Raise ScopeStatus if the board is unknown, or open in another session or process.
         """
@@ -179,7 +182,7 @@ class NiscopeBrain:
             return {"vi": handle}
 
     def _close_session(self, session: Session, _: Arguments) -> None:
-        """Close a session; its acquisition ends, and a fetch that waits fails."""
+        """Close a session; its acquisition ends, and a fetch that waits raises ScopeStatus."""
         with self._changed:
             del self._sessions[session.handle]
             self._changed.notify_all()
@@ -188,12 +191,18 @@ class NiscopeBrain:
         """Accept a lock without effect, because it concerns the caller's own threads."""
 
     def _commit_session(self, session: Session, _: Arguments) -> None:
-        """Check that the session can commit; raise ScopeStatus while it acquires, or without its board."""
+        """Check that the session can commit; nothing is programmed.
+
+        Raise ScopeStatus while an acquisition is not aborted, or without the board.
+        """
         require_idle(session)
         self._require_present(session)
 
     def _restore_defaults(self, session: Session, _: Arguments) -> None:
-        """Reset all settings of a session and abort its acquisition; raise ScopeStatus without its board."""
+        """Reset all settings of a session and abort its acquisition; raise ScopeStatus without its board.
+
+        A fetch that waits fails.
+        """
         self._require_present(session)
         fresh = Session(
             handle=session.handle,
@@ -209,7 +218,10 @@ class NiscopeBrain:
     # Acquisition
 
     def _start_acquisition(self, session: Session, _: Arguments) -> None:
-        """Start an acquisition; raise ScopeStatus if one runs, no channel is enabled or the board is gone."""
+        """Start an acquisition without waiting for it.
+
+        Raise ScopeStatus if one is not aborted yet, no channel is enabled, or the board is gone.
+        """
         require_idle(session)
         self._require_present(session)
         if not any(channel.enabled for channel in session.channels.values()):
@@ -217,7 +229,7 @@ class NiscopeBrain:
         session.acquisition = self._pulsers.begin(session, self._monotonic_s())
 
     def _abort_acquisition(self, session: Session, _: Arguments) -> None:
-        """Abort the acquisition of a session, if there is one.
+        """Abort the acquisition of a session, if there is one; a fetch that waits fails.
 
         Then raise ScopeStatus if its board is gone.
         """
@@ -227,18 +239,22 @@ class NiscopeBrain:
         self._require_present(session)
 
     def _count_waveforms(self, session: Session, arguments: Arguments) -> Answer:
-        """Answer with the number of waveforms that a fetch would return: remaining records times channels."""
+        """Answer with the number of waveforms of a fetch: requested records that are left, times channels.
+
+        Raise ScopeStatus for an unknown channel.
+        """
         requested = session.fetch[FETCH_RECORDS]
         left = max(session.records - session.fetch[FETCH_RECORD], 0)
         records = left if requested < 0 else min(requested, left)
         return {"num_wfms": records * len(channels_of(session, arguments))}
 
     def _fetch_waveforms(self, session: Session, arguments: Arguments) -> Answer:
-        """Wait for the records and answer with their codes, record by record, one channel after the other.
+        """Block until the records are complete; answer with their codes by record, then by channel.
 
-        ``waveform`` has ``num_samples`` codes per waveform, a shorter record is filled with 0. ScopeStatus is
-        raised at the timeout, without an acquisition, for a disabled channel or fetch settings that the
-        double lacks; a code at an end of the range gives the overload warning with the data.
+        ``waveform`` has ``num_samples`` padded codes per waveform; a shorter record is filled with 0.
+        ``wfm_info`` has the packed scaling of each. ScopeStatus is raised at the timeout, without an
+        acquisition, for a disabled channel or fetch settings that the double lacks; a code at an end of the
+        range gives the overload warning with the data.
         """
         running = session.acquisition
         if running is None:
@@ -270,7 +286,7 @@ class NiscopeBrain:
         return answer
 
     def _wait_until_done(self, session: Session, running: Acquisition, timeout_s: float) -> None:
-        """Wait until an acquisition is complete; a negative ``timeout_s`` waits without limit.
+        """Block until an acquisition is complete, at most ``timeout_s``; a negative one has no limit.
 
         Raise ScopeStatus at the timeout, or if the acquisition is aborted, the session closed or the board
         removed.
@@ -293,20 +309,20 @@ class NiscopeBrain:
     # Calibration
 
     def _get_calibration_date(self, session: Session, arguments: Arguments) -> Answer:
-        """Answer with year, month and day of the board's external or self-calibration."""
+        """Answer with year, month and day of the self- or external calibration, as ``which_one`` requests."""
         day = datetime.date.fromisoformat(session.board.calibration_date)
         if arguments["which_one"] == SELF_CALIBRATION:
             day = self._self_calibrated.get(session.board.serial_number, day)
         return {"year": day.year, "month": day.month, "day": day.day}
 
     def _get_calibration_temperature(self, session: Session, _: Arguments) -> Answer:
-        """Answer with the temperature of the board at its calibration, °C."""
+        """Answer with the board's calibration temperature, °C, which self-calibration does not change."""
         return {"temperature": session.board.calibration_temperature_c}
 
     def _self_calibrate(self, session: Session, _: Arguments) -> None:
-        """Record today (UTC) as the date of the board's self-calibration.
+        """Set the date of the board's self-calibration to today (UTC).
 
-        Raise ScopeStatus while it acquires.
+        Raise ScopeStatus while an acquisition is not aborted, or without the board.
         """
         require_idle(session)
         self._require_present(session)

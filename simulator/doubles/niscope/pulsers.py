@@ -89,7 +89,11 @@ class Pulsers:
         )
 
     def _find_triggering_position(self, session: Session) -> str:
-        """Return the position of the probe whose sync signal triggers the session; empty if none does."""
+        """Return the position of the first probe whose sync signal triggers the session; empty if none does.
+
+        The pulser must be on and wired to an enabled channel and the trigger source; an analog level (V) must
+        be between 0 and the height of the sync pulse.
+        """
         enabled = [name for name, channel in session.channels.items() if channel.enabled]
         for position, probe in self._probes.items():
             wired = self._wired_to[position] == session.board.serial_number and probe.channel in enabled
@@ -107,7 +111,7 @@ class Pulsers:
         Parameters
         ----------
         record
-            Index of the record in the acquisition.
+            Index of the record in the acquisition; IndexError after the last.
         channel
             Name and settings.
         """
@@ -137,7 +141,8 @@ class Pulsers:
     def _get_codes(self, running: Acquisition, channel: str, calibration: Calibration) -> NDArray[np.int32]:
         """Return the unpadded codes of all records of a channel, shape (records, samples).
 
-        They are simulated once per acquisition. A channel without a probe is a grounded input.
+        They are simulated once per acquisition, which uses up the announced shot. A channel without the probe
+        is a grounded input.
         """
         probe = self._probes[running.position]
         if probe.channel != channel:

@@ -84,15 +84,15 @@ _CHANNEL_VALUES: Mapping[int, str] = {
 
 
 def require_idle(session: Session) -> None:
-    """Raise ScopeStatus if an acquisition runs in the session."""
+    """Raise ScopeStatus if the session has an acquisition that is not aborted, complete or not."""
     if session.acquisition is not None:
         raise ScopeStatus(statuses.SCOPE_ACQUISITION_IN_PROGRESS)
 
 
 def get_attribute(session: Session, arguments: Arguments) -> Answer:
-    """Answer with the value of an attribute of session or channels.
+    """Answer with the value of an attribute of the session or of the channels named.
 
-    Raise ScopeStatus if the channels differ in it, or the double does not have it.
+    Raise ScopeStatus if the channels differ in it or are unknown, or the double does not have it.
     """
     number = arguments["attribute_id"]
     if number in _SESSION_VALUES:
@@ -108,10 +108,10 @@ def get_attribute(session: Session, arguments: Arguments) -> Answer:
 
 
 def set_attribute(session: Session, arguments: Arguments) -> None:
-    """Set an attribute of the session or its channels.
+    """Set an attribute of the session or of the channels named.
 
     Fetch attributes can be set while an acquisition runs; others raise ScopeStatus then, as does one that the
-    double does not have or that is read-only.
+    double does not have or that is read-only, and an unknown channel.
     """
     number, value = arguments["attribute_id"], arguments["value"]
     if number in session.fetch:
@@ -127,7 +127,7 @@ def set_attribute(session: Session, arguments: Arguments) -> None:
 
 
 def channels_of(session: Session, arguments: Arguments) -> list[tuple[str, Channel]]:
-    """Return the channels of a comma-separated list by name, all for an empty one.
+    """Return the channels, with their names, of the comma-separated ``channel_list``; all for an empty list.
 
     Raise ScopeStatus if one is unknown.
     """
@@ -139,7 +139,7 @@ def channels_of(session: Session, arguments: Arguments) -> list[tuple[str, Chann
 
 
 def list_channel_names(session: Session, arguments: Arguments) -> Answer:
-    """Answer with the comma-separated names of channels by their indices.
+    """Answer with the comma-separated names of the channels of comma-separated indices.
 
     Raise ScopeStatus for a wrong index.
     """
@@ -151,9 +151,9 @@ def list_channel_names(session: Session, arguments: Arguments) -> Answer:
 
 
 def configure_vertical(session: Session, arguments: Arguments) -> None:
-    """Set range (peak to peak, coerced up), offset in V and enabling of channels.
+    """Set range in V (peak to peak, coerced up), offset in V and enabling of channels.
 
-    Raise ScopeStatus for too large a range, or while an acquisition runs.
+    Raise ScopeStatus for too large a range, an unknown channel, or while an acquisition runs.
     """
     require_idle(session)
     range_v = session.board.next_range_v(0.5 * arguments["range"])
@@ -166,9 +166,9 @@ def configure_vertical(session: Session, arguments: Arguments) -> None:
 
 
 def configure_input(session: Session, arguments: Arguments) -> None:
-    """Set the input impedance of channels, 50 ohm or 1 Mohm.
+    """Set the input impedance of channels, 50 ohm or 1 Mohm; the maximum frequency is ignored.
 
-    Raise ScopeStatus for others, or while an acquisition runs.
+    Raise ScopeStatus for other impedances, an unknown channel, or while an acquisition runs.
     """
     require_idle(session)
     if arguments["input_impedance"] not in (50.0, 1e6):
@@ -178,9 +178,10 @@ def configure_input(session: Session, arguments: Arguments) -> None:
 
 
 def configure_horizontal_timing(session: Session, arguments: Arguments) -> None:
-    """Set sample rate (coerced up), length and number of records.
+    """Set sample rate in Hz (coerced up), samples per record, and number of records.
 
-    Raise ScopeStatus for invalid ones, too many samples for the memory, or while an acquisition runs.
+    Raise ScopeStatus for invalid ones or reference positions, too many samples for the memory, or while an
+    acquisition runs.
     """
     require_idle(session)
     rate_hz = session.board.next_rate_hz(arguments["min_sample_rate"])

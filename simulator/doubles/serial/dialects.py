@@ -30,14 +30,14 @@ class AimTtiSupply(Supply):
         self._events = 0
 
     def trip(self, protection: str = "CURR") -> None:
-        """Trip the VOLT or CURR protection, and set its bit in the limit event register."""
+        """Trip the VOLT or CURR protection (output off), and set its bit in the limit event register."""
         super().trip(protection)
         self._events |= {"VOLT": 4, "CURR": 8}[protection]
 
     def _answer(self, question: str) -> str | None:
-        """Return the answer to a query in Aim-TTi's syntax.
+        """Return the answer to a query in Aim-TTi's syntax; None if it is unknown.
 
-        None if it is unknown. Reading LSR1 clears its trip bits.
+        Reading LSR1 clears its trip bits; reading EER removes the oldest error.
         """
         if question == "*IDN?":
             return self.identity
@@ -59,9 +59,7 @@ class AimTtiSupply(Supply):
         return None
 
     def _execute_command(self, header: str, argument: str) -> str | None:
-        """Execute a command in Aim-TTi's syntax.
-
-        Return its execution error, None if there is none or it is unknown.
+        """Execute a command in Aim-TTi's syntax; return its error, None without one or if it is unknown.
 
         Raises
         ------
@@ -93,7 +91,7 @@ class KoradSupply(Supply):
     def answer(self, command: str) -> str | None:
         """Execute one command in Korad's syntax; return the response to a query, else None.
 
-        Invalid values are ignored without an error, as the instrument does.
+        Invalid values, and switching on after a trip, are ignored without an error, as the instrument does.
         """
         if command == "*IDN?":
             return self.identity
@@ -126,7 +124,7 @@ class RigolSupply(Supply):
     def answer(self, command: str) -> str | None:
         """Execute one SCPI command; return the response to a query, else None.
 
-        Errors enter the error queue.
+        Errors enter the error queue; only a level of a protection that is no number raises ValueError.
         """
         header, _, argument = command.upper().partition(" ")
         if not header.endswith("?"):
@@ -139,7 +137,10 @@ class RigolSupply(Supply):
         return response
 
     def _answer_question(self, question: str, channel: str) -> str | None:
-        """Return the answer to a query about channel CH1; None if query or channel is unknown."""
+        """Return the answer to a query about channel CH1; None if query or channel is unknown.
+
+        ``:SYST:ERR?`` removes the oldest error from the queue.
+        """
         if question == "*IDN?":
             return self.identity
         if question == ":SYST:ERR?":
@@ -162,7 +163,10 @@ class RigolSupply(Supply):
         return None
 
     def _execute_command(self, header: str, argument: str) -> str | None:
-        """Execute a command for channel CH1; return its SCPI error, None if there is none."""
+        """Execute a command for channel CH1; return its SCPI error, None if there is none.
+
+        Raise ValueError if the level of a protection is no number.
+        """
         if found := re.fullmatch(r":SOUR1:(VOLT|CURR)", header):
             return self._set_level(found[1], argument)
         channel, _, value = argument.partition(",")

@@ -45,7 +45,7 @@ class ClimateProbe:
     def answer(self, command: str) -> str | None:
         """Answer queries of identity, temperature (°C) and relative humidity (%); None for any other command.
 
-        The swing has a period of one day from the start of the double.
+        Both swing with a period of one day from the start of the double.
         """
         phase = 2.0 * math.pi * (self._seconds() - self._start_s) / 86_400.0
         match command.upper():
@@ -94,16 +94,13 @@ class SerialInstruments:
         self.close()
 
     def brown_out(self) -> None:
-        """Unplug the supply, restore its power-on state and plug it in again.
-
-        Output and settings are lost.
-        """
+        """Unplug the supply, restore its power-on state (settings are lost) and plug it in again."""
         self.supply_link.unplug()
         self.supply_link.do(self.supply.brown_out)
         self.supply_link.plug()
 
     def list_output_changes(self) -> list[OutputChange]:
-        """Return all changes of the supply's output, the oldest first."""
+        """Return all changes of the supply's output since its start, the oldest first."""
         return self.supply_link.do(lambda: list(self.supply.output))
 
     def close(self) -> None:
@@ -201,10 +198,7 @@ def main() -> int:
 
 
 def _execute_line(instruments: SerialInstruments, line: str) -> dict[str, Any]:
-    """Execute the JSON command in a line.
-
-    Return its result as an event ``done``, or its error as ``refused``.
-    """
+    """Execute the JSON command in a line; return its result as an event ``done``, an error as ``refused``."""
     try:
         order = json.loads(line)
         if not isinstance(order, dict):

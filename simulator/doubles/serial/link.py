@@ -57,7 +57,7 @@ class Framing:
     def split(self, received: bytes) -> tuple[list[bytes], bytes]:
         """Split received bytes into the complete commands, in order, and the start of the next one.
 
-        With a pattern, bytes between two matches are dropped.
+        With a pattern (`commands`), bytes between two matches are dropped.
         """
         if self.commands is None:
             *lines, rest = received.split(b"\n")
@@ -141,16 +141,13 @@ class SerialLink:
 
     @property
     def port(self) -> str:
-        """Return the path of the port, as the configuration of a line takes it."""
+        """Return the path of the port as text, for the configuration of a line."""
         return str(self.path)
 
     # Orders, carried out by the owning thread ------------------------------------------------------
 
     def plug(self) -> None:
-        """Open a terminal behind the link's path and wait until it is there.
-
-        Do nothing if it is plugged in.
-        """
+        """Open a terminal behind the link's path, and wait for it; do nothing if it is plugged in."""
         self._run_on_thread(self._plug)
 
     def unplug(self) -> None:
@@ -158,16 +155,16 @@ class SerialLink:
         self._run_on_thread(self._unplug)
 
     def inject(self, **faults: Any) -> None:
-        """Set some of the `LineFaults`; the others stay; raise TypeError for an unknown one."""
+        """Set some of the `LineFaults` by name; the others stay. Raise TypeError for an unknown one."""
         changed = replace(self._faults, **faults)
         self._run_on_thread(lambda: self._set_faults(changed))
 
     def clear_faults(self) -> None:
-        """Clear all faults of the line; responses that are delayed or held back are lost."""
+        """Remove all faults of the line; responses that are delayed or held back are lost."""
         self._run_on_thread(lambda: self._set_faults(LineFaults()))
 
     def send_unrequested(self, text: bytes) -> None:
-        """Send bytes that the client did not request."""
+        """Send bytes to the client that it did not request; do nothing while none is connected."""
         self._run_on_thread(lambda: self._transmit(text))
 
     def do(self, work: Callable[[], T]) -> T:
@@ -185,7 +182,7 @@ class SerialLink:
         return self._run_on_thread(lambda: list(self._heard))
 
     def close(self) -> None:
-        """Unplug the link and end its thread; do nothing if it is closed."""
+        """Unplug the link and end its thread, within `ORDER_TIMEOUT_S`; do nothing if it is closed."""
         if not self._thread.is_alive():
             return
         self.unplug()
@@ -222,7 +219,10 @@ class SerialLink:
     # The owning thread -----------------------------------------------------------------------------
 
     def _serve(self) -> None:
-        """Serve the link's client, due responses and functions of other threads until the link is closed."""
+        """Serve the client, send due responses and run functions of other threads until the link is closed.
+
+        A connecting client replaces the present one.
+        """
         while not self._ended:
             watched = [self._wake_read, *(self._terminal or ())[:1]]
             watched += [] if self._listener is None else [self._listener.fileno()]
@@ -240,7 +240,7 @@ class SerialLink:
                 self._orders.popleft()()
 
     def _receive_commands(self) -> None:
-        """Read received bytes and answer each complete command.
+        """Read received bytes, record and answer each complete command; responses held back are sent before.
 
         Hang up if the client has closed the socket.
         """
@@ -268,7 +268,10 @@ class SerialLink:
                 self.withheld()
 
     def _reply(self, answer: bytes) -> None:
-        """Send an answer, or drop, replace, hold back or delay it by injected faults."""
+        """Send an answer, or drop, replace, hold back or delay it by injected faults.
+
+        `withheld` is called if the client gets no complete answer now, except for a delay.
+        """
         faults = self._faults
         if faults.silent:
             self.withheld()
@@ -288,7 +291,7 @@ class SerialLink:
                 self.withheld()
 
     def _transmit(self, text: bytes) -> None:
-        """Send bytes to the client at once, if one is connected; hang up if it has closed."""
+        """Send bytes to the client at once; do nothing if none is connected, hang up if it has closed."""
         if self._terminal is not None:
             try:
                 os.write(self._terminal[0], text)
@@ -296,7 +299,7 @@ class SerialLink:
                 self._hang_up()
 
     def _set_faults(self, faults: LineFaults) -> None:
-        """Set the faults of the line; if there are none, drop the responses delayed or held back."""
+        """Replace the faults of the line; if there are none, drop the responses delayed or held back."""
         self._faults = faults
         if faults == LineFaults():
             self._held.clear()
@@ -332,7 +335,7 @@ class SerialLink:
         self._due.clear()
 
     def _end_thread(self) -> None:
-        """Let the link's thread end after its present work."""
+        """Let the link's thread end; called on that thread."""
         self._ended = True
 
 
@@ -356,13 +359,13 @@ class SocketLink(SerialLink):
         return f"visa:TCPIP0::127.0.0.1::{self._number}::SOCKET"
 
     def _plug(self) -> None:
-        """Listen for TCP connections, on the same port as before; do nothing if it listens."""
+        """Listen for TCP connections on loopback, on the same port as before; do nothing if it listens."""
         if self._listener is None:
             self._listener = socket.create_server(("127.0.0.1", self._number))
             self._number = self._listener.getsockname()[1]
 
     def _unplug(self) -> None:
-        """Stop listening and close the connection."""
+        """Stop listening and close the connection to the client, if any."""
         if self._listener is not None:
             self._listener.close()
             self._listener = None

@@ -44,8 +44,10 @@ class Cell:
 
         Parameters
         ----------
+        set_v, limit_a
+            Voltage setting in V and current limit in A of the supply.
         hours_h
-            Time since the start of the test, which raises the resistance.
+            Time since the start of the test, h, which raises the resistance.
         """
         resistance_ohm = self.resistance_ohm * (1.0 + self.rise_per_h * hours_h)
         current_a = max(0.0, (set_v - self.counter_voltage_v) / resistance_ohm)
@@ -98,7 +100,10 @@ class Supply:
         self._set_power_on_state()
 
     def _set_power_on_state(self) -> None:
-        """Set the state after power-on: output off, default limits, no errors."""
+        """Set the state after power-on: output off, 0 V, 0.1 A, no trips or errors.
+
+        The protections are at 110 % of the rating.
+        """
         self._set = {"VOLT": 0.0, "CURR": 0.1}
         self._on = False
         self._tripped = {"VOLT": False, "CURR": False}
@@ -120,20 +125,17 @@ class Supply:
     def trip(self, protection: str = "CURR") -> None:
         """Trip the over-voltage (VOLT) or over-current (CURR) protection, which switches the output off.
 
-        The output stays off until the protection is cleared.
+        Commands cannot switch it on until the protection is cleared.
         """
         self._tripped[protection] = True
         self._switch(False, f"protection {protection}")
 
     def press_output_key(self, on: bool) -> None:
-        """Switch the output at the front panel, without a command.
-
-        A tripped protection does not prevent it.
-        """
+        """Switch the output at the front panel, without a command, also with a tripped protection."""
         self._switch(on, "front panel")
 
     def _switch(self, on: bool, cause: str) -> None:
-        """Switch the output on or off, and record a change of state with time and cause."""
+        """Switch the output on or off; record a change of state with its monotonic time and its cause."""
         if on != self._on:
             self._on = on
             self.output.append(OutputChange(mono_ns=time.monotonic_ns(), on=on, cause=cause))
@@ -143,7 +145,7 @@ class Supply:
     def answer(self, command: str) -> str | None:
         """Execute one SCPI command; return the response to a query, else None.
 
-        Errors enter the error queue.
+        Errors enter the error queue; only a level of a protection that is no number raises ValueError.
         """
         header, _, argument = command.upper().partition(" ")
         if header.endswith("?"):
@@ -154,7 +156,10 @@ class Supply:
         return None
 
     def _answer(self, question: str) -> str | None:
-        """Return the answer to an SCPI query; None, with an error in the queue, if it is unknown."""
+        """Return the answer to an SCPI query; None, with an error in the queue, if it is unknown.
+
+        ``SYST:ERR?`` removes the oldest error from the queue.
+        """
         match question:
             case "*IDN?":
                 return self.identity
@@ -176,7 +181,7 @@ class Supply:
         return None  # an instrument does not answer what it does not know
 
     def _execute_command(self, header: str, argument: str) -> str | None:
-        """Execute an SCPI command; return its error, None if there is none.
+        """Execute an SCPI command; return its SCPI error, None if there is none.
 
         Raises
         ------
@@ -205,9 +210,9 @@ class Supply:
         return None
 
     def _set_level(self, header: str, number: str) -> str | None:
-        """Set voltage (VOLT, V) or current (CURR, A).
+        """Set voltage (VOLT, V) or current limit (CURR, A); return the SCPI error of an invalid value.
 
-        Return the SCPI error of an invalid value, else None.
+        Return None for a valid one. With ``obeys_set_commands`` False it is not set.
         """
         try:
             value = float(number)
@@ -222,9 +227,9 @@ class Supply:
         return None
 
     def _set_protection(self, quantity: str, value: float) -> str | None:
-        """Set the level of a protection, V or A.
+        """Set the level of a protection, V or A; return an SCPI error if it is below the setpoint, else None.
 
-        Return an SCPI error if it is below the setpoint, else None.
+        With ``obeys_set_commands`` False it is not set.
         """
         if value < self._set[quantity]:
             return CONFLICT
@@ -233,13 +238,13 @@ class Supply:
         return None
 
     def _compute_output(self) -> tuple[float, float]:
-        """Return voltage in V and current in A at the cell; zero while the output is off."""
+        """Compute voltage in V and current in A at the cell, without noise; 0 while the output is off."""
         if not self._on:
             return 0.0, 0.0
         hours_h = (self._seconds() - self._start_s) / 3600.0
         return self.cell.operating_point(self._set["VOLT"], self._set["CURR"], hours_h)
 
     def _draw_noise(self, unit: str) -> float:
-        """Draw the normal noise of the next reading, V or A, by seed and number of the reading."""
+        """Draw the normal noise of the next reading in ``unit``, V or A, keyed by seed and reading."""
         self._readings += 1
         return float(np.random.default_rng([self._seed, self._readings]).normal(0.0, self._noise[unit]))

@@ -18,7 +18,10 @@ from simulator.doubles.vendor_api.entry_points import (
 
 
 def generate_library_source(library: str) -> str:
-    """Generate the C source of one shared library: the common part and a function for each entry point."""
+    """Generate the C source of a library: common part, attribute types, and a function per entry point.
+
+    ``library`` is one of `LIBRARIES`; another one gets no functions.
+    """
     shared = files("simulator.doubles.transports").joinpath("transport.c").read_text(encoding="utf-8")
     functions = [_generate_function(entry) for entry in ENTRY_POINTS.values() if entry.library == library]
     return "\n".join([shared, _generate_attribute_kinds(), *functions])
@@ -32,9 +35,9 @@ def _generate_attribute_kinds() -> str:
 
 
 def _format_kind(attribute: Attribute) -> str:
-    """Return the C expression for an attribute's type.
+    """Format the C expression for an attribute's type: a constant, or the width of a number in bytes.
 
-    It is a constant, or the width of a number in bytes, negative for arrays.
+    The width is negative for arrays.
     """
     if attribute.c_type == "char":
         return "KIND_TEXT"
@@ -72,7 +75,7 @@ def _generate_function(entry: EntryPoint) -> str:
 
 
 def _generate_put(parameter: Parameter) -> str:
-    """Generate the C statement that adds an input to the message."""
+    """Generate the C statement that adds an input parameter to the message, by its role and type."""
     name = parameter.name
     if parameter.role is Role.TEXT:
         return f"put_text(&message, {name});"
@@ -84,7 +87,7 @@ def _generate_put(parameter: Parameter) -> str:
 
 
 def _generate_take(parameter: Parameter) -> str:
-    """Generate the C statement that reads an output from the answer."""
+    """Generate the C statement that reads an output parameter from the answer, by its role and type."""
     name = parameter.name
     if parameter.role is Role.OUT_TEXT:
         return f"status = take_text(&message, status, {name}, (uint32_t){parameter.size});"

@@ -53,7 +53,7 @@ class DoublesControl:
     def _send_command(self, command: str, **arguments: Any) -> Any:
         """Send a command to the double, wait for its answer, and return the result.
 
-        A command with ``timeout_s`` is given that much longer.
+        The time limit is that of the connection, plus the command's ``timeout_s``, if any.
 
         Raises
         ------
@@ -77,21 +77,18 @@ class DoublesControl:
         return answer["ok"]
 
     def announce(self, key: ShotKey, hour_h: float) -> None:
-        """Set set, shot and hour of the next strike at the key's position.
+        """Set key and hour of the next strike, or pulse-echo record, at the key's position.
 
         Raise ValueError if nothing is wired there.
         """
         self._send_command("announce", key=asdict(key), hour_h=hour_h)
 
     def disturb(self, position: str, crosstalk: Crosstalk) -> None:
-        """Set the crosstalk from the coil at a position into its sensor from now on.
-
-        `Crosstalk()` removes it.
-        """
+        """Replace the crosstalk from the coil at a position into its sensor; `Crosstalk()` removes it."""
         self._send_command("disturb", position=position, crosstalk=asdict(crosstalk))
 
     def inject(self, function: str, kind: str, **how: float | None) -> None:
-        """Request a fault (`faults.Faults.inject`): kind error, hang, lie or death.
+        """Request a fault of kind error, hang, lie or death (`faults.Faults.inject` has the other arguments).
 
         Raise ValueError if it is invalid.
         """
@@ -106,27 +103,24 @@ class DoublesControl:
         self._send_command("release_hangs")
 
     def wait_until_hanging(self, timeout_s: float) -> bool:
-        """Wait until a call hangs; return False if none does within ``timeout_s``."""
+        """Block until a call hangs; return False if none does within ``timeout_s``."""
         return bool(self._send_command("wait_until_hanging", timeout_s=timeout_s))
 
     def wait_until_no_tasks(self, timeout_s: float) -> bool:
-        """Wait until every task is gone, as after a client's end; return False after ``timeout_s``."""
+        """Block until no task exists, as after a client's end; return False after ``timeout_s``."""
         return bool(self._send_command("wait_until_no_tasks", timeout_s=timeout_s))
 
     def wait_until_quiet(self, timeout_s: float) -> bool:
-        """Wait until no striker falls and no wave continues; return False after ``timeout_s``."""
+        """Block until no striker falls and no wave continues; return False after ``timeout_s``."""
         return bool(self._send_command("wait_until_quiet", timeout_s=timeout_s))
 
     def record(self) -> dict[str, Any]:
-        """Return what the double has recorded, in JSON types (`Brain.record`).
-
-        It has calls, lines, levels, tasks, reservations, leaks, strikes and boards.
-        """
+        """Return everything that the double has recorded, in JSON types (`Brain.record`)."""
         found: dict[str, Any] = self._send_command("record")
         return found
 
     def clear_record(self) -> None:
-        """Discard recorded calls, line events and leaks; levels, tasks and strikes stay."""
+        """Discard recorded calls, level changes and leaked tasks; levels, tasks and strikes stay."""
         self._send_command("clear_record")
 
     def unplug(self, serial_number: int) -> None:
@@ -134,14 +128,14 @@ class DoublesControl:
         self._send_command("unplug", serial_number=serial_number)
 
     def plug(self, serial_number: int, name: str = "") -> None:
-        """Plug a removed board in again, under another name if one is given.
-
-        Raise ValueError if there is none.
-        """
+        """Plug a removed board in, under another name if one is given; raise ValueError if there is none."""
         self._send_command("plug", serial_number=serial_number, name=name)
 
     def occupy(self, resource: str, owner: str) -> None:
-        """Reserve ``<board>/ai``, ``<board>/ctr0`` ... (board name or serial number) for another process."""
+        """Reserve ``<board>/ai``, ``<board>/ctr0`` ... or an NI-SCOPE board for another process, ``owner``.
+
+        A board is given by name or serial number. Raise ValueError for an unknown name.
+        """
         self._send_command("occupy", resource=resource, owner=owner)
 
     def vacate(self, owner: str) -> None:
@@ -172,16 +166,14 @@ class RunningDoubles:
         cache: Path = DEFAULT_CACHE_FOLDER,
         environment: Mapping[str, str] | None = None,
     ) -> dict[str, str]:
-        """Return the environment of a child process that uses this double.
-
-        Build missing libraries in ``cache``.
+        """Return the environment of a child process that uses this double; build missing libraries.
 
         Parameters
         ----------
         libraries
-            `library.SONAMES`; none: ``nidaqmx``.
+            Keys of `library.SONAMES`; none: ``nidaqmx``.
         environment
-            Start from this one; None: that of this process.
+            Variables to start from; None: those of this process.
 
         Raises
         ------
@@ -192,7 +184,10 @@ class RunningDoubles:
         return client_environment(self.wire, *folders, environment=environment)
 
     def kill(self) -> None:
-        """Kill the process, as a crash of the driver does, and wait for its end."""
+        """Kill the process, as a crash of the driver does, and wait for its end.
+
+        Raise subprocess.TimeoutExpired if it has not ended after `EXIT_TIMEOUT_S`.
+        """
         self.process.kill()
         self.process.wait(EXIT_TIMEOUT_S)
 
@@ -238,7 +233,7 @@ def running_doubles(
 
 
 def _read_ready_line(process: subprocess.Popen[bytes], timeout_s: float) -> dict[str, str]:
-    """Read the ready line of a started process; kill the process after ``timeout_s``.
+    """Read the JSON line that a process prints when it is ready; kill the process after ``timeout_s``.
 
     Raises
     ------

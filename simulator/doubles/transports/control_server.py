@@ -29,7 +29,7 @@ class _Connection(socketserver.StreamRequestHandler):
     server: ControlServer
 
     def handle(self) -> None:
-        """Answer JSON requests, one per line, until the peer closes."""
+        """Answer JSON requests, one per line, until the peer closes; an invalid one with its error."""
         for line in self.rfile:
             try:
                 request = json.loads(line)
@@ -40,7 +40,7 @@ class _Connection(socketserver.StreamRequestHandler):
 
 
 def execute_request(brain: Brain, request: Mapping[str, Any]) -> Any:
-    """Execute one control request on the doubles; return the result in JSON types, None for most commands.
+    """Execute one control request on the doubles; return its result in JSON types, None for most commands.
 
     Raises
     ------

@@ -57,7 +57,7 @@ def find_unavailability_reason() -> str:
 
 
 def _is_installed(name: str) -> bool:
-    """Return whether a Python module is installed; its parent package is imported for that."""
+    """Return whether a Python module is installed; import its parent package, if any, for that."""
     try:
         return find_spec(name) is not None
     except ModuleNotFoundError:
@@ -83,7 +83,7 @@ class Sessions:
     def open(self, name: str, behavior: int, create: Callable[[], int]) -> tuple[str, bool]:
         """Attach to a session by name, or create its task; return its name and whether it is new.
 
-        An empty name creates a session with a unique name.
+        An empty name creates a session with a unique name. Errors of ``create`` are raised.
 
         Raises
         ------
@@ -118,7 +118,7 @@ class Sessions:
 
 
 def entry_of(method: str) -> EntryPoint | None:
-    """Return the C entry point of a gRPC method; None if there is none.
+    """Find the C entry point of a gRPC method; None if the double has none.
 
     A typed attribute method maps to the variadic entry point.
     """
@@ -130,7 +130,8 @@ def entry_of(method: str) -> EntryPoint | None:
 def to_arguments(entry: EntryPoint, request: Any, sessions: Sessions) -> dict[str, Any]:
     """Convert the fields of a gRPC request to the arguments of a call by name.
 
-    A session becomes the handle of its task; text buffers have the size `TEXT_ROOM`.
+    A session becomes the handle of its task (0 if it is unknown); text buffers have the size `TEXT_ROOM`.
+    Raise AttributeError if the request lacks a field.
     """
     arguments: dict[str, Any] = {}
     for parameter in entry.parameters:
@@ -163,7 +164,10 @@ def _is_text_buffer_size(parameter: Parameter, entry: EntryPoint, request: Any) 
 
 
 def _read_field(request: Any, name: str) -> Any:
-    """Return the value of a request's field; an enumeration may come as its raw number."""
+    """Return the value of a request's field, of an enumeration also from its raw number.
+
+    Raise AttributeError if there is no such field.
+    """
     fields = request.DESCRIPTOR.fields_by_name
     raw = fields.get(f"{name}_raw")
     if raw is None:
@@ -173,9 +177,9 @@ def _read_field(request: Any, name: str) -> Any:
 
 
 def fill_response(entry: EntryPoint, response: Any, values: Mapping[str, Any], status: int) -> None:
-    """Write status and output parameters into the fields of a gRPC response.
+    """Write status and output values into the fields of a gRPC response; missing values are left unset.
 
-    Missing values are left unset.
+    Raise KeyError if the states of a power-up call are missing.
     """
     response.status = status
     fields = response.DESCRIPTOR.fields_by_name
@@ -193,7 +197,7 @@ def fill_response(entry: EntryPoint, response: Any, values: Mapping[str, Any], s
 
 
 def _set_field(response: Any, field: Any, value: Any) -> None:
-    """Set a field of a response, converted to the type of the field; a message field is skipped."""
+    """Set a field of a response to a value converted to the field's type; a message field is skipped."""
     if field.type == field.TYPE_MESSAGE:
         return
     if field.is_repeated:
@@ -267,7 +271,7 @@ class GrpcFront:
         self._workers.shutdown(wait=False, cancel_futures=True)
 
     def _create_handler(self, entry: EntryPoint, response_type: Any) -> Callable[[Any, Any], Any]:
-        """Create the handler of one remote procedure for an entry point and its type of response."""
+        """Create the handler of one remote procedure, from its entry point and the type of its response."""
         opens_session = any(p.goes_out and p.c_type == HANDLE for p in entry.parameters)
 
         def answer(request: Any, context: Any) -> Any:
@@ -298,9 +302,7 @@ class GrpcFront:
         return answer
 
     def _open_session(self, entry: EntryPoint, request: Any, response: Any) -> None:
-        """Create the task of a session, or attach to the session of that name.
-
-        Write its name into the response.
+        """Create the task of a session, or attach to that of its name; write the name into the response.
 
         Raises
         ------

@@ -55,15 +55,17 @@ def find_unavailability_reason() -> str:
 
 
 def build_library(library: str = "nidaqmx", cache: Path = DEFAULT_CACHE_FOLDER) -> Path:
-    """Build one shared library unless the cache holds it; return its folder.
+    """Build one shared library, and its empty companions, unless the cache holds it; return its folder.
 
-    The folder's name is a hash of source and compiler flags, and it appears by one rename, so it is
-    complete or absent whoever else builds at the same time.
+    The folder's name is a hash of source and compiler flags, and it appears by one rename, so it is complete
+    or absent when several processes build at the same time.
 
     Raises
     ------
     LibraryBuildError
         Not Linux, no compiler, or the compiler refused; the message says what to install.
+    KeyError
+        `SONAMES` has no such library.
     """
     source, soname = generate_library_source(library), SONAMES[library]
     companions = EMPTY_COMPANIONS.get(library, ())
@@ -97,16 +99,16 @@ def build_library(library: str = "nidaqmx", cache: Path = DEFAULT_CACHE_FOLDER) 
 def client_environment(
     wire: str, *folders: Path, environment: Mapping[str, str] | None = None
 ) -> dict[str, str]:
-    """Return the environment in which a process with unmodified `nidaqmx` uses the double.
+    """Return the environment in which a process with an unmodified vendor package uses the double.
 
     Parameters
     ----------
     wire
         ``host:port`` of the running double.
     folders
-        Folders of the libraries (`build_library`).
+        Folders of the libraries (`build_library`), put before those of ``LD_LIBRARY_PATH``.
     environment
-        What to start from; the present process's when None.
+        Variables to start from; None: those of this process.
     """
     start = dict(os.environ if environment is None else environment)
     before = start.get("LD_LIBRARY_PATH", "")

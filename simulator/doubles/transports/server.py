@@ -40,10 +40,7 @@ class WireServer(LoopbackServer):
         self._lock = threading.Lock()
 
     def join(self, number: int, process: int) -> tuple[int, str]:
-        """Return number and name of the client of a process.
-
-        Register a new one for 0 or an unknown number.
-        """
+        """Return number and name of a process's client; register a new one for 0 or an unknown number."""
         with self._lock:
             if number not in self._clients:
                 number = max(self._clients, default=0) + 1
@@ -51,7 +48,7 @@ class WireServer(LoopbackServer):
             return number, self._clients[number]
 
     def leave(self, number: int) -> None:
-        """Remove the client of a process, with its tasks; do nothing if its number is unknown."""
+        """Remove a client by its number and clear its tasks; do nothing if the number is unknown."""
         with self._lock:
             client = self._clients.pop(number, None)
         if client is not None:
@@ -66,7 +63,8 @@ class _Connection(socketserver.BaseRequestHandler):
     def handle(self) -> None:
         """Register the client of a library's connection and answer its calls until the peer closes.
 
-        The client is removed with the first connection of its process. An invalid frame ends the connection.
+        The client is removed with the first connection of its process. An invalid frame ends the connection,
+        with a logged warning.
         """
         connection: socket.socket = self.request
         connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
@@ -87,9 +85,10 @@ class _Connection(socketserver.BaseRequestHandler):
             log.warning("connection of %s ends: %s", self.client_address, error)
 
     def _answer_calls(self, connection: socket.socket, client: str) -> None:
-        """Answer the calls of a client's connection until it ends.
+        """Answer the calls of a client's connection, one after the other, until the peer closes it.
 
-        A fault of the double itself is a status, too.
+        An unexpected error of the double is logged and answered as a status. Raise WireError for an invalid
+        frame, ConnectionError for a broken connection.
         """
         while (body := wire.receive_frame(connection)) is not None:
             entry, arguments = wire.decode_call(body)

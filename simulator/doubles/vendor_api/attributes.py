@@ -44,7 +44,7 @@ class Attribute:
 
 
 def _read_attribute_table() -> Iterator[Attribute]:
-    """Yield the attributes in ``attributes.csv``, in the order of its rows."""
+    """Read ``attributes.csv`` next to this module and yield its attributes in the order of the rows."""
     lines = Path(__file__).with_name("attributes.csv").read_text(encoding="utf-8").splitlines()
     for row in csv.DictReader(lines):
         c_type = row["c_type"].removesuffix("[]")

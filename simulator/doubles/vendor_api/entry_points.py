@@ -110,7 +110,7 @@ class EntryPoint:
 
 
 def _build_parameter(const: str, c_type: str, pointer: str, name: str, size: str) -> Parameter:
-    """Create a parameter from the parts of its C declaration, which determine its role."""
+    """Create a parameter from the parts of its C declaration (empty if absent), which determine its role."""
     role = Role.VALUE
     if c_type == "void":
         role = Role.UNUSED
@@ -122,7 +122,7 @@ def _build_parameter(const: str, c_type: str, pointer: str, name: str, size: str
 
 
 def _read_header(library: str) -> Iterator[EntryPoint]:
-    """Yield the entry points that a library's C header declares, in order; other lines are ignored."""
+    """Read a library's C header; yield the entry points that it declares, in order; skip other lines."""
     header = Path(__file__).with_name(f"{library}.h").read_text(encoding="utf-8")
     for name, declared in _ENTRY.findall(header):
         tail = _TAIL.match(name) if declared.endswith("...") else None

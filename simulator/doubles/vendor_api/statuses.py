@@ -46,7 +46,7 @@ class Status(Exception):  # noqa: N818 - a warning is a status too
         super().__init__(self.message)
 
     def _text(self, text: str, detail: str, task: str) -> str:
-        """Format the message of an error as NI-DAQmx does, with task and code."""
+        """Format the message of a status as NI-DAQmx does: text and detail, if any, task and code."""
         task_line = f"Task Name: {task}" if task else ""
         return "\n".join(filter(None, [text, detail, task_line, f"Status Code: {self.code}"]))
 
@@ -55,7 +55,7 @@ class ScopeStatus(Status):
     """Status of NI-SCOPE: its message has no task and no number."""
 
     def _text(self, text: str, detail: str, task: str) -> str:
-        """Format the message of an error as NI-SCOPE does: text and detail, without task and code."""
+        """Format the message of a status as NI-SCOPE does: text and detail, without task and code."""
         return "\n".join(filter(None, [text, detail]))
 
 
@@ -66,6 +66,8 @@ def rejected_property(
 
     Parameters
     ----------
+    name
+        Name of the property, such as ``SampClk.Rate``.
     **values
         ``requested``, ``minimum`` and ``maximum``, in NI's words; each is a line of the message.
     """

@@ -35,7 +35,7 @@ class Reader:
         self._at = 0
 
     def take(self, count: int) -> memoryview:
-        """Read ``count`` bytes; raise WireError if the frame ends before."""
+        """Read the next ``count`` bytes as a view; raise WireError if the body ends before."""
         if self._at + count > len(self._body):
             raise WireError(f"the frame has {len(self._body)} bytes and ends inside a value")
         piece = self._body[self._at : self._at + count]
@@ -43,16 +43,22 @@ class Reader:
         return piece
 
     def number(self, packed: str) -> Any:
-        """Read one number in a `struct` format; raise WireError if the frame ends before."""
+        """Read the next number in a `struct` format; raise WireError if the body ends before."""
         (number,) = struct.unpack(packed, self.take(struct.calcsize(packed)))
         return number
 
     def text(self) -> str:
-        """Read a UTF-8 text with its length (u32) in front; invalid bytes are replaced."""
+        """Read a UTF-8 text with its length in bytes (u32) in front; invalid bytes are replaced.
+
+        Raise WireError if the body ends before.
+        """
         return bytes(self.take(self.number("<I"))).decode("utf-8", errors="replace")
 
     def array(self, packed: str) -> NDArray[Any]:
-        """Read an array of numbers with their count (u32) in front; return a copy, shape (count,)."""
+        """Read an array of numbers with their count (u32) in front; return a copy, shape (count,).
+
+        Raise WireError if the body ends before.
+        """
         data = self.take(self.number("<I") * struct.calcsize(packed))
         return np.frombuffer(data, dtype=packed).copy()
 
@@ -67,14 +73,17 @@ def _encode_text(text: str) -> bytes:
 def list_inputs(entry: EntryPoint, attribute: int = 0) -> tuple[Parameter, ...]:
     """Return the input parameters of a call, in the order of the wire.
 
-    A variadic entry adds ``value``, or ``channel_names`` and ``state``; for an unknown attribute it adds
-    nothing.
+    A variadic entry adds ``value`` (nothing for an unknown attribute number), or ``channel_names`` and, to
+    set them, ``state``.
     """
     return tuple(p for p in entry.parameters if p.goes_in) + _list_tail_inputs(entry, attribute)
 
 
 def list_outputs(entry: EntryPoint, attribute: int = 0) -> tuple[Parameter, ...]:
-    """Return the output parameters of a call in the order of the wire, those of a variadic entry included."""
+    """Return the output parameters of a call, in the order of the wire.
+
+    A variadic entry adds ``value`` (nothing for an unknown attribute number) or ``state``.
+    """
     tail: tuple[Parameter, ...] = ()
     if entry.tail is Tail.GET_STATES:
         tail = (Parameter("state", Role.OUT_ARRAY, "int32_t"),)
@@ -84,10 +93,7 @@ def list_outputs(entry: EntryPoint, attribute: int = 0) -> tuple[Parameter, ...]
 
 
 def _list_tail_inputs(entry: EntryPoint, attribute: int) -> tuple[Parameter, ...]:
-    """Return the variable input parameters of a variadic call.
-
-    None for other calls or an unknown attribute.
-    """
+    """Return the variable inputs of a variadic call; empty for other calls or an unknown attribute."""
     if entry.tail is Tail.SET_ATTRIBUTE and attribute in ATTRIBUTES:
         return (ATTRIBUTES[attribute].value(Role.VALUE, Role.ARRAY, Role.TEXT),)
     names = Parameter("channel_names", Role.TEXT, "char")
@@ -120,7 +126,8 @@ def encode_answer(
 ) -> bytes:
     """Encode the body of an answer: status, text and outputs.
 
-    Each output has a byte in front, 1 or 0; one without a value is absent.
+    Each output has a byte in front: 1, or 0 for an output without a value, which is left out. Raise
+    struct.error if a number does not fit its type.
     """
     parts = [struct.pack("<i", status), _encode_text(text)]
     for parameter in list_outputs(entry, arguments.get("attribute", 0)):
@@ -155,7 +162,7 @@ def decode_value(parameter: Parameter, reader: Reader) -> Any:
     Raises
     ------
     WireError
-        The frame ends before.
+        The body ends before.
     """
     if parameter.role in (Role.TEXT, Role.OUT_TEXT):
         return reader.text()
@@ -164,17 +171,22 @@ def decode_value(parameter: Parameter, reader: Reader) -> Any:
 
 
 def send_frame(connection: socket.socket, body: bytes) -> None:
-    """Send one frame: the body with its length (u32) in front; block until all is sent."""
+    """Send one frame: the body with its length (u32) in front; block until all is sent.
+
+    Raise OSError if the connection is broken.
+    """
     connection.sendall(struct.pack("<I", len(body)) + body)
 
 
 def receive_frame(connection: socket.socket) -> bytes | None:
-    """Receive the body of one frame; return None if the peer closes before its end.
+    """Block until one frame has come and return its body; None if the peer closes before its end.
 
     Raises
     ------
     WireError
-        It is larger than `FRAME_LIMIT`.
+        The frame is larger than `FRAME_LIMIT`.
+    OSError
+        The connection is broken.
     """
     head = receive_exactly(connection, 4)
     if head is None:
@@ -186,7 +198,10 @@ def receive_frame(connection: socket.socket) -> bytes | None:
 
 
 def receive_exactly(connection: socket.socket, count: int) -> bytes | None:
-    """Receive exactly ``count`` bytes; return None if the peer closes before."""
+    """Block until exactly ``count`` bytes have come and return them; None if the peer closes before.
+
+    Raise OSError if the connection is broken.
+    """
     pieces: list[bytes] = []
     while count > 0:
         piece = connection.recv(min(count, 1 << 20))
