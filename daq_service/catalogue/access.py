@@ -12,6 +12,7 @@ class CatalogueAccess:
     """Opens the catalogue once it exists; all threads share it."""
 
     def __init__(self, folder: Path) -> None:
+        """Store the data folder; open nothing yet."""
         self._folder = folder
         self._lock = threading.Lock()
         self._catalogue: Catalogue | None = None

@@ -49,12 +49,15 @@ _SETS_AT_ONCE = 500
 
 
 def to_payload(row: Row) -> Payload:
-    """Convert a row of a set to the payload of its event: its columns without id and digest of the file."""
+    """Convert a row of a set to its event's payload: its columns without id, ``file_sha256`` as None."""
     return _to_payload_columns(as_dict(row))
 
 
 def _to_payload_columns(columns: Payload) -> Payload:
-    """Remove the id and clear the digest of the file in a row's columns, in place; return them."""
+    """Remove the id from a row's columns and set an existing ``file_sha256`` to None, both in place.
+
+    Returns the same dictionary.
+    """
     columns.pop("id")
     if "file_sha256" in columns:  # it comes when the file is made, which differs between two runs of one test
         columns["file_sha256"] = None
@@ -67,7 +70,7 @@ def lacks_row(event: EventRow) -> bool:
 
 
 def strip_payloads(reports: Iterable[EventRow], rows: Iterable[Row]) -> list[EventRow]:
-    """Return the events as they are stored: without payloads that repeat one of the rows.
+    """Return the events as they are stored: with an empty payload where it repeats one of the rows.
 
     A row of a collecting baseline may change, so its event keeps the payload.
     """
@@ -81,7 +84,10 @@ def strip_payloads(reports: Iterable[EventRow], rows: Iterable[Row]) -> list[Eve
 
 
 def join_rows(reports: Iterable[R], payloads: Mapping[Key, Payload]) -> list[R]:
-    """Return the events with the payloads of the rows that they report, by key; other rows are unchanged."""
+    """Return the events with the payloads of the rows that they report, in order.
+
+    ``payloads`` has them by row key; events whose row it lacks, and other kinds of rows, are unchanged.
+    """
     return [
         replace(event, payload=payloads[_build_event_key(event)])
         if isinstance(event, EventRow) and lacks_row(event) and _build_event_key(event) in payloads
@@ -91,7 +97,7 @@ def join_rows(reports: Iterable[R], payloads: Mapping[Key, Payload]) -> list[R]:
 
 
 def to_payloads(rows: Iterable[Row]) -> dict[Key, Payload]:
-    """Build the payloads of events from rows, by the keys of the rows; rows of single shots are omitted."""
+    """Build event payloads from rows of sets, by the key of each row; rows of single shots are omitted."""
     return {_build_row_key(row): to_payload(row) for row in rows if getattr(row, "shot_index", None) is None}
 
 
@@ -126,7 +132,7 @@ def join_reported_rows(connection: sa.Connection, reports: list[R]) -> list[R]:
 
 
 def select_rows(kind: type[Row]) -> sa.Select[Any]:
-    """Build the query for all rows of a kind that events report; of features, only those of sets."""
+    """Build the query for all rows of a kind; of features, only rows of sets, which alone events report."""
     table = TABLES[kind]
     statement = sa.select(table)
     return statement.where(table.c.shot_index.is_(None)) if kind is FeatureRow else statement
@@ -145,7 +151,7 @@ _OF_SOME_SETS = {kind: _build_some_rows_query(kind) for kind in ROW_OF_EVENT.val
 
 
 def find_events_without_row(connection: sa.Connection) -> Iterator[tuple[int, str]]:
-    """Yield id and description of each event without payload whose row is missing."""
+    """Yield id and description of each event without payload whose row is missing, kind by kind."""
     for event_kind, kind in ROW_OF_EVENT.items():
         table = TABLES[kind]
         names = [name for name in ("position", *SetKey._fields) if name in table.c]
@@ -164,7 +170,7 @@ def _describe_lost_row(event_id: int | None, kind: type[Row]) -> str:
 
 
 def _is_payload_of_row(payload: Payload, columns: Payload) -> bool:
-    """Return whether a row has all values of a payload; an earlier version had fewer columns."""
+    """Return whether a row has all values of a payload, as stored; that of an earlier version has fewer."""
     part = {name: columns[name] for name in payload if name in columns}
     return part == payload or _to_stored_form(part) == _to_stored_form(payload)
 

@@ -446,5 +446,5 @@ def list_columns(kind: type[object]) -> tuple[Column, ...]:
 
 
 def as_dict(row: Row) -> dict[str, Any]:
-    """Convert a row to a dictionary of its columns, in order; nested values are not copied."""
+    """Convert a row to a new dictionary of its columns, in order; nested values are not copied."""
     return {name: getattr(row, name) for name in row.__slots__}

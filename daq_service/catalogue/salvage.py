@@ -77,9 +77,9 @@ def read_sound_rows(folder: Path) -> Salvaged:
 
 
 def _yield_rows(connection: Connection, kind: type[R], report: Callable[[str], None]) -> Iterator[R]:
-    """Yield the rows that match their checksum; report the others and go on.
+    """Yield the rows that match their checksum, by primary key; ``report`` the error of each other one.
 
-    At a corrupt page the table is read again from its end, so a row may come twice.
+    At a corrupt page the table is read again from its end, so a row may come twice. Errors are not raised.
     """
     table = TABLES[kind]
     key = table.primary_key.columns[0]

@@ -15,7 +15,10 @@ _QUALITIES = ("supply_quality", "climate_quality")
 
 
 def upgrade() -> None:
-    """Replace "refused" and "lost" by the current words in columns, evidence and payloads."""
+    """Replace the values "refused" and "lost" by "rejected" and "no_communication".
+
+    Changes states of commands and qualities of supply and climate, in columns, evidence and event payloads.
+    """
     _replace_column_value("commands", "state", "refused", "rejected")
     for name in _QUALITIES:
         _replace_column_value("environment", name, *NO_COMMUNICATION)

@@ -28,7 +28,11 @@ _LARGE = [f'*set_index":{space}{"[0-9]" * 8}*' for space in ("", " ")]
 
 
 def upgrade() -> None:
-    """Copy the tables of sets with the new key, and split the indices of alarms and events."""
+    """Copy the tables of sets with the new key, and split the set indices of alarms and events.
+
+    Each copy gets column ``unscheduled_index``, its unique constraint and a partial index of unscheduled
+    sets.
+    """
     indices = [sql for table in _OF_SETS for sql in _list_create_statements("index", table)]
     for table in _OF_SETS:
         _add_unscheduled_column(table, "unscheduled_index")
@@ -69,7 +73,7 @@ def _split_set_keys(table: str, index: str, number: str, nested: str) -> None:
 
 
 def _to_current_json(text: str) -> str:
-    """Convert the set keys in a JSON text to the current pairs of indices."""
+    """Convert the combined set numbers in a JSON text to pairs of set index and unscheduled index."""
     return to_json_text(to_current_row("", orjson.loads(text)))
 
 
@@ -87,7 +91,7 @@ def _split_set_indices(table: str, index: str, number: str) -> None:
 
 
 def _list_create_statements(kind: str, table: str) -> list[str]:
-    """List the SQL statements that create a table (``kind`` "table") or its indices ("index")."""
+    """List the SQL statements that created a table (``kind`` "table") or its indices ("index"), if any."""
     statement = "SELECT sql FROM sqlite_master WHERE type = ? AND tbl_name = ? AND sql IS NOT NULL"
     return [sql for (sql,) in op.get_bind().exec_driver_sql(statement, (kind, table))]
 
