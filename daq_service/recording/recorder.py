@@ -44,13 +44,14 @@ class Cost:
     """Seconds of wall time by stage, printed at the end of a run and stored with its last event."""
 
     def __init__(self, clock_s: Callable[[], float] = time.perf_counter) -> None:
+        """Start at zero seconds for each stage, and the elapsed time now."""
         self.sets = 0
         self._clock_s, self._started_s = clock_s, clock_s()
         self.seconds = dict.fromkeys(STAGES, 0.0)
 
     @contextmanager
     def of(self, stage: str) -> Iterator[None]:
-        """Add the wall time in s that is spent inside the block to a stage; KeyError for an unknown stage."""
+        """Add the wall time in s of the block, even if it raises, to a stage; KeyError if unknown."""
         start = self._clock_s()
         try:
             yield
@@ -58,13 +59,13 @@ class Cost:
             self.seconds[stage] += self._clock_s() - start
 
     def add_set(self, seconds: Mapping[str, float]) -> None:
-        """Count a set that was stored, and add the seconds of its stages."""
+        """Count a stored set and add the seconds of its stages; KeyError for an unknown stage."""
         self.sets += 1
         for stage, value in seconds.items():
             self.seconds[stage] += value
 
     def as_row(self) -> dict[str, float]:
-        """Return the number of sets, and seconds by stage to 1 ms; ``other_s`` completes the elapsed time."""
+        """Return number of sets and seconds by stage, to 1 ms; ``other_s`` is the remaining elapsed time."""
         other_s = self._clock_s() - self._started_s - sum(self.seconds.values())
         seconds = {**self.seconds, "other_s": other_s}
         return {"sets": self.sets, **{stage: round(value, 3) for stage, value in seconds.items()}}
@@ -74,6 +75,10 @@ class Recorder:
     """Takes the sets of a test, one after the other."""
 
     def __init__(self, resources: Resources, *, features_of: FeaturesOf = extract_shot_features) -> None:
+        """Build the parts of the recorder and connect them; read open sets, alarms and states of the test.
+
+        Raises StorageError if they cannot be read, OtherExperimentError if an open set is of another test.
+        """
         self._resources, self._stop, self._cost = resources, resources.stop, Cost()
         self._set_assessor = assessor = SetAssessor(
             resources.settings,
@@ -99,7 +104,9 @@ class Recorder:
     def run(self, *, not_running_reason: str, opening: Opening | None = None) -> bool:
         """Take every set that is still due, then wait for their files; return False when ``stop`` came first.
 
-        ``opening`` is what this recorder did before, while other sets may have fallen due.
+        ``not_running_reason`` is why no recorder ran before, ``opening`` what this one did while other sets
+        may have fallen due. Raises RigError after a lasting instrument error, OtherExperimentError at files
+        of another test.
         """
         resources, persistence, waiting = self._resources, self._persistence, self.waiting
         done = resources.catalogue.list_committed_sets()
@@ -120,7 +127,10 @@ class Recorder:
         return self._finish_run()
 
     def _process_set(self, due: DueSet) -> None:
-        """Acquire a set and pass it through all stages, or record a gap; RigError after a lasting error."""
+        """Acquire a set and pass it through all stages, or record a gap; RigError after a lasting error.
+
+        A set that a stop interrupts stays open for the next recorder.
+        """
         if hindrance := self._due_sets.find_skip_reason(due):
             self._record_gap(due, hindrance)
             return
@@ -148,7 +158,10 @@ class Recorder:
             raise_if_permanent(taken.trouble, due, n_shots=len(taken.shots), proven=self._set_assessor.proven)
 
     def _process_acquired_set(self, due: DueSet, taken: TakenSet, *, cut_short_reason: str = "") -> None:
-        """Queue the stages that write acquired records to disk; they wait in memory while it refuses."""
+        """Queue the stages that write acquired records to disk; they wait in memory while it refuses.
+
+        ``cut_short_reason`` explains missing records; empty: the state of the test does.
+        """
         self._activity.announce(f"storing {due}")
         reason = self._carried_over.corruption_of.get(due.set_key, cut_short_reason)
         record = self._acquisition.record_of(due, taken, reason)
@@ -170,7 +183,10 @@ class Recorder:
         return self._due_sets.follow(done, absences)
 
     def acquire(self, due: DueSet, taken: TakenSet) -> Iterator[Measurement]:
-        """Strike and read; yield each measurement before the next strike, and count the time."""
+        """Strike and read; yield each measurement before the next strike, and add the time to the cost.
+
+        An instrument error ends the set and is kept as ``taken.trouble``.
+        """
         measurements = self._acquisition.acquire_measurements(due, taken)
         while True:
             with self._cost.of("strike_and_read_s"):
@@ -195,7 +211,11 @@ class Recorder:
         features: Mapping[int, ShotFeatures],
         load: Mapping[str, Any] | None,
     ) -> SetCommit:
-        """Write the set durably, then assess it; return rows, alarms and events as one transaction."""
+        """Write the set durably, then assess it; return rows, alarms and events as one transaction.
+
+        ``load`` is the computer's load for its event, left out with None or in an unscheduled set. Raises
+        ArchiveError if the set is not stored.
+        """
         stored = self._persistence.store(record)
         self._cost.add_set(asdict(stored.timings))
         self._activity.doing = f"assessing {due}"
@@ -207,17 +227,20 @@ class Recorder:
         return transaction
 
     def commit(self, transaction: SetCommit) -> None:
-        """Store the rows, alarms and events of a set in one transaction; raise errors of the catalogue."""
+        """Store the rows, alarms and events of a set in one transaction; raise CatalogueError if refused."""
         with self._cost.of("commit_s"):
             self._set_assessor.store(transaction)
 
     def publish(self, due: DueSet, transaction: SetCommit) -> None:
-        """Report alarms and gaps of a stored set, and let the background tasks write its file."""
+        """Report alarms and gaps of a stored set, and notify the background tasks, which write its file."""
         self._set_assessor.publish(transaction)
         self._persistence.after_set(due.set_key)
 
     def _record_gap(self, due: DueSet, reason: str) -> None:
-        """Close a set that is not acquired: store the records of an open set, or else rows of a gap."""
+        """Close a set that is not acquired: store the records of an open set, or else rows of a gap.
+
+        Both are queued; the open set's own corruption replaces ``reason``.
+        """
         opened = self._carried_over.open_sets.pop(due.set_key, None)
         if opened is not None and opened.records:
             self._process_acquired_set(due, self._carried_over.resume(opened), cut_short_reason=reason)
@@ -229,12 +252,18 @@ class Recorder:
         store_empty_set(self._set_assessor, self._persistence, due, reasons, utc_ns=now_ns)
 
     def _leave_set_open(self, taken: TakenSet) -> bool:
-        """Return whether a set that a stop cut short is left to the next recorder, with durable shots."""
+        """Return whether a set that a stop cut short is left to the next recorder.
+
+        False for a paused, complete or failed set, and if its shots cannot be made durable.
+        """
         cut = self._stop.is_set() and not self.commands.paused and taken.trouble is None
         return cut and not taken.is_complete(self._set_assessor.n_planned) and self._persistence.acknowledge()
 
     def _finish_run(self) -> bool:
-        """Store the end of the run with its cost and that of the drive; return whether it is complete."""
+        """Store the end of the run with its cost and switch the supply off; return False after a stop.
+
+        Without a supervisor the supply stays on: its own process watches it.
+        """
         finished, is_unsupervised = not self._stop.is_set(), self._resources.options.unsupervised.is_set()
         # A supervisor that was killed is no end of the test: the drive's process watches the supply.
         drive = None if is_unsupervised else self._set_assessor.drive

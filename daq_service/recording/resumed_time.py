@@ -56,12 +56,12 @@ def read_previous_time(
 
 
 def compute_hour_0_ns(system_ns: int) -> int:
-    """Return hour 0 of a test in real time that starts now: the system's time in ns of UTC, once checked.
+    """Check the system's time (ns of UTC) and return it as hour 0 of a test in real time that starts now.
 
     Raises
     ------
     UsageError
-        The system's clock is not set.
+        It is before 2025: the system's clock is not set.
     """
     if system_ns < parse_utc(EARLIEST_UTC):
         raise UsageError(

@@ -100,7 +100,7 @@ class Tiles:
             yield from self._decode_rows(width, start, self._read_slots(width, tile, start, end))
 
     def _decode_rows(self, width: int, start: int, content: memoryview) -> Iterator[tuple[int, TileRow]]:
-        """Yield number and row of each intact row in the bytes of slots, of which the first has number ``start``."""
+        """Yield number and row of each intact row in the bytes of slots, the first with number ``start``."""
         for offset in range(0, len(content), self._slot_bytes):
             number = start + offset // self._slot_bytes
             row = self._decode_row(content[offset : offset + self._slot_bytes])
