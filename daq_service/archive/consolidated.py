@@ -91,7 +91,7 @@ class Facts:
 
 
 def list_record_blocks(folder: Path, file: SetReference) -> list[tuple[Sampling, Block]]:
-    """List the record arrays of a set's file, each with its sampling, without reading the records.
+    """List the record arrays of a set's file, each with its sampling and block, without reading the records.
 
     Raises
     ------

@@ -72,12 +72,12 @@ class _RecordGroup:
 
     @property
     def is_echo(self) -> bool:
-        """Return whether these are pulse-echo records."""
+        """Return whether the records are pulse echoes; False for strikes."""
         return isinstance(self.records[0], PulseEchoRecord)
 
     @property
     def sampling(self) -> tuple[float, int, int]:
-        """Return rate in Hz, number of samples and pretrigger samples: they define the time axis."""
+        """Return sampling rate in Hz, samples per record and samples before the trigger."""
         return self.waveform.sample_rate_hz, self.waveform.counts.size, self.waveform.pretrigger_samples
 
 

@@ -64,7 +64,7 @@ def new_image() -> Iterator[h5f.FileID]:
 
 
 def _create_memory_access() -> h5p.PropFAID:
-    """Create the access properties of HDF5 files in memory, with formats of HDF5 1.8 to 1.10."""
+    """Create the access properties of HDF5 files in memory, written in formats of HDF5 1.8 to 1.10."""
     access = h5p.create(h5p.FILE_ACCESS)
     access.set_fapl_core(_BLOCK_BYTES, False)
     # The oldest format with checksums everywhere, up to what tools of the last ten years read.
@@ -89,12 +89,12 @@ def open_image(image: bytes, *, is_own: bool = False, writable: bool = False) ->
     Parameters
     ----------
     is_own
-         This process made the bytes, so they are not checked for links.
+         This process made the bytes, so they are not checked for links and sizes.
 
     Raises
     ------
     OSError
-        It is damaged, or no plain file (`daq_service.archive.plain`).
+        It is damaged, or contains what no set's file has (`daq_service.archive.plain`).
     """
     if not is_own:
         require_finite_heaps(image)

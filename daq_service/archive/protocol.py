@@ -53,7 +53,7 @@ class SetReader(Protocol):
         ...
 
     def read_waveform(self, reference: SetReference, position: str, shot_index: int) -> Waveform:
-        """Read one record: the accepted attempt of a shot, or (index 0) of a pulse-echo record.
+        """Read one record: the accepted attempt of a shot, or (shot index 0) a pulse-echo record.
 
         Raises
         ------
@@ -72,7 +72,7 @@ class SetReader(Protocol):
         ...
 
     def verify_set(self, reference: SetReference) -> list[Damage]:
-        """Read a complete set and list its corrupt parts; empty if it is sound.
+        """Read a complete set and list its corrupt records and parts; empty if it is sound.
 
         Raises
         ------
@@ -102,7 +102,7 @@ class Archive(SetReader, Protocol):
     def begin_set(
         self, set_key: SetKey, *, due_utc_ns: int, started_utc_ns: int, disabled: Mapping[str, str]
     ) -> None:
-        """Add the start of a set; the next `sync` makes it durable.
+        """Add the start of a set to the journal; the next `sync` makes it durable.
 
         ``disabled`` holds the reason of each position that is left out; times are ns of UTC.
         """
@@ -149,7 +149,7 @@ class Archive(SetReader, Protocol):
         ...
 
     def store_set(self, record: SetRecord) -> StoredSet:
-        """Make a set durable; it is acknowledged only when this returns.
+        """Make a complete set durable, blocking until it is; it is acknowledged only when this returns.
 
         Raises
         ------

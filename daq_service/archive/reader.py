@@ -180,7 +180,7 @@ class FolderSetReader:
             return _read_records(entry)[1] + _list_unreadable(entry)
 
     def _list_files(self) -> dict[SetKey, SetReference]:
-        """List the references of the set files by key, in order; other file names are ignored."""
+        """List the references of the set files in the folder by key, in order; ignore other file names."""
         return to_references(path.name for path in (self.folder / SETS_FOLDER).glob("set_*.h5"))
 
     def _read_journal(self) -> dict[SetKey, JournaledSet]:
@@ -240,10 +240,12 @@ def read_records(path: Path, content: bytes, *, is_own: bool = False) -> list[Sh
 def examine_file(path: Path, content: bytes) -> tuple[SetRecord | None, list[Damage]]:
     """Read every record and all metadata of a set file in memory; list also its corrupt records.
 
+    ``path`` names the file in messages.
+
     Returns
     -------
     tuple
-        The readable part of the set, None if that is no set, and the damaged records.
+        The readable part of the set, None without a readable record or metadata, and the damaged records.
 
     Raises
     ------
@@ -333,7 +335,10 @@ def _read_waveform(path: Path, position: str, shot_index: int) -> Waveform:
 
 
 def _list_unreadable(entry: h5py.Group) -> list[Damage]:
-    """List the parts of a set's file that cannot be read, other than records; empty if there are none."""
+    """List the parts of a set's file, other than records, that cannot be read; empty if there are none.
+
+    Reads every table and attribute; errors are not raised.
+    """
     unreadable: list[Damage] = []
     arrays = {f"{name}/{signal}" for name in list_record_groups(entry) for signal in ("waveform", "record")}
     _collect_unreadable(entry, "", arrays, unreadable)
@@ -365,7 +370,7 @@ class RecordGroup:
         )
 
     def read_all_counts(self) -> NDArray[Any] | None:
-        """Read the counts of all records at once, shape (n_records, n_samples); None if one is unreadable."""
+        """Read the counts of all records, shape (n_records, n_samples); None if one is unreadable."""
         try:
             counts: NDArray[Any] = self.signal[()]
         except HDF5_ERRORS:
@@ -553,7 +558,7 @@ def _read_missed(entry: h5py.Group) -> list[MissedShot]:
 
 
 def _read_environment(entry: h5py.Group) -> dict[str, float | str | None]:
-    """Read the supply and climate values of the set by name; empty if the file has none."""
+    """Read the supply and climate values of the set, number or text by name; empty if the file has none."""
     if "environment" not in entry:
         return {}
     group = entry["environment"]
@@ -574,7 +579,7 @@ def _read_positions(entry: h5py.Group) -> list[PositionRecord]:
 
 
 def list_record_groups(entry: h5py.Group) -> list[str]:
-    """List the names of the NXdata groups that hold records: those with a detector."""
+    """List the names of the NXdata groups that hold records, which are those with a detector."""
     return [name for name in entry["instrument"] if name != "name"]
 
 

@@ -40,7 +40,7 @@ def build_table_image(
     signal
         Column of the y axis in the default plot; None: no plot.
     axis
-        Column of the x axis.
+        Column of the x axis (KeyError if missing).
     facts_text
         Provenance, stored as ``entry/facts``.
     """

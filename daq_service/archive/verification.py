@@ -51,7 +51,7 @@ class CheckedFile:
 
 
 def check_set_file(path: Path, *, sha256: str | None = None) -> CheckedFile:
-    """Check a set's file to the last byte; report what is corrupt or contradictory instead of raising.
+    """Check a set's file to the last byte; list what is corrupt or contradictory instead of raising.
 
     Parameters
     ----------

@@ -133,7 +133,7 @@ class FolderArchive(FolderSetReader):
         return {index: item for index, item in opened.items() if item is not None}
 
     def list_sets_to_finalize(self) -> list[SetKey]:
-        """List the keys of the complete sets that an earlier process left in the journal."""
+        """List the keys of the complete sets that an earlier process left in the journal, sorted."""
         return [index for index, item in self._journal_writer.left.items() if item.is_whole]
 
     def resume_set(self, opened: OpenSet) -> None:
@@ -199,9 +199,9 @@ class FolderArchive(FolderSetReader):
         return self._journal_writer.places(set_key)
 
     def settle(self, set_key: SetKey) -> None:
-        """Remove a set from the journal: it has its own file, or rows without a record.
+        """Remove a set from the journal, because it has its own file, or rows without a record.
 
-        A segment that cannot be deleted is logged and tried again later.
+        Deletes segments without other sets; one that cannot be deleted is tried again later.
         """
         self._sequences_of.pop(set_key, None)
         self._journal_writer.settle(set_key)
@@ -226,11 +226,11 @@ class FolderArchive(FolderSetReader):
         self._stored = self.sets()
 
     def _find_set_key(self, reference: SetReference) -> SetKey:
-        """Find the key of a stored set by its reference; StopIteration if there is none."""
+        """Find the key of a stored set by its reference; raise StopIteration if there is none."""
         return next(key for key, file in self.sets().items() if file == reference)
 
     def list_quarantined(self) -> list[str]:
-        """List the files in the quarantine by path relative to the data folder, sorted."""
+        """List the files in the quarantine by path relative to the data folder, sorted; empty without any."""
         names = sorted(path.name for path in (self.folder / QUARANTINE_FOLDER).glob("*"))
         return [f"{QUARANTINE_FOLDER}/{name}" for name in names]
 

@@ -33,7 +33,7 @@ class CatalogueAccess:
             return self._catalogue
 
     def close(self) -> None:
-        """Close the catalogue, if it is open; the next `get` opens it again."""
+        """Close the catalogue, if it is open, for all threads; the next `get` opens it again."""
         with self._lock:
             if self._catalogue is not None:
                 self._catalogue.close()

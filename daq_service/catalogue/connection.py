@@ -31,7 +31,11 @@ def create_sqlite_engine(path: Path, *, writable: bool, durable: bool = True) ->
     mode = "rwc" if writable else "ro"
 
     def connect() -> sqlite3.Connection:
-        """Open a SQLite connection, set its pragmas and probe the file; close it if any of this fails."""
+        """Open a SQLite connection, set its pragmas and probe the file; close it again if that fails.
+
+        Raises sqlite3.Error; OperationalError after 5 s if another writer holds the lock. Only the first
+        connection of a writer creates the file.
+        """
         nonlocal mode
         immutable = "&immutable=1" if not writable and _can_open_immutable(path) else ""
         uri = f"{path.absolute().as_uri()}?mode={mode}{immutable}"
@@ -85,7 +89,7 @@ def create_sqlite_engine(path: Path, *, writable: bool, durable: bool = True) ->
 
 @lru_cache(maxsize=8)
 def create_reading_engine(path: Path) -> Engine:
-    """Return a read-only engine of a file; the 8 last used are cached with their compiled statements."""
+    """Return the read-only engine of a file; the 8 last used are cached with their compiled statements."""
     return create_sqlite_engine(path, writable=False)
 
 

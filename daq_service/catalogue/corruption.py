@@ -31,6 +31,7 @@ class CatalogueCorruption:
     description: str
 
     def __str__(self) -> str:
+        """Return the description."""
         return self.description
 
 

@@ -191,7 +191,7 @@ class HistoryFollower:
         self.follow()
 
     def after_set(self, set_key: SetKey) -> None:
-        """Do nothing: the rows of a set follow in `run_for` (a `BackgroundTask`)."""
+        """Do nothing: `run_for` appends the rows of a set (a `BackgroundTask`)."""
 
     def close(self) -> None:
         """Append the last rows at once; a failure is logged, not raised."""
@@ -243,9 +243,10 @@ class HistoryFollower:
             self._refusal = ""
 
     def _append_missing_lines(self) -> None:
-        """Append and sync lines until the history has all rows of the catalogue.
+        """Append and sync lines, in steps, until the history has all rows of the catalogue.
 
-        Raises OSError or StorageError; lines of earlier steps remain.
+        Raises OSError or StorageError; lines of earlier steps remain. After an error the end of the history
+        is read again.
         """
         if self._known is None:
             self._known = read_history(self._folder, tail_bytes=TAIL_BYTES)
@@ -294,9 +295,9 @@ class HistoryFollower:
         return {row.file: row.file_sha256 for row in rows if row.file and row.file_sha256}
 
     def _list_changed_commands(self) -> list[CommandRow]:
-        """List the commands that may have changed since the last call, oldest first.
+        """List the commands that may have changed since the last call, by id.
 
-        Commands before the first unanswered one are skipped from the next call on.
+        Commands before the first unanswered one are skipped from the next call on. Raises StorageError.
         """
         commands = self._catalogue.rows(CommandRow, after_id=self._last_answered)
         for command in commands:

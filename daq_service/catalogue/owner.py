@@ -50,6 +50,8 @@ def raise_if_other_configuration(
 ) -> None:
     """Raise an error if an experiment has another configuration, or ``lines`` lists other differences.
 
+    Returns without an error if configuration hashes agree and ``lines`` is empty.
+
     Raises
     ------
     OtherExperimentError

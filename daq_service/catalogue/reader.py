@@ -149,7 +149,7 @@ def is_scheduled(table: sa.FromClause) -> sa.ColumnElement[bool]:
 
 
 def build_set_at_query(table: sa.Table, hour: float, which: Literal["first", "last"]) -> sa.ScalarSelect[int]:
-    """Build the subquery for the first set due at an hour or later, or the last one until then.
+    """Build the subquery for the first scheduled set due at an hour or later, or the last one due until then.
 
     The result is a set index, NULL if there is no such set. Hours increase with the set index, so a range of
     hours is a range of sets and uses an index.
@@ -392,7 +392,7 @@ class Catalogue:
         return self._read_newest_row(EnvironmentRow)
 
     def baseline(self, position: str) -> BaselineRow | None:
-        """Read the newest baseline of a position in any state; None if there is none."""
+        """Read the newest baseline of a position, in any state, also retired; None if there is none."""
         return self._read_newest_row(BaselineRow, TABLES[BaselineRow].c.position == position)
 
     def read_newest_baselines(self) -> dict[str, BaselineRow]:
@@ -417,13 +417,13 @@ class Catalogue:
         return self.rows(EventRow, after_id=event_id, topics=topics, limit=limit)
 
     def read_last_service_event(self, *kinds: str) -> EventRow | None:
-        """Read the newest service event of one of these kinds; None if there is none."""
+        """Read the newest event of topic ``service`` of one of these kinds; None if there is none."""
         last_id = filter_by(sa.select(sa.func.max(events.c.id)), events, {"topic": "service"}).order_by(None)
         newest = last_id.where(events.c.kind.in_(kinds)).scalar_subquery()
         return self._read_newest_row(EventRow, events.c.id == newest)
 
     def read_last_event(self, topic: str) -> EventRow | None:
-        """Read the newest event of a topic, None if there is none; slow for a topic with few events."""
+        """Read the newest event of a topic; None if there is none. Slow for a topic with few events."""
         return self._read_newest_row(EventRow, events.c.topic == topic)
 
     def paused(self) -> str | None:
@@ -534,7 +534,7 @@ def _collect_checked_rows(kind: type[R], required: Mapping[str, object], found: 
 
 
 def _has_set_key(table: sa.Table) -> bool:
-    """Return whether a table has rows of scheduled and of unscheduled sets; False for events."""
+    """Return whether a table has rows of sets, scheduled and unscheduled; False for events and others."""
     return table is not events and "unscheduled_index" in table.c
 
 
@@ -588,7 +588,7 @@ def _read_newest_rows(connection: sa.Connection, kind: type[OfSet]) -> dict[str,
 
 
 def _build_positions_query() -> sa.CTE:
-    """Build the recursive query for the positions that have a row in ``sets``, and a final NULL."""
+    """Build the recursive query for the names of positions in ``sets``, in order, with a final NULL."""
     # One index step finds the next name, independent of the number of sets.
     first = sa.select(sa.func.min(sets.c.position).label("position")).cte("places", recursive=True)
     following = sa.select(sa.func.min(sets.c.position)).where(sets.c.position > first.c.position)
@@ -610,7 +610,7 @@ def _build_newest_query(table: sa.Table) -> sa.Select[Any]:
 
 @cache
 def _build_last_index_query() -> sa.Select[Any]:
-    """Build the query for the highest index of a scheduled set; its result is NULL without one."""
+    """Build the cached query for the highest index of a scheduled set; its result is NULL without one."""
     names = _build_positions_query()
     newest = sa.select(sa.func.max(sets.c.set_index)).where(
         sets.c.position == names.c.position, is_scheduled(sets)
@@ -623,7 +623,7 @@ _FILES = sa.select(sets.c.set_index, sets.c.unscheduled_index, sets.c.file)
 
 @cache
 def _build_unscheduled_query() -> sa.Select[int, int, str]:
-    """Build the query for the files of unscheduled sets, in the order of their keys."""
+    """Build the cached query for the files of unscheduled sets that have one, in the order of their keys."""
     unscheduled = _CONDITIONS["purpose"](sets, "confirmation")
     return _FILES.where(unscheduled, sets.c.file.is_not(None)).order_by(*_list_key(sets))
 
@@ -639,7 +639,10 @@ def _build_newest_files_query(n_rows: int) -> sa.Select[int, int, str]:
 
 @cache
 def _build_newest_gaps_query(count: int) -> sa.Select[Any]:
-    """Build the query for the newest ``count`` missed and partial scheduled sets of each position."""
+    """Build the cached query for the newest ``count`` missed and the newest ``count`` partial scheduled sets.
+
+    It selects so many of each position, in no order.
+    """
     names, of_position = _build_positions_query(), sets.alias("of_place")
     states = sa.union_all(*(sa.select(sa.literal(state).label("state")) for state in GAP_STATES)).cte(
         "states"

@@ -65,7 +65,7 @@ def _to_payload_columns(columns: Payload) -> Payload:
 
 
 def lacks_row(event: EventRow) -> bool:
-    """Return whether an event is stored without payload because it reports a stored row."""
+    """Return whether an event is stored without payload because it reports a row that is stored elsewhere."""
     return not event.payload and event.kind in ROW_OF_EVENT
 
 
@@ -104,6 +104,8 @@ def to_payloads(rows: Iterable[Row]) -> dict[Key, Payload]:
 def join_reported_rows(connection: sa.Connection, reports: list[R]) -> list[R]:
     """Read the rows that events report and add them as payloads; keep the order and other kinds of rows.
 
+    Returns the given list itself if no event lacks its row. Rows of 500 sets are read at a time.
+
     Raises
     ------
     DamagedRow
@@ -139,7 +141,7 @@ def select_rows(kind: type[Row]) -> sa.Select[Any]:
 
 
 def _build_some_rows_query(kind: type[Row]) -> sa.Select[Any]:
-    """Build the query for rows by parameters ``indices`` and ``positions``, which finds each in an index."""
+    """Build the query for rows of sets by parameters ``indices`` and (if in the table) ``positions``."""
     table = TABLES[kind]
     statement = select_rows(kind).where(table.c.set_index.in_(sa.bindparam("indices", expanding=True)))
     if "position" in table.c:
@@ -181,7 +183,7 @@ def _to_stored_form(payload: Payload) -> object:
 
 
 def _build_event_key(event: EventRow) -> Key:
-    """Build the key of the row that an event reports: kind, position and set.
+    """Build the key of the row that an event reports: kind of row, position and key of the set.
 
     Of an event that reports no row, the kind is `EventRow`.
     """
@@ -189,5 +191,5 @@ def _build_event_key(event: EventRow) -> Key:
 
 
 def _build_row_key(row: Any) -> Key:
-    """Build the key of a row, as `_build_event_key` does for its event."""
+    """Build the key of a row of a set, equal to that of `_build_event_key` for the event that reports it."""
     return type(row), getattr(row, "position", None), getattr(row, "set_key", SetKey(row.set_index))

@@ -305,7 +305,7 @@ def find_position_range(connection: Connection, position: str) -> PositionRange 
 
 
 def find_last_sets(connection: Connection, positions: Iterable[str]) -> dict[str, int]:
-    """Find the index of the newest scheduled set of each position that has one."""
+    """Find the index of the newest scheduled set of each position; omit positions without one."""
     places = (find_position_range(connection, position) for position in positions)
     return {place.position: place.end - 1 for place in places if place is not None}
 

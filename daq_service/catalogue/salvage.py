@@ -34,14 +34,16 @@ class Salvaged:
 
 
 def read_sound_rows(folder: Path) -> Salvaged:
-    """Read every sound row that cannot be recomputed; empty if there is no catalogue.
+    """Read every sound row of a catalogue of the current schema that cannot be recomputed.
 
-    Corrupt rows are listed in ``damage``, not raised.
+    Empty if there is no catalogue. Corrupt rows are listed in ``damage``, not raised.
 
     Raises
     ------
+    SchemaVersionError
+        It is an older one, which the recorder migrates.
     CatalogueError
-        It cannot be opened, or is an older one, which the recorder migrates.
+        It cannot be opened.
     """
     path, salvaged_rows = folder / FILE_NAME, Salvaged()
     if not path.is_file():

@@ -145,9 +145,9 @@ def check_owner(settings: Settings, folder: Path) -> None:
 
 
 def _open_writer(path: Path, settings: Settings | None) -> RecorderCatalogue:
-    """Open the catalogue for the recorder; create, check or migrate it. Raises as `open_catalogue`.
+    """Open the catalogue for the recorder; create, check or migrate it first.
 
-    A file of the current revision up to 64 MB is checked completely.
+    A file of the current revision up to 64 MB is checked completely. Raises as `open_catalogue`.
     """
     engine = create_sqlite_engine(path, writable=True)
     try:

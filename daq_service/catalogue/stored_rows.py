@@ -111,7 +111,7 @@ def compile_sql(statement: CompilerElement, column_keys: Sequence[str] | None = 
 
 
 def find_driver(connection: Connection) -> sqlite3.Connection:
-    """Return the SQLite connection below an SQLAlchemy connection, in the same transaction."""
+    """Return the SQLite connection of the driver below an SQLAlchemy connection, in the same transaction."""
     return connection.connection.driver_connection  # type: ignore[return-value] # the engine is SQLite's
 
 
@@ -239,7 +239,7 @@ def to_checked_row(kind: type[R], stored: Sequence[Any]) -> R:
 def read_rows(
     connection: Connection, kind: type[R], statement: Select[Any] | Prepared, **given: object
 ) -> Iterator[R]:
-    """Iterate over the complete rows of a query, each compared with its checksum.
+    """Read the complete rows of a query one after the other, each compared with its checksum.
 
     Parameters
     ----------

@@ -56,9 +56,11 @@ class UnchangedCatalogue:
         self._connect()
 
     def __enter__(self) -> Self:
+        """Return the catalogue itself."""
         return self
 
     def __exit__(self, *_: object) -> None:
+        """Close the connection and delete the copy of the file, if there is one."""
         self._stack.close()
 
     def _connect(self) -> None:
@@ -85,9 +87,9 @@ class UnchangedCatalogue:
         return self._path.with_name(f"{FILE_NAME}{suffix}")
 
     def _run_query(self, sql: str, *values: Any) -> list[dict[str, Any]]:
-        """Run a query and return its rows; connect again if a recorder has started.
+        """Run a query with ``values`` for its marks and return its rows as dictionaries.
 
-        Raises CatalogueDamagedError if the file cannot be read.
+        Connects again if a recorder has started. Raises CatalogueDamagedError if the file cannot be read.
         """
         if not self._shared and self._build_companion_path("-shm").exists():
             self._connect()  # a recorder has started: from now on the file changes
@@ -177,7 +179,10 @@ class UnchangedCatalogue:
         return sum(self._read_values(f'SELECT count(*) FROM "{table}"')[0] for table in self._list_tables())
 
     def _list_tables(self) -> list[str]:
-        """List the names of the tables in the file, without those of SQLite."""
+        """List the names of the tables in the file, without SQLite's own.
+
+        Raises CatalogueDamagedError if the file is unreadable.
+        """
         return self._read_values(
             "SELECT name FROM sqlite_master WHERE type = 'table' AND name NOT LIKE 'sqlite_%'"
         )
@@ -221,11 +226,14 @@ class UnchangedCatalogue:
 
     @cached_property
     def _positions(self) -> list[str]:
-        """Return the distinct positions that have sets."""
+        """Return the distinct positions that have sets; read once."""
         return self._read_values("SELECT DISTINCT position FROM sets")
 
     def of_set(self, table: str, set_key: SetKey) -> list[dict[str, Any]]:
-        """Read the rows of a set in a table that has a position and a set index; empty if none."""
+        """Read the rows of a set in a table with position and set index, with current names; empty if none.
+
+        Raises CatalogueDamagedError if the file is unreadable or has an unknown column.
+        """
         # Its indexes begin with the position.
         marks = ", ".join("?" * len(self._positions))
         where = f"WHERE position IN ({marks}) AND set_index = ?"
@@ -249,7 +257,7 @@ class UnchangedCatalogue:
         return rows
 
     def list_stray_shots(self) -> list[int]:
-        """List the ids (`sequence`) of shots whose set has no row at their position."""
+        """List the ids (`sequence`) of shots without a row in ``sets`` of their set and position."""
         same = "sets.position = shots.position AND sets.set_index = shots.set_index"
         if self._has_unscheduled_index:
             same += " AND sets.unscheduled_index = shots.unscheduled_index"

@@ -282,7 +282,7 @@ class RecorderCatalogue(Catalogue):
                 replace_row(connection, replace(row, file_sha256=sha256))
 
     def read_digest(self, set_key: SetKey) -> str | None:
-        """Read the stored SHA-256 of a set's file in hexadecimal; None if there is none."""
+        """Read the stored SHA-256 of a set's file in hexadecimal; None if no row of the set has one."""
         has_digest = sets.c.file_sha256.is_not(None)
         statement = select(sets.c.file_sha256).where(*_build_set_condition(set_key), has_digest)
         with self.open_snapshot() as connection:
@@ -323,7 +323,7 @@ class RecorderCatalogue(Catalogue):
     # Commands
 
     def list_open_commands(self) -> list[CommandRow]:
-        """List the commands without an answer (pending or started), oldest first."""
+        """List the commands without an answer (state pending or started), oldest first."""
         return self.rows(CommandRow, states={"pending", "started"})
 
     def start_command(self, command_id: int) -> None:
@@ -332,17 +332,21 @@ class RecorderCatalogue(Catalogue):
         Raises
         ------
         CatalogueConflictError
-             No such command, or it was started before.
+             There is no such command, or it is not pending.
+        CatalogueError
+             It cannot be written; the command stays pending.
         """
         self._advance_command(command_id, "pending", state="started")
 
     def finish_command(self, command_id: int, state: CommandState, result: str | None = None) -> None:
-        """Store the answer to a pending or started command, with the time of the computer.
+        """Store the answer to a pending or started command, with the computer's present time.
 
         Raises
         ------
         CatalogueConflictError
-             No such command, or it was answered before; or ``state`` is not an answer.
+             There is no such command, it was answered before, or ``state`` is not an answer.
+        CatalogueError
+             It cannot be written.
         """
         if state not in ANSWERS:
             raise CatalogueConflictError(f"state is {state!r}; an answer is one of {', '.join(ANSWERS)}")
@@ -363,7 +367,7 @@ class RecorderCatalogue(Catalogue):
 
 
 def _build_set_condition(key: SetKey) -> tuple[ColumnElement[bool], ...]:
-    """Build the conditions that select the rows of a set in table ``sets``."""
+    """Build the two conditions (set index, unscheduled index) that select the rows of a set in ``sets``."""
     return sets.c.set_index == key.set_index, sets.c.unscheduled_index == key.unscheduled_index
 
 

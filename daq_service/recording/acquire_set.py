@@ -108,7 +108,7 @@ class TakenSet:
 
     @property
     def is_empty(self) -> bool:
-        """Return whether the set has no record."""
+        """Return whether the set has no record, neither a shot nor a pulse echo."""
         return not self.shots and not self.echoes
 
     def n_records(self, position: str) -> int:
@@ -136,7 +136,10 @@ class TakenSet:
         return "; ".join(causes)
 
     def format_error(self) -> str:
-        """Return the instrument error in the archive's form, ``class: message``; empty if there was none."""
+        """Format the instrument error in the archive's form, ``class: message``; empty if there was none.
+
+        The class is the one that all drivers share, not a driver's own.
+        """
         if self.trouble is None:
             return ""
         # A driver may raise a subclass; the archive stores the class that all drivers share.
@@ -239,6 +242,10 @@ class SetAcquisition:
         commands: CommandExecutor,
         activity: Activity,
     ) -> None:
+        """Keep the parts of the recorder and build the provenance of its sets.
+
+        Raises CatalogueError if the experiment cannot be read.
+        """
         self._settings, self._rig = resources.settings, resources.rig
         self._archive, self._live = resources.archive, resources.live
         self._set_assessor, self._persistence = assessor, persistence

@@ -68,7 +68,10 @@ def raise_if_permanent(trouble: InstrumentError, due: DueSet, *, n_shots: int, p
 def build_started_payload(
     rig: Rig, not_running_reason: str, sets_done: int, provenance: Mapping[str, Any]
 ) -> dict[str, object]:
-    """Build the payload of the event of a recorder's start: rig, completed sets, absence, versions."""
+    """Build the payload of the event of a recorder's start.
+
+    It has the rig and its identity, dry run, number of completed sets, reason why none ran before, versions.
+    """
     return {
         "rig": rig.kind,
         "dry_run": rig.dry_run,

@@ -179,7 +179,10 @@ class Recorder:
     # The stages -----------------------------------------------------------------------------------
 
     def plan(self, done: Collection[SetKey], absences: Sequence[tuple[int, str]]) -> Iterator[DueSet]:
-        """Yield each set without rows when it is due; close those whose time is over (`DueSets.follow`)."""
+        """Yield each set without rows when it is due, blocking until then; close those whose time is over.
+
+        See `DueSets.follow` for the arguments.
+        """
         return self._due_sets.follow(done, absences)
 
     def acquire(self, due: DueSet, taken: TakenSet) -> Iterator[Measurement]:
@@ -196,11 +199,11 @@ class Recorder:
             yield measurement
 
     def persist(self, measurement: Measurement, taken: TakenSet) -> None:
-        """Append a measurement to the journal; in real time also acknowledge it when it is durable."""
+        """Append a measurement to the set and the journal; in real time acknowledge it, too."""
         self._acquisition.keep(measurement, taken)
 
     def extract(self, measurement: Measurement, due: DueSet, taken: TakenSet) -> None:
-        """Extract the features of a shot, which decide whether it is repeated; show the waveform."""
+        """Extract the features of a shot, which decide whether it is repeated; show its waveform if due."""
         with self._cost.of("extract_s"):
             self._acquisition.extract(measurement, due, taken)
 

@@ -75,7 +75,7 @@ def record_test(
     options: SessionOptions = PLAIN,
     host: Host = THIS_COMPUTER,
 ) -> bool:
-    """Record a test to the end of its schedule; the caller holds the lock of the folder.
+    """Create or resume a test, and record it to the end of its schedule; the caller holds the folder's lock.
 
     Returns
     -------

@@ -121,7 +121,7 @@ class SetAssessor:
         return position_result.conditions
 
     def disabled(self) -> dict[str, str]:
-        """Return the reason of each disabled transducer, by position."""
+        """Return the reason of each disabled transducer by position; empty if none is disabled."""
         return find_disabled(self.alarms.values())
 
     def assessed(
@@ -198,7 +198,7 @@ class SetAssessor:
         return self.add_environment(due, moment, transaction)
 
     def build_empty_row(self, due: DueSet, position: str, *, disabled: bool, reason: str) -> SetRow:
-        """Build the row of a position without records (missed), or that was not measured (disabled)."""
+        """Build the row of a position without records, of state "missed" or, if not measured, "disabled"."""
         return SetRow(
             set_index=due.set_index,
             unscheduled_index=due.unscheduled_index,
@@ -213,7 +213,7 @@ class SetAssessor:
         )
 
     def list_set_positions(self, due: DueSet) -> list[str]:
-        """List the positions of a set: all, or the one of an unscheduled set."""
+        """List the positions of a set: all in their order, or the one of an unscheduled set."""
         return list(self._settings.positions) if due.position is None else [due.position]
 
     def update_alarm(self, condition: Condition, moment: Moment) -> None:
@@ -246,7 +246,7 @@ class SetAssessor:
         return ""
 
     def _has_alarm_or_delay(self, position: str | None, kind: str) -> bool:
-        """Return whether there is an alarm, or the delay before one, that an absent condition ends."""
+        """Return whether the position (None: the test) has an alarm of the kind, or its delay runs."""
         return (position, kind) in self.alarms or (position, kind) in self._delayed_since_ns
 
     def apply_alarm(self, condition: Condition, moment: Moment, transaction: SetCommit) -> None:
@@ -277,7 +277,7 @@ class SetAssessor:
             log.warning("%s at hour %g: %s", change.event_kind, moment.due_h, change.row.message)
 
     def apply_stored_event(self, event: EventRow) -> None:
-        """Update alarm delays and requested sets from a stored event."""
+        """Update alarm delays and requested sets in memory from a stored event; ignore other events."""
         self.confirmations.apply_event(event)
         if event.kind == DELAY_EVENT:
             payload = event.payload
@@ -317,7 +317,7 @@ class SetAssessor:
             self.alarms[(row.position, row.kind)] = replace(row, id=alarm_id)
 
     def publish(self, transaction: SetCommit) -> None:
-        """Update delays and requested sets with a stored transaction, and report its alarms and gaps."""
+        """Update delays and requested sets with a stored transaction, then report its alarms and gaps."""
         for event in transaction.events:
             self.apply_stored_event(event)
         self.confirmations.apply_rows(transaction)
@@ -327,7 +327,7 @@ class SetAssessor:
 def build_shot_row(
     measurement: Shot | PulseEchoRecord, *, valid: bool, flags: Sequence[str], outcome: Outcome = ACCEPTED
 ) -> ShotRow:
-    """Build the catalogue row of a record, with the CRC-32 of its counts."""
+    """Build the catalogue row of a record from key, time stamp and quality, with the CRC-32 of its counts."""
     key, stamp = measurement.key, measurement.stamp
     return ShotRow(
         sequence=measurement.sequence,

@@ -213,7 +213,7 @@ def _compute_body_crc32(facts: bytes, counts_crc32: int) -> int:
 
 
 def parse_frames(content: bytes, *, of_set: SetKey | None = None) -> Iterator[Frame]:
-    """Parse the frames of a segment, or those of one set; skip bytes that are no frame.
+    """Parse the frames of a segment in order, or only those of one set; skip bytes that are no frame.
 
     A frame whose header is valid but whose content is corrupt or truncated is yielded with ``sound`` False.
     """

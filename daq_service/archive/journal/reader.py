@@ -208,9 +208,9 @@ def build_segment_path(folder: Path, number: int) -> Path:
 def read_journal(
     folder: Path, *, of_set: SetKey | None = None, places: Places | None = None
 ) -> dict[SetKey, JournaledSet]:
-    """Read all segments and return the journaled sets by key, in the order of the sets.
+    """Read the segments of the journal and return the journaled sets by key, in the order of the sets.
 
-    A segment that disappears meanwhile has left its sets in files of their own.
+    A segment that disappears meanwhile is skipped: its sets have files of their own.
 
     Parameters
     ----------

@@ -132,7 +132,7 @@ class Journal:
         return f"{QUARANTINE_FOLDER}/{copy.name}"
 
     def append(self, record: Shot | PulseEchoRecord) -> None:
-        """Add a record in memory; the next `sync` writes and acknowledges it."""
+        """Add a record in memory, without copying its counts; the next `sync` writes and acknowledges it."""
         self.add(record.key.set_key, build_record_frame(record))
         self._unacknowledged.append(record.sequence)
 
@@ -263,7 +263,7 @@ class Journal:
             del self._sets_in[number]
 
     def close(self) -> None:
-        """Close the present segment and delete segments without sets; added frames are not synced."""
+        """Close the present segment and delete segments without sets; frames that are not synced are lost."""
         self._close_segment()
         for number, indices in list(self._sets_in.items()):
             if not indices:

@@ -179,7 +179,7 @@ def compute_planes(
 
 
 def select_accepted_records(record: SetRecord, position: str) -> list[Shot | PulseEchoRecord]:
-    """Select the accepted records of a set at a position, in their order; empty if none."""
+    """Select the records of a set at a position that no repetition replaces, in order; empty if none."""
     return [
         item
         for item in record.records

@@ -152,7 +152,7 @@ class Tiles:
 
     @property
     def _slot_bytes(self) -> int:
-        """Return the size of a row's slot in bytes."""
+        """Return the size in bytes of the slot of a row in a tile."""
         return compute_slot_bytes(self.frame.n_cells)
 
     def _build_tile_path(self, width: int, tile: int) -> Path:

@@ -109,7 +109,7 @@ class Explained:
 
     @property
     def agrees(self) -> bool | None:
-        """Return whether all values agree; None if the alarm does not follow from records."""
+        """Return whether no recomputed value differs; None if the alarm does not follow from records."""
         return None if self.again is None else not self.again.differences
 
 
@@ -158,7 +158,7 @@ def _describe_unknown_alarm(alarm_id: int, alarms: Sequence[AlarmRow]) -> str:
 
 
 def _find_no_records_reason(alarm: AlarmRow) -> str:
-    """Return why an alarm does not follow from the records of a position; empty if it does."""
+    """Return why an alarm does not follow from the records of a position, as a text; empty if it does."""
     if alarm.position is None:
         return "it is about the test as a whole, not about the records of a position"
     if alarm.raised_set_index is None:

@@ -36,7 +36,7 @@ def list_assessment_keys() -> list[str]:
 
 
 def parse_assignments(texts: Sequence[str]) -> dict[KeyPath, Any]:
-    """Parse texts ``KEY=VALUE`` to key paths and values: a value is JSON, or else text.
+    """Parse texts ``KEY=VALUE`` to values by key path: a value is JSON, or else taken as text.
 
     Raises
     ------

@@ -495,7 +495,7 @@ def _replace_computed_rows(
 
 
 def _collect_reported_rows(transaction: SetCommit) -> list[Row]:
-    """List the rows of a transaction that events report, without those of single shots."""
+    """List the rows of a transaction that events report; of features only those of sets."""
     of_set = [row for row in transaction.features if row.shot_index is None]
     rows = (transaction.sets, of_set, transaction.thickness, transaction.assessments, transaction.environment)
     return list(itertools.chain(*rows))
@@ -518,7 +518,10 @@ def _collect_rows(kind: type[R], events: Sequence[EventRow]) -> list[R]:
 
 
 def _find_differences(computed: Sequence[EventRow], stored: Sequence[EventRow]) -> list[str]:
-    """List the computed results that differ from those in the stored events, by set, position and kind."""
+    """List set, position and kind of each stored event whose computed result differs.
+
+    Columns that the stored event lacks, and diagnosis states in averages, are not compared.
+    """
     found = {_identify(event): event for event in computed if event.kind in _COMPUTED}
     return [
         f"set {event.set_key}, {event.position}: {event.kind}"

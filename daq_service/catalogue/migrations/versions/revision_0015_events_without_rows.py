@@ -33,7 +33,10 @@ def _replace_column_value(table: str, name: str, old: str, new: str) -> None:
 
 
 def _replace_json_value(table: str, name: str, key: str, old: str, new: str) -> None:
-    """Replace the value ``old`` at a key of a JSON column by ``new`` and clear these rows' checksums."""
+    """Replace the value ``old`` at the path ``key`` of a JSON column by ``new``.
+
+    Clears the checksums of the changed rows.
+    """
     op.execute(
         f"UPDATE {table} SET {name} = json_set({name}, '$.{key}', '{new}'), row_crc32 = NULL "
         f"WHERE json_extract({name}, '$.{key}') = '{old}'"

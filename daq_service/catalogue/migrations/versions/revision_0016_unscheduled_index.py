@@ -62,7 +62,11 @@ def upgrade() -> None:
 
 
 def _split_set_keys(table: str, index: str, number: str, nested: str) -> None:
-    """Add column ``number`` to a table, split its set index, and convert set keys in its JSON column."""
+    """Add column ``number`` to a table, split its combined set index, and convert keys in a JSON column.
+
+    ``index`` names the column of the set index, ``nested`` the JSON column. Checksums of changed rows are
+    cleared.
+    """
     driver = op.get_bind().connection.driver_connection
     assert driver is not None
     driver.create_function("current_json", 1, _to_current_json, deterministic=True)
@@ -83,7 +87,10 @@ def _add_unscheduled_column(table: str, name: str) -> None:
 
 
 def _split_set_indices(table: str, index: str, number: str) -> None:
-    """Split each combined index into set index and unscheduled number; clear these rows' checksums."""
+    """Split each combined number in column ``index`` into set index and, for column ``number``, set number.
+
+    The set number is that of an unscheduled set after the scheduled one. Clears the checksums of these rows.
+    """
     _execute(
         f"UPDATE {table} SET {number} = {index} / {_SETS_OF_A_PLAN}, {index} = {index} % {_SETS_OF_A_PLAN}, "
         f"row_crc32 = NULL WHERE {index} >= {_SETS_OF_A_PLAN}"
