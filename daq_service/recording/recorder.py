@@ -75,10 +75,7 @@ class Recorder:
     """Takes the sets of a test, one after the other."""
 
     def __init__(self, resources: Resources, *, features_of: FeaturesOf = extract_shot_features) -> None:
-        """Build the parts of the recorder and connect them; read open sets, alarms and states of the test.
-
-        Raises StorageError if they cannot be read, OtherExperimentError if an open set is of another test.
-        """
+        """Build and connect the parts; read open sets and states of the test, or raise StorageError."""
         self._resources, self._stop, self._cost = resources, resources.stop, Cost()
         self._set_assessor = assessor = SetAssessor(
             resources.settings,
@@ -104,9 +101,7 @@ class Recorder:
     def run(self, *, not_running_reason: str, opening: Opening | None = None) -> bool:
         """Take every set that is still due, then wait for their files; return False when ``stop`` came first.
 
-        ``not_running_reason`` is why no recorder ran before, ``opening`` what this one did while other sets
-        may have fallen due. Raises RigError after a lasting instrument error, OtherExperimentError at files
-        of another test.
+        ``opening`` is what this recorder did before. Raises RigError after a lasting error of an instrument.
         """
         resources, persistence, waiting = self._resources, self._persistence, self.waiting
         done = resources.catalogue.list_committed_sets()
@@ -127,10 +122,7 @@ class Recorder:
         return self._finish_run()
 
     def _process_set(self, due: DueSet) -> None:
-        """Acquire a set and pass it through all stages, or record a gap; RigError after a lasting error.
-
-        A set that a stop interrupts stays open for the next recorder.
-        """
+        """Acquire a set and pass it through all stages, or record a gap; RigError after a lasting error."""
         if hindrance := self._due_sets.find_skip_reason(due):
             self._record_gap(due, hindrance)
             return
@@ -158,10 +150,7 @@ class Recorder:
             raise_if_permanent(taken.trouble, due, n_shots=len(taken.shots), proven=self._set_assessor.proven)
 
     def _process_acquired_set(self, due: DueSet, taken: TakenSet, *, cut_short_reason: str = "") -> None:
-        """Queue the stages that write acquired records to disk; they wait in memory while it refuses.
-
-        ``cut_short_reason`` explains missing records; empty: the state of the test does.
-        """
+        """Queue the stages that write acquired records; they wait in memory while the disk refuses."""
         self._activity.announce(f"storing {due}")
         reason = self._carried_over.corruption_of.get(due.set_key, cut_short_reason)
         record = self._acquisition.record_of(due, taken, reason)
@@ -179,17 +168,11 @@ class Recorder:
     # The stages -----------------------------------------------------------------------------------
 
     def plan(self, done: Collection[SetKey], absences: Sequence[tuple[int, str]]) -> Iterator[DueSet]:
-        """Yield each set without rows when it is due, blocking until then; close those whose time is over.
-
-        See `DueSets.follow` for the arguments.
-        """
+        """Block until each set without rows is due and yield it; close overdue ones (`DueSets.follow`)."""
         return self._due_sets.follow(done, absences)
 
     def acquire(self, due: DueSet, taken: TakenSet) -> Iterator[Measurement]:
-        """Strike and read; yield each measurement before the next strike, and add the time to the cost.
-
-        An instrument error ends the set and is kept as ``taken.trouble``.
-        """
+        """Strike and read; yield each measurement before the next strike, timed; an error ends the set."""
         measurements = self._acquisition.acquire_measurements(due, taken)
         while True:
             with self._cost.of("strike_and_read_s"):
@@ -199,7 +182,7 @@ class Recorder:
             yield measurement
 
     def persist(self, measurement: Measurement, taken: TakenSet) -> None:
-        """Append a measurement to the set and the journal; in real time acknowledge it, too."""
+        """Add a measurement to set and journal; in real time also make it durable and acknowledge it."""
         self._acquisition.keep(measurement, taken)
 
     def extract(self, measurement: Measurement, due: DueSet, taken: TakenSet) -> None:
@@ -214,11 +197,7 @@ class Recorder:
         features: Mapping[int, ShotFeatures],
         load: Mapping[str, Any] | None,
     ) -> SetCommit:
-        """Write the set durably, then assess it; return rows, alarms and events as one transaction.
-
-        ``load`` is the computer's load for its event, left out with None or in an unscheduled set. Raises
-        ArchiveError if the set is not stored.
-        """
+        """Store the set durably, then assess it; return its rows and events; ArchiveError if refused."""
         stored = self._persistence.store(record)
         self._cost.add_set(asdict(stored.timings))
         self._activity.doing = f"assessing {due}"
@@ -230,7 +209,7 @@ class Recorder:
         return transaction
 
     def commit(self, transaction: SetCommit) -> None:
-        """Store the rows, alarms and events of a set in one transaction; raise CatalogueError if refused."""
+        """Store the rows, alarms and events of a set in one transaction; CatalogueError if refused."""
         with self._cost.of("commit_s"):
             self._set_assessor.store(transaction)
 
@@ -240,10 +219,7 @@ class Recorder:
         self._persistence.after_set(due.set_key)
 
     def _record_gap(self, due: DueSet, reason: str) -> None:
-        """Close a set that is not acquired: store the records of an open set, or else rows of a gap.
-
-        Both are queued; the open set's own corruption replaces ``reason``.
-        """
+        """Queue a set that is not acquired: records of an open set, or rows of a gap with the reason."""
         opened = self._carried_over.open_sets.pop(due.set_key, None)
         if opened is not None and opened.records:
             self._process_acquired_set(due, self._carried_over.resume(opened), cut_short_reason=reason)
@@ -255,18 +231,12 @@ class Recorder:
         store_empty_set(self._set_assessor, self._persistence, due, reasons, utc_ns=now_ns)
 
     def _leave_set_open(self, taken: TakenSet) -> bool:
-        """Return whether a set that a stop cut short is left to the next recorder.
-
-        False for a paused, complete or failed set, and if its shots cannot be made durable.
-        """
+        """Return whether a set that a stop cut short is left to the next recorder, its shots durable."""
         cut = self._stop.is_set() and not self.commands.paused and taken.trouble is None
         return cut and not taken.is_complete(self._set_assessor.n_planned) and self._persistence.acknowledge()
 
     def _finish_run(self) -> bool:
-        """Store the end of the run with its cost and switch the supply off; return False after a stop.
-
-        Without a supervisor the supply stays on: its own process watches it.
-        """
+        """Store the run's end and cost; if supervised, switch the supply off; return False after a stop."""
         finished, is_unsupervised = not self._stop.is_set(), self._resources.options.unsupervised.is_set()
         # A supervisor that was killed is no end of the test: the drive's process watches the supply.
         drive = None if is_unsupervised else self._set_assessor.drive
