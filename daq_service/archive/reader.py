@@ -135,8 +135,8 @@ class FolderSetReader:
     def read_tables(self, reference: SetReference, sha256: str) -> SetTables | None:
         """Read the tables of shots and results of a set's file as rows, without its waveforms.
 
-        None if the file does not have this SHA-256 or cannot be read; CorruptArchiveError if a table is
-        invalid.
+        Returns None if the file does not have this SHA-256 or cannot be read. Raises CorruptArchiveError if a
+        table is invalid.
         """
         try:
             content = read_regular_file(self.folder / reference)

@@ -97,7 +97,7 @@ def _add_entry(file: FileID, name: str, facts_text: str) -> GroupID:
 def _add_columns(group: GroupID, columns: Mapping[str, NDArray[Any] | list[str]], axis: str) -> DatasetID:
     """Add a dataset per column with its unit to a group; return that of column ``axis``, the others' scale.
 
-    KeyError if there is no such column.
+    Raises KeyError if there is no such column.
     """
     axis_field = add_field(group, axis, columns[axis], is_axis=True)
     fields = {

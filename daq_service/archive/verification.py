@@ -165,8 +165,9 @@ def _to_comparable(file: h5py.File, value: object) -> object:
 def _equals(name: str, stored: Mapping[str, Any], expected: Mapping[str, Any], *, same_format: bool) -> bool:
     """Return whether the values at the path ``name`` of a stored and an expected file agree.
 
-    Previews may differ by 1e-6 of their largest value, all else not at all; with another format version
-    missing or empty labels agree.
+    Previews may differ by 1e-6 of their largest value, all else not at all. With another format version,
+    labels that are empty or not written any more, and truth or settings in groups of a position, count as
+    equal.
     """
     if not same_format and "@" in name and (name not in expected or str(stored.get(name)) == ""):
         return True  # a label that is not written any more, or was left empty

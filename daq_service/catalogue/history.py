@@ -97,7 +97,7 @@ def encode_history_line(number: int, table: str, row: Mapping[str, object]) -> b
 
 
 def read_history(folder: Path, *, tail_bytes: int | None = None) -> History:
-    """Read the history of a data folder; empty where there is none.
+    """Read the history of a data folder; without a file the result is an empty `History`.
 
     Corrupt and missing lines are listed in ``damage``, not raised.
 

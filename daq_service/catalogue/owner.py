@@ -73,7 +73,8 @@ def raise_if_other_configuration(
 def _describe_version_changes(connection: Connection, *, on_twin: bool) -> list[str]:
     """List each extractor, and with ``on_twin`` the twin, whose version differs from that of the stored rows.
 
-    Each line gives both versions. Empty if none differs; a version that was never stored is not compared.
+    Each line gives both versions; there is none if all agree. A version that was never stored is not
+    compared.
     """
     # Loading the extractors takes a while, and only a folder that has a test needs it.
     from analysis.ultrasound import thickness as pulse_echo

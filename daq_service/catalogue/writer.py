@@ -445,7 +445,7 @@ def _update_counts(
 
 
 def _insert_assessments(connection: Connection, rows: Sequence[AssessmentRow]) -> None:
-    """Insert assessments; one with ``in_baseline`` replaces the stored preliminary one of its set."""
+    """Insert assessments; one ``in_baseline`` replaces the preliminary one of its set and position."""
     new = []
     for row in rows:
         found = (

@@ -26,10 +26,11 @@ def wait_for_verified_clock(
     not_running_reason: str,
     opening: Opening | None,
 ) -> list[tuple[int, str]]:
-    """Wait until the clock is verified; return until when sets were missed, and why, in parts.
+    """Block until the clock is verified; return the times until which sets were missed, with reasons.
 
-    The list is in order of time (ns of UTC); it is empty if the recorder was stopped meanwhile. A doubtful
-    clock raises an alarm; a simulated clock is never in doubt.
+    The list has pairs of time (ns of UTC) and reason in order of time: no recorder ran, the rig was opened,
+    the clock was awaited. It is empty if the recorder was stopped meanwhile. A doubtful clock raises an
+    alarm; a simulated clock is never in doubt.
     """
     clock, reasons = resources.rig.clock, list[str]()
     if not isinstance(clock, WallClock):

@@ -217,7 +217,10 @@ class SetAssessor:
         return list(self._settings.positions) if due.position is None else [due.position]
 
     def update_alarm(self, condition: Condition, moment: Moment) -> None:
-        """Update an alarm that belongs to no set, and commit the change, if there is one; CatalogueError."""
+        """Update an alarm that belongs to no set, and commit the change, if there is one.
+
+        Raises CatalogueError if it is not stored.
+        """
         transaction = SetCommit()
         self.apply_alarm(condition, moment, transaction)
         if transaction.events:
@@ -293,7 +296,10 @@ class SetAssessor:
         return transaction
 
     def commit(self, transaction: SetCommit) -> None:
-        """Store rows, alarms and events in one transaction, then report them; CatalogueError if refused."""
+        """Store rows, alarms and events in one transaction, then report them.
+
+        Raises CatalogueError, with nothing stored.
+        """
         self.store(transaction)
         self.publish(transaction)
 

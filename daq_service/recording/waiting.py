@@ -79,7 +79,7 @@ class Waiting:
             self._resources.stop.wait(self._resources.host.look_every_s / 10.0)
 
     def wait_for_files(self) -> None:
-        """Block at most 60 s until the last sets have their files, retrying failed ones; return at a stop."""
+        """Block until the last sets have their files, at most 60 s or until a stop; retry failed ones."""
         finalizer, host, stop = self._resources.finalizer, self._resources.host, self._resources.stop
         if finalizer is None or stop.is_set():
             return

@@ -254,7 +254,7 @@ def parse_frames(content: bytes, *, of_set: SetKey | None = None) -> Iterator[Fr
 def decode_record(frame: Frame) -> Shot | PulseEchoRecord:
     """Decode the record of a sound frame, bit for bit: a pulse echo from ``ECHO``, else a shot.
 
-    Counts are a read-only view of the frame. KeyError if the facts lack a value.
+    Counts are a read-only view of the frame. Raises KeyError if the facts lack a value.
     """
     facts = frame.parse_facts()
     position, shot_index, attempt = facts["key"]

@@ -121,8 +121,8 @@ class WaterfallReader:
     ) -> Tiles | None:
         """Build the tiles of a position with the frame of its first readable records.
 
-        None if no file has any. The result is kept for later calls: all figures of the position have this
-        frame, and records of another rate are not drawn. Unreadable files are logged as warnings.
+        Returns None if no file has any. The result is kept for later calls: all figures of the position have
+        this frame, and records of another rate are not drawn. Unreadable files are logged as warnings.
         """
         key = position, alignment
         for file in files if key not in self._tiles else ():
@@ -243,7 +243,7 @@ class _Reading:
     def _read_row(self, width: int, number: int, tile_row: TileRow | None) -> TileRow | None:
         """Return the tile's row if it has all stored sets, else join the row from the next finer level.
 
-        None if no set of it is stored or can be read now. At the finest level the records are read.
+        Returns None if no set of it is stored or can be read now. At the finest level the records are read.
         """
         if tile_row is not None and tile_row.n_sets == width:
             return tile_row

@@ -59,7 +59,7 @@ class TileRow:
 def join_tile_rows(rows: Sequence[TileRow]) -> TileRow:
     """Combine one or more rows, given in the order of their sets, to one row with their common extremes.
 
-    IndexError without a row.
+    Raises IndexError without a row.
     """
     return TileRow(
         n_sets=sum(row.n_sets for row in rows),
@@ -114,7 +114,7 @@ class Tiles:
     def has_set(self, set_index: int) -> bool:
         """Return whether a set has its row, and all coarser rows count the sets of their four finer ones.
 
-        False if a row is missing or corrupt.
+        A missing or corrupt row gives False.
         """
         row = self.row(1, set_index)
         for finer_width, width in pairwise(WIDTHS):
@@ -162,7 +162,7 @@ class Tiles:
     def _read_slots(self, width: int, tile: int, start: int, end: int) -> memoryview:
         """Read the bytes of the slots ``start`` to ``end`` (excluded) of a tile, as many as exist.
 
-        Empty if the tile is missing, unreadable or of another test or frame.
+        There are none if the tile is missing, unreadable, or of another test or frame; errors are not raised.
         """
         path = self._build_tile_path(width, tile)
         try:
@@ -266,5 +266,8 @@ def list_tile_cells(folder: Path) -> list[int]:
 
 
 def sum_tile_bytes(folder: Path) -> int:
-    """Sum the sizes of all tile files of a data folder in bytes; 0 without tiles. OSError if one vanishes."""
+    """Sum the sizes of all tile files of a data folder in bytes; 0 without tiles.
+
+    Raises OSError if a file disappears meanwhile.
+    """
     return sum(path.stat().st_size for path in (folder / TILES_FOLDER).rglob("*.tile"))

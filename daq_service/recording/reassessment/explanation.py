@@ -306,7 +306,10 @@ def _read_set_results(
 
 
 def _count_silent_shots(shots: Sequence[ShotRow]) -> dict[int, int]:
-    """Count the accepted shots without reflected wave (flag ``no_psw``), by set index, with zeros."""
+    """Count the accepted shots without reflected wave (flag ``no_psw``) by set index.
+
+    A set with shots whose waves all have one counts 0; sets without shots are omitted.
+    """
     counts: dict[int, int] = {}
     for shot in shots:
         silent = shot.outcome == ACCEPTED and "no_psw" in shot.flags

@@ -429,7 +429,7 @@ def _identify(event: EventRow) -> tuple[str, str, str | None]:
 def build_shot_rows(tables: SetTables, *, due_h: float) -> tuple[list[ShotRow], list[FeatureRow]] | None:
     """Build the rows of a set's shots, and their features, from the tables of its file, in order.
 
-    None if a shot has no result there. ``due_h`` is the hour at which the set was due.
+    Returns None if a shot has no result there. ``due_h`` is the hour at which the set was due.
     """
     results = {
         int(row["shot_id"]): row for name in ("features", "thickness") for row in tables.results.get(name, ())
