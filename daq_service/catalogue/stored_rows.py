@@ -304,7 +304,7 @@ def configure_transactions(engine: Engine) -> None:
 
     @event.listens_for(engine, "begin")
     def _begin_transaction(connection: Connection) -> None:
-        """Begin a transaction; a writer waits for the write lock or, at the timeout, raises OperationalError."""
+        """Begin a transaction; a writer waits up to 5 s for the lock, then raises OperationalError."""
         nonlocal timed_out_s
         if not connection.get_execution_options().get(_WRITES, False):
             find_driver(connection).execute("BEGIN")
