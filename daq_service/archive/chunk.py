@@ -28,7 +28,7 @@ _ZLIB_HEADER = b"\x78\x01"
 
 
 def encode_chunk(values: NDArray[Any]) -> bytes:
-    """Shuffle and deflate a chunk; return the bytes with their checksum at the end.
+    """Shuffle and deflate a chunk of values; return the bytes, followed by their Fletcher32 checksum.
 
     Parameters
     ----------
@@ -44,12 +44,15 @@ def encode_chunk(values: NDArray[Any]) -> bytes:
 
 @lru_cache(maxsize=8)
 def _deflate(content: bytes) -> bytes:
-    """Compress data other than records (axes, provenance); cached, since they are equal in every set."""
+    """Compress bytes other than integers (axes, provenance) with zlib; the 8 last results are cached."""
     return zlib.compress(content, GZIP_LEVEL)
 
 
 def _deflate_planes(planes: NDArray[np.uint8]) -> bytes:
-    """Compress byte planes, shape (n_planes, n_bytes), to one zlib stream; noise is stored as it is."""
+    """Compress byte planes, uint8 of shape (n_planes, n_bytes), to one zlib stream.
+
+    Planes of noise are stored uncompressed.
+    """
     last = len(planes) - 1
     parts = [_ZLIB_HEADER]
     checksum = zlib.adler32(b"")
@@ -66,7 +69,10 @@ def _deflate_planes(planes: NDArray[np.uint8]) -> bytes:
 
 
 def _is_noise(probe: NDArray[np.uint8]) -> bool:
-    """Return whether the entropy of a sample exceeds 7.75 bits per byte: deflate would save at most 3 %."""
+    """Return whether a sample, uint8 and not empty, has more than 7.75 bits of entropy per byte.
+
+    Deflate would then save at most 3 %.
+    """
     counts = np.bincount(probe, minlength=256)
     bits = math.log2(probe.size) - float(_compute_n_log2_n()[counts].sum()) / probe.size
     return bits > _NOISE_BITS_PER_BYTE
@@ -74,7 +80,7 @@ def _is_noise(probe: NDArray[np.uint8]) -> bool:
 
 @cache
 def _compute_n_log2_n() -> NDArray[np.float64]:
-    """Compute n log2(n) for every count of a probe, shape (_PROBE_BYTES + 1,)."""
+    """Compute n log2(n) for n = 0 ... 4096 (n of 0 gives 0), shape (4097,); cached."""
     n = np.arange(_PROBE_BYTES + 1.0)
     table: NDArray[np.float64] = n * np.log2(np.maximum(n, 1.0))
     return table
@@ -113,5 +119,5 @@ def _build_countdown(size: int) -> NDArray[np.int64]:
 
 @lru_cache(maxsize=2)
 def _build_longest_countdown(bits: int) -> NDArray[np.int64]:
-    """Build the integers from 2**bits - 1 down to 1; cached."""
+    """Build the integers from 2**bits - 1 down to 1, shape (2**bits - 1,); the 2 last used are cached."""
     return np.arange((1 << bits) - 1, 0, -1)

@@ -51,7 +51,7 @@ class Sampling:
 
     @property
     def signal(self) -> str:
-        """Return the name of the array in its group: ``record`` of pulse echoes, ``waveform`` of strikes."""
+        """Return the name of the record array in its group: ``record`` (pulse echo) or ``waveform``."""
         return "record" if self.is_echo else "waveform"
 
 
@@ -91,7 +91,7 @@ class Facts:
 
 
 def list_record_blocks(folder: Path, file: SetReference) -> list[tuple[Sampling, Block]]:
-    """List the record arrays of a set's file, each with its sampling, without reading the records.
+    """List the record arrays of a set's file, each with its sampling and block, without reading the records.
 
     Raises
     ------
@@ -128,14 +128,14 @@ def build_consolidated_image(
     shots: Mapping[Sampling, tuple[Sequence[Block], Columns]],
     sets: Mapping[str, Columns],
 ) -> bytes:
-    """Build the bytes of the consolidated file, with virtual datasets of all sets.
+    """Build the bytes of the consolidated file, with virtual datasets over the records of all sets.
 
     Parameters
     ----------
     target, folder
-        Path of the new file, and the data folder: paths to the sets' files are relative to it.
+        Path of the new file, and the data folder: paths to the sets' files are relative to ``target``.
     shots
-        Blocks in their order, and columns with a value per shot.
+        Blocks in their order, and columns with a value per shot; at least one sampling (else ValueError).
     sets
         By position: columns with a value per set, the first one identifies the set.
     """
@@ -180,7 +180,7 @@ def _make_relative(target: Path, folder: Path) -> str:
 
 
 def name_groups(samplings: Iterable[Sampling]) -> dict[Sampling, str]:
-    """Name the group of each record array; further samplings of a position get numbers from 2."""
+    """Choose the group name of each record array; further samplings of a position get numbers from 2."""
     names, n_groups = dict[Sampling, str](), dict[str, int]()
     for sampling in samplings:
         base = f"{sampling.position}_{'pulse_echo' if sampling.is_echo else 'waveforms'}"
@@ -192,9 +192,10 @@ def name_groups(samplings: Iterable[Sampling]) -> dict[Sampling, str]:
 def _add_shots(
     entry: GroupID, name: str, sampling: Sampling, blocks: Sequence[Block], columns: Columns, folder: str
 ) -> None:
-    """Add the group of an array: virtual dataset, time axis in s, calibration and columns.
+    """Add the group ``name`` of a record array: virtual dataset, time axis in s, calibration and columns.
 
-    The rows are those of the blocks in their order; a missing file reads as the lowest count.
+    The rows are those of the blocks in their order; a missing file reads as the lowest count. ``folder`` is
+    the path of the data folder as stored in the file.
     """
     shot_ids = np.concatenate([np.asarray(block.shot_ids, dtype=np.int64) for block in blocks])
     signal = sampling.signal
@@ -224,10 +225,10 @@ def _add_shots(
 
 
 def _add_calibration(group: GroupID, signal: str, blocks: Sequence[Block], shot: h5py.h5d.DatasetID) -> None:
-    """Add each shot's calibration: boards recalibrate themselves during a test.
+    """Add the calibration of each shot to a group, since boards recalibrate themselves during a test.
 
     Coefficients in V, shape (n_shots, n_coefficients), padded with zeros; scaling factor in V and offset in
-    counts for viewers.
+    counts for viewers. ``shot`` is the axis of the shots, ``signal`` the name of the record array.
     """
     length = max(block.calibration.coefficients_v.size for block in blocks)
     padded = [
@@ -243,7 +244,10 @@ def _add_calibration(group: GroupID, signal: str, blocks: Sequence[Block], shot:
 
 
 def _add_columns(group: GroupID, columns: Columns, *, axis: h5py.h5d.DatasetID | None = None) -> None:
-    """Add a dataset per column with its unit; without ``axis`` the first column is the axis of the others."""
+    """Add a dataset per column, of numbers with its unit; without ``axis`` the first column becomes the axis.
+
+    Columns have a value per row of the axis.
+    """
     for name, values in columns.items():
         if axis is None:
             axis = add_field(group, name, values, is_axis=True)

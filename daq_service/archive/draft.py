@@ -52,20 +52,23 @@ class Node:
     link: str = ""
 
     def add(self, name: str, attributes: Mapping[str, Attribute], **facts: Any) -> Node:
-        """Append a node below this one to the draft and return it; ``facts`` are its other fields."""
+        """Append a node with the path ``name`` below this one to the draft and return it.
+
+        ``facts`` are the other fields of the node.
+        """
         path = f"{self.path}/{name}".lstrip("/")
         self.draft.append(Node(path=path, draft=self.draft, attributes=dict(attributes), **facts))
         return self.draft[-1]
 
     @property
     def structure(self) -> tuple[object, ...]:
-        """Return what a skeleton depends on: path, type, shape, chunk, axes, link and attributes."""
+        """Return what selects the skeleton: path, type and shape, chunk, axes, link and attributes."""
         shape = self.stored and (self.stored[0].dtype.str, self.stored[0].shape)
         return self.path, shape, self.chunk, self.axes, self.is_axis, self.link, self.attributes
 
 
 def start_draft(attributes: Mapping[str, Attribute], own_attributes: Mapping[str, Attribute]) -> Node:
-    """Create the root node of a draft with its attributes; ``own_attributes`` differ from file to file."""
+    """Create a draft and return its root node; ``own_attributes`` are those that differ from file to file."""
     root = Node(path="", draft=[], attributes=dict(attributes), own_attributes=own_attributes)
     root.draft.append(root)
     return root
@@ -74,7 +77,7 @@ def start_draft(attributes: Mapping[str, Attribute], own_attributes: Mapping[str
 def add_group(
     parent: Node, name: str, nx_class: str, attributes: Mapping[str, Attribute] | None = None
 ) -> Node:
-    """Add a group of a NeXus class to the draft and return its node."""
+    """Add a group of a NeXus class, below ``parent``, to the draft and return its node."""
     return parent.add(name, {"NX_class": nx_class, **(attributes or {})})
 
 
@@ -105,7 +108,10 @@ def add_field(
 
 
 def build_draft_image(root: Node) -> bytes:
-    """Build the bytes of the HDF5 file that a draft describes; equal drafts give equal bytes."""
+    """Build the bytes of the HDF5 file that a draft describes; equal drafts give equal bytes.
+
+    ``root`` is the node of `start_draft`. Fills a copy of the cached skeleton of the draft's structure.
+    """
     key = orjson.dumps([node.structure for node in root.draft], option=orjson.OPT_SERIALIZE_NUMPY)
     file = nexus.open_image(
         _create_skeleton(_Structure(key, root.draft)).fill_values(root.draft), is_own=True, writable=True
@@ -144,7 +150,10 @@ class _Skeleton:
     lock: threading.Lock
 
     def fill_values(self, draft: Sequence[Node]) -> bytes:
-        """Fill the small datasets of a draft into the skeleton, under its lock; return the file's bytes."""
+        """Write a draft's small values into the skeleton and return the bytes of the file.
+
+        Holds the skeleton's lock meanwhile; values of an earlier draft are overwritten.
+        """
         with self.lock:
             for node in draft:
                 if node.path in self.small and node.stored is not None:
@@ -154,7 +163,7 @@ class _Skeleton:
 
 @lru_cache(maxsize=_SKELETONS)
 def _create_skeleton(structure: _Structure) -> _Skeleton:
-    """Create the HDF5 skeleton of a structure, without values; the 32 last used are cached."""
+    """Create the open HDF5 file of a structure, without values; the 32 last used are cached."""
     with nexus.new_image() as file:
         made: dict[str, h5g.GroupID | h5d.DatasetID] = {"": nexus.open_root(file)}
         nexus.set_attributes(made[""], structure.draft[0].attributes)

@@ -29,28 +29,28 @@ def finalize_set(
 ) -> tuple[SetReference, str, str]:
     """Write a complete set of the journal to its own file, or compare the file that it has.
 
-    Runs in a separate process; only the recorder removes frames from the journal.
+    Reads the file back and compares it; the journal is unchanged, since only the recorder removes its frames.
 
     Parameters
     ----------
     places
         Where the journal has the set (`Archive.places`); None: search all segments.
     results
-         Results computed from the set.
+         Tables of results computed from the set; they are written to a new file.
     also
         Called with the set after its file is compared; returns an error text, empty on success.
 
     Returns
     -------
     tuple
-        The file, its SHA-256, and the text of ``also``.
+        The file, its SHA-256 in hexadecimal, and the text of ``also`` (empty without it).
 
     Raises
     ------
     SetNotFoundError
         The journal has no such set.
     CorruptArchiveError
-        A record of it is damaged, or the file differs from the journal.
+        The set has no end, a record of it is damaged, or the file differs from the journal.
     OSError
         The disk refuses.
     """
@@ -76,7 +76,7 @@ def finalize_set(
 
 
 def _records_match(stored: Sequence[Record], records: Sequence[Record]) -> bool:
-    """Return whether every record was read back, in order, with its key, time stamp and counts."""
+    """Return whether two lists have the same records in order: sequence, key, time stamp and counts."""
     return len(stored) == len(records) and all(
         (a.sequence, a.key, a.stamp) == (b.sequence, b.key, b.stamp)
         and np.array_equal(a.waveform.counts, b.waveform.counts)

@@ -67,24 +67,25 @@ class _RecordGroup:
 
     @property
     def waveform(self) -> Waveform:
-        """Return the waveform of the first record, whose sampling and calibration all others share."""
+        """Return the waveform of the first record; all records share its sampling and calibration."""
         return self.records[0].waveform
 
     @property
     def is_echo(self) -> bool:
-        """Return whether these are pulse-echo records."""
+        """Return whether the records are pulse echoes; False for strikes."""
         return isinstance(self.records[0], PulseEchoRecord)
 
     @property
     def sampling(self) -> tuple[float, int, int]:
-        """Return rate in Hz, number of samples and pretrigger samples: they define the time axis."""
+        """Return sampling rate in Hz, samples per record and samples before the trigger."""
         return self.waveform.sample_rate_hz, self.waveform.counts.size, self.waveform.pretrigger_samples
 
 
 def build_set_image(record: SetRecord) -> bytes:
-    """Build the bytes of the HDF5 file of a set; equal sets give equal bytes.
+    """Build the bytes of the HDF5 file of a set with at least one record; equal sets give equal bytes.
 
-    Raises ValueError if the provenance contains NaN or infinities, which JSON does not have.
+    Raises ValueError if the provenance contains NaN or infinities, which JSON does not have, IndexError
+    without a record.
     """
     groups = _group_records(record.records)
     root = start_draft(
@@ -114,12 +115,15 @@ def build_set_image(record: SetRecord) -> bytes:
 
 
 def _version(record: SetRecord) -> str:
-    """Return the version of solimon that recorded the set, "" if the provenance does not name it."""
+    """Return the version of solimon that recorded the set; "" if the provenance does not name it."""
     return str(record.provenance.get("versions", {}).get("solimon", ""))
 
 
 def _group_records(records: Sequence[Record]) -> list[_RecordGroup]:
-    """Group records that share position, kind, sampling and calibration, in order of their first record."""
+    """Group records by position, kind, sampling and calibration, in the order of the first records.
+
+    Further groups of a position get names with numbers from 2. Stacks the counts to (n_records, n_samples).
+    """
     by_key: dict[tuple[Any, ...], list[Record]] = {}
     for record in records:
         waveform = record.waveform
@@ -149,7 +153,7 @@ def _group_records(records: Sequence[Record]) -> list[_RecordGroup]:
 
 
 def _add_set_metadata(entry: Node, record: SetRecord) -> None:
-    """Add title, times, identifiers, program, purpose and instrument error of the set."""
+    """Add title, times, identifiers, program, set key, purpose, due time and instrument error of the set."""
     provenance = record.provenance
     configuration_hash = str(provenance.get("configuration_hash", ""))
     sequences = [shot.sequence for shot in record.records]
@@ -173,7 +177,10 @@ def _add_set_metadata(entry: Node, record: SetRecord) -> None:
 
 
 def _add_detectors(entry: Node, record: SetRecord, groups: Sequence[_RecordGroup]) -> None:
-    """Add an NXdetector with sampling, calibration and serial number of the transducer for each group."""
+    """Add ``instrument`` with an NXdetector for each group: sampling, range, calibration, serial number.
+
+    Raises KeyError for records of a position that the set does not have.
+    """
     serial_numbers = {position.position: position.serial_number for position in record.positions}
     instrument = add_group(entry, "instrument", "NXinstrument")
     add_field(instrument, "name", record.rig_kind)
@@ -202,7 +209,7 @@ def _add_detectors(entry: Node, record: SetRecord, groups: Sequence[_RecordGroup
 
 
 def _compute_nexus_scale(waveform: Waveform) -> tuple[float, float]:
-    """Compute scale in V and offset in counts of NXdata for viewers: volts = (counts + offset) * scale.
+    """Compute scale (V) and offset (counts) of NXdata for viewers: volts = (counts + offset) * scale.
 
     The offset is 0 if the scale is 0; higher coefficients of the calibration are left out.
     """
@@ -211,7 +218,10 @@ def _compute_nexus_scale(waveform: Waveform) -> tuple[float, float]:
 
 
 def _add_records(entry: Node, record: SetRecord, groups: Sequence[_RecordGroup]) -> None:
-    """Add an NXdata with counts, time axis, shot times and ids for each group; chunks hold one record."""
+    """Add an NXdata for each group of records: counts, time axis in s, shot times in s and shot ids.
+
+    Pulse echoes also have gain (dB), offset (V) and averages. Each record is a chunk of its own.
+    """
     time_axes: dict[tuple[float, int, int], Node] = {}
     start = format_utc(record.due_utc_ns)
     for group in groups:
@@ -255,7 +265,7 @@ def _add_records(entry: Node, record: SetRecord, groups: Sequence[_RecordGroup])
 
 
 def _to_int64(numbers: Iterable[int]) -> NDArray[np.int64]:
-    """Convert integers to an int64 array."""
+    """Convert integers to an int64 array, shape (n,)."""
     return np.fromiter(numbers, dtype=np.int64)
 
 
@@ -264,7 +274,10 @@ def _add_time_axis(
     group: _RecordGroup,
     time_axes: dict[tuple[float, int, int], Node],
 ) -> Node:
-    """Add the time axis in s from the trigger and return it; groups with equal sampling share one."""
+    """Add the time axis of a group, in s from the trigger, and return it.
+
+    Groups with equal sampling share one; ``time_axes`` has it by sampling and is updated.
+    """
     if group.sampling in time_axes:
         axis = time_axes[group.sampling]
         data.add("time", {}, link=axis.path)
@@ -283,9 +296,9 @@ def _add_time_axis(
 
 
 def _add_record_facts(entry: Node, record: SetRecord, kind: Literal["truth", "settings"]) -> None:
-    """Add a table with a row per record and a column per fact, unless no record has facts.
+    """Add table ``kind`` with a row per record and a column per fact, unless no record has facts.
 
-    ``known`` marks the records that have a fact; the others have NaN or an empty text.
+    The attribute ``known`` marks the records that have a fact; the others have NaN or an empty text.
     """
     facts: list[Mapping[str, float | str]] = [getattr(shot, kind) for shot in record.records]
     names = sorted(set().union(*facts))
@@ -306,7 +319,10 @@ def _add_record_facts(entry: Node, record: SetRecord, kind: Literal["truth", "se
 
 
 def _add_missed(entry: Node, record: SetRecord) -> None:
-    """Add a table of the strikes and echoes without a record, unless there are none."""
+    """Add table ``missed`` of the strikes and echoes without a record, unless there are none.
+
+    Its columns are position, shot index, attempt, reason and cause.
+    """
     if not record.missed:
         return
     table = add_group(entry, "missed", "NXcollection")
@@ -320,7 +336,10 @@ def _add_missed(entry: Node, record: SetRecord) -> None:
 
 
 def _add_environment(entry: Node, record: SetRecord) -> None:
-    """Add the available supply and climate values of the set, unless there are none."""
+    """Add group ``environment`` with the available supply and climate values, unless there are none.
+
+    Values that are None are left out.
+    """
     known = {name: value for name, value in record.environment.items() if value is not None}
     if not known:
         return
@@ -333,7 +352,7 @@ def _add_environment(entry: Node, record: SetRecord) -> None:
 
 
 def _add_shots(entry: Node, record: SetRecord) -> None:
-    """Add a table with key, time stamps, checksum, flags and outcome of each record."""
+    """Add table ``shots`` with key, time stamps, checksum, flags and outcome of each record."""
     records = record.records
     table = add_group(entry, "shots", "NXcollection")
     axis = add_field(table, "shot_id", _to_int64(shot.sequence for shot in records), is_axis=True)
@@ -368,7 +387,10 @@ def _add_shots(entry: Node, record: SetRecord) -> None:
 
 
 def _add_positions(entry: Node, record: SetRecord) -> None:
-    """Add a table with method, labels and the numbers of planned and recorded records per position."""
+    """Add table ``positions``: method, label, serial number, cause of missing records, planned and taken.
+
+    The taken number counts every record of a position, superseded ones too.
+    """
     positions = record.positions
     positions_of_records = [shot.key.position for shot in record.records]
     table = add_group(entry, "positions", "NXcollection")
@@ -381,7 +403,10 @@ def _add_positions(entry: Node, record: SetRecord) -> None:
 
 
 def _add_results(entry: Node, record: SetRecord) -> None:
-    """Add the tables of results, each by its key column; empty ones are omitted."""
+    """Add a table for each kind of results, sorted by column name; an empty one is omitted.
+
+    The first value of a column decides whether it is text, without unit, or numbers.
+    """
     for table, axis_name in RESULTS.items():
         columns = {name: list(values) for name, values in record.results.get(table, {}).items()}
         if not columns:
@@ -396,12 +421,12 @@ def _add_results(entry: Node, record: SetRecord) -> None:
 
 
 def _to_column_values(values: list[float | str]) -> Any:
-    """Return a column of texts as it is, one of numbers as an array; the first value decides."""
+    """Convert a column of numbers to an array, return one of texts as it is; the first value decides."""
     return values if isinstance(values[0], str) else np.array(values)
 
 
 def _add_preview(entry: Node, groups: Sequence[_RecordGroup]) -> None:
-    """Add mean, min and max volts over the shots at a few samples of each transducer.
+    """Add group ``preview``: mean, min and max in V over the records, at up to 500 times.
 
     One NXdata has one time axis, so it holds the groups that are sampled like the first transducer.
     """
@@ -433,8 +458,8 @@ def _add_preview(entry: Node, groups: Sequence[_RecordGroup]) -> None:
 def _compute_envelope(group: _RecordGroup, starts: NDArray[np.int64]) -> dict[str, NDArray[np.float32]]:
     """Compute mean, min and max in V of all records between adjacent starts, shape (n_starts,) each.
 
-    Counts are reduced and then calibrated: an ADC's calibration is monotonic, and the difference
-    that its curvature makes to a mean is invisible in a figure.
+    ``starts`` are increasing sample indices. Counts are reduced and then calibrated: an ADC's calibration is
+    monotonic, and the difference that its curvature makes to a mean is invisible in a figure.
     """
     if not starts.size:
         return dict.fromkeys(("mean", "min", "max"), np.zeros(0, dtype=np.float32))
@@ -450,7 +475,7 @@ def _compute_envelope(group: _RecordGroup, starts: NDArray[np.int64]) -> dict[st
 
 
 def _add_provenance(entry: Node, record: SetRecord) -> None:
-    """Add the provenance as JSON with sorted keys; ValueError for NaN and infinities."""
+    """Add group ``provenance`` with the provenance as JSON, keys sorted; ValueError for NaN or infinities."""
     text = json.dumps(dict(record.provenance), allow_nan=False, sort_keys=True)
     note = add_group(entry, "provenance", "NXnote")
     add_field(note, "type", "application/json")

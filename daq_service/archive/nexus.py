@@ -51,7 +51,7 @@ Stored = tuple[NDArray[Any], h5t.TypeID]
 
 @contextmanager
 def new_image() -> Iterator[h5f.FileID]:
-    """Create an empty HDF5 file in memory and close it when the block ends; read its bytes before."""
+    """Create an empty HDF5 file in memory for the block, which reads its bytes; close it afterwards."""
     access = _create_memory_access()
     creation = h5p.create(h5p.FILE_CREATE)
     creation.set_obj_track_times(False)
@@ -64,7 +64,7 @@ def new_image() -> Iterator[h5f.FileID]:
 
 
 def _create_memory_access() -> h5p.PropFAID:
-    """Create the access properties of HDF5 files in memory, with formats of HDF5 1.8 to 1.10."""
+    """Create the access properties of HDF5 files in memory, written in formats of HDF5 1.8 to 1.10."""
     access = h5p.create(h5p.FILE_ACCESS)
     access.set_fapl_core(_BLOCK_BYTES, False)
     # The oldest format with checksums everywhere, up to what tools of the last ten years read.
@@ -73,12 +73,12 @@ def _create_memory_access() -> h5p.PropFAID:
 
 
 def open_root(file: h5f.FileID) -> h5g.GroupID:
-    """Open the root group of an HDF5 file."""
+    """Open the root group of an HDF5 file and return it."""
     return h5g.open(file, b"/")
 
 
 def read_image(file: h5f.FileID) -> bytes:
-    """Flush a file in memory and return a copy of its bytes."""
+    """Flush an open HDF5 file in memory and return a copy of its bytes."""
     h5f.flush(file)
     return bytes(file.get_file_image())
 
@@ -89,12 +89,12 @@ def open_image(image: bytes, *, is_own: bool = False, writable: bool = False) ->
     Parameters
     ----------
     is_own
-         This process made the bytes, so they are not checked for links.
+         This process made the bytes, so they are not checked for links and sizes.
 
     Raises
     ------
     OSError
-        It is damaged, or no plain file (`daq_service.archive.plain`).
+        It is damaged, or contains what no set's file has (`daq_service.archive.plain`).
     """
     if not is_own:
         require_finite_heaps(image)
@@ -114,7 +114,7 @@ def require_finite_heaps(image: bytes) -> None:
     """Raise OSError for a file whose string heaps would make HDF5 loop forever or return endless texts.
 
     HDF5 steps from object to object of a global heap by the length in each (format specification, III.E)
-    without checking it: in a page of zeros it loops forever.
+    without checking it: in a page of zeros it loops forever. ``image`` holds the bytes of the file.
 
     Raises
     ------
@@ -137,12 +137,15 @@ def require_finite_heaps(image: bytes) -> None:
 def add_group(
     parent: h5g.GroupID, name: str, nx_class: str, attributes: Mapping[str, Attribute] | None = None
 ) -> h5g.GroupID:
-    """Add a group of a NeXus class, with its class as attribute ``NX_class``, and return it."""
+    """Create a group with its NeXus class as attribute ``NX_class`` and return it.
+
+    Raises ValueError if the name exists.
+    """
     return create_group(parent, name, {"NX_class": nx_class, **(attributes or {})})
 
 
 def create_group(parent: h5g.GroupID, name: str, attributes: Mapping[str, Attribute]) -> h5g.GroupID:
-    """Create a group with attributes, without times of its creation, and return it."""
+    """Create a group with attributes, without a time of creation, and return it; ValueError if it exists."""
     group = h5g.create(parent, name.encode(), gcpl=_create_group_properties())
     set_attributes(group, attributes)
     return group
@@ -158,7 +161,7 @@ def add_field(
     is_axis: bool = False,
     **attributes: Attribute,
 ) -> h5d.DatasetID:
-    """Add a dataset of numbers or strings and return it.
+    """Create a dataset of numbers or strings with its values and return it; ValueError if the name exists.
 
     Parameters
     ----------
@@ -187,7 +190,10 @@ def create_field(
     is_axis: bool,
     attributes: Mapping[str, Attribute],
 ) -> h5d.DatasetID:
-    """Create a dataset as `add_field` does, with attributes and axes but without values; return it."""
+    """Create a dataset with attributes and axes, without values, and return it; arguments as in `add_field`.
+
+    ``stored`` has the array and its HDF5 type, of which only type and shape are used.
+    """
     array, data_type = stored
     chunk = choose_chunk(array, chunk)
     properties = _create_compact_properties() if chunk is None else _create_chunked_properties(chunk)
@@ -204,7 +210,10 @@ def create_field(
 
 
 def fill_field(dataset: h5d.DatasetID, stored: Stored, chunk: tuple[int, ...] | None) -> None:
-    """Write all values of a dataset, whose shape, type and chunk are those of ``stored``."""
+    """Write all values to a dataset, in place of its present ones.
+
+    Its shape, type and chunk must be those of ``stored``.
+    """
     array, data_type = stored
     chunk = choose_chunk(array, chunk)
     if chunk is None:
@@ -214,19 +223,19 @@ def fill_field(dataset: h5d.DatasetID, stored: Stored, chunk: tuple[int, ...] | 
 
 
 def choose_chunk(array: NDArray[Any], chunk: tuple[int, ...] | None) -> tuple[int, ...] | None:
-    """Return the given chunk, or all of an array above 8192 bytes; None for compact storage."""
+    """Return the given chunk, else the shape of an array above 8192 bytes; None for compact storage."""
     return array.shape if chunk is None and array.nbytes > _LARGEST_COMPACT_BYTES and array.ndim else chunk
 
 
 def write_chunks(dataset: h5d.DatasetID, array: NDArray[Any], chunk: tuple[int, ...]) -> None:
-    """Write an array of the stored type as filtered chunks along its first axis."""
+    """Write an array of the stored type as filtered chunks of shape ``chunk`` along its first axis."""
     for first in range(0, array.shape[0], chunk[0]):
         offset = (first, *(0 for _ in chunk[1:]))
         dataset.write_direct_chunk(offset, encode_chunk(array[first : first + chunk[0]]))
 
 
 def read_field(parent: h5g.GroupID, name: str) -> NDArray[Any]:
-    """Read a complete dataset; strings as bytes. KeyError if it is missing.
+    """Read a complete dataset as an array of its shape, strings as bytes; KeyError if it is missing.
 
     Much faster than h5py's high-level API for small datasets.
     """
@@ -237,7 +246,10 @@ def read_field(parent: h5g.GroupID, name: str) -> NDArray[Any]:
 
 
 def set_attributes(target: h5g.GroupID | h5d.DatasetID, attributes: Mapping[str, Attribute]) -> None:
-    """Create attributes of a group or dataset: strings of variable length, numbers little-endian."""
+    """Create attributes of a group or dataset; OSError if one of the names exists.
+
+    Texts get strings of variable length, a list of texts a 1-D array; numbers are stored little-endian.
+    """
     for name, value in attributes.items():
         if isinstance(value, str) or (isinstance(value, Sequence) and all(isinstance(v, str) for v in value)):
             text = np.array(value, dtype=_TEXT)
@@ -250,12 +262,12 @@ def set_attributes(target: h5g.GroupID | h5d.DatasetID, attributes: Mapping[str,
 
 @cache
 def _create_variable_text() -> h5t.TypeID:
-    """Create the HDF5 type of UTF-8 strings of variable length; cached."""
+    """Create the HDF5 type of UTF-8 strings of variable length, as attributes have it; cached."""
     return h5t.py_create(_TEXT, logical=True)
 
 
 def to_stored_form(values: object) -> Stored:
-    """Convert values to array and HDF5 type: UTF-8 of fixed length, or little-endian numbers."""
+    """Convert values to array and HDF5 type as stored: fixed-length UTF-8, or little-endian numbers."""
     if isinstance(values, str):
         return _encode_text(values)
     if isinstance(values, Sequence) and all(isinstance(v, str) for v in values):
@@ -268,12 +280,15 @@ def to_stored_form(values: object) -> Stored:
 
 @lru_cache(maxsize=1024)
 def _encode_text(text: str) -> Stored:
-    """Encode a text as array and HDF5 type; cached, since units and names repeat in every set."""
+    """Encode a text as fixed-length array and HDF5 type; the 1024 last are cached, since names repeat."""
     return _encode_texts(text.encode())
 
 
 def _encode_texts(values: bytes | list[bytes]) -> Stored:
-    """Encode texts as array and HDF5 type, with zeros up to the next multiple of 16 bytes."""
+    """Encode UTF-8 texts as array and HDF5 type, filled with zeros to a common multiple of 16 bytes.
+
+    There is at least one zero at the end of each.
+    """
     length = len(values) if isinstance(values, bytes) else max(map(len, values), default=0)
     n_bytes = (length // _TEXT_STEP_BYTES + 1) * _TEXT_STEP_BYTES
     return np.array(values, dtype=f"S{n_bytes}"), _create_text_type(n_bytes)
@@ -281,7 +296,7 @@ def _encode_texts(values: bytes | list[bytes]) -> Stored:
 
 @lru_cache(maxsize=256)
 def _create_text_type(n_bytes: int) -> h5t.TypeID:
-    """Create the HDF5 type of zero-terminated UTF-8 strings of fixed length; cached."""
+    """Create the HDF5 type of zero-terminated UTF-8 strings of ``n_bytes`` bytes; cached."""
     data_type = h5t.C_S1.copy()
     data_type.set_size(n_bytes)
     data_type.set_cset(h5t.CSET_UTF8)
@@ -291,7 +306,7 @@ def _create_text_type(n_bytes: int) -> h5t.TypeID:
 
 @cache
 def _create_number_type(dtype: np.dtype[Any]) -> h5t.TypeID:
-    """Create the HDF5 type of a NumPy type; cached."""
+    """Create the HDF5 type of a NumPy type; cached. TypeError if HDF5 has none."""
     return h5t.py_create(dtype)
 
 
@@ -328,5 +343,5 @@ def _create_chunked_properties(chunk: tuple[int, ...]) -> h5p.PropDCID:
 
 @lru_cache(maxsize=256)
 def _to_space(shape: tuple[int, ...]) -> h5s.SpaceID:
-    """Create the HDF5 dataspace of a shape, scalar for (); cached."""
+    """Create the HDF5 dataspace of a shape, a scalar one for (); cached."""
     return h5s.create_simple(shape) if shape else h5s.create(h5s.SCALAR)

@@ -30,7 +30,7 @@ class RefusedError(OSError):
 
 
 def require_plain_file(file: h5f.FileID, n_bytes: int) -> None:
-    """Check that a file contains only what a set's file has, without following or reading any of it.
+    """Check that an open file contains only what a set's file has, without following or reading any of it.
 
     Parameters
     ----------
@@ -75,7 +75,10 @@ def require_plain_file(file: h5f.FileID, n_bytes: int) -> None:
 
 
 def _check_dataset(name: str, dataset: h5d.DatasetID) -> _DatasetInfo:
-    """Check layout, filters, type and size of a dataset and describe it; raise `RefusedError` if refused."""
+    """Check layout, filters, type and size of a dataset without reading its values; return its description.
+
+    Raises `RefusedError` if a set's file has no such dataset.
+    """
     properties = dataset.get_create_plist()
     layout = properties.get_layout()
     if layout == h5d.VIRTUAL or properties.get_external_count():

@@ -25,15 +25,18 @@ class SetReader(Protocol):
     name: str
 
     def sets(self) -> Mapping[SetKey, SetReference]:
-        """Return every complete set: key to reference, in the order of the sets."""
+        """Return every complete set, key to reference, in the order of the sets.
+
+        Raises ArchiveError if they cannot be read.
+        """
         ...
 
     def n_bytes(self) -> int:
-        """Return the size of the complete sets in bytes, of those without a file that of their counts."""
+        """Return the size of the complete sets in bytes: of their files, without a file of their counts."""
         ...
 
     def read_set(self, reference: SetReference, *, skip_damaged: bool = False) -> SetRecord:
-        """Read a set as it was stored.
+        """Read a set, records and metadata, as it was stored.
 
         Parameters
         ----------
@@ -50,7 +53,7 @@ class SetReader(Protocol):
         ...
 
     def read_waveform(self, reference: SetReference, position: str, shot_index: int) -> Waveform:
-        """Read one record: the accepted attempt of a shot, or (index 0) of a pulse-echo record.
+        """Read one record: the accepted attempt of a shot, or (shot index 0) a pulse-echo record.
 
         Raises
         ------
@@ -62,11 +65,14 @@ class SetReader(Protocol):
         ...
 
     def digest(self, reference: SetReference) -> str | None:
-        """Compute the SHA-256 of a set's file in hexadecimal; None if it has no file (yet)."""
+        """Compute the SHA-256 of a set's file in hexadecimal; None if it has no file (yet).
+
+        Raises ArchiveError if the file cannot be read.
+        """
         ...
 
     def verify_set(self, reference: SetReference) -> list[Damage]:
-        """Read a complete set and list its corrupt parts; empty if it is sound.
+        """Read a complete set and list its corrupt records and parts; empty if it is sound.
 
         Raises
         ------
@@ -96,18 +102,21 @@ class Archive(SetReader, Protocol):
     def begin_set(
         self, set_key: SetKey, *, due_utc_ns: int, started_utc_ns: int, disabled: Mapping[str, str]
     ) -> None:
-        """Add the start of a set; the next `sync` makes it durable.
+        """Add the start of a set to the journal; the next `sync` makes it durable.
 
         ``disabled`` holds the reason of each position that is left out; times are ns of UTC.
         """
         ...
 
     def append(self, item: Shot | PulseEchoRecord | MissedShot, utc_ns: int) -> None:
-        """Add a record or a missed record to a started set; the next `sync` acknowledges it."""
+        """Add a record or a missed record to a started set; the next `sync` acknowledges it.
+
+        ``utc_ns`` is the test's time of a missed record.
+        """
         ...
 
     def sync(self) -> list[int]:
-        """Make all additions durable; return the ids of the acknowledged shots.
+        """Make all additions durable; block until then and return the ids of the acknowledged shots.
 
         Raises
         ------
@@ -117,27 +126,30 @@ class Archive(SetReader, Protocol):
         ...
 
     def open_sets(self) -> Mapping[SetKey, OpenSet]:
-        """Return the unfinished sets of an earlier process by key."""
+        """Return the unfinished sets that earlier processes left, by key; empty if there are none."""
         ...
 
     def resume_set(self, opened: OpenSet) -> None:
-        """Continue an open set of an earlier process: new records are added to the durable ones."""
+        """Continue an open set of an earlier process: later additions follow its durable records."""
         ...
 
     def close(self) -> None:
-        """Release open files; what was acknowledged is not lost."""
+        """Release open files without a sync; what was acknowledged is not lost."""
         ...
 
     def places(self, set_key: SetKey) -> Places:
-        """Return the byte range of a set's durable frames in each segment of the journal."""
+        """Return first and last byte of a set's durable frames in the journal by number of the segment."""
         ...
 
     def settle(self, set_key: SetKey) -> None:
-        """Remove a set from the journal: it has its own file, or rows without a record."""
+        """Remove a set from the journal, because it has its own file, or rows without a record.
+
+        Segments without other sets are deleted.
+        """
         ...
 
     def store_set(self, record: SetRecord) -> StoredSet:
-        """Make a set durable; it is acknowledged only when this returns.
+        """Make a complete set durable, blocking until it is; it is acknowledged only when this returns.
 
         Raises
         ------
@@ -151,7 +163,7 @@ class Archive(SetReader, Protocol):
         ...
 
     def set_aside(self, reference: SetReference) -> None:
-        """Move an unreadable set to the quarantine; nothing is deleted.
+        """Move an unreadable set to the quarantine, so that it may be stored again; nothing is deleted.
 
         Raises
         ------
@@ -161,5 +173,5 @@ class Archive(SetReader, Protocol):
         ...
 
     def list_quarantined(self) -> list[str]:
-        """List all files in the quarantine by path relative to the data folder, sorted."""
+        """List all files in the quarantine by path relative to the data folder, sorted; empty without any."""
         ...

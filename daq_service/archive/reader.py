@@ -69,15 +69,20 @@ class FolderSetReader:
     """
 
     def __init__(self, folder: Path) -> None:
+        """Store the data folder; read nothing yet."""
         self.folder, self.name = folder, str(folder)
 
     def sets(self) -> dict[SetKey, SetReference]:
-        """Return the complete sets in journal and files: key to reference, in the order of the sets."""
+        """Return the complete sets in journal and files: key to reference, in the order of the sets.
+
+        A set counts as complete in the journal with its end frame. Raises ArchiveError if the journal is
+        unreadable.
+        """
         journaled = {key: item.reference for key, item in self._read_journal().items() if item.reference}
         return dict(sorted({**journaled, **self._list_files()}.items()))
 
     def n_bytes(self) -> int:
-        """Return the size in bytes of the files and of the counts of complete sets without a file."""
+        """Return the size in bytes of all set files, and of the counts of complete sets without a file."""
         files = self._list_files()
         journaled = sum(
             item.n_bytes for item in self._read_journal().values() if item.end and item.set_key not in files
@@ -85,7 +90,7 @@ class FolderSetReader:
         return journaled + sum((self.folder / file).stat().st_size for file in files.values())
 
     def read_set(self, reference: SetReference, *, skip_damaged: bool = False) -> SetRecord:
-        """Read a set as it was stored, from its file or from the journal.
+        """Read a set as it was stored, from its file or, without one, from the journal.
 
         Raises CorruptArchiveError if it is unreadable or has corrupt records, with ``skip_damaged`` only if
         no record is left, and SetNotFoundError if it is missing.
@@ -99,9 +104,10 @@ class FolderSetReader:
         return journaled.record()
 
     def read_position_records(self, reference: SetReference, position: str) -> list[Shot | PulseEchoRecord]:
-        """Read the intact records of one position in order; from a file without truth and settings.
+        """Read the intact records of one position in order of sequence.
 
-        Raises SetNotFoundError without such a set, CorruptArchiveError if its file is unreadable.
+        Those of a file come without truth and settings. Raises SetNotFoundError without such a set,
+        CorruptArchiveError if its file is unreadable.
         """
         journaled = self._find_journaled(reference)
         if journaled is None:
@@ -111,7 +117,7 @@ class FolderSetReader:
         return [record for record in shots if record.key.position == position]
 
     def read_waveform(self, reference: SetReference, position: str, shot_index: int) -> Waveform:
-        """Read the accepted record of a shot, from the file of its set or from the journal.
+        """Read the accepted record of a shot, else that of its last attempt, from its file or the journal.
 
         Raises SetNotFoundError if it is missing, CorruptArchiveError if it is corrupt.
         """
@@ -127,9 +133,10 @@ class FolderSetReader:
         return decode_record(journaled.shots[sequence]).waveform
 
     def read_tables(self, reference: SetReference, sha256: str) -> SetTables | None:
-        """Read the tables of a set's file without its waveforms; None unless it has this SHA-256.
+        """Read the tables of shots and results of a set's file as rows, without its waveforms.
 
-        Also None if it cannot be read; CorruptArchiveError if its tables are invalid.
+        Returns None if the file does not have this SHA-256 or cannot be read. Raises CorruptArchiveError if a
+        table is invalid.
         """
         try:
             content = read_regular_file(self.folder / reference)
@@ -150,7 +157,10 @@ class FolderSetReader:
             )
 
     def digest(self, reference: SetReference) -> str | None:
-        """Compute the SHA-256 of a set's file; None if it has no file yet, ArchiveError if unreadable."""
+        """Compute the SHA-256 of a set's file in hexadecimal; None if it has no file.
+
+        Raises ArchiveError if the file cannot be read.
+        """
         try:
             return hashlib.sha256(read_regular_file(self.folder / reference)).hexdigest()
         except FileNotFoundError:
@@ -159,7 +169,7 @@ class FolderSetReader:
             raise ArchiveError(f"{self.folder / reference} cannot be read: {error}") from error
 
     def verify_set(self, reference: SetReference) -> list[Damage]:
-        """Read a complete set and list its corrupt records and parts; empty if it is sound.
+        """Read a complete set and list its corrupt records and other corrupt parts; empty if it is sound.
 
         Raises CorruptArchiveError if it cannot be read at all, SetNotFoundError if it is missing.
         """
@@ -170,18 +180,21 @@ class FolderSetReader:
             return _read_records(entry)[1] + _list_unreadable(entry)
 
     def _list_files(self) -> dict[SetKey, SetReference]:
-        """List the references of the set files by key, in order; other file names are ignored."""
+        """List the references of the set files in the folder by key, in order; ignore other file names."""
         return to_references(path.name for path in (self.folder / SETS_FOLDER).glob("set_*.h5"))
 
     def _read_journal(self) -> dict[SetKey, JournaledSet]:
-        """Read all journaled sets by key; raise `ArchiveError` if that fails."""
+        """Read all journaled sets by key, in order; raise `ArchiveError` if a segment cannot be read."""
         try:
             return read_journal(self.folder)
         except OSError as error:
             raise ArchiveError(f"the journal of {self.folder} cannot be read: {error}") from error
 
     def _find_journaled(self, reference: SetReference) -> JournaledSet | None:
-        """Find the set in the journal; None if it has a file, or if the journal lacks it."""
+        """Find a set in the journal by its reference; None if it has a file, or if the journal lacks it.
+
+        Raises ArchiveError if the journal cannot be read.
+        """
         if (self.folder / reference).exists():
             return None
         # It may get its file meanwhile: then the journal does not have it any more, and the file is read.
@@ -190,7 +203,7 @@ class FolderSetReader:
 
 
 def read_set_file(path: Path, *, skip_damaged: bool = False) -> SetRecord:
-    """Read the file of a set.
+    """Read a set with its records and metadata from its file.
 
     Raises CorruptArchiveError if it is unreadable or has corrupt records, with ``skip_damaged`` only if no
     record is left, and SetNotFoundError if there is no file.
@@ -203,10 +216,12 @@ def read_set_file(path: Path, *, skip_damaged: bool = False) -> SetRecord:
 
 
 def read_records(path: Path, content: bytes, *, is_own: bool = False) -> list[Shot | PulseEchoRecord]:
-    """Read the records of a set file in memory, without simulated truth and settings.
+    """Read the records of a set file in memory in order, without simulated truth and settings.
 
     Parameters
     ----------
+    path
+        Name of the file, for messages.
     is_own
         This process made the content, so it cannot contain links to other files.
 
@@ -225,10 +240,12 @@ def read_records(path: Path, content: bytes, *, is_own: bool = False) -> list[Sh
 def examine_file(path: Path, content: bytes) -> tuple[SetRecord | None, list[Damage]]:
     """Read every record and all metadata of a set file in memory; list also its corrupt records.
 
+    ``path`` names the file in messages.
+
     Returns
     -------
     tuple
-        The readable part of the set, None if that is no set, and the damaged records.
+        The readable part of the set, None without a readable record or metadata, and the damaged records.
 
     Raises
     ------
@@ -258,7 +275,10 @@ def list_unreadable_parts(path: Path, content: bytes) -> list[Damage]:
 
 
 def _build_record(entry: h5py.Group, records: Sequence[Shot | PulseEchoRecord]) -> SetRecord:
-    """Read the metadata of a set and combine it with its records; an error of HDF5 if they are unreadable."""
+    """Read the metadata of a set and combine it with its records to a `SetRecord`.
+
+    Raises one of `HDF5_ERRORS` if they are unreadable.
+    """
     set_index, unscheduled_index = read_set_key(entry)
     return SetRecord(
         set_index=set_index,
@@ -281,7 +301,7 @@ def _build_record(entry: h5py.Group, records: Sequence[Shot | PulseEchoRecord]) 
 
 
 def _create_corruption_error(path: Path, damages: Sequence[Damage]) -> CorruptArchiveError:
-    """Create, but do not raise, the error that lists all corrupt records of a file."""
+    """Create, but do not raise, the error that lists all corrupt records of a file, with the remedy."""
     error = CorruptArchiveError(f"{path}: {'; '.join(map(str, damages))}; {BACK}")
     error.add_note("read_set(..., skip_damaged=True) reads its other records")
     return error
@@ -290,7 +310,7 @@ def _create_corruption_error(path: Path, damages: Sequence[Damage]) -> CorruptAr
 def _read_waveform(path: Path, position: str, shot_index: int) -> Waveform:
     """Read the accepted record of a shot from a set's file, else that of its last attempt.
 
-    Raises SetNotFoundError if it is missing, CorruptArchiveError if it is corrupt.
+    Raises SetNotFoundError if file or record is missing, CorruptArchiveError if corrupt.
     """
     with open_set_file(path) as entry:
         table = _read_shot_table(entry)
@@ -315,7 +335,10 @@ def _read_waveform(path: Path, position: str, shot_index: int) -> Waveform:
 
 
 def _list_unreadable(entry: h5py.Group) -> list[Damage]:
-    """List the parts of a set's file that cannot be read, other than records; empty if there are none."""
+    """List the parts of a set's file, other than records, that cannot be read; empty if there are none.
+
+    Reads every table and attribute; errors are not raised.
+    """
     unreadable: list[Damage] = []
     arrays = {f"{name}/{signal}" for name in list_record_groups(entry) for signal in ("waveform", "record")}
     _collect_unreadable(entry, "", arrays, unreadable)
@@ -331,6 +354,7 @@ class RecordGroup:
     """One NXdata of records with its detector."""
 
     def __init__(self, entry: h5py.Group, name: str) -> None:
+        """Read position, ids, sampling and calibration of the group ``name``; KeyError if it is missing."""
         self.data = entry[name]
         self.position = _decode_text(self.data.attrs["position"])
         self.signal = self.data[_decode_text(self.data.attrs["signal"])]
@@ -346,7 +370,7 @@ class RecordGroup:
         )
 
     def read_all_counts(self) -> NDArray[Any] | None:
-        """Read the counts of all records at once, shape (n_records, n_samples); None if one is unreadable."""
+        """Read the counts of all records, shape (n_records, n_samples); None if one is unreadable."""
         try:
             counts: NDArray[Any] = self.signal[()]
         except HDF5_ERRORS:
@@ -354,7 +378,7 @@ class RecordGroup:
         return counts
 
     def waveform(self, row: int, crc32: int, all_counts: NDArray[Any] | None = None) -> Waveform | str:
-        """Read the record of a row, or return why it is unreadable or does not match ``crc32``.
+        """Read the record of a row, or return why it is unreadable or does not match ``crc32`` of its counts.
 
         ``all_counts``, shape (n_records, n_samples), replaces the access to the file.
         """
@@ -372,7 +396,7 @@ class RecordGroup:
         return waveform if crc32_read == crc32 else f"CRC-32 is {crc32_read:08x}, stored as {crc32:08x}"
 
     def read_echo_settings(self, row: int) -> dict[str, Any]:
-        """Read gain in dB, offset in V and number of averages of a pulse-echo record by name."""
+        """Read gain in dB, offset in V and number of averages of a row's pulse-echo record, by name."""
         return {
             "gain_db": float(self.data["gain"][row]),
             "offset_v": float(self.data["offset"][row]),
@@ -383,9 +407,9 @@ class RecordGroup:
 def _read_records(
     entry: h5py.Group, *, facts: bool = True, position: str | None = None
 ) -> tuple[list[Shot | PulseEchoRecord], list[Damage]]:
-    """Read all intact records, of one position or of all, in order; list the corrupt ones.
+    """Read the intact records of one position (None: all) in the order of the table; list the corrupt ones.
 
-    ``facts`` False leaves out truth and settings.
+    ``facts`` False leaves out truth and settings. Raises one of `HDF5_ERRORS` if the tables are unreadable.
     """
     table = _read_shot_table(entry)
     set_key = read_set_key(entry)
@@ -432,7 +456,10 @@ def _read_records(
 
 
 def _read_columns(table: h5py.Group, *names: str) -> _Columns:
-    """Read columns of a table as lists of Python values of equal length; text is decoded."""
+    """Read the named columns of a table as lists of Python values; text is decoded.
+
+    Raises KeyError if a column is missing.
+    """
     columns = {name: read_field(table.id, name).tolist() for name in names}
     return {
         name: [_decode_text(value) if isinstance(value, bytes) else value for value in values]
@@ -441,12 +468,12 @@ def _read_columns(table: h5py.Group, *names: str) -> _Columns:
 
 
 def _to_rows(columns: _Columns) -> list[dict[str, Any]]:
-    """Convert columns of equal length to rows: one dictionary per row."""
+    """Convert columns to rows, one dictionary per row; ValueError if their lengths differ."""
     return [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
 
 
 def _read_shot_table(entry: h5py.Group) -> _Columns:
-    """Read the columns of the table of shots; in format 1.0 every outcome is "accepted"."""
+    """Read the columns of the table of shots by name; in format 1.0 every outcome is "accepted"."""
     table = entry["shots"]
     names = ("shot_id", "position", "shot_index", "attempt", "utc_ns", "mono_ns", "boot_id", "crc32")
     if "outcome" in table:
@@ -456,7 +483,7 @@ def _read_shot_table(entry: h5py.Group) -> _Columns:
 
 
 def _read_outcomes(table: _Columns, records: Sequence[Shot | PulseEchoRecord]) -> dict[int, str]:
-    """Read the outcome of each record that is not "accepted", by sequence."""
+    """Return the outcomes of the given records that are not "accepted", by sequence."""
     outcomes = dict(zip(table["shot_id"], table["outcome"], strict=True))
     return {
         record.sequence: outcomes[record.sequence]
@@ -466,7 +493,7 @@ def _read_outcomes(table: _Columns, records: Sequence[Shot | PulseEchoRecord]) -
 
 
 def read_set_key(entry: h5py.Group) -> SetKey:
-    """Read the key of a set; up to format 1.5 it is one number."""
+    """Read the key of a set from its ``entry``; up to format 1.5 it is one number."""
     key = SetKey.from_number(int(read_field(entry.id, "set_index")))
     if "unscheduled_index" not in entry:
         return key
@@ -474,17 +501,17 @@ def read_set_key(entry: h5py.Group) -> SetKey:
 
 
 def _build_shot_key(table: _Columns, row: int, set_key: SetKey) -> ShotKey:
-    """Build the shot key of a row."""
+    """Build the shot key of a row of the table of shots or missed records."""
     return ShotKey.from_set(set_key, table["position"][row], table["shot_index"][row], table["attempt"][row])
 
 
 def _build_stamp(table: _Columns, row: int) -> Stamp:
-    """Build the time stamp of a row."""
+    """Build the time stamp (UTC and monotonic ns, boot) of a row of the table of shots."""
     return Stamp(utc_ns=table["utc_ns"][row], mono_ns=table["mono_ns"][row], boot_id=table["boot_id"][row])
 
 
 def _build_damage(table: _Columns, row: int, reason: str) -> Damage:
-    """Build the description of the corrupt record of a row."""
+    """Build the damage (id, position, shot, reason) for the corrupt record of a row of the table of shots."""
     return Damage(
         sequence=table["shot_id"][row],
         position=table["position"][row],
@@ -494,7 +521,10 @@ def _build_damage(table: _Columns, row: int, reason: str) -> Damage:
 
 
 def _read_facts(entry: h5py.Group, kind: str) -> dict[int, dict[str, Any]]:
-    """Read the truth or settings of each record by sequence; records without any are missing."""
+    """Read the facts (``kind`` "truth" or "settings") of each record, by sequence.
+
+    Records without any are omitted.
+    """
     facts: dict[int, dict[str, Any]] = {}
     for group_name in entry:
         # Up to format 1.6 each position has a group of its own.
@@ -516,7 +546,7 @@ def _read_facts(entry: h5py.Group, kind: str) -> dict[int, dict[str, Any]]:
 
 
 def _read_missed(entry: h5py.Group) -> list[MissedShot]:
-    """Read the strikes and echoes without a record; empty if the file has none."""
+    """Read the strikes and echoes without a record, in order; empty if the file has none."""
     if "missed" not in entry:
         return []
     columns = _read_columns(entry["missed"], "position", "shot_index", "attempt", "cause", "reason")
@@ -528,7 +558,7 @@ def _read_missed(entry: h5py.Group) -> list[MissedShot]:
 
 
 def _read_environment(entry: h5py.Group) -> dict[str, float | str | None]:
-    """Read the supply and climate values of the set by name; empty if the file has none."""
+    """Read the supply and climate values of the set, number or text by name; empty if the file has none."""
     if "environment" not in entry:
         return {}
     group = entry["environment"]
@@ -549,14 +579,14 @@ def _read_positions(entry: h5py.Group) -> list[PositionRecord]:
 
 
 def list_record_groups(entry: h5py.Group) -> list[str]:
-    """List the names of the NXdata groups that hold records: those with a detector."""
+    """List the names of the NXdata groups that hold records, which are those with a detector."""
     return [name for name in entry["instrument"] if name != "name"]
 
 
 def _collect_unreadable(group: h5py.Group, parent: str, left_out: set[str], unreadable: list[Damage]) -> None:
-    """Read all values and attributes below a group; add what is unreadable to the list.
+    """Read all values and attributes below a group recursively; append a damage for each unreadable one.
 
-    The values of the paths in ``left_out`` are not read.
+    ``parent`` is the group's path; values at the paths in ``left_out`` are not read.
     """
     for name in group:
         path = f"{parent}{name}"
@@ -574,7 +604,7 @@ def _collect_unreadable(group: h5py.Group, parent: str, left_out: set[str], unre
 
 
 def read_regular_file(path: Path) -> bytes:
-    """Read a file of a data folder, which may come from an unknown source.
+    """Read a complete file of a data folder, which may come from an unknown source.
 
     Raises
     ------
@@ -590,7 +620,9 @@ def read_regular_file(path: Path) -> bytes:
 
 @contextmanager
 def open_set_file(path: Path, content: bytes | None = None, *, is_own: bool = False) -> Iterator[h5py.Group]:
-    """Open the entry of a set's file or of its content in memory until the block ends.
+    """Open the group ``entry`` of a set's file, or of its content in memory, until the block ends.
+
+    Unless ``is_own``, the content is checked for links to other files before.
 
     Raises
     ------
@@ -626,5 +658,5 @@ def open_set_file(path: Path, content: bytes | None = None, *, is_own: bool = Fa
 
 
 def _decode_text(value: object) -> str:
-    """Decode UTF-8 bytes of HDF5; convert other values with `str`."""
+    """Decode UTF-8 bytes of HDF5 to text; convert other values with `str`. UnicodeDecodeError if invalid."""
     return value.decode() if isinstance(value, bytes) else str(value)

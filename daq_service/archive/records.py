@@ -116,6 +116,7 @@ class Damage:
     shot_index: int | None = None
 
     def __str__(self) -> str:
+        """Return the reason, for a record with shot, position and sequence."""
         if self.position is None:
             return self.reason
         return f"shot {self.shot_index} of {self.position} (sequence {self.sequence}): {self.reason}"
@@ -143,16 +144,16 @@ def parse_due_utc_ns(reference: SetReference) -> int:
 
 
 def parse_set_keys(names: Iterable[str]) -> set[SetKey]:
-    """Parse the keys of sets from file names; ignore other names."""
+    """Parse the keys of sets from file names, without order; ignore names of other files."""
     return {*map(_parse_key, _LINES.finditer("\n".join(names)))}
 
 
 def to_references(names: Iterable[str]) -> dict[SetKey, SetReference]:
-    """Parse the names of set files to references by set key, in order; ignore other names."""
+    """Parse file names to references by set key, sorted by key; ignore names of other files."""
     matches = (match for match in map(_NAME.fullmatch, names) if match)
     return dict(sorted((_parse_key(match), SetReference(f"{SETS_FOLDER}/{match[0]}")) for match in matches))
 
 
 def _parse_key(match: re.Match[str]) -> SetKey:
-    """Parse the key of a set from a matched file name; one number in names of earlier versions."""
+    """Parse the key of a set from a match of `_NAME`; in names of earlier versions it is one number."""
     return SetKey(int(match[1]), int(match[3])) if match[3] else SetKey.from_number(int(match[1]))

@@ -54,7 +54,7 @@ def build_sweep_image(
 
 
 def _add_waveforms(entry: GroupID, forces: Sequence[tuple[NDArray[np.float64], float]]) -> None:
-    """Add the concatenated forces in N of all rows, with their first sample, length and interval in s."""
+    """Add the forces of all rows in N, one after the other, with first sample, length and interval in s."""
     group = add_group(entry, "waveforms", "NXcollection")
     samples = np.array([force.size for force, _ in forces], dtype=np.int64)
     concatenated = np.concatenate([force for force, _ in forces])

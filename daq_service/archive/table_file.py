@@ -35,8 +35,14 @@ def build_table_image(
 
     Parameters
     ----------
+    columns
+        By name, with equal lengths.
+    signal
+        Column of the y axis in the default plot; None: no plot.
     axis
-        Column of the x axis.
+        Column of the x axis (KeyError if missing).
+    facts_text
+        Provenance, stored as ``entry/facts``.
     """
     with new_image() as file:
         entry = _add_entry(file, name, facts_text)
@@ -78,7 +84,10 @@ def build_records_image(
 
 
 def _add_entry(file: FileID, name: str, facts_text: str) -> GroupID:
-    """Add root and entry and return the entry; their default is the group ``name``."""
+    """Add root attributes and the group ``entry`` with the facts; return ``entry``.
+
+    Its default is the group ``name``.
+    """
     set_attributes(open_root(file), {"NX_class": "NXroot", "default": "entry", "creator": "solimon"})
     entry = add_group(file, "entry", "NXentry", {"default": name})
     add_field(entry, "facts", facts_text)
@@ -86,7 +95,10 @@ def _add_entry(file: FileID, name: str, facts_text: str) -> GroupID:
 
 
 def _add_columns(group: GroupID, columns: Mapping[str, NDArray[Any] | list[str]], axis: str) -> DatasetID:
-    """Add a dataset per column with its unit; return that of the column ``axis``, the scale of the others."""
+    """Add a dataset per column with its unit to a group; return that of column ``axis``, the others' scale.
+
+    Raises KeyError if there is no such column.
+    """
     axis_field = add_field(group, axis, columns[axis], is_axis=True)
     fields = {
         key: add_field(group, key, values, axes=[axis_field])

@@ -51,7 +51,7 @@ class CheckedFile:
 
 
 def check_set_file(path: Path, *, sha256: str | None = None) -> CheckedFile:
-    """Check a set's file to the last byte; report what is corrupt or contradictory instead of raising.
+    """Check a set's file to the last byte; list what is corrupt or contradictory instead of raising.
 
     Parameters
     ----------
@@ -88,7 +88,7 @@ def check_set_file(path: Path, *, sha256: str | None = None) -> CheckedFile:
 
 
 def _rebuild_file(record: SetRecord) -> bytes | None:
-    """Rebuild the bytes of a file from its record; None if any step of it fails."""
+    """Rebuild the bytes of a set's file from its record; None, with a debug message, if any step fails."""
     try:
         return build_set_image(record)
     except Exception as error:  # noqa: BLE001 - a corrupt name or length can break any step of it
@@ -108,10 +108,10 @@ def describe_damage(path: Path, sha256: str | None = None) -> tuple[str, str]:
 
 
 def _list_contradictions(content: bytes, rebuilt: bytes | None) -> list[str]:
-    """List the values in which a file differs from the file rebuilt from its records.
+    """List the values in which a file differs from the one rebuilt from its records (None: not possible).
 
     Another version of a library may encode equal values in other bytes; then changes of unused bytes are
-    not found.
+    not found, and the list is empty.
     """
     if rebuilt is None:
         return ["what can be read of it makes no set"]
@@ -132,12 +132,15 @@ def _list_contradictions(content: bytes, rebuilt: bytes | None) -> list[str]:
 
 
 def _read_values(file: h5py.File) -> dict[str, Any]:
-    """Read every array and attribute of a file by its path, without the format version."""
+    """Read every array and attribute of a file by its path (``path@name``), without the format version.
+
+    Groups have the value None. Raises one of `HDF5_ERRORS`.
+    """
     values: dict[str, Any] = {}
 
     def add_item(name: str, item: Any) -> None:
         # The REFERENCE_LIST of an axis repeats the DIMENSION_LIST of the arrays that it belongs to.
-        """Add the attributes of an item and the values of a dataset."""
+        """Add the attributes of an item, and the values of a dataset, to the values by path."""
         attributes = {key: value for key, value in item.attrs.items() if key != "REFERENCE_LIST"}
         values.update({f"{name}@{key}": _to_comparable(file, value) for key, value in attributes.items()})
         values[name] = _to_comparable(file, item[()]) if isinstance(item, h5py.Dataset) else None
@@ -149,7 +152,7 @@ def _read_values(file: h5py.File) -> dict[str, Any]:
 
 
 def _to_comparable(file: h5py.File, value: object) -> object:
-    """Convert a value for comparison: texts to str, references to target names, numbers to arrays."""
+    """Convert a value for comparison: texts to str, references to target names, other values to arrays."""
     if isinstance(value, h5py.Reference):
         return file[value].name
     if isinstance(value, bytes):
@@ -160,9 +163,11 @@ def _to_comparable(file: h5py.File, value: object) -> object:
 
 
 def _equals(name: str, stored: Mapping[str, Any], expected: Mapping[str, Any], *, same_format: bool) -> bool:
-    """Return whether a stored value agrees with the expected one, as far as the format version allows.
+    """Return whether the values at the path ``name`` of a stored and an expected file agree.
 
-    Previews may differ by 1e-6 of their largest value, all else not at all.
+    Previews may differ by 1e-6 of their largest value, all else not at all. With another format version,
+    labels that are empty or not written any more, and truth or settings in groups of a position, count as
+    equal.
     """
     if not same_format and "@" in name and (name not in expected or str(stored.get(name)) == ""):
         return True  # a label that is not written any more, or was left empty

@@ -56,6 +56,7 @@ class FolderArchive(FolderSetReader):
     """
 
     def __init__(self, folder: Path) -> None:
+        """Create the folders, open the journal and delete unfinished files; see the class."""
         super().__init__(folder)
         self._sets_folder = folder / SETS_FOLDER
         try:
@@ -85,7 +86,10 @@ class FolderArchive(FolderSetReader):
     def begin_set(
         self, set_key: SetKey, *, due_utc_ns: int, started_utc_ns: int, disabled: Mapping[str, str]
     ) -> None:
-        """Add the start of a set to the journal; the next `sync` makes it durable."""
+        """Add the start of a set to the journal; the next `sync` makes it durable. Times are ns of UTC.
+
+        ``disabled`` has the reason of each position that is left out.
+        """
         self._sequences_of[set_key] = set()
         frame = build_begin_frame(
             set_key, due_utc_ns=due_utc_ns, started_utc_ns=started_utc_ns, disabled=disabled
@@ -95,7 +99,8 @@ class FolderArchive(FolderSetReader):
     def append(self, item: Shot | PulseEchoRecord | MissedShot, utc_ns: int) -> None:
         """Add a record or a missed record to a started set; the next `sync` acknowledges it.
 
-        It is ignored if the set was not started: `store_set` then adds all records at once.
+        It is ignored if the set was not started: `store_set` then adds all records at once. ``utc_ns`` is the
+        time of a missed record.
         """
         sequences = self._sequences_of.get(item.key.set_key)
         if sequences is None:
@@ -107,7 +112,10 @@ class FolderArchive(FolderSetReader):
             sequences.add(item.sequence)
 
     def sync(self) -> list[int]:
-        """Make all additions durable; return the acknowledged shot ids, or raise `ArchiveWriteError`."""
+        """Make all additions durable and return the ids of the acknowledged shots.
+
+        Raises `ArchiveWriteError`, with nothing acknowledged, if the disk refuses or the folder was replaced.
+        """
         try:
             self._raise_if_folder_replaced()
             return self._journal_writer.sync()
@@ -115,18 +123,21 @@ class FolderArchive(FolderSetReader):
             raise _create_write_error(self.folder / JOURNAL_FOLDER, error) from error
 
     def open_sets(self) -> dict[SetKey, OpenSet]:
-        """Return the unfinished sets of an earlier process by key."""
+        """Return the unfinished sets that an earlier process left in the journal, by key.
+
+        A set with a corrupt or missing record counts as unfinished.
+        """
         opened = {
             index: item.opened() for index, item in self._journal_writer.left.items() if not item.is_whole
         }
         return {index: item for index, item in opened.items() if item is not None}
 
     def list_sets_to_finalize(self) -> list[SetKey]:
-        """List the keys of the complete sets that an earlier process left in the journal."""
+        """List the keys of the complete sets that an earlier process left in the journal, sorted."""
         return [index for index, item in self._journal_writer.left.items() if item.is_whole]
 
     def resume_set(self, opened: OpenSet) -> None:
-        """Continue an open set: new records are added to the durable ones.
+        """Continue an open set: later records are added to the durable ones.
 
         A corrupt start frame is added again, with the next `sync`.
         """
@@ -144,7 +155,7 @@ class FolderArchive(FolderSetReader):
         """Make a set durable; on return every record of it is acknowledged.
 
         An equal set that is stored already is left as it is. Raises ConflictingSetError if it differs,
-        ArchiveWriteError if nothing was stored.
+        ArchiveWriteError if nothing was stored, ValueError if JSON cannot hold the provenance.
         """
         start = time.perf_counter()
         reference = build_reference(record.set_key, record.due_utc_ns)
@@ -168,7 +179,10 @@ class FolderArchive(FolderSetReader):
         )
 
     def _append_end(self, record: SetRecord) -> None:
-        """Add the records of a set that the journal lacks, and its end frame unless it was added before."""
+        """Add the records of a set that the journal lacks, and its end frame unless it was added before.
+
+        Nothing is synced. Raises ValueError if JSON cannot hold the provenance.
+        """
         frame = build_end_frame(record)
         if self._end_frames.get(record.set_key) == frame:
             return
@@ -181,13 +195,13 @@ class FolderArchive(FolderSetReader):
         self._end_frames = {record.set_key: frame}
 
     def places(self, set_key: SetKey) -> Places:
-        """Return the byte range of a set's durable frames in each segment of the journal."""
+        """Return first and last byte of a set's durable frames in the journal by number of the segment."""
         return self._journal_writer.places(set_key)
 
     def settle(self, set_key: SetKey) -> None:
-        """Remove a set from the journal: it has its own file, or rows without a record.
+        """Remove a set from the journal, because it has its own file, or rows without a record.
 
-        A segment that cannot be deleted is logged and tried again later.
+        Deletes segments without other sets; one that cannot be deleted is tried again later.
         """
         self._sequences_of.pop(set_key, None)
         self._journal_writer.settle(set_key)
@@ -199,7 +213,7 @@ class FolderArchive(FolderSetReader):
     def set_aside(self, reference: SetReference) -> None:
         """Move an unreadable set to the quarantine, a journaled one as a copy; nothing is deleted.
 
-        Raises ArchiveWriteError; the set then stays where it is.
+        Raises ArchiveWriteError; the set then stays where it is. Raises StopIteration for an unknown set.
         """
         source = self.folder / reference
         try:
@@ -212,23 +226,26 @@ class FolderArchive(FolderSetReader):
         self._stored = self.sets()
 
     def _find_set_key(self, reference: SetReference) -> SetKey:
-        """Find the key of a stored set by its reference; StopIteration if there is none."""
+        """Find the key of a stored set by its reference; raise StopIteration if there is none."""
         return next(key for key, file in self.sets().items() if file == reference)
 
     def list_quarantined(self) -> list[str]:
-        """List the files in the quarantine by path relative to the data folder, sorted."""
+        """List the files in the quarantine by path relative to the data folder, sorted; empty without any."""
         names = sorted(path.name for path in (self.folder / QUARANTINE_FOLDER).glob("*"))
         return [f"{QUARANTINE_FOLDER}/{name}" for name in names]
 
     def _raise_if_folder_replaced(self) -> None:
-        """Raise `ArchiveWriteError` if the folder was replaced, as when a disk is unmounted."""
+        """Raise `ArchiveWriteError` if the folder of sets was replaced, as when a disk is unmounted.
+
+        Raises OSError if it is gone.
+        """
         if not os.path.samestat(self._folder_stat, self._sets_folder.stat()):
             raise ArchiveWriteError(
                 f"{self._sets_folder} is not the folder of this test any more; bring its own one back"
             )
 
     def _create_conflict_error(self, set_key: SetKey, stored: SetReference) -> ConflictingSetError:
-        """Create, but do not raise, the error for a set that is stored with different content."""
+        """Create, but do not raise, the error for a set that ``stored`` has with different content."""
         return ConflictingSetError(
             f"set {set_key} is stored already in {self.folder / stored} and differs; nothing stored is "
             "overwritten: take that file over with read_set, or move it out of the folder"
@@ -236,12 +253,14 @@ class FolderArchive(FolderSetReader):
 
 
 def move_to_quarantine(folder: Path, reference: SetReference) -> str:
-    """Move a set's file to the quarantine and return its path there; another file of its name stays.
+    """Move a set's file durably to the quarantine and return its path relative to the data folder.
+
+    Another file of that name stays: the moved one gets the prefix ``again_``.
 
     Raises
     ------
     OSError
-        It stays where it is.
+        The move failed, or may not be durable.
     """
     source, quarantine = folder / reference, folder / QUARANTINE_FOLDER
     quarantine.mkdir(exist_ok=True)
@@ -255,6 +274,6 @@ def move_to_quarantine(folder: Path, reference: SetReference) -> str:
 
 
 def _create_write_error(path: Path, error: OSError) -> ArchiveWriteError:
-    """Create, but do not raise, the error for a failed write, with the remedy for its error number."""
+    """Create, but do not raise, the error for a failed write to ``path``, with the remedy for its cause."""
     remedy = _REMEDY.get(error.errno or 0, "check the disk and its connection")
     return ArchiveWriteError(f"{path} cannot be written: {error.strerror or error}; {remedy}")

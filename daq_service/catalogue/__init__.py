@@ -27,7 +27,7 @@ _MODULE_OF = {
 
 
 def __getattr__(name: str) -> object:
-    """Import a name of the package on first use."""
+    """Import a name of the package on first use; raise AttributeError for a name that it does not have."""
     if name not in _MODULE_OF:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     return getattr(importlib.import_module(f"{__name__}.{_MODULE_OF[name]}"), name)

@@ -12,6 +12,7 @@ class CatalogueAccess:
     """Opens the catalogue once it exists; all threads share it."""
 
     def __init__(self, folder: Path) -> None:
+        """Store the data folder; open nothing yet."""
         self._folder = folder
         self._lock = threading.Lock()
         self._catalogue: Catalogue | None = None
@@ -32,7 +33,7 @@ class CatalogueAccess:
             return self._catalogue
 
     def close(self) -> None:
-        """Close the catalogue, if it is open; the next `get` opens it again."""
+        """Close the catalogue, if it is open, for all threads; the next `get` opens it again."""
         with self._lock:
             if self._catalogue is not None:
                 self._catalogue.close()

@@ -24,14 +24,18 @@ def create_sqlite_engine(path: Path, *, writable: bool, durable: bool = True) ->
     """Create an SQLAlchemy engine for the catalogue file; it connects on first use.
 
     ``writable`` True creates a missing file on the first connection, False opens it read-only. ``durable``
-    False never syncs to disk. A connection retries while SQLite cannot open one of its files.
-    A transaction of `Engine.begin` sees a single state of the file from its first to its last
-    query; start one that changes something with `begin_write`.
+    False never syncs to disk. While SQLite cannot open one of its files, a connection retries and blocks,
+    with a warning in the log; its last error is raised. Within one transaction all queries see the same state
+    of the file; start a transaction that changes something with `begin_write`.
     """
     mode = "rwc" if writable else "ro"
 
     def connect() -> sqlite3.Connection:
-        """Open a SQLite connection, set its pragmas and probe the file; close it if any of this fails."""
+        """Open a SQLite connection, set its pragmas and probe the file; close it again if that fails.
+
+        Raises sqlite3.Error; OperationalError after 5 s if another writer holds the lock. Only the first
+        connection of a writer creates the file.
+        """
         nonlocal mode
         immutable = "&immutable=1" if not writable and _can_open_immutable(path) else ""
         uri = f"{path.absolute().as_uri()}?mode={mode}{immutable}"
@@ -59,7 +63,7 @@ def create_sqlite_engine(path: Path, *, writable: bool, durable: bool = True) ->
         return connection
 
     def connect_with_retry() -> sqlite3.Connection:
-        """Open a connection; a reader retries for up to 0.25 s while the file is being created."""
+        """Open a connection; for a reader retry up to 0.25 s while the file is being created, then raise."""
         if writable:
             return connect()
         return retry(connect, is_refusal=_is_corruption_error, patience_s=CREATION_S)
@@ -85,7 +89,7 @@ def create_sqlite_engine(path: Path, *, writable: bool, durable: bool = True) ->
 
 @lru_cache(maxsize=8)
 def create_reading_engine(path: Path) -> Engine:
-    """Return a read-only engine of a file; the 8 last used are cached with their compiled statements."""
+    """Return the read-only engine of a file; the 8 last used are cached with their compiled statements."""
     return create_sqlite_engine(path, writable=False)
 
 
@@ -100,7 +104,7 @@ def _can_open_immutable(path: Path) -> bool:
 
 
 def _is_corruption_error(error: Exception) -> bool:
-    """Return whether an error is SQLITE_CORRUPT, which also occurs while a file is being created."""
+    """Return whether an error has the code SQLITE_CORRUPT, which also occurs while a file is created."""
     return getattr(error, "sqlite_errorcode", 0) & 0xFF == sqlite3.SQLITE_CORRUPT
 
 

@@ -31,6 +31,7 @@ class CatalogueCorruption:
     description: str
 
     def __str__(self) -> str:
+        """Return the description."""
         return self.description
 
 
@@ -95,7 +96,10 @@ def find_corruption(connection: Connection, *, rows: bool = True) -> Iterator[Ca
 
 
 def _check_rows(connection: Connection, kind: type[Row], table: Table) -> Iterator[CatalogueCorruption]:
-    """Yield the rows of a table that are unreadable or fail their checksum; read errors are yielded, too."""
+    """Yield a corruption for each row that is unreadable or fails its checksum, in the order of the key.
+
+    A table that cannot be read, or that ends early, yields one entry and ends the check.
+    """
     key = table.primary_key.columns[0]
     try:
         # One by one: a value that is not JSON must not hide the later rows.
@@ -122,5 +126,5 @@ def _check_rows(connection: Connection, kind: type[Row], table: Table) -> Iterat
 
 
 def _shorten(error: Exception) -> str:
-    """Return the first line of an error's message."""
+    """Return the first line of an error's message as text."""
     return str(error).partition("\n")[0]

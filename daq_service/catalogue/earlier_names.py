@@ -69,6 +69,9 @@ def to_current_row(table: str, row: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def to_current_payload(topic: str, kind: str, payload: Mapping[str, Any]) -> dict[str, Any]:
-    """Convert the payload of an event to current names; ``topic`` and ``kind`` are already current."""
+    """Convert the payload of an event to current names, as a new dictionary.
+
+    ``topic`` and ``kind`` must be current names already.
+    """
     is_baseline = topic == "assessments" and kind != "set_assessed"
     return to_current_row("baselines" if is_baseline else topic, payload)

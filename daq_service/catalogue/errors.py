@@ -40,6 +40,7 @@ class NoDataYetError(CatalogueError):
     """
 
     def __init__(self, message: str, folder: Path | None = None) -> None:
+        """Store the message, and the folder whose catalogue may be lost."""
         super().__init__(message)
         self.folder = folder
 

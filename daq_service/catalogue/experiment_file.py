@@ -78,12 +78,16 @@ def read_experiment_file(folder: Path) -> ExperimentRow | None:
 
 
 def ensure_experiment_file(folder: Path, row: ExperimentRow) -> None:
-    """Check that the file agrees with the catalogue's row; write it if it is missing or damaged.
+    """Check that ``experiment.json`` agrees with the catalogue's row; write it if it is missing or damaged.
+
+    A damaged file is logged as a warning before it is replaced.
 
     Raises
     ------
     OtherExperimentError
          The file belongs to another experiment.
+    CatalogueError
+        The file cannot be read now, or (CatalogueWriteError) not written.
     """
     try:
         stored = read_experiment_file(folder)
@@ -120,10 +124,10 @@ def raise_if_other_record(
 
 
 def describe_experiment(row: ExperimentRow) -> str:
-    """Format configuration hash and hour 0 (UTC) of an experiment, which identify it, for messages."""
+    """Format the configuration hash and hour 0 (UTC) that identify an experiment as one text for messages."""
     return f"configuration {row.configuration_hash}, hour 0 at {format_utc(row.epoch_utc_ns)}"
 
 
 def _compute_crc32(columns: object) -> int:
-    """Compute the CRC-32 of the row's columns, serialized as JSON."""
+    """Compute the CRC-32 of a row's columns, serialized as JSON in their order."""
     return zlib.crc32(orjson.dumps(columns))

@@ -69,9 +69,10 @@ class History:
     damage: list[str] = field(default_factory=list)
 
     def take(self, number: int, table: str, row: Mapping[str, Any]) -> None:
-        """Add the row of one line, converted to current names; a later line of an id replaces an earlier one.
+        """Add the row of line ``number`` with current names; a later line of an id replaces an earlier one.
 
-        Raises TypeError or LookupError if the row does not have the columns of its table.
+        Rows of an unknown table are ignored. Raises TypeError or LookupError if the row lacks columns of its
+        table; the number counts as read even then.
         """
         self.last_number = number
         row = to_current_row(table, row)
@@ -87,13 +88,16 @@ class History:
 
 
 def encode_history_line(number: int, table: str, row: Mapping[str, object]) -> bytes:
-    """Encode a row as one line of the history: JSON with index, table, CRC-32 and a final newline."""
+    """Encode a row as one line of the history: JSON with index, table, CRC-32 and a final newline.
+
+    Raises TypeError if a value of the row cannot be serialized as JSON.
+    """
     body = orjson.dumps({"n": number, "table": table, "row": row})[1:]
     return b'%s%08x",%s\n' % (_HEAD, zlib.crc32(body), body)
 
 
 def read_history(folder: Path, *, tail_bytes: int | None = None) -> History:
-    """Read the history of a data folder; empty where there is none.
+    """Read the history of a data folder; without a file the result is an empty `History`.
 
     Corrupt and missing lines are listed in ``damage``, not raised.
 
@@ -152,7 +156,7 @@ def parse_history_lines(content: bytes, *, whole: bool = True, name: str = HISTO
 
 
 def parse_history_line(line: bytes) -> tuple[int, str, Mapping[str, object]] | None:
-    """Parse index, table and row of a line; None if it is empty, corrupt or does not match its CRC-32."""
+    """Parse a line to its index, table and row; None if it is empty, corrupt or does not match its CRC-32."""
     try:
         if line.startswith(_HEAD) and int(line[len(_HEAD) : _BODY - 2], 16) == zlib.crc32(line[_BODY:]):
             fields = orjson.loads(line)
@@ -166,6 +170,7 @@ class HistoryFollower:
     """Appends catalogue rows that the history lacks; its errors do not affect the test."""
 
     def __init__(self, folder: Path, catalogue: Catalogue, *, machine: MachineClock = MACHINE) -> None:
+        """Prepare to follow a catalogue with the history of ``folder``; nothing is read or written yet."""
         self._folder, self._catalogue = folder, catalogue
         self._machine = machine
         self._next_s = 0.0
@@ -175,15 +180,18 @@ class HistoryFollower:
         self._refusal = ""
 
     def add_digest(self, file: str, sha256: str) -> None:
-        """Keep the SHA-256 of a set's file, which the catalogue now has, for the next lines."""
+        """Add the SHA-256 of a set's file to those that the next `follow` appends.
+
+        The catalogue must have it already.
+        """
         self._new_digests[file] = sha256
 
     def run_for(self, seconds: float) -> None:
-        """Append new rows, at most once per second; ``seconds`` is not used (a `BackgroundTask`)."""
+        """Append new rows as `follow` does, at most once per second; ``seconds`` is unused."""
         self.follow()
 
     def after_set(self, set_key: SetKey) -> None:
-        """Do nothing: the rows of a set follow in `run_for` (a `BackgroundTask`)."""
+        """Do nothing: `run_for` appends the rows of a set (a `BackgroundTask`)."""
 
     def close(self) -> None:
         """Append the last rows at once; a failure is logged, not raised."""
@@ -192,12 +200,14 @@ class HistoryFollower:
     def begin(self) -> None:
         """Compare the end of the history with the catalogue and append the missing rows.
 
+        An unreadable history and a failing disk are logged as warnings, not raised.
+
         Raises
         ------
         OtherExperimentError
              The history belongs to another experiment.
         CatalogueDamagedError
-             The catalogue lacks rows of the history.
+            The catalogue lacks the newest event of the history.
         """
         try:
             history = read_history(self._folder, tail_bytes=TAIL_BYTES)
@@ -233,9 +243,10 @@ class HistoryFollower:
             self._refusal = ""
 
     def _append_missing_lines(self) -> None:
-        """Append and sync lines until the history has all rows of the catalogue.
+        """Append and sync lines, in steps, until the history has all rows of the catalogue.
 
-        Raises OSError or StorageError; lines of earlier steps remain.
+        Raises OSError or StorageError; lines of earlier steps remain. After an error the end of the history
+        is read again.
         """
         if self._known is None:
             self._known = read_history(self._folder, tail_bytes=TAIL_BYTES)
@@ -248,9 +259,9 @@ class HistoryFollower:
             self._new_digests.clear()
 
     def _collect_missing_lines(self, known: History) -> list[bytes]:
-        """Encode the next lines that the history lacks, of at most 5000 events; empty if none.
+        """Encode the next lines that the history lacks, of at most 5000 events; empty if it lacks none.
 
-        Updates ``known`` as if they were written.
+        Updates ``known`` as if the lines were written. Raises StorageError if the catalogue cannot be read.
         """
         last_id = max(known.events, default=0)
         events = self._catalogue.rows(EventRow, after_id=last_id, limit=EVENTS_AT_ONCE)
@@ -279,14 +290,14 @@ class HistoryFollower:
         return lines
 
     def _read_digests(self, first: int, last: int | None) -> dict[str, str]:
-        """Read the stored SHA-256 of sets ``first`` to ``last`` (None: the newest), by name of the file."""
+        """Read the stored SHA-256 by file name of sets ``first`` to ``last``, included (None: the newest)."""
         rows = self._catalogue.rows(SetRow, first_set=first, last_set=last, purpose="any")
         return {row.file: row.file_sha256 for row in rows if row.file and row.file_sha256}
 
     def _list_changed_commands(self) -> list[CommandRow]:
-        """List the commands that may have changed since the last call, oldest first.
+        """List the commands that may have changed since the last call, by id.
 
-        Commands before the first unanswered one are skipped from the next call on.
+        Commands before the first unanswered one are skipped from the next call on. Raises StorageError.
         """
         commands = self._catalogue.rows(CommandRow, after_id=self._last_answered)
         for command in commands:
@@ -297,7 +308,10 @@ class HistoryFollower:
 
 
 def describe_lost_newest_event(history: History, catalogue: Catalogue) -> str:
-    """Return a text about the loss if the catalogue lacks the newest event of the history, else ""."""
+    """Return a message with the remedy if the catalogue lacks the newest event of the history, else "".
+
+    Compares id, time, topic and kind of the event, not its payload.
+    """
     last_id = max(history.events, default=0)
     if not last_id:
         return ""
@@ -322,12 +336,12 @@ def _list_set_indices(events: Iterable[EventRow]) -> list[int]:
 
 
 def append_durably(path: Path, lines: Iterable[bytes]) -> None:
-    """Append lines to a file (created if missing) and sync it; a truncated last line gets its end first.
+    """Append lines to a file (created if missing) and sync it; first end a truncated last line.
 
     Raises
     ------
     OSError
-        They may not be durable.
+        The lines may not be durable; some of them may be in the file.
     """
     existed = path.exists()
     descriptor = retry(lambda: os.open(path, os.O_RDWR | os.O_CREAT | os.O_APPEND | O_BINARY, 0o644))

@@ -23,7 +23,7 @@ MOUNTS = Path("/proc/self/mountinfo")
 
 
 def find_network_type(path: Path, mountinfo: str | None = None, *, mounts: Path = MOUNTS) -> str | None:
-    """Detect the type of the network file system of a path; None if it is local or unknown.
+    """Detect the type of the network file system of a path, such as "nfs4"; None if local or unknown.
 
     Parameters
     ----------
@@ -32,7 +32,7 @@ def find_network_type(path: Path, mountinfo: str | None = None, *, mounts: Path 
     mountinfo
         Text of Linux's ``/proc/self/mountinfo`` (proc(5)); None reads ``mounts``.
     mounts
-         Path of this machine's file.
+         Path of this machine's file; if it cannot be read, the type is unknown.
 
     Notes
     -----
@@ -54,7 +54,10 @@ def find_network_type(path: Path, mountinfo: str | None = None, *, mounts: Path 
 
 
 def _find_filesystem_type(path: str, mountinfo: str) -> str:
-    """Find the type of the file system mounted nearest above a path, "" if none; the last mount counts."""
+    """Find the type of the file system mounted nearest above an absolute path; "" if there is none.
+
+    Of several mounts on one point the last one counts; malformed lines of ``mountinfo`` are skipped.
+    """
     place = PurePosixPath(path)
     nearest, kind = -1, ""
     for line in mountinfo.splitlines():
@@ -70,12 +73,12 @@ def _find_filesystem_type(path: str, mountinfo: str) -> str:
 
 
 def _unescape_mount_point(text: str) -> str:
-    r"""Decode blank, tab, newline and backslash, which are written as ``\040`` etc."""
+    r"""Decode the octal escapes of a mount point, such as ``\040`` for a blank."""
     return re.sub(r"\\([0-7]{3})", lambda match: chr(int(match[1], 8)), text)
 
 
 def _detect_windows_drive(path: Path) -> str | None:
-    """Return "UNC share" or "network drive" for such a path on Windows; None elsewhere."""
+    """Return "UNC share" or "network drive" for a path on such a volume of Windows, else None."""
     if sys.platform != "win32":
         return None
     anchor = path.resolve().anchor

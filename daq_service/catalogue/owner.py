@@ -18,9 +18,9 @@ from simulator.parameters.experiment import TWIN_VERSION
 
 
 def raise_if_other_test(engine: Engine, path: Path, settings: Settings) -> None:
-    """Raise an error if a catalogue's test differs from the settings, an extractor or the twin.
+    """Raise an error if the test of a catalogue differs from the settings, an extractor or the twin.
 
-    Returns silently if the catalogue has no test yet.
+    Returns without an error if the catalogue has no test yet; errors of SQL pass through.
 
     Raises
     ------
@@ -41,7 +41,7 @@ def raise_if_other_test(engine: Engine, path: Path, settings: Settings) -> None:
 
 
 def build_experiment_identity(row: ExperimentRow) -> str:
-    """Return the identifier ``<configuration hash>/<hour 0 in ns UTC>`` of a test for derived data."""
+    """Build the identifier ``<configuration hash>/<hour 0 in ns UTC>`` of a test, to mark derived data."""
     return f"{row.configuration_hash}/{row.epoch_utc_ns}"
 
 
@@ -49,6 +49,8 @@ def raise_if_other_configuration(
     row: ExperimentRow, folder: Path, settings: Settings, lines: Sequence[str] = ()
 ) -> None:
     """Raise an error if an experiment has another configuration, or ``lines`` lists other differences.
+
+    Returns without an error if configuration hashes agree and ``lines`` is empty.
 
     Raises
     ------
@@ -69,7 +71,11 @@ def raise_if_other_configuration(
 
 
 def _describe_version_changes(connection: Connection, *, on_twin: bool) -> list[str]:
-    """Describe each extractor, and the twin, whose version differs from the last stored one."""
+    """List each extractor, and with ``on_twin`` the twin, whose version differs from that of the stored rows.
+
+    Each line gives both versions; there is none if all agree. A version that was never stored is not
+    compared.
+    """
     # Loading the extractors takes a while, and only a folder that has a test needs it.
     from analysis.ultrasound import thickness as pulse_echo
     from analysis.waves import features as solitary_wave
@@ -88,12 +94,12 @@ def _describe_version_changes(connection: Connection, *, on_twin: bool) -> list[
 
 
 def _read_newest(connection: Connection, table: Table) -> Any:
-    """Read the extractor version of the newest row of a table; None if the table is empty."""
+    """Read the ``extractor_version`` of the newest row of a table; None if the table is empty."""
     return connection.execute(select(table.c.extractor_version).order_by(table.c.id.desc()).limit(1)).scalar()
 
 
 def _read_twin_version(connection: Connection) -> object:
-    """Read the twin version of the last recorder; "1" if it stored none, None without a recorder."""
+    """Read the twin version that the last recorder stored; "1" if it stored none, None without a recorder."""
     started = select(events.c.payload).where(events.c.kind == "recorder_started").order_by(events.c.id.desc())
     payload = connection.execute(started.limit(1)).scalar()
     return None if payload is None else payload.get("versions", {}).get("twin", "1")

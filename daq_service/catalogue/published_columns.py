@@ -45,7 +45,7 @@ ADDED_COLUMNS: Mapping[type[Row], tuple[PublishedColumn, ...]] = {
 
 
 def _build_column(name: str, form: Form = "number") -> PublishedColumn:
-    """Create the published column of a nested value: nullable and without unit."""
+    """Create the published column for a part of a nested value: nullable, without unit."""
     return PublishedColumn(name=name, form=form, unit="", nullable=True)
 
 
@@ -70,7 +70,7 @@ PARTS: Mapping[type[Row], Mapping[tuple[str, ...], PublishedColumn]] = {
 
 
 def add_nested(kind: type[Row], row: Mapping[str, object]) -> dict[str, object]:
-    """Return a copy of a row with the columns of `PARTS`; None for missing values."""
+    """Return a copy of a row that also has the parts of nested values in `PARTS`; None for a missing part."""
     extended = dict(row)
     for path, column in PARTS.get(kind, {}).items():
         value: Any = row
@@ -81,7 +81,7 @@ def add_nested(kind: type[Row], row: Mapping[str, object]) -> dict[str, object]:
 
 
 def list_shown_columns(kind: type[Row]) -> tuple[PublishedColumn, ...]:
-    """List the published columns of a kind of row: stored, UTC of hours, added, parts of nested ones."""
+    """List the published columns of a kind of row: stored, UTC times of hours, added, nested parts."""
     columns: dict[str, PublishedColumn] = {}
     for column in list_columns(kind):
         name = column.published_name
@@ -96,7 +96,10 @@ def list_shown_columns(kind: type[Row]) -> tuple[PublishedColumn, ...]:
 
 
 def choose_published_form(of_type: Any) -> Form:
-    """Return the published form of a column's type; "nested" for lists, tables and unknown types."""
+    """Return the form in which values of a Python type are published; "nested" for lists and unknown types.
+
+    None in a union is ignored; a Literal is "text".
+    """
     plain = next((kind for kind in get_args(of_type) if kind is not NoneType), of_type)
     if get_origin(of_type) is Literal or get_origin(plain) is Literal:
         return "text"

@@ -144,12 +144,12 @@ _HOURS_OF_UNSCHEDULED: Mapping[str, Callable[[sa.Table, Any], sa.ColumnElement[b
 
 
 def is_scheduled(table: sa.FromClause) -> sa.ColumnElement[bool]:
-    """Build the condition that selects rows of scheduled sets; of the environment it selects every row."""
+    """Build the condition that selects rows of scheduled sets; true if a table has no unscheduled ones."""
     return table.c.unscheduled_index == 0 if "unscheduled_index" in table.c else sa.true()
 
 
 def build_set_at_query(table: sa.Table, hour: float, which: Literal["first", "last"]) -> sa.ScalarSelect[int]:
-    """Build the subquery for the first set due at an hour or later, or the last one until then.
+    """Build the subquery for the first scheduled set due at an hour or later, or the last one due until then.
 
     The result is a set index, NULL if there is no such set. Hours increase with the set index, so a range of
     hours is a range of sets and uses an index.
@@ -184,6 +184,7 @@ class Catalogue:
     """
 
     def __init__(self, path: Path, engine: sa.Engine) -> None:
+        """Store the file's path and the engine for reading; connect to nothing."""
         self._path = path
         self._engine = engine
         self._command_engine: sa.Engine | None = None
@@ -195,27 +196,30 @@ class Catalogue:
         self.close()
 
     def close(self) -> None:
-        """Close every connection of readers and commands; may be called again."""
+        """Close every connection for reading and for commands; may be called again."""
         self._engine.dispose()
         if self._command_engine is not None:
             self._command_engine.dispose()
 
     @contextmanager
     def open_snapshot(self) -> Iterator[sa.Connection]:
-        """Open a read transaction for queries of one state; errors of SQL become `CatalogueError`."""
+        """Open a read transaction of one state for queries; errors of SQL in it become `CatalogueError`."""
         with translate_errors(self._path, "reading"), self._engine.begin() as connection:
             yield connection
 
     # Rows of every kind
 
     def rows(self, kind: type[R], /, *, limit: int | None = None, **filters: Unpack[Filters]) -> list[R]:
-        """Read at most ``limit`` rows by id, or with filters on sets in the order of the sets (`Filters`)."""
+        """Read at most ``limit`` rows that meet the filters, in the order of `filter_by`.
+
+        Raises CatalogueDamagedError at a corrupt row.
+        """
         return self._read_rows(kind, _build_query(kind, limit, filters), _find_required(kind, filters))
 
     def read_last_rows(
         self, kind: type[R], position: str, count: int | None, /, **filters: Unpack[Filters]
     ) -> list[R]:
-        """Read the newest ``count`` rows of a position (None: of all) by set, the newest last."""
+        """Read the newest ``count`` scheduled rows (None: all) of a position in set order, newest last."""
         table = TABLES[kind]
         statement = filter_by(sa.select(table), table, {**filters, "position": position})
         newest_first = statement.order_by(None).order_by(*(column.desc() for column in _list_key(table)))
@@ -223,20 +227,20 @@ class Catalogue:
         return self._read_rows(kind, newest_first.limit(count), required)[::-1]
 
     def read_newest_gaps(self, count: int) -> list[SetRow]:
-        """Read the newest ``count`` missed and ``count`` partial sets of each position, in any order."""
+        """Read the newest ``count`` missed and the newest ``count`` partial sets of each position."""
         return self._read_rows(SetRow, _build_newest_gaps_query(count))
 
     def read_newest_recorded(self) -> SetRow | None:
-        """Read a row of the newest scheduled set with records; None without one."""
+        """Read a row of the newest scheduled set that has a file; None if there is none."""
         return self._read_newest_row(SetRow, sets.c.file.is_not(None) & is_scheduled(sets))
 
     def list_newest_files(self, n_rows: int) -> dict[SetKey, str]:
-        """List the files that the newest ``n_rows`` rows of sets name, by set key in order."""
+        """List the distinct files that the newest ``n_rows`` rows of sets name, by set key in order."""
         with self.open_snapshot() as connection:
             return _read_files_by_key(connection, _build_newest_files_query(n_rows))
 
     def count_stored_sets(self, position: str, first_set: int, last_set: int) -> int:
-        """Count the scheduled sets of a position that have records, between two indices (inclusive)."""
+        """Count the scheduled sets of a position that have records, ``first_set`` to ``last_set``."""
         in_range = is_scheduled(sets) & sets.c.set_index.between(first_set, last_set)
         filtered_sets = (sets.c.position == position) & in_range
         with self.open_snapshot() as connection:
@@ -247,14 +251,14 @@ class Catalogue:
             ).scalar_one()
 
     def read_first_thickness(self, position: str) -> ThicknessRow | None:
-        """Read the first scheduled pulse-echo result with a travel time; None without one."""
+        """Read a position's first scheduled pulse-echo result with a travel time; None without one."""
         table = TABLES[ThicknessRow]
         statement = filter_by(sa.select(table), table, {"position": position})
         rows = self._read_rows(ThicknessRow, statement.where(table.c.travel_time_s.is_not(None)).limit(1))
         return rows[0] if rows else None
 
     def read_baselines_by_id(self) -> dict[int, BaselineRow]:
-        """Read all baselines, also retired ones, by id."""
+        """Read all baselines in any state, also retired ones, as a dictionary by id."""
         return {row.id: row for row in self.rows(BaselineRow) if row.id is not None}
 
     def columns(
@@ -266,12 +270,9 @@ class Catalogue:
         limit: int | None = None,
         **filters: Unpack[Filters],
     ) -> dict[str, list[Any]]:
-        """Read columns of a table as lists of equal length by name; filters and order as in `rows`.
+        """Read columns as lists of equal length by name; filters, order and errors as in `rows`.
 
-        Raises
-        ------
-        CatalogueError
-            A name is no column of the table.
+        Raises CatalogueError if a name is no column of the table.
         """
         if unknown := set(names) - set(kind.__slots__):
             of_table = f"{TABLES[kind].name!r}; it has {sorted(kind.__slots__)}"
@@ -288,14 +289,14 @@ class Catalogue:
     def _read_rows(
         self, kind: type[R], statement: sa.Select[Any], required: Mapping[str, object] = MappingProxyType({})
     ) -> list[R]:
-        """Read the rows of a query, events with the rows that they report; DamagedRow at a corrupt one."""
+        """Read the rows of a query, events with the rows they report; CatalogueDamagedError if corrupt."""
         with self.open_snapshot() as connection:
             return join_reported_rows(
                 connection, _collect_checked_rows(kind, required, read_rows(connection, kind, statement))
             )
 
     def _read_newest_row(self, kind: type[R], condition: sa.ColumnElement[bool] | None = None) -> R | None:
-        """Read the row with the highest id that meets a condition; None if there is none."""
+        """Read the row with the highest id that meets a condition (None: any); None if there is none."""
         table = TABLES[kind]
         statement = sa.select(table).order_by(table.c.id.desc()).limit(1)
         rows = self._read_rows(kind, statement if condition is None else statement.where(condition))
@@ -304,12 +305,9 @@ class Catalogue:
     # The experiment as a whole
 
     def read_experiment(self) -> ExperimentRow:
-        """Read name, configuration and its hash, epoch and clock of the test.
+        """Read the row that identifies the test: name, configuration and its hash, hour 0, clock.
 
-        Raises
-        ------
-        NoDataYetError
-            The experiment has not started.
+        Raises NoDataYetError if the experiment has not started.
         """
         row = self._read_newest_row(ExperimentRow)
         if row is None:
@@ -331,7 +329,8 @@ class Catalogue:
         dict
             ``sets``: due times with at least one record, ``missed_sets``: due times that were
             missed altogether, ``partial_sets``: of the ``sets``, those that lack something;
-            ``shots``: solitary-wave shots, ``pulse_echo_records``, ``events``, ``active_alarms``.
+            ``shots``: solitary-wave shots, ``pulse_echo_records``: likewise of scheduled sets;
+            ``events`` and ``active_alarms``: all.
         """
         with self.open_snapshot() as connection:
             (row,) = read_rows(connection, CountsRow, sa.select(counts))
@@ -343,7 +342,10 @@ class Catalogue:
         }
 
     def list_files_except(self, known: Collection[SetKey]) -> dict[SetKey, str]:
-        """List the files of all sets except the ``known`` ones, by key; sets without a file are omitted."""
+        """List the files of all sets except the ``known`` ones by set key, in no fixed order.
+
+        Sets without a file are omitted.
+        """
         positions = self.list_position_names()
         scheduled = {set_index for set_index, unscheduled_index in known if not unscheduled_index}
         with self.open_snapshot() as connection:
@@ -363,7 +365,7 @@ class Catalogue:
         return files
 
     def read_latest_rows(self) -> dict[str, LatestRows]:
-        """Read the newest rows of each position that has a row in ``sets``, sorted by position."""
+        """Read the newest scheduled rows and active alarms of each position in ``sets``, in its order."""
         with self.open_snapshot() as connection:
             last_sets = _read_newest_rows(connection, SetRow)
             last_features = _read_newest_rows(connection, FeatureRow)
@@ -386,19 +388,19 @@ class Catalogue:
         }
 
     def read_last_environment(self) -> EnvironmentRow | None:
-        """Read supply and climate of the newest set; None if there are none."""
+        """Read the newest stored row of supply and climate, of any earlier set; None without one."""
         return self._read_newest_row(EnvironmentRow)
 
     def baseline(self, position: str) -> BaselineRow | None:
-        """Read the newest baseline of a position in any state; None if there is none."""
+        """Read the newest baseline of a position, in any state, also retired; None if there is none."""
         return self._read_newest_row(BaselineRow, TABLES[BaselineRow].c.position == position)
 
     def read_newest_baselines(self) -> dict[str, BaselineRow]:
-        """Read the newest baseline, in any state, of each position that has one."""
+        """Read the newest baseline, in any state, of each position that has one, by position."""
         return {row.position: row for row in self.rows(BaselineRow)}  # the newest is last
 
     def find_newest_id(self, kind: type[AlarmRow] | type[CommandRow]) -> int:
-        """Return the id of the newest row, 0 before the first; ids count from 1 and no row is deleted."""
+        """Return the id of the newest alarm or command, 0 before the first; no row is ever deleted."""
         with self.open_snapshot() as connection:
             return int(connection.execute(sa.select(sa.func.max(TABLES[kind].c.id))).scalar_one() or 0)
 
@@ -411,21 +413,21 @@ class Catalogue:
     def read_events_after(
         self, event_id: int, topics: Collection[str] | None = None, limit: int | None = 500
     ) -> list[EventRow]:
-        """Read at most ``limit`` events (None: all) after an id, in order, optionally of some topics."""
+        """Read at most ``limit`` events (None: all) with higher ids, by id, of ``topics`` (None: all)."""
         return self.rows(EventRow, after_id=event_id, topics=topics, limit=limit)
 
     def read_last_service_event(self, *kinds: str) -> EventRow | None:
-        """Read the newest service event of one of these kinds; None if there is none."""
+        """Read the newest event of topic ``service`` of one of these kinds; None if there is none."""
         last_id = filter_by(sa.select(sa.func.max(events.c.id)), events, {"topic": "service"}).order_by(None)
         newest = last_id.where(events.c.kind.in_(kinds)).scalar_subquery()
         return self._read_newest_row(EventRow, events.c.id == newest)
 
     def read_last_event(self, topic: str) -> EventRow | None:
-        """Read the newest event of a topic, None if there is none; slow for a topic with few events."""
+        """Read the newest event of a topic; None if there is none. Slow for a topic with few events."""
         return self._read_newest_row(EventRow, events.c.topic == topic)
 
     def paused(self) -> str | None:
-        """Return who paused the test and why, as one text; None if it is not paused."""
+        """Return who paused the test and why as one text; None if it is not paused now."""
         event = self.read_last_service_event("pause", "resume")
         return None if event is None else event.payload["paused"] or None
 
@@ -441,17 +443,10 @@ class Catalogue:
     def add_command(
         self, author: str, kind: str, arguments: dict[str, Any], *, within_s: float = ORDER_WITHIN_S
     ) -> int:
-        """Store an operator's command as pending for the recorder and return its id.
+        """Store a command as pending for the recorder and return its id.
 
-        Parameters
-        ----------
-        within_s
-             A command that has not started within this time expires.
-
-        Raises
-        ------
-        CatalogueBusyError, CatalogueWriteError
-            Nothing was written.
+        It expires if it has not started ``within_s`` later. Raises CatalogueBusyError or CatalogueWriteError
+        if nothing was written.
         """
         with (
             translate_errors(self._path, "writing a command"),
@@ -472,7 +467,7 @@ class Catalogue:
             return store_command(connection, row)
 
     def _open_writer(self) -> sa.Engine:
-        """Return the engine that writes commands; create it on the first call."""
+        """Return the engine that writes commands, which the first call creates; it connects on first use."""
         if self._command_engine is None:
             self._command_engine = create_sqlite_engine(self._path, writable=True)
         return self._command_engine
@@ -482,7 +477,8 @@ def filter_by(statement: sa.Select[Any], table: sa.Table, filters: Filters) -> s
     """Add the conditions of filters, and an order, to a query of a table.
 
     Only scheduled sets are selected unless a filter names others. The order is that of the sets if a filter
-    selects some of them, else that of the ids.
+    selects some of them, else that of the ids; ``after_id`` keeps the rows behind that one. The table must
+    have the column of each filter (KeyError, AttributeError).
     """
     values = {name: value for name, value in filters.items() if value is not None and name != "after_id"}
     after_id = filters.get("after_id")
@@ -505,7 +501,7 @@ def filter_by(statement: sa.Select[Any], table: sa.Table, filters: Filters) -> s
 
 
 def _find_required(kind: type[Row], filters: Filters) -> dict[str, object]:
-    """Collect the column values that filters require of every row, to detect a corrupt index."""
+    """Collect the values by column that every row of filters must have, to detect a corrupt index."""
     columns = [name for name in filters if name == "topic" or name not in _CONDITIONS]
     required = {name: filters.get(name) for name in columns if name in kind.__slots__}
     required = {name: value for name, value in required.items() if value is not None}
@@ -516,9 +512,10 @@ def _find_required(kind: type[Row], filters: Filters) -> dict[str, object]:
 def _raise_if_values_differ(
     kind: type[Row], required: Mapping[str, object], values_of: Callable[[str], Iterable[object]]
 ) -> None:
-    """Raise DamagedRow at a row without a required value of a column.
+    """Raise DamagedRow if a column has another value than the required one in any row.
 
-    SQLite does not compare the row that an index leads to with the condition of the query.
+    ``values_of`` returns all values of a column. SQLite does not compare the row that an index leads to with
+    the condition of the query.
     """
     for name, value in required.items():
         for found in values_of(name):
@@ -530,24 +527,24 @@ def _raise_if_values_differ(
 
 
 def _collect_checked_rows(kind: type[R], required: Mapping[str, object], found: Iterable[R]) -> list[R]:
-    """Collect rows in a list; raise DamagedRow at one without the required values."""
+    """Collect rows in a list; raise DamagedRow at one without a ``required`` value (by column)."""
     rows = list(found)
     _raise_if_values_differ(kind, required, lambda name: (getattr(row, name) for row in rows))
     return rows
 
 
 def _has_set_key(table: sa.Table) -> bool:
-    """Return whether a table has rows of scheduled and of unscheduled sets; False for events."""
+    """Return whether a table has rows of sets, scheduled and unscheduled; False for events and others."""
     return table is not events and "unscheduled_index" in table.c
 
 
 def _list_key(table: sa.Table) -> list[sa.Column[int]]:
-    """List those columns of a table that form the key of a set; empty if it has none."""
+    """List those columns of a table that form a set's key, index first; empty if it has none."""
     return [table.c[name] for name in SetKey._fields if name in table.c]
 
 
 def _read_files_by_key(connection: sa.Connection, statement: sa.Select[int, int, str]) -> dict[SetKey, str]:
-    """Read the files of a query with the columns of `_FILES`, by set key in its order."""
+    """Run a query with the columns of `_FILES` and return the files by set key, in the order of its rows."""
     return {SetKey(*key): file for *key, file in connection.execute(statement)}
 
 
@@ -565,7 +562,7 @@ def _build_after_condition(
 
 
 def store_command(connection: sa.Connection, row: CommandRow) -> int:
-    """Store a command under the next id and return it; the caller holds the write lock."""
+    """Store a command under the next free id, not its own, and return it; the caller has the lock."""
     row = replace(
         row, id=int(connection.execute(sa.select(sa.func.max(commands.c.id))).scalar_one() or 0) + 1
     )
@@ -578,7 +575,10 @@ def _build_query(kind: type[Row], limit: int | None, filters: Filters) -> sa.Sel
 
 
 def _read_newest_rows(connection: sa.Connection, kind: type[OfSet]) -> dict[str, OfSet]:
-    """Read the scheduled row of the highest set index of each position in ``sets``, by position."""
+    """Read the newest scheduled row of each position in ``sets``, by position; of features only rows of sets.
+
+    Raises DamagedRow at a corrupt row or index.
+    """
     required = _find_required(kind, {"scope": "set"})
     newest = read_rows(connection, kind, _build_newest_query(TABLES[kind]))
     return {row.position: row for row in _collect_checked_rows(kind, required, newest)}
@@ -588,7 +588,7 @@ def _read_newest_rows(connection: sa.Connection, kind: type[OfSet]) -> dict[str,
 
 
 def _build_positions_query() -> sa.CTE:
-    """Build the recursive query for the positions that have a row in ``sets``, and a final NULL."""
+    """Build the recursive query for the names of positions in ``sets``, in order, with a final NULL."""
     # One index step finds the next name, independent of the number of sets.
     first = sa.select(sa.func.min(sets.c.position).label("position")).cte("places", recursive=True)
     following = sa.select(sa.func.min(sets.c.position)).where(sets.c.position > first.c.position)
@@ -597,7 +597,7 @@ def _build_positions_query() -> sa.CTE:
 
 @cache
 def _build_newest_query(table: sa.Table) -> sa.Select[Any]:
-    """Build the query for the newest scheduled row of each position; of features, that of a set."""
+    """Build the cached query for the newest scheduled row of each position; of features, that of a set."""
     names, of_position = _build_positions_query(), table.alias("of_place")
     newest = sa.select(of_position.c.id).where(
         of_position.c.position == names.c.position, is_scheduled(of_position)
@@ -610,7 +610,7 @@ def _build_newest_query(table: sa.Table) -> sa.Select[Any]:
 
 @cache
 def _build_last_index_query() -> sa.Select[Any]:
-    """Build the query for the highest index of a scheduled set; its result is NULL without one."""
+    """Build the cached query for the highest index of a scheduled set; its result is NULL without one."""
     names = _build_positions_query()
     newest = sa.select(sa.func.max(sets.c.set_index)).where(
         sets.c.position == names.c.position, is_scheduled(sets)
@@ -623,7 +623,7 @@ _FILES = sa.select(sets.c.set_index, sets.c.unscheduled_index, sets.c.file)
 
 @cache
 def _build_unscheduled_query() -> sa.Select[int, int, str]:
-    """Build the query for the files of unscheduled sets, in the order of their keys."""
+    """Build the cached query for the files of unscheduled sets that have one, in the order of their keys."""
     unscheduled = _CONDITIONS["purpose"](sets, "confirmation")
     return _FILES.where(unscheduled, sets.c.file.is_not(None)).order_by(*_list_key(sets))
 
@@ -639,7 +639,10 @@ def _build_newest_files_query(n_rows: int) -> sa.Select[int, int, str]:
 
 @cache
 def _build_newest_gaps_query(count: int) -> sa.Select[Any]:
-    """Build the query for the newest ``count`` missed and partial scheduled sets of each position."""
+    """Build the cached query for the newest ``count`` missed and the newest ``count`` partial scheduled sets.
+
+    It selects so many of each position, in no order.
+    """
     names, of_position = _build_positions_query(), sets.alias("of_place")
     states = sa.union_all(*(sa.select(sa.literal(state).label("state")) for state in GAP_STATES)).cte(
         "states"

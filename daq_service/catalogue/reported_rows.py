@@ -49,12 +49,15 @@ _SETS_AT_ONCE = 500
 
 
 def to_payload(row: Row) -> Payload:
-    """Convert a row of a set to the payload of its event: its columns without id and digest of the file."""
+    """Convert a row of a set to its event's payload: its columns without id, ``file_sha256`` as None."""
     return _to_payload_columns(as_dict(row))
 
 
 def _to_payload_columns(columns: Payload) -> Payload:
-    """Remove the id and clear the digest of the file in a row's columns, in place; return them."""
+    """Remove the id from a row's columns and set an existing ``file_sha256`` to None, both in place.
+
+    Returns the same dictionary.
+    """
     columns.pop("id")
     if "file_sha256" in columns:  # it comes when the file is made, which differs between two runs of one test
         columns["file_sha256"] = None
@@ -62,12 +65,12 @@ def _to_payload_columns(columns: Payload) -> Payload:
 
 
 def lacks_row(event: EventRow) -> bool:
-    """Return whether an event is stored without payload because it reports a stored row."""
+    """Return whether an event is stored without payload because it reports a row that is stored elsewhere."""
     return not event.payload and event.kind in ROW_OF_EVENT
 
 
 def strip_payloads(reports: Iterable[EventRow], rows: Iterable[Row]) -> list[EventRow]:
-    """Return the events as they are stored: without payloads that repeat one of the rows.
+    """Return the events as they are stored: with an empty payload where it repeats one of the rows.
 
     A row of a collecting baseline may change, so its event keeps the payload.
     """
@@ -81,7 +84,10 @@ def strip_payloads(reports: Iterable[EventRow], rows: Iterable[Row]) -> list[Eve
 
 
 def join_rows(reports: Iterable[R], payloads: Mapping[Key, Payload]) -> list[R]:
-    """Return the events with the payloads of the rows that they report, by key; other rows are unchanged."""
+    """Return the events with the payloads of the rows that they report, in order.
+
+    ``payloads`` has them by row key; events whose row it lacks, and other kinds of rows, are unchanged.
+    """
     return [
         replace(event, payload=payloads[_build_event_key(event)])
         if isinstance(event, EventRow) and lacks_row(event) and _build_event_key(event) in payloads
@@ -91,12 +97,14 @@ def join_rows(reports: Iterable[R], payloads: Mapping[Key, Payload]) -> list[R]:
 
 
 def to_payloads(rows: Iterable[Row]) -> dict[Key, Payload]:
-    """Build the payloads of events from rows, by the keys of the rows; rows of single shots are omitted."""
+    """Build event payloads from rows of sets, by the key of each row; rows of single shots are omitted."""
     return {_build_row_key(row): to_payload(row) for row in rows if getattr(row, "shot_index", None) is None}
 
 
 def join_reported_rows(connection: sa.Connection, reports: list[R]) -> list[R]:
     """Read the rows that events report and add them as payloads; keep the order and other kinds of rows.
+
+    Returns the given list itself if no event lacks its row. Rows of 500 sets are read at a time.
 
     Raises
     ------
@@ -126,14 +134,14 @@ def join_reported_rows(connection: sa.Connection, reports: list[R]) -> list[R]:
 
 
 def select_rows(kind: type[Row]) -> sa.Select[Any]:
-    """Build the query for all rows of a kind that events report; of features, only those of sets."""
+    """Build the query for all rows of a kind; of features, only rows of sets, which alone events report."""
     table = TABLES[kind]
     statement = sa.select(table)
     return statement.where(table.c.shot_index.is_(None)) if kind is FeatureRow else statement
 
 
 def _build_some_rows_query(kind: type[Row]) -> sa.Select[Any]:
-    """Build the query for rows by parameters ``indices`` and ``positions``, which finds each in an index."""
+    """Build the query for rows of sets by parameters ``indices`` and (if in the table) ``positions``."""
     table = TABLES[kind]
     statement = select_rows(kind).where(table.c.set_index.in_(sa.bindparam("indices", expanding=True)))
     if "position" in table.c:
@@ -145,7 +153,7 @@ _OF_SOME_SETS = {kind: _build_some_rows_query(kind) for kind in ROW_OF_EVENT.val
 
 
 def find_events_without_row(connection: sa.Connection) -> Iterator[tuple[int, str]]:
-    """Yield id and description of each event without payload whose row is missing."""
+    """Yield id and description of each event without payload whose row is missing, kind by kind."""
     for event_kind, kind in ROW_OF_EVENT.items():
         table = TABLES[kind]
         names = [name for name in ("position", *SetKey._fields) if name in table.c]
@@ -164,7 +172,7 @@ def _describe_lost_row(event_id: int | None, kind: type[Row]) -> str:
 
 
 def _is_payload_of_row(payload: Payload, columns: Payload) -> bool:
-    """Return whether a row has all values of a payload; an earlier version had fewer columns."""
+    """Return whether a row has all values of a payload, as stored; that of an earlier version has fewer."""
     part = {name: columns[name] for name in payload if name in columns}
     return part == payload or _to_stored_form(part) == _to_stored_form(payload)
 
@@ -175,7 +183,7 @@ def _to_stored_form(payload: Payload) -> object:
 
 
 def _build_event_key(event: EventRow) -> Key:
-    """Build the key of the row that an event reports: kind, position and set.
+    """Build the key of the row that an event reports: kind of row, position and key of the set.
 
     Of an event that reports no row, the kind is `EventRow`.
     """
@@ -183,5 +191,5 @@ def _build_event_key(event: EventRow) -> Key:
 
 
 def _build_row_key(row: Any) -> Key:
-    """Build the key of a row, as `_build_event_key` does for its event."""
+    """Build the key of a row of a set, equal to that of `_build_event_key` for the event that reports it."""
     return type(row), getattr(row, "position", None), getattr(row, "set_key", SetKey(row.set_index))

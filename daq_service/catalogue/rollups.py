@@ -98,7 +98,7 @@ class Blocks:
     end: int
 
     def key(self, first: int) -> str:
-        """Return the key of the block that starts with set ``first``; keys sort in the order of the sets."""
+        """Return the key of the block that starts with set ``first``; keys of a width sort by set."""
         # Numbers of equal length: so keys sort in the order of the sets.
         return f"{self.place.position}/{self.rollup.name}/{self.width:010d}/{first:010d}"
 
@@ -109,7 +109,10 @@ def list_bin_value_names(kind: Kind) -> tuple[str, ...]:
 
 
 def build_set_filter(kind: type[Row], position: object, first: object, last: object) -> ColumnElement[bool]:
-    """Build the condition for rows of scheduled sets of a range, ends included; of features, rows of sets."""
+    """Build the condition for a position's rows of scheduled sets from ``first`` to ``last``, both included.
+
+    Of features, only rows of sets are selected, none of single shots.
+    """
     table = TABLES[kind]
     in_range = table.c.set_index.between(first, last)
     of_sets = (table.c.position == position) & in_range & is_scheduled(table)
@@ -136,7 +139,11 @@ _DELETE = compile_sql(delete(trend_blocks).where(_BLOCKS))
 
 
 def _read_rows(connection: Connection, kind: type[R], **of_range: object) -> Iterator[R]:
-    """Read the rows of a range of sets, by set index; raise DamagedRow at a row of a single shot."""
+    """Yield the rows of a range of scheduled sets by set index; raise DamagedRow at a corrupt one.
+
+    ``of_range`` gives ``of_position``, ``first`` and ``last`` (included). A row of a single shot is corrupt,
+    too.
+    """
     for row in read_rows(connection, kind, _OF_RANGE[kind], **of_range):
         if isinstance(row, FeatureRow) and row.shot_index is not None:
             raise DamagedRow(f"an index of table features is corrupt: it has shot {row.shot_index} as a set")
@@ -144,7 +151,10 @@ def _read_rows(connection: Connection, kind: type[R], **of_range: object) -> Ite
 
 
 def _compute_bins(connection: Connection, place: PositionRange, first: int, end: int) -> Pieces:
-    """Compute a bin for each set from ``first`` to ``end`` (excluded) from the stored rows."""
+    """Compute a bin for each scheduled set from ``first`` to ``end`` (excluded) from its stored rows.
+
+    Returns set indices and bins. Raises DamagedRow at a corrupt row.
+    """
     of_range = {"of_position": place.position, "first": first, "last": end - 1}
     set_rows = list(_read_rows(connection, SetRow, **of_range))
     results = {row.set_index: row for row in _read_rows(connection, place.kind, **of_range)}
@@ -177,7 +187,10 @@ def _compute_bins(connection: Connection, place: PositionRange, first: int, end:
 
 
 def _compute_fit_sums(connection: Connection, place: PositionRange, first: int, end: int) -> Pieces:
-    """Compute the sums for fits for each set from ``first`` to ``end`` (excluded) that has results."""
+    """Compute the sums for fits for each scheduled set from ``first`` to ``end`` (excluded) that has results.
+
+    Returns set indices and sums, shape (n_sets, n_values). Raises DamagedRow at a corrupt row.
+    """
     results = list(_read_rows(connection, place.kind, of_position=place.position, first=first, last=end - 1))
     names = MEASURED[place.kind]
     values = np.array([[getattr(row, name) for name in names] for row in results], dtype=np.float64)
@@ -186,7 +199,10 @@ def _compute_fit_sums(connection: Connection, place: PositionRange, first: int, 
 
 
 def _join_fit_sums(parts: NDArray[np.void], starts: NDArray[np.intp]) -> NDArray[np.void]:
-    """Combine the sums from each start to the next one, shape (len(starts), n_values)."""
+    """Combine the sums of sets, rows of ``parts``, from each start index to the next one.
+
+    The result has shape (len(starts), n_values).
+    """
     return np.stack([join_fit_parts(block_parts) for block_parts in np.split(parts, starts[1:])])
 
 
@@ -211,7 +227,10 @@ ROLLUPS = (CHARTS, FITS)
 
 
 def join_pieces(rollup: Rollup, pieces: Pieces, width: int) -> Pieces:
-    """Combine pieces to blocks of ``width`` sets, counted from set 0; sets without a piece are omitted."""
+    """Combine pieces (set index and content) to blocks of ``width`` sets, counted from set 0.
+
+    A block without a piece is omitted; the index of a block is that of its first set.
+    """
     index, content = pieces
     if not index.size:
         return pieces
@@ -230,7 +249,10 @@ def read_stored_blocks(connection: Connection, blocks: Blocks) -> list[tuple[str
 
 
 def read_stored_pieces(connection: Connection, blocks: Blocks) -> Pieces:
-    """Read stored blocks as pieces; below the finest width, compute a piece for each set from its rows."""
+    """Read stored blocks as pieces; below the finest width of the rollup, compute a piece for each set.
+
+    Raises DamagedRow at a corrupt block or row.
+    """
     rollup, place = blocks.rollup, blocks.place
     if blocks.width < rollup.finest:
         return rollup.of_sets(connection, place, blocks.first, blocks.end)
@@ -240,7 +262,10 @@ def read_stored_pieces(connection: Connection, blocks: Blocks) -> Pieces:
 
 
 def compute_blocks(connection: Connection, blocks: Blocks) -> list[TrendBlockRow]:
-    """Compute blocks from stored smaller ones, or from rows; blocks without a set are omitted."""
+    """Compute the blocks of a range from stored smaller ones, or from rows; blocks without a set are omitted.
+
+    Stores nothing. Raises DamagedRow at a corrupt block or row.
+    """
     pieces = read_stored_pieces(connection, replace(blocks, width=blocks.width // FACTOR))
     index, content = join_pieces(blocks.rollup, pieces, blocks.width)
     return [
@@ -250,7 +275,10 @@ def compute_blocks(connection: Connection, blocks: Blocks) -> list[TrendBlockRow
 
 
 def store_blocks(connection: Connection, blocks: Blocks) -> None:
-    """Compute the blocks of a range and replace the stored ones, in the caller's transaction."""
+    """Compute the blocks of a range and replace the stored ones, in the caller's transaction.
+
+    Raises DamagedRow at a corrupt block or row, before anything is replaced.
+    """
     rows = compute_blocks(connection, blocks)
     _DELETE.execute(connection, first=blocks.key(blocks.first), end=blocks.key(blocks.end))
     insert_rows(connection, rows)
@@ -265,7 +293,7 @@ _NEWEST = compile_sql(
 
 
 def find_position_range(connection: Connection, position: str) -> PositionRange | None:
-    """Find kind of rows and end of a position's scheduled sets; None without sets."""
+    """Find the kind of a position's results and the index after its last scheduled set; None without sets."""
     found = _NEWEST.execute(connection, of_position=position).fetchone()
     if found is None:
         return None
@@ -277,7 +305,7 @@ def find_position_range(connection: Connection, position: str) -> PositionRange 
 
 
 def find_last_sets(connection: Connection, positions: Iterable[str]) -> dict[str, int]:
-    """Find the index of the newest scheduled set of each position that has one."""
+    """Find the index of the newest scheduled set of each position; omit positions without one."""
     places = (find_position_range(connection, position) for position in positions)
     return {place.position: place.end - 1 for place in places if place is not None}
 

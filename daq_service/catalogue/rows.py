@@ -346,7 +346,7 @@ class EventRow(Row):
 
     @property
     def set_key(self) -> SetKey | None:
-        """Return the key of its set; None without one."""
+        """Return the key of the set that the event is about; None without one."""
         return None if self.set_index is None else SetKey(self.set_index, self.unscheduled_index)
 
 
@@ -429,7 +429,7 @@ class Column:
 
     @property
     def published_name(self) -> str:
-        """Return the name in answers and tables, where ``_utc_ns`` is RFC 3339 text and becomes ``_utc``."""
+        """Return the name in the API and in tables: ``_utc_ns`` becomes ``_utc``, whose values are text."""
         is_time = self.name == "utc_ns" or self.name.endswith("_utc_ns")
         return self.name.removesuffix("_ns") if is_time else self.name
 
@@ -446,5 +446,5 @@ def list_columns(kind: type[object]) -> tuple[Column, ...]:
 
 
 def as_dict(row: Row) -> dict[str, Any]:
-    """Convert a row to a dictionary of its columns, in order; nested values are not copied."""
+    """Convert a row to a new dictionary of its columns, in order; nested values are not copied."""
     return {name: getattr(row, name) for name in row.__slots__}

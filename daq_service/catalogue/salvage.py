@@ -34,14 +34,16 @@ class Salvaged:
 
 
 def read_sound_rows(folder: Path) -> Salvaged:
-    """Read every sound row that cannot be recomputed; empty if there is no catalogue.
+    """Read every sound row of a catalogue of the current schema that cannot be recomputed.
 
-    Corrupt rows are listed in ``damage``, not raised.
+    Empty if there is no catalogue. Corrupt rows are listed in ``damage``, not raised.
 
     Raises
     ------
+    SchemaVersionError
+        It is an older one, which the recorder migrates.
     CatalogueError
-        It cannot be opened, or is an older one, which the recorder migrates.
+        It cannot be opened.
     """
     path, salvaged_rows = folder / FILE_NAME, Salvaged()
     if not path.is_file():
@@ -77,9 +79,9 @@ def read_sound_rows(folder: Path) -> Salvaged:
 
 
 def _yield_rows(connection: Connection, kind: type[R], report: Callable[[str], None]) -> Iterator[R]:
-    """Yield the rows that match their checksum; report the others and go on.
+    """Yield the rows that match their checksum, by primary key; ``report`` the error of each other one.
 
-    At a corrupt page the table is read again from its end, so a row may come twice.
+    At a corrupt page the table is read again from its end, so a row may come twice. Errors are not raised.
     """
     table = TABLES[kind]
     key = table.primary_key.columns[0]

@@ -82,7 +82,7 @@ def open_for_command(folder: Path) -> RecorderCatalogue:
     Raises
     ------
     NoDataYetError, SchemaVersionError, CatalogueError
-        As `open_catalogue` for a reader; or it cannot be written.
+        As `open_catalogue` for a reader. A file that cannot be written fails only at the command.
     """
     path = folder / FILE_NAME
     _open_reader(path).close()  # raises the error of an invalid one
@@ -90,7 +90,10 @@ def open_for_command(folder: Path) -> RecorderCatalogue:
 
 
 def open_temporary(folder: Path) -> RecorderCatalogue:
-    """Create a catalogue with the current schema in a temporary folder; nothing is synced to disk."""
+    """Create a catalogue with the current schema in a temporary folder; nothing is synced to disk.
+
+    Raises CatalogueError if it cannot be created. The caller closes it.
+    """
     path = folder / FILE_NAME
     engine = create_sqlite_engine(path, writable=True, durable=False)
     with translate_errors(path, "making"):
@@ -99,7 +102,7 @@ def open_temporary(folder: Path) -> RecorderCatalogue:
 
 
 def _raise_if_network_folder(folder: Path) -> None:
-    """Raise NetworkFolderError if a folder is on a network file system."""
+    """Raise NetworkFolderError if a folder is on a network file system; a folder of unknown type passes."""
     kind = find_network_type(folder)
     if kind is not None:
         raise NetworkFolderError(
@@ -109,14 +112,16 @@ def _raise_if_network_folder(folder: Path) -> None:
 
 
 def check_owner(settings: Settings, folder: Path) -> None:
-    """Raise an error if a folder's test differs from the settings, also of an older revision; write nothing.
+    """Raise an error if a folder's test differs from the settings, also in an older revision; write nothing.
 
     Raises
     ------
+    NetworkFolderError
+        The folder is on a network file system.
     OtherExperimentError
          Its configuration, extractor or twin differs; contains both values and the remedy.
     CatalogueDamagedError
-        The catalogue is damaged, or it is lost and the file that names the experiment is.
+        The catalogue is damaged; or it is lost and ``experiment.json`` is damaged.
     SchemaVersionError
         A newer version of solimon made the catalogue.
     """
@@ -140,9 +145,9 @@ def check_owner(settings: Settings, folder: Path) -> None:
 
 
 def _open_writer(path: Path, settings: Settings | None) -> RecorderCatalogue:
-    """Open the catalogue for the recorder; create, check or migrate it. Raises as `open_catalogue`.
+    """Open the catalogue for the recorder; create, check or migrate it first.
 
-    A file of the current revision up to 64 MB is checked completely.
+    A file of the current revision up to 64 MB is checked completely. Raises as `open_catalogue`.
     """
     engine = create_sqlite_engine(path, writable=True)
     try:
@@ -162,7 +167,7 @@ def _open_writer(path: Path, settings: Settings | None) -> RecorderCatalogue:
 
 
 def _open_reader(path: Path) -> Catalogue:
-    """Open a catalogue for reading; raise NoDataYetError before the test starts.
+    """Open a catalogue for reading; raise NoDataYetError if there is none or its test has not started.
 
     Raises SchemaVersionError for another revision, CatalogueError for a file that cannot be read.
     """
@@ -194,7 +199,7 @@ def _create_schema_error(path: Path, revision: str) -> SchemaVersionError:
 
 
 def read_revision(engine: Engine) -> str | None:
-    """Read the four-digit revision of the file's schema; None if the file is empty."""
+    """Read the four-digit revision of the file's schema, None if it has none; errors of SQL pass through."""
     with engine.begin() as connection:
         if not inspect(connection).has_table("alembic_version"):
             return None

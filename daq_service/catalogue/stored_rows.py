@@ -52,7 +52,7 @@ _PYTHON_TYPES = {JSON: dict, Boolean: bool, LargeBinary: bytes, Float: float, In
 
 
 def _find_type(column: ColumnElement[Any]) -> type:
-    """Return the Python type of a column; ``dict`` for any JSON. StopIteration for an unknown SQL type."""
+    """Return the Python type of a column: ``dict`` for any JSON; StopIteration for an unknown SQL type."""
     return next(of_type for sql, of_type in _PYTHON_TYPES.items() if isinstance(column.type, sql))
 
 
@@ -91,21 +91,27 @@ class Prepared:
     """Name and value of each parameter; a missing value is None."""
 
     def execute(self, connection: Connection, **given: object) -> sqlite3.Cursor:
-        """Execute the statement in the connection's transaction; missing parameters take their default."""
+        """Execute the statement in the connection's transaction; omitted parameters take their default.
+
+        Raises sqlite3.Error.
+        """
         return find_driver(connection).execute(
             self.text, [given.get(name, value) for name, value in self.parameters]
         )
 
 
 def compile_sql(statement: CompilerElement, column_keys: Sequence[str] | None = None) -> Prepared:
-    """Compile a statement that is executed often to the SQL text and parameter order of the SQLite driver."""
+    """Compile a statement that is executed often to the SQL text and parameter order of the SQLite driver.
+
+    ``column_keys`` limits an INSERT or UPDATE to these columns.
+    """
     compiled = statement.compile(dialect=_DIALECT, column_keys=column_keys)
     names = compiled.positiontup or []  # type: ignore[attr-defined] # of the compiler of SQL
     return Prepared(str(compiled), tuple((name, compiled.params.get(name)) for name in names))
 
 
 def find_driver(connection: Connection) -> sqlite3.Connection:
-    """Return the SQLite connection below an SQLAlchemy connection, in the same transaction."""
+    """Return the SQLite connection of the driver below an SQLAlchemy connection, in the same transaction."""
     return connection.connection.driver_connection  # type: ignore[return-value] # the engine is SQLite's
 
 
@@ -124,12 +130,12 @@ _NEWEST_ID = {
 
 
 def compute_row_crc32(row: Row) -> int:
-    """Compute the CRC-32 of a row, the same before it is stored and after it is read."""
+    """Compute the CRC-32 of a row's columns, the same before it is stored and after it is read."""
     return int(_to_driver_values(row)[-1])
 
 
 def _to_driver_values(row: Row, new_id: int | None = None) -> list[Any]:
-    """Convert a row to driver values, the checksum last: NaN and infinities become NULL.
+    """Convert a row to driver values in column order, the checksum last; NaN and infinities become None.
 
     ``new_id`` replaces a missing id.
     """
@@ -160,7 +166,7 @@ def _to_driver_values(row: Row, new_id: int | None = None) -> list[Any]:
 
 
 def _compute_columns_crc32(columns: dict[str, object]) -> int:
-    """Compute the CRC-32 of columns that are not None, as JSON; remove unscheduled indices of 0 from them."""
+    """Compute the CRC-32 of not-None columns as JSON; delete unscheduled indices of 0 from ``columns``."""
     for name in _SCHEDULED:
         if columns.get(name) == 0:
             del columns[name]
@@ -170,7 +176,8 @@ def _compute_columns_crc32(columns: dict[str, object]) -> int:
 def insert_rows(connection: Connection, rows: Sequence[Row]) -> list[int]:
     """Insert rows of one kind and return their ids (first columns); the caller holds the write lock.
 
-    A row without an id gets the next one here, since the checksum covers it.
+    A row without an id gets the next one here, since the checksum covers it. Raises sqlite3.IntegrityError if
+    a key exists or a referenced row is missing.
     """
     if not rows:
         return []
@@ -188,18 +195,18 @@ def insert_rows(connection: Connection, rows: Sequence[Row]) -> list[int]:
 
 
 def replace_row(connection: Connection, row: Row) -> bool:
-    """Replace the stored row with the same primary key; return False if there is none."""
+    """Replace the stored row with the same primary key; return False, changing nothing, if there is none."""
     row_id, *stored = _to_driver_values(row)
     return find_driver(connection).execute(_UPDATE[type(row)].text, [*stored, row_id]).rowcount == 1
 
 
 def _build_row(kind: type[R], stored: Sequence[Any]) -> R:
-    """Build the dataclass of a row from stored values in the order of its columns, without any check."""
+    """Build a row's dataclass from stored values in column order, the checksum ignored, without any check."""
     return kind(**dict(zip(kind.__slots__, stored, strict=False)))  # the checksum is no part of it
 
 
 def _check_checksum(kind: type[Row], stored: Sequence[Any]) -> None:
-    """Raise DamagedRow if stored values, the checksum last, do not match it or cannot be encoded."""
+    """Raise DamagedRow if stored values differ from the checksum, their last one, or cannot be encoded."""
     columns = {name: value for name, value in zip(kind.__slots__, stored, strict=False) if value is not None}
     try:
         for name in _BYTES[kind]:
@@ -232,7 +239,7 @@ def to_checked_row(kind: type[R], stored: Sequence[Any]) -> R:
 def read_rows(
     connection: Connection, kind: type[R], statement: Select[Any] | Prepared, **given: object
 ) -> Iterator[R]:
-    """Iterate over the complete rows of a query, each compared with its checksum.
+    """Read the complete rows of a query one after the other, each compared with its checksum.
 
     Parameters
     ----------
@@ -262,7 +269,10 @@ def read_values(
 def _execute_query(
     connection: Connection, kind: type[Row], statement: Select[Any] | Prepared, given: dict[str, object]
 ) -> Iterator[Sequence[Any]]:
-    """Execute a query and yield the values of its rows, with JSON and booleans converted."""
+    """Execute a query and yield the values of its rows, with JSON and booleans converted.
+
+    ``given`` holds the values of its parameters. Raises ValueError or TypeError at a value that is no JSON.
+    """
     if isinstance(statement, Select):
         result = connection.execute(statement, given, execution_options={"yield_per": _ROWS_AT_ONCE})
         for rows in result.partitions():
@@ -280,20 +290,21 @@ def _execute_query(
 
 
 def to_json_text(value: object) -> str:
-    """Serialize a column's value as JSON: NumPy numbers are accepted, NaN and infinities become null."""
+    """Serialize a value as JSON text: NumPy numbers are accepted, NaN and infinities become null."""
     return orjson.dumps(value, option=orjson.OPT_SERIALIZE_NUMPY).decode()
 
 
 def configure_transactions(engine: Engine) -> None:
     """Make an engine start its transactions with BEGIN, those of `begin_write` with BEGIN IMMEDIATE.
 
-    A writer waits up to 5 s for the lock; for 60 s after a timeout it does not wait at all.
+    A writer blocks up to 5 s for the lock, then OperationalError; for 60 s after that it does not wait at
+    all.
     """
     timed_out_s = -math.inf
 
     @event.listens_for(engine, "begin")
     def _begin_transaction(connection: Connection) -> None:
-        """Begin a transaction; a writer waits for the write lock, or raises OperationalError."""
+        """Begin a transaction; a writer waits up to 5 s for the lock, then raises OperationalError."""
         nonlocal timed_out_s
         if not connection.get_execution_options().get(_WRITES, False):
             find_driver(connection).execute("BEGIN")
@@ -311,7 +322,10 @@ def configure_transactions(engine: Engine) -> None:
 
 @contextmanager
 def begin_write(engine: Engine) -> Iterator[Connection]:
-    """Open a transaction that holds the write lock from its start; roll it back if the block raises."""
+    """Open a transaction that holds the write lock from its start; roll it back if the block raises.
+
+    Raises OperationalError if the lock is not free in time (`configure_transactions`).
+    """
     with engine.execution_options(**{_WRITES: True}).begin() as connection:
         yield connection
 

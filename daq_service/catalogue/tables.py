@@ -49,9 +49,10 @@ def _create_table(
     autoincrement: bool = False,
     **additions: sa.ForeignKey | sa.DefaultClause,
 ) -> sa.Table:
-    """Create the table of a kind of row, with its checksum as last column, and add it to `TABLES`.
+    """Create the table of a kind of row, with its checksum as last column, add it to `TABLES` and return it.
 
-    ``additions`` adds foreign keys and defaults to columns by name.
+    The first column is the primary key. ``additions`` adds foreign keys and defaults to columns by name;
+    ``autoincrement`` never uses an id again.
     """
     columns = [
         sa.Column(
@@ -70,7 +71,7 @@ def _create_table(
 
 
 def _choose_sql_type(column: rows.Column) -> TypeEngine[Any]:
-    """Choose the SQL type of a column by name and type; KeyError if there is none for its type."""
+    """Choose the SQL type of a column by its name, else by its type; KeyError for a type without one."""
     if column.name.endswith(_BIG_INTEGERS):
         return sa.BigInteger()
     if column.name == "configuration_hash":
@@ -81,12 +82,12 @@ def _choose_sql_type(column: rows.Column) -> TypeEngine[Any]:
 
 
 def _make_unique(table: str, *names: str) -> sa.UniqueConstraint:
-    """Create a unique constraint of columns, named after the first three."""
+    """Create the unique constraint ``uq_<table>_<names>``, named after its first three columns."""
     return sa.UniqueConstraint(*names, name=f"uq_{table}_{'_'.join(names[:3])}")
 
 
 def _add_index(table: sa.Table, *names: str) -> None:
-    """Add an index of columns to a table, named after all of them."""
+    """Add the index ``ix_<table>_<names>`` of columns, named after all of them, to a table."""
     sa.Index(f"ix_{table.name}_{'_'.join(names)}", *(table.c[name] for name in names))
 
 

@@ -36,7 +36,7 @@ _NO_POINTS: np.void = np.zeros(1, PART)[0]
 
 
 def _iterate_all_blocks(connection: Connection) -> Iterator[Blocks]:
-    """Yield the complete blocks of all positions and rollups in ranges, smaller blocks first."""
+    """Yield the complete blocks of all positions and rollups, in ranges of one width, smaller ones first."""
     for position in connection.execute(select(sets.c.position).distinct()).scalars().all():
         place = find_position_range(connection, position)
         assert place is not None
@@ -49,14 +49,17 @@ def _iterate_all_blocks(connection: Connection) -> Iterator[Blocks]:
 
 
 def rebuild_trends(connection: Connection) -> None:
-    """Delete all blocks and recompute them, in the caller's transaction; DamagedRow at a corrupt row."""
+    """Delete all blocks and recompute them in the caller's transaction; raise DamagedRow at a corrupt row."""
     connection.execute(delete(trend_blocks))
     for blocks in _iterate_all_blocks(connection):
         store_blocks(connection, blocks)
 
 
 def find_trend_differences(connection: Connection) -> Iterator[str]:
-    """Yield a message for each stored block that differs from its rows, and one if a block is stray."""
+    """Yield a message for each trend block that differs from its sets' rows, lacks, or is too many.
+
+    A count of stored blocks that is wrong yields one more. Raises DamagedRow at a corrupt row.
+    """
     n_expected = 0
     for blocks in _iterate_all_blocks(connection):
         expected = {row.place: row.block for row in compute_blocks(connection, blocks)}
@@ -76,7 +79,10 @@ def find_trend_differences(connection: Connection) -> Iterator[str]:
 def _read_covering_pieces(
     connection: Connection, rollup: Rollup, place: PositionRange, first: int, end: int, widest: int
 ) -> Pieces:
-    """Read pieces that cover a range exactly: stored blocks, smaller ones and single sets at the ends."""
+    """Read pieces that cover sets ``first`` to ``end`` (excluded) exactly, in order: blocks and single sets.
+
+    No block is larger than ``widest`` sets. Raises DamagedRow at a corrupt row.
+    """
     parts = [
         read_stored_pieces(connection, Blocks(rollup=rollup, place=place, width=width, first=start, end=stop))
         for width, start, stop in split_range_into_blocks(first, end, level_widths(rollup.finest, widest))
@@ -86,9 +92,9 @@ def _read_covering_pieces(
 
 
 def _find_set_range(connection: Connection, position: str, hours: tuple[float | None, float | None]) -> Any:
-    """Find position and range (``end`` excluded) of the sets due from hour to hour, both included.
+    """Find the range of a position's scheduled sets due between two hours, both included (None: no limit).
 
-    A None as hour is no limit; the result is None if there are no such sets.
+    Returns position range, first set and the set after the last; None if there are no such sets.
     """
     place = find_position_range(connection, position)
     if place is None:
@@ -113,20 +119,25 @@ def read_trend_bins(
     points: int,
     most_bins: int,
 ) -> tuple[int, NDArray[np.void]] | None:
-    """Read the bins over the sets of a position due between two hours, inclusive (None: any).
+    """Read the bins over the sets of a position due between two hours, both included (None: no limit).
 
     Parameters
     ----------
     points
-         Maximum number of sets for which no bins are needed.
+         Maximum number of measured sets for which no bins are needed.
     most_bins
          Maximum number of bins.
 
     Returns
     -------
     tuple or None
-        Sets of a bin, and the bins (`build_bin_dtype` of `list_bin_value_names`); None: at most ``points``
-        sets were measured.
+        Number of sets per bin, and the bins in order (`build_bin_dtype` of `list_bin_value_names`), without
+        empty ones; None: at most ``points`` sets were measured.
+
+    Raises
+    ------
+    CatalogueDamagedError
+        A row or block is corrupt.
     """
     with catalogue.open_snapshot() as connection:
         position_range = _find_set_range(connection, position, (first_h, last_h))
@@ -142,10 +153,10 @@ def read_trend_bins(
 def compute_trend_part(
     catalogue: Catalogue, position: str, value: str, *, first_h: float | None, last_h: float | None
 ) -> np.void:
-    """Compute the sums (`PART`) of a measured value over sets due between two hours, for a fit.
+    """Compute the sums (`PART`) of a measured value over sets due between two hours, for a straight-line fit.
 
     Both hours are included, None is no limit. Without sets the sums are those of no points. Raises ValueError
-    if the position's method does not measure ``value``.
+    if the position's method does not measure ``value``, CatalogueDamagedError at a corrupt row.
     """
     with catalogue.open_snapshot() as connection:
         position_range = _find_set_range(connection, position, (first_h, last_h))
@@ -159,7 +170,7 @@ def compute_trend_part(
 
 
 def _count_sets(connection: Connection, place: PositionRange, first: int, end: int, *, limit: int) -> int:
-    """Count the measured sets of a range (``end`` excluded), but at most ``limit``."""
+    """Count the measured scheduled sets from ``first`` to ``end`` (excluded); stop counting at ``limit``."""
     table = TABLES[place.kind]
     in_range = build_set_filter(place.kind, place.position, first, end - 1)
     statement = select(table.c.set_index).where(in_range)

@@ -48,6 +48,7 @@ class UnchangedCatalogue:
     """
 
     def __init__(self, folder: Path) -> None:
+        """Open the catalogue of a folder for reading; raise NoDataYetError if there is none."""
         self._path = folder / FILE_NAME
         if not self._path.is_file():
             raise NoDataYetError(f"{self._path}: there is no catalogue")
@@ -55,13 +56,18 @@ class UnchangedCatalogue:
         self._connect()
 
     def __enter__(self) -> Self:
+        """Return the catalogue itself."""
         return self
 
     def __exit__(self, *_: object) -> None:
+        """Close the connection and delete the copy of the file, if there is one."""
         self._stack.close()
 
     def _connect(self) -> None:
-        """Open an idle file as immutable, one in use read-only, or a copy of an idle file and its log."""
+        """Connect to the file: immutable if idle, read-only if in use, to a copy if a log is left.
+
+        Closes the earlier connection and deletes its copy. Raises OSError if the file cannot be copied.
+        """
         self._stack.close()
         path, log = self._path, self._build_companion_path("-wal")
         self._shared = self._build_companion_path("-shm").exists()
@@ -77,13 +83,13 @@ class UnchangedCatalogue:
         self._connection.row_factory = sqlite3.Row
 
     def _build_companion_path(self, suffix: str) -> Path:
-        """Return the path of SQLite's log (``-wal``) or index (``-shm``), which may be missing."""
+        """Return the path of SQLite's log (``-wal``) or index (``-shm``) of the file; it may be missing."""
         return self._path.with_name(f"{FILE_NAME}{suffix}")
 
     def _run_query(self, sql: str, *values: Any) -> list[dict[str, Any]]:
-        """Run a query and return its rows; connect again if a recorder has started.
+        """Run a query with ``values`` for its marks and return its rows as dictionaries.
 
-        Raises CatalogueDamagedError if the file cannot be read.
+        Connects again if a recorder has started. Raises CatalogueDamagedError if the file cannot be read.
         """
         if not self._shared and self._build_companion_path("-shm").exists():
             self._connect()  # a recorder has started: from now on the file changes
@@ -130,14 +136,15 @@ class UnchangedCatalogue:
         return corruption
 
     def copy_to(self, target: Path) -> None:
-        """Copy one state of the catalogue, complete and without log files.
+        """Copy one state of the catalogue, complete and without log files, to ``target``, which is replaced.
 
-         A reader of the copy creates none either, and a concurrent writer does not wait.
+        A reader of the copy creates no log files either, and a concurrent writer does not wait. After an
+        error no copy is left.
 
         Raises
         ------
         CatalogueDamagedError
-             The copy is corrupt.
+             The copy is corrupt, or the catalogue cannot be read.
         CatalogueWriteError
              The disk refuses.
         """
@@ -168,25 +175,28 @@ class UnchangedCatalogue:
             raise CatalogueDamagedError(f"{self._path} is damaged: {results[0]}; solimon verify says more")
 
     def n_rows(self) -> int:
-        """Count the rows of all tables, of SQLite's own tables none."""
+        """Count the rows of all tables except SQLite's own; CatalogueDamagedError if unreadable."""
         return sum(self._read_values(f'SELECT count(*) FROM "{table}"')[0] for table in self._list_tables())
 
     def _list_tables(self) -> list[str]:
-        """List the names of the tables in the file, without those of SQLite."""
+        """List the names of the tables in the file, without SQLite's own.
+
+        Raises CatalogueDamagedError if the file is unreadable.
+        """
         return self._read_values(
             "SELECT name FROM sqlite_master WHERE type = 'table' AND name NOT LIKE 'sqlite_%'"
         )
 
     def experiment(self) -> dict[str, Any] | None:
-        """Read the row of the experiment with current names; None if it has not started."""
+        """Read the row of the experiment with current column names; None if the test has not started."""
         return next(iter(self._read_rows("experiment", "")), None)
 
     def read_events_after(self, last_id: int) -> list[dict[str, Any]]:
-        """Read id, stored kind and ``wall_utc_ns`` of the events after an id, in order."""
+        """Read id, kind (as stored) and ``wall_utc_ns`` of the events after an id, by id."""
         return self._run_query("SELECT id, kind, wall_utc_ns FROM events WHERE id > ? ORDER BY id", last_id)
 
     def has_event(self, event: EventRow) -> bool:
-        """Return whether an event of the history exists (id, time, kind); True if unreadable."""
+        """Return whether an event of the history is stored with its id, time and kind; True if unreadable."""
         statement = "SELECT kind FROM events WHERE id = ? AND wall_utc_ns = ?"
         try:
             rows = self._run_query(statement, event.id, event.wall_utc_ns)
@@ -195,18 +205,18 @@ class UnchangedCatalogue:
             return True
 
     def list_set_keys(self) -> set[SetKey]:
-        """List the sets that have rows; leave out values of other types, as corrupt pages may return them."""
+        """List the keys of the sets that have rows; leave out values that are no integers (corrupt pages)."""
         rows = self._run_query(f"SELECT DISTINCT {self._key_columns} FROM sets")
         return {_build_set_key(row) for row in rows if all(isinstance(value, int) for value in row.values())}
 
     def files(self) -> dict[SetKey, str]:
-        """List the distinct files of all rows by set key, in order; sets without a file are missing."""
+        """Return the file of each set that has one, by set key in order."""
         rows = self._run_query(f"SELECT DISTINCT {self._key_columns}, file FROM sets WHERE file IS NOT NULL")
         return dict(sorted((_build_set_key(row), row["file"]) for row in rows))
 
     @cached_property
     def _has_unscheduled_index(self) -> bool:
-        """Return whether unscheduled sets have their own column, as since revision 0016."""
+        """Return whether table ``sets`` has a column for unscheduled sets, as since revision 0016."""
         return "unscheduled_index" in self._read_values("SELECT name FROM pragma_table_info('sets')")
 
     @property
@@ -216,11 +226,14 @@ class UnchangedCatalogue:
 
     @cached_property
     def _positions(self) -> list[str]:
-        """Return the distinct positions that have sets."""
+        """Return the distinct positions that have sets; read once."""
         return self._read_values("SELECT DISTINCT position FROM sets")
 
     def of_set(self, table: str, set_key: SetKey) -> list[dict[str, Any]]:
-        """Read the rows of a set in a table that has a position and a set index; empty if none."""
+        """Read the rows of a set in a table with position and set index, with current names; empty if none.
+
+        Raises CatalogueDamagedError if the file is unreadable or has an unknown column.
+        """
         # Its indexes begin with the position.
         marks = ", ".join("?" * len(self._positions))
         where = f"WHERE position IN ({marks}) AND set_index = ?"
@@ -229,9 +242,10 @@ class UnchangedCatalogue:
         return self._read_rows(table, f"{where} AND unscheduled_index = ?", *self._positions, *set_key)
 
     def _read_rows(self, table: str, where: str, *values: Any) -> list[dict[str, Any]]:
-        """Read rows of a table with current column names; an earlier revision lacks some.
+        """Read rows of a table as dictionaries with current column names; an earlier revision lacks some.
 
-        ``where`` is an SQL clause or empty. Raises CatalogueDamagedError at an unknown column.
+        ``where`` is an SQL clause with ``values`` for its marks, or empty. Raises CatalogueDamagedError if
+        the file is unreadable or has an unknown column.
         """
         name = table if table in self._list_tables() else _EARLIER_TABLES.get(table, table)
         rows = [
@@ -243,7 +257,7 @@ class UnchangedCatalogue:
         return rows
 
     def list_stray_shots(self) -> list[int]:
-        """List the ids (`sequence`) of shots whose set has no row at their position."""
+        """List the ids (`sequence`) of shots without a row in ``sets`` of their set and position."""
         same = "sets.position = shots.position AND sets.set_index = shots.set_index"
         if self._has_unscheduled_index:
             same += " AND sets.unscheduled_index = shots.unscheduled_index"

@@ -101,19 +101,22 @@ class SetCommit:
     states: dict[str, AssessorStateRow] = field(default_factory=dict)
 
     def add_alarm(self, row: AlarmRow, event: EventRow) -> None:
-        """Add a new or changed alarm with its event, which contains the row."""
+        """Add a new or changed alarm with its event; the row's columns are added to the event's payload."""
         self.alarm_of_event[len(self.events)] = len(self.alarms)
         self.alarms.append(row)
         self.events.append(replace(event, payload=event.payload | build_event_payload(row, last="id")))
 
     def add_annotation(self, row: AnnotationRow, event: EventRow) -> None:
-        """Add a new or changed annotation with its event, which contains the row."""
+        """Add a new or changed annotation with its event, whose payload becomes the row's columns."""
         self.annotation_of_event[len(self.events)] = len(self.annotations)
         self.annotations.append(row)
         self.events.append(replace(event, payload=build_event_payload(row, last="id")))
 
     def add_baseline(self, row: BaselineRow, event: EventRow, *, last: str = "") -> None:
-        """Add a new or changed baseline with its event, which contains the row: ``last`` as last column."""
+        """Add a new or changed baseline with its event, whose payload becomes the row's columns.
+
+        Column ``last`` is the last of them (empty: as in the row).
+        """
         self.baselines.append(row)
         self.events.append(replace(event, payload=build_event_payload(row, last=last)))
 
@@ -137,7 +140,10 @@ class RecorderCatalogue(Catalogue):
 
     @contextmanager
     def _open_transaction(self, action: str) -> Iterator[Connection]:
-        """Open a write transaction; raise its errors as `CatalogueError`, with nothing stored."""
+        """Open a write transaction; an error inside rolls it back, one of SQL becomes `CatalogueError`.
+
+        ``action`` names the step in the message.
+        """
         with translate_errors(self._path, action), begin_write(self._engine) as connection:
             yield connection
 
@@ -154,12 +160,14 @@ class RecorderCatalogue(Catalogue):
         solimon_version: str,
         site: str | None = None,
     ) -> ExperimentRow:
-        """Store the experiment of this folder, or check the stored one, and return the stored row.
+        """Store the experiment of this folder with a new UUID, unless one is stored; return the stored row.
 
         Raises
         ------
         OtherExperimentError
-            The folder belongs to another configuration.
+            The stored experiment has another configuration hash.
+        CatalogueError
+            It cannot be written.
         """
         row = ExperimentRow(
             name=name,
@@ -184,7 +192,7 @@ class RecorderCatalogue(Catalogue):
         return stored
 
     def list_committed_sets(self, among: Collection[SetKey] | None = None) -> set[SetKey]:
-        """List the keys of the sets with stored rows, of all sets or of those in ``among``."""
+        """List the keys of the sets with stored rows, of all sets or (``among``) of the given ones."""
         statement = select(sets.c.set_index, sets.c.unscheduled_index).distinct()
         if among is not None:
             statement = statement.where(sets.c.set_index.in_(sorted({key.set_index for key in among})))
@@ -193,25 +201,27 @@ class RecorderCatalogue(Catalogue):
         return found if among is None else found & set(among)
 
     def find_last_end_utc_ns(self) -> int | None:
-        """Find the latest end of a set in ns of UTC; None before the first one with a record."""
+        """Find the latest end of a set in ns of UTC; None if no set has a record."""
         with self.open_snapshot() as connection:
             last: int | None = connection.execute(select(func.max(sets.c.ended_utc_ns))).scalar_one()
         return last
 
     def next_sequence(self) -> int:
-        """Return the sequence of the next shot, 1 in a new catalogue."""
+        """Return the sequence number for the next shot: the highest stored one plus 1, at first 1."""
         with self.open_snapshot() as connection:
             return int(connection.execute(select(func.max(shots.c.sequence))).scalar_one() or 0) + 1
 
     # A set
 
     def commit_set(self, commit: SetCommit) -> Committed:
-        """Store all rows of a commit in one transaction, with counts and trends; return the new ids.
+        """Store all rows of a commit in one transaction, update counts and trends, and return the new ids.
+
+        Rows of sets become `newest`, the rows of the set stored last.
 
         Raises
         ------
         CatalogueError
-            Nothing was stored.
+            Nothing was stored; CatalogueConflictError if a row exists or a row to change does not.
         """
         indices = {row.set_index for row in commit.sets}
         rows = [*commit.sets, *commit.features, *commit.thickness, *commit.assessments, *commit.alarms]
@@ -246,19 +256,25 @@ class RecorderCatalogue(Catalogue):
         )
 
     def add_service_event(self, *, utc_ns: int, kind: str, payload: Mapping[str, Any]) -> int:
-        """Commit an event of topic ``service`` at a time of the test and return its id."""
+        """Commit an event of topic ``service`` at a time of the test (ns of UTC) and return its id.
+
+        Raises CatalogueError if it is not stored.
+        """
         event = EventRow(utc_ns=utc_ns, topic="service", kind=kind, payload=dict(payload))
         return self.commit_set(SetCommit(events=[event])).event_ids[0]
 
     def list_sets_without_digest(self) -> dict[SetKey, str]:
-        """List the files of sets that have a file but no stored SHA-256, by key."""
+        """List the files of sets that have a file but no stored SHA-256, by set key; reads all such rows."""
         statement = select(sets.c.set_index, sets.c.unscheduled_index, sets.c.file)
         with self.open_snapshot() as connection:
             rows = connection.execute(statement.where(sets.c.file.is_not(None), sets.c.file_sha256.is_(None)))
             return {SetKey(*key): str(file) for *key, file in rows}
 
     def store_digest(self, set_key: SetKey, file: str, sha256: str) -> None:
-        """Store the SHA-256 of a set's file in the rows that name it and have none yet."""
+        """Store the SHA-256 (hexadecimal) of a set's file in its rows that name this file and have none yet.
+
+        Raises CatalogueError if it cannot be stored.
+        """
         with self._open_transaction("noting a file") as connection:
             of_file = (*_build_set_condition(set_key), sets.c.file == file)
             its_sets = select(sets).where(*of_file, sets.c.file_sha256.is_(None))
@@ -266,7 +282,7 @@ class RecorderCatalogue(Catalogue):
                 replace_row(connection, replace(row, file_sha256=sha256))
 
     def read_digest(self, set_key: SetKey) -> str | None:
-        """Read the stored SHA-256 of a set's file in hexadecimal; None if there is none."""
+        """Read the stored SHA-256 of a set's file in hexadecimal; None if no row of the set has one."""
         has_digest = sets.c.file_sha256.is_not(None)
         statement = select(sets.c.file_sha256).where(*_build_set_condition(set_key), has_digest)
         with self.open_snapshot() as connection:
@@ -274,9 +290,9 @@ class RecorderCatalogue(Catalogue):
         return digest
 
     def recompute_counts(self) -> None:
-        """Recompute and store the numbers of sets, shots, records and events from all rows.
+        """Recompute and store the numbers of scheduled sets, shots and records, and of events, from all rows.
 
-        It reads the complete tables in one transaction.
+        It reads the complete tables in one transaction, which blocks other writers. Raises CatalogueError.
         """
         echoes = select(sets.c.position).where(sets.c.method == PULSE_ECHO)
         with self._open_transaction("counting") as connection:
@@ -293,7 +309,8 @@ class RecorderCatalogue(Catalogue):
     def restore_rows(self, rows: Iterable[Row]) -> None:
         """Store rows with their ids in one transaction, replacing existing ones; update the trends.
 
-        The counts stay as they are: call `recompute_counts` afterwards.
+        The counts stay as they are: call `recompute_counts` afterwards. Raises CatalogueError; nothing is
+        stored then.
         """
         restored = list(rows)
         touched = collect_changed_sets(row for row in restored if not isinstance(row, EventRow))
@@ -306,7 +323,7 @@ class RecorderCatalogue(Catalogue):
     # Commands
 
     def list_open_commands(self) -> list[CommandRow]:
-        """List the commands without an answer (pending or started), oldest first."""
+        """List the commands without an answer (state pending or started), oldest first."""
         return self.rows(CommandRow, states={"pending", "started"})
 
     def start_command(self, command_id: int) -> None:
@@ -315,17 +332,21 @@ class RecorderCatalogue(Catalogue):
         Raises
         ------
         CatalogueConflictError
-             No such command, or it was started before.
+             There is no such command, or it is not pending.
+        CatalogueError
+             It cannot be written; the command stays pending.
         """
         self._advance_command(command_id, "pending", state="started")
 
     def finish_command(self, command_id: int, state: CommandState, result: str | None = None) -> None:
-        """Store the answer to a pending or started command, with the time of the computer.
+        """Store the answer to a pending or started command, with the computer's present time.
 
         Raises
         ------
         CatalogueConflictError
-             No such command, or it was answered before; or ``state`` is not an answer.
+             There is no such command, it was answered before, or ``state`` is not an answer.
+        CatalogueError
+             It cannot be written.
         """
         if state not in ANSWERS:
             raise CatalogueConflictError(f"state is {state!r}; an answer is one of {', '.join(ANSWERS)}")
@@ -334,7 +355,7 @@ class RecorderCatalogue(Catalogue):
         )
 
     def _advance_command(self, command_id: int, *before: CommandState, **values: object) -> None:
-        """Change a command that is in one of the states ``before``; else CatalogueConflictError."""
+        """Change ``values`` of a command in one of the states ``before``; else CatalogueConflictError."""
         with self._open_transaction("answering a command") as connection:
             statement = select(commands).where(commands.c.id == command_id, commands.c.state.in_(before))
             rows = list(read_rows(connection, CommandRow, statement))
@@ -346,18 +367,21 @@ class RecorderCatalogue(Catalogue):
 
 
 def _build_set_condition(key: SetKey) -> tuple[ColumnElement[bool], ...]:
-    """Build the conditions that select the rows of a set in table ``sets``."""
+    """Build the two conditions (set index, unscheduled index) that select the rows of a set in ``sets``."""
     return sets.c.set_index == key.set_index, sets.c.unscheduled_index == key.unscheduled_index
 
 
 def build_event_payload(row: Row, *, last: str = "") -> dict[str, object]:
-    """Convert a row to the payload of its event: omit a missing id, put the column ``last`` at the end."""
+    """Convert a row to its event's payload: its columns, without a missing id, ``last`` as the last one."""
     names = [name for name in row.__slots__ if name != "id" or getattr(row, name) is not None]
     return {name: getattr(row, name) for name in sorted(names, key=last.__eq__)}
 
 
 def _build_due_time_query(*of: ColumnElement[bool]) -> Select[int, int, int]:
-    """Build the query that counts due times with data, missed ones, and incomplete ones with data."""
+    """Build the query that counts scheduled due times: with records, missed, incomplete with records.
+
+    ``of`` are further conditions on table ``sets``.
+    """
     lacking = case(((sets.c.state == "partial") | (sets.c.state == "missed"), 1), else_=0)
     missed = case((sets.c.state == "missed", 1), else_=0)
     due_times = select(
@@ -388,7 +412,10 @@ _OF_BASELINE = compile_sql(
 
 
 def count_due_times(connection: Connection, indices: Collection[int] | None = None) -> dict[str, int]:
-    """Count due times (`CountsRow`) from their rows: of some sets (at least one), or (None) of all."""
+    """Count due times with records, missed and incomplete ones from rows of sets, named as in `CountsRow`.
+
+    ``indices`` selects some sets (at least one, else ValueError); None: all.
+    """
     found = (
         _OF_ALL_SETS.execute(connection)
         if indices is None
@@ -400,7 +427,10 @@ def count_due_times(connection: Connection, indices: Collection[int] | None = No
 def _update_counts(
     connection: Connection, commit: SetCommit, before: Mapping[str, int], after: Mapping[str, int]
 ) -> None:
-    """Add the rows of a commit to the stored counts; a shot comes with the row of its set."""
+    """Add the numbers of a commit's rows to the stored counts, in the caller's transaction.
+
+    ``before`` and ``after`` are the due times of its sets without and with the commit.
+    """
     echoes = {row.position for row in commit.sets if row.method == PULSE_ECHO}
     of_plan = [row for row in commit.shots if not row.unscheduled_index]
     n_echoes = sum(row.position in echoes for row in of_plan)
@@ -415,7 +445,7 @@ def _update_counts(
 
 
 def _insert_assessments(connection: Connection, rows: Sequence[AssessmentRow]) -> None:
-    """Insert assessments; those of a new baseline's sets replace the preliminary ones."""
+    """Insert assessments; one ``in_baseline`` replaces the preliminary one of its set and position."""
     new = []
     for row in rows:
         found = (
@@ -436,7 +466,7 @@ def _insert_assessments(connection: Connection, rows: Sequence[AssessmentRow]) -
 
 
 def _store_new_or_changed(connection: Connection, row: AlarmRow | AnnotationRow) -> int:
-    """Insert a row without id, or replace the stored one, and return its id.
+    """Insert a row without id, or replace the stored row of its id; return the id.
 
     Raises CatalogueConflictError if there is no row of the given id.
     """
@@ -455,7 +485,10 @@ def _replace_or_insert_row(connection: Connection, row: Row) -> int:
 
 
 def _store_answer(connection: Connection, row: CommandRow) -> int:
-    """Store a command with its answer, a new one under the next id; return its id."""
+    """Store a command with its answer and return its id; id 0 is a new command, which gets the next id.
+
+    Raises CatalogueConflictError if there is no command of the given id.
+    """
     return _replace_existing_row(connection, row, row.id) if row.id else store_command(connection, row)
 
 
@@ -470,7 +503,10 @@ def _replace_existing_row(connection: Connection, row: Row, row_id: int) -> int:
 def _build_dated_events(
     commit: SetCommit, alarm_ids: Sequence[int], annotation_ids: Sequence[int]
 ) -> list[EventRow]:
-    """Build the events of a commit with a time, and with the ids of new alarms and annotations."""
+    """Build the events of a commit for storing: dated with the present time where they have none.
+
+    Payloads get the ids of their alarms and annotations (``alarm_id``, ``annotation_id``).
+    """
     now_ns = time.time_ns()
     complete = []
     for number, event in enumerate(commit.events):

@@ -57,13 +57,13 @@ class TakenSet:
 
     @property
     def tried(self) -> list[Measurement]:
-        """Return every attempt, with or without a record: shots, then echoes, then missed ones."""
+        """Return every attempt, with or without a record, in order: shots, then echoes, then missed ones."""
         return [*self.shots, *self.echoes, *self.missed]
 
     def progress(self, struck: Collection[str]) -> ProgressOfSet:
-        """Return the progress of the set: tried shots and the number of strikes.
+        """Build the progress of the set: its start, the tried shots and the number of strikes.
 
-        ``struck`` are the positions that have strikers.
+        ``struck`` names the positions that have strikers: only there attempts are strikes.
         """
         keys = [item.key for item in self.tried]
         return ProgressOfSet(
@@ -73,12 +73,18 @@ class TakenSet:
         )
 
     def is_complete(self, planned: Mapping[str, int]) -> bool:
-        """Return whether every planned shot was tried; positions that were left out are ignored."""
+        """Return whether every planned shot was tried, with or without a record.
+
+        ``planned`` has the number of shots by position; positions that were left out are ignored.
+        """
         n_tried = Counter(position for position, _ in self.progress(()).tried)
         return all(n_tried[position] >= n for position, n in planned.items() if position not in self.disabled)
 
     def keep(self, measurement: Measurement) -> None:
-        """Add a measurement, and log a missed one; a shot's features are added separately (`features`)."""
+        """Add a measurement to its list in memory, and log a missed one as a warning.
+
+        A shot's features are added separately (`features`).
+        """
         if isinstance(measurement, MissedShot):
             log.warning("%s: %s", measurement.key, measurement.cause)
             self.missed.append(measurement)
@@ -88,7 +94,10 @@ class TakenSet:
             self.echoes.append(measurement)
 
     def requires_restrike(self, taken: Shot | MissedShot) -> bool:
-        """Return whether the quality check repeats a strike; if so, count and log the repetition."""
+        """Return whether the quality check repeats a strike; if so, count and log the repetition.
+
+        Raises KeyError for a shot whose features were not added.
+        """
         position = taken.key.position
         flags = ("missed",) if isinstance(taken, MissedShot) else self.features[taken.sequence].flags
         granted = self.rule.wants(flags, attempt=taken.key.attempt, restrikes_so_far=self.restrikes[position])
@@ -99,17 +108,17 @@ class TakenSet:
 
     @property
     def is_empty(self) -> bool:
-        """Return whether the set has no record."""
+        """Return whether the set has no record, neither a shot nor a pulse echo."""
         return not self.shots and not self.echoes
 
     def n_records(self, position: str) -> int:
-        """Count the shots of a position that have a record (each once), or its pulse-echo records."""
+        """Count the shots of a position that have a record, each once, or its pulse-echo records."""
         return len(
             {item.key.shot_index for item in (*self.shots, *self.echoes) if item.key.position == position}
         )
 
     def find_shortfall(self, position: str, n_planned: int, stop_reason: str) -> str:
-        """Return why a position has fewer records than planned; empty if it has all.
+        """Return why a position has fewer records than planned, as one text; empty if it has all.
 
         Parameters
         ----------
@@ -127,7 +136,10 @@ class TakenSet:
         return "; ".join(causes)
 
     def format_error(self) -> str:
-        """Return the instrument error in the archive's form, ``class: message``; empty if there was none."""
+        """Format the instrument error in the archive's form, ``class: message``; empty if there was none.
+
+        The class is the one that all drivers share, not a driver's own.
+        """
         if self.trouble is None:
             return ""
         # A driver may raise a subclass; the archive stores the class that all drivers share.
@@ -135,7 +147,10 @@ class TakenSet:
         return f"{next(kinds).__name__}: {self.trouble}"
 
     def find_superseded_shots(self) -> dict[int, str]:
-        """Return the outcome "superseded" of the shots that a repetition replaces, by sequence."""
+        """Find the shots that a repetition replaces; return the outcome "superseded" by their sequence.
+
+        Raises KeyError for a shot whose features were not added.
+        """
         attempts = [
             Attempt(
                 shot=(shot.key.position, shot.key.shot_index),
@@ -162,12 +177,16 @@ class Activity:
     """
 
     def __init__(self, resources: Resources, assessor: SetAssessor, persistence: Persistence) -> None:
+        """Start with the activity "starting", without a request and without ``looks``."""
         self._resources, self._set_assessor, self._persistence = resources, assessor, persistence
         self.doing, self.request, self._look_again_s = "starting", "", -math.inf
         self.looks: Sequence[Callable[[], None]] = ()
 
     def beat(self, *, at_once: bool = False) -> None:
-        """Write the heartbeat: activity, request to a person, and sets that wait for the disk."""
+        """Write the heartbeat: activity, request to a person, and jobs that wait for the disk.
+
+        ``at_once`` True writes it even if the last beat is recent.
+        """
         waits, trouble = "", self._persistence.trouble
         if trouble is not None:
             waits = f"{len(self._persistence)} jobs wait in memory for the disk: {trouble.message}"
@@ -175,14 +194,15 @@ class Activity:
         self._resources.heartbeat.beat("; ".join(filter(None, parts)), at_once=at_once)
 
     def announce(self, doing: str) -> None:
-        """Set the activity and write it to the heartbeat, so that the supervisor can name it if it hangs."""
+        """Set the activity and write it to the heartbeat, which names it if the recorder hangs."""
         self.doing = doing
         self.beat()
 
     def run_between_shots(self) -> bool:
         """Write the heartbeat, check clock, disk, supply and requests; return False if the recorder stops.
 
-        Steps of the clock are logged and reported as events; ``looks`` are called only a few times a second.
+        Steps of the clock are logged and stored as events; ``looks`` are called at most every
+        ``Host.listen_every_s`` (0.2 s).
         """
         clock, disk, drive = self._resources.rig.clock, self._resources.disk, self._set_assessor.drive
         if isinstance(clock, WallClock):
@@ -222,6 +242,10 @@ class SetAcquisition:
         commands: CommandExecutor,
         activity: Activity,
     ) -> None:
+        """Keep the parts of the recorder and build the provenance of its sets.
+
+        Raises CatalogueError if the experiment cannot be read.
+        """
         self._settings, self._rig = resources.settings, resources.rig
         self._archive, self._live = resources.archive, resources.live
         self._set_assessor, self._persistence = assessor, persistence
@@ -239,7 +263,7 @@ class SetAcquisition:
     # Before the first strike ----------------------------------------------------------------------
 
     def begin(self, due: DueSet) -> TakenSet:
-        """Start a set now and add its start to the journal; it is durable with the next sync.
+        """Start a set now and add its start to the journal, durable with the next sync; return the empty set.
 
         Disabled positions are left out, of a confirmation set also all positions but its own.
         """
@@ -263,7 +287,7 @@ class SetAcquisition:
         return taken
 
     def select_restrike_rule(self) -> RestrikeRule:
-        """Return the rule by which shots are repeated; a rehearsal repeats none."""
+        """Build the rule by which the quality check repeats shots; a rehearsal repeats none."""
         quality = self._settings.quality
         restrikes = 0 if self._rig.dry_run else quality.restrikes_per_set
         return RestrikeRule(flags=quality.restrike_flags, restrikes_per_set=restrikes)
@@ -271,7 +295,11 @@ class SetAcquisition:
     # Strike by strike -----------------------------------------------------------------------------
 
     def acquire_measurements(self, due: DueSet, taken: TakenSet) -> Iterator[Measurement]:
-        """Yield the measurements of a set; an instrument error ends it and is kept as ``taken.trouble``."""
+        """Strike and read; yield each measurement of a set, and nothing more after a stop or a pause.
+
+        An instrument error ends the set: it is logged and kept as ``taken.trouble``. The end time is set
+        then.
+        """
         schedule = self._settings.schedule
         set_plan = SetPlan(
             due=due,
@@ -302,7 +330,10 @@ class SetAcquisition:
         taken.ended_ns = self._rig.clock.utc_ns()
 
     def keep(self, measurement: Measurement, taken: TakenSet) -> None:
-        """Add a measurement to the set and the journal; in real time also acknowledge it."""
+        """Add a measurement to the set and the journal; in real time also acknowledge it.
+
+        A refusing disk is not raised: the acknowledgement is retried later.
+        """
         taken.keep(measurement)
         if isinstance(measurement, MissedShot):
             self._archive.append(measurement, self._rig.clock.utc_ns())
@@ -312,7 +343,7 @@ class SetAcquisition:
             self._persistence.acknowledge()
 
     def extract(self, measurement: Measurement, due: DueSet, taken: TakenSet) -> None:
-        """Extract the features of a shot and show its waveform in the live figure, if it is due there.
+        """Extract and add the features of a shot; show its waveform in the live figure, if it is due there.
 
         A missed record is ignored.
         """
@@ -327,9 +358,10 @@ class SetAcquisition:
     # After the last strike ------------------------------------------------------------------------
 
     def find_shortfall(self, position: str, taken: TakenSet, cut_short_reason: str = "") -> str:
-        """Return why a position has fewer records than planned; empty if it has all.
+        """Return why a position has fewer records than planned, as one text; empty if it has all.
 
-        ``cut_short_reason`` comes first, then a disabled position, a pause, the stop of the recorder.
+        An instrument error is named first. Else it is ``cut_short_reason``, or if that is empty a disabled
+        position, a pause, or the stop of the recorder; missed records are added.
         """
         end_reason = (
             cut_short_reason
@@ -340,14 +372,14 @@ class SetAcquisition:
         return taken.find_shortfall(position, self._set_assessor.n_planned[position], end_reason)
 
     def find_shortfalls(self, due: DueSet, taken: TakenSet) -> dict[str, str]:
-        """Return the reason why each position has fewer records than planned; empty if it has all."""
+        """Return by position why a set has fewer records than planned there; "" if it has all."""
         return {name: self.find_shortfall(name, taken) for name in self._set_assessor.list_set_positions(due)}
 
     def record_of(self, due: DueSet, taken: TakenSet, cut_short_reason: str) -> SetRecord:
         """Build the record of a set that is to be stored, without the positions that were left out.
 
         ``cut_short_reason`` explains missing records; if it is empty, the state of position, test and
-        recorder does.
+        recorder does. Reads the supply and climate values of the drive, if there is one.
         """
         positions = [
             PositionRecord(
@@ -382,5 +414,5 @@ class SetAcquisition:
         )
 
     def advance_next_shot_number(self, record: SetRecord) -> None:
-        """Raise the next shot number above those of a record; it never decreases."""
+        """Raise the sequence number for the next shot above those of a record; it never decreases."""
         self.next_sequence = max([self.next_sequence, *(item.sequence + 1 for item in record.records)])

@@ -38,6 +38,11 @@ class CarriedOver:
         persistence: Persistence,
         acquisition: SetAcquisition,
     ) -> None:
+        """Collect the unfinished sets of earlier recorders and set the acquisition's next shot number.
+
+        Sets that have rows already leave `open_sets`: their journal is finished. Raises OtherExperimentError
+        if an open set is of another test, StorageError if archive or catalogue cannot be read.
+        """
         self._positions, self._plan = tuple(resources.settings.positions), resources.plan
         self._archive, self._catalogue = resources.archive, resources.catalogue
         self._set_assessor, self._persistence, self._acquisition = assessor, persistence, acquisition
@@ -73,11 +78,11 @@ class CarriedOver:
         acquisition.next_sequence = max(known) + corrupt.n_lost
 
     def has_strikes_of(self, set_key: SetKey) -> bool:
-        """Return whether an earlier recorder made strikes of a set that has no rows yet."""
+        """Return whether an earlier recorder left a set without rows: open, or complete in a file."""
         return set_key in self.open_sets or set_key in self._rowless_files
 
     def list_unscheduled_sets(self) -> list[DueSet]:
-        """List the open unscheduled sets, also if their requests were lost with the catalogue."""
+        """List the open unscheduled sets as due sets, also if their requests were lost with the catalogue."""
         found = []
         for set_key, opened in self.open_sets.items():
             if set_key.unscheduled_index:
@@ -86,12 +91,18 @@ class CarriedOver:
         return found
 
     def resume(self, opened: OpenSet) -> TakenSet:
-        """Continue a set that the last recorder left open in the journal; return its acquired part."""
+        """Continue a set that the last recorder left open in the journal; return its acquired part.
+
+        The features of its shots are extracted again; a warning names the number of its records.
+        """
         self._archive.resume_set(opened)
         return self._restore_with_features(opened)
 
     def _restore_with_features(self, opened: OpenSet) -> TakenSet:
-        """Return the acquired part of an open set, with its features extracted again."""
+        """Restore the acquired part of an open set and extract the features of its shots again.
+
+        Its shots are not reported as acknowledged a second time; a warning is logged.
+        """
         taken = restore_taken_set(opened, self._acquisition.select_restrike_rule())
         taken.features.update({shot.sequence: self._acquisition.features_of(shot) for shot in taken.shots})
         self._persistence.skip_acknowledged_shots(item.sequence for item in opened.records)
@@ -99,12 +110,12 @@ class CarriedOver:
         return taken
 
     def _build_due_set(self, opened: OpenSet) -> DueSet:
-        """Build the due set from key and due time of an open set."""
+        """Build the due set of an open set from its key and due time, without a position."""
         due_h = (opened.due_utc_ns - self._epoch_ns) / NS_PER_H
         return DueSet(**opened.set_key._asdict(), due_h=due_h, due_utc_ns=opened.due_utc_ns)
 
     def _restore_set_start(self, opened: OpenSet) -> OpenSet:
-        """Return an open set whose start frame is corrupt, with due time and disabled positions.
+        """Return an open set whose start frame is corrupt with a due time and disabled positions.
 
         They come from its rows, else from the schedule and the state of the positions; without these the due
         time stays as it is. Positions with a measurement are never disabled.
@@ -126,7 +137,10 @@ class CarriedOver:
         )
 
     def _store_end_again(self, opened: OpenSet) -> None:
-        """Store the end of a set again with its intact records; its end or other records are corrupt."""
+        """Store the end of a set again with its intact records; the stored end or a record is corrupt.
+
+        Also lets the background tasks write its file. Raises ArchiveError if the disk refuses.
+        """
         file = self._archive.sets().get(opened.set_key)
         if file is not None:
             record = self._archive.read_set(file, skip_damaged=True)
@@ -138,9 +152,10 @@ class CarriedOver:
         self._persistence.after_set(opened.set_key)
 
     def quarantine_corrupt_files(self) -> None:
-        """Move corrupt files without rows to the quarantine: each set is due again, or missed.
+        """Move corrupt files without rows to the quarantine, so that each set is due again, or missed.
 
-        Raises the error of `refuse_foreign_sets` at a file of another test.
+        Reads every file without rows; logs an error for each corrupt one. Raises OtherExperimentError at a
+        file of another test, ArchiveError if one cannot be read or moved.
         """
         for set_key, file in list(self._rowless_files.items()):
             try:
@@ -153,12 +168,19 @@ class CarriedOver:
                 self.corruption_of[set_key] = f"its file was damaged and is set aside ({error})"
 
     def adopt(self, due: DueSet) -> int | None:
-        """Store the rows of a set whose recorder stopped after its file was complete, before the commit.
+        """Queue the rows of a set whose recorder stopped after its file was complete, before the commit.
+
+        The set is assessed again from its file, with a warning in the log.
 
         Returns
         -------
         int or None
             When its set ended (UTC in ns); None: the set has no such file.
+
+        Raises
+        ------
+        ArchiveError
+            The file cannot be read.
         """
         file = self._rowless_files.get(due.set_key)
         if file is None:
@@ -176,7 +198,7 @@ class CarriedOver:
 
 
 def restore_taken_set(opened: OpenSet, rule: RestrikeRule) -> TakenSet:
-    """Restore the acquired part of a set from the journal, with its counts of repetitions.
+    """Restore the acquired part of a set from the journal, with its counts of repetitions by ``rule``.
 
     The features are added separately.
     """

@@ -26,21 +26,22 @@ def wait_for_verified_clock(
     not_running_reason: str,
     opening: Opening | None,
 ) -> list[tuple[int, str]]:
-    """Wait until the clock is verified; return until when sets were missed, and the reason of each part.
+    """Block until the clock is verified; return the times until which sets were missed, with reasons.
 
-    The list is in order of time (ns of UTC). It is empty if the recorder was stopped meanwhile. A simulated
-    clock is never in doubt.
+    The list has pairs of time (ns of UTC) and reason in order of time: no recorder ran, the rig was opened,
+    the clock was awaited. It is empty if the recorder was stopped meanwhile. A doubtful clock raises an
+    alarm; a simulated clock is never in doubt.
     """
     clock, reasons = resources.rig.clock, list[str]()
     if not isinstance(clock, WallClock):
         return [(clock.utc_ns(), not_running_reason)]
 
     def report_doubt(doubt: str) -> None:
-        """Raise the alarm of the clock with a reason, or clear it with an empty one."""
+        """Raise the alarm of the clock with a reason, or clear it with an empty one; store it or queue it."""
         persistence.do(partial(assessor.update_alarm, build_clock_condition(doubt), resources.moment()))
 
     def wait(reason: str) -> bool:
-        """Log and report the first reason, do the work between sets, return False if the recorder stops."""
+        """Log and report the first reason and run the work between sets; False if the recorder stops."""
         if not reasons:
             log.error("waiting for a set clock: %s", reason)
             report_doubt(reason)

@@ -72,12 +72,16 @@ class ComputerLoadWatch:
         files_read: Callable[[], int],
         system_ns: Callable[[], int] = time.time_ns,
     ) -> None:
+        """Take the present computer time (``system_ns``, ns of UTC) as the start of the recorder."""
         self._clock, self._space, self._files_read, self._system_ns = clock, space, files_read, system_ns
         self._started_ns = system_ns()
         self._last_seconds: dict[str, float] = {}
 
     def read(self, seconds: Mapping[str, float]) -> dict[str, Any]:
-        """Read the load now, as the payload of its event; ``seconds`` is the time so far by stage."""
+        """Read the load now and return the payload of its event, the columns of `ComputerLoad`.
+
+        ``seconds`` is the wall time so far by stage; stored are the differences from the last call.
+        """
         space, before = self._space(), self._last_seconds
         self._last_seconds = dict(seconds)
         real = isinstance(self._clock, WallClock)

@@ -49,6 +49,7 @@ class Confirmations:
     """
 
     def __init__(self, settings: Settings, catalogue: RecorderCatalogue) -> None:
+        """Read the requests and results of confirmation sets from a catalogue; raise CatalogueError."""
         self._rules = settings.alarms
         self._hours = list_due_hours(settings.schedule.phases, end_h=settings.schedule.end_h)
         self.set_ns = compute_longest_set_ns(
@@ -67,13 +68,16 @@ class Confirmations:
                 self.last_results[str(position)] = last
 
     def apply_event(self, event: EventRow) -> None:
-        """Add a request, once its event is stored; other events are ignored."""
+        """Add the request in a stored event to `asked` and `waiting`; other events are ignored."""
         if event.kind == CONFIRMATION_ASKED and event.position is not None:
             one = parse_confirmation_payload(event.position, event.payload)
             self.asked[one.due.set_key] = self.waiting[one.due.set_key] = one
 
     def apply_rows(self, stored: SetCommit) -> None:
-        """Update the waiting requests and the last results with the stored rows of confirmation sets."""
+        """Remove stored confirmation sets from `waiting` and keep their results as the last ones.
+
+        Rows of scheduled sets are ignored.
+        """
         for row in stored.sets:
             if row.purpose == "confirmation":
                 self.waiting.pop(row.set_key, None)
@@ -81,7 +85,7 @@ class Confirmations:
                 self.last_results[row.position] = summarize_confirmation(row, assessment)
 
     def compute_time_to_next_set_ns(self, planned: DueSet, utc_ns: int) -> float:
-        """Return the time in ns from now to the scheduled set after a planned one; inf after the last."""
+        """Compute the time in ns from ``utc_ns`` to the scheduled set after ``planned``; inf without one."""
         following = self._hours[planned.set_index + 1 : planned.set_index + 2]
         left_h = following[0] - planned.due_h if following else float("inf")
         return planned.due_utc_ns + left_h * NS_PER_H - utc_ns
@@ -95,10 +99,10 @@ class Confirmations:
         moment: Moment,
         transaction: SetCommit,
     ) -> None:
-        """Add a requested confirmation set to the transaction of a scheduled set, if it is allowed.
+        """Add the request for a confirmation set to the transaction of a scheduled set, if it is allowed.
 
-        It is omitted for a position that is disabled or out of service, above the daily maximum, or without
-        time until the next set.
+        Nothing is added for a position that is disabled or out of service, above the daily maximum, or
+        without time until the next set.
         """
         own = [row for row in alarms.values() if row.position == position]
         if find_disabled(own) or any(row.suppressed == "out_of_service" for row in own):
@@ -115,7 +119,7 @@ class Confirmations:
             self.add(reason, planned, position, moment, transaction)
 
     def order(self, planned: DueSet, position: str, author: str, note: str, moment: Moment) -> SetCommit:
-        """Build the request of a person for a set, to be committed.
+        """Build the transaction with a person's request for a set after ``planned``; the caller commits it.
 
         Raises ValueError with the reason: the next scheduled set is too near, or there are too many since the
         last.
@@ -138,7 +142,7 @@ class Confirmations:
         transaction: SetCommit,
         author: str = "",
     ) -> Confirmation | None:
-        """Add the request event for a set after a planned one to the transaction.
+        """Add the event that requests a set after a planned one to the transaction; return the request.
 
         Returns None, and adds nothing, if there are too many since the planned one.
         """
@@ -160,9 +164,10 @@ class Confirmations:
     def add_result_to_evidence(
         self, last: ConfirmationResult, conditions: Sequence[Condition], planned_set: int
     ) -> Sequence[Condition]:
-        """Return conditions with the newest confirmation result in the evidence of a change.
+        """Return conditions with a confirmation result in the evidence of each alarm about a change.
 
-        A result that is as old as the window of n sets is left out.
+        Unchanged if the result is n or more sets older than ``planned_set`` (n: the rule "m of n" of the
+        alarms).
         """
         if planned_set - last.set_index >= self._rules.n:
             return conditions
@@ -176,7 +181,10 @@ class Confirmations:
 
 
 def add_confirmation_evidence(alarms: Alarms, position: str, transaction: SetCommit, moment: Moment) -> None:
-    """Add the result of a confirmation set to the evidence of the active alarms of change at its position."""
+    """Add the result of a confirmation set to the evidence of the active alarms of change at its position.
+
+    ``transaction`` has the rows of the set and gets the changed alarms with their events.
+    """
     assessment = transaction.assessments[0] if transaction.assessments else None
     payload = asdict(summarize_confirmation(transaction.sets[0], assessment))
     for kind in ALARMS_OF_CHANGE:

@@ -45,6 +45,7 @@ class DueSets:
         record_gap: Callable[[DueSet, str], None],
         commands: CommandExecutor,
     ) -> None:
+        """Keep the parts of the recorder; no set is started, and the boards count as not calibrated."""
         self._resources, self._plan, self._rig = resources, resources.plan, resources.rig
         self._clock, self._stop = resources.rig.clock, resources.stop
         self._set_assessor, self._persistence = assessor, persistence
@@ -56,8 +57,8 @@ class DueSets:
     def follow(self, done: Collection[SetKey], absences: Sequence[tuple[int, str]]) -> Iterator[DueSet]:
         """Yield each set when it is due: the caller takes it before it asks for the next one.
 
-        It waits in between, stores rows of files that have none, closes sets whose time is over, and ends
-        when the recorder stops.
+        It blocks in between, stores rows of files that have none, closes sets whose time is over, and ends
+        when the recorder stops. Raises RigError if a self-calibration fails for good.
 
         Parameters
         ----------
@@ -85,9 +86,10 @@ class DueSets:
         self._waiting.newest = None
 
     def _wait_for_scheduled_set(self, due: DueSet) -> Iterator[DueSet]:
-        """Wait for a scheduled set and yield it; unscheduled ones that are requested meanwhile come first.
+        """Block until a scheduled set is due and yield it; unscheduled ones requested meanwhile come first.
 
-        Yields nothing if the recorder stops, or if the set's time is over after these.
+        Yields nothing more if the recorder stops, or if the set's time is over after these. Boards calibrate
+        themselves before, if that is due (RigError).
         """
         self._self_calibrate_if_due(due)
         # Simulated time has no idle hours: there files are checked after the last set.
@@ -105,7 +107,7 @@ class DueSets:
     def _store_rows_of_file(self, due: DueSet) -> bool:
         """Store the rows of a set that the last recorder left as a file; return False if there is none.
 
-        Simulated time continues where that set ended.
+        Simulated time continues where that set ended. Raises ArchiveError if the file cannot be read.
         """
         ended_ns = self._carried_over.adopt(due)
         if ended_ns is not None:
@@ -113,9 +115,10 @@ class DueSets:
         return ended_ns is not None
 
     def _close_if_overdue(self, due: DueSet, absences: Sequence[tuple[int, str]] = ()) -> bool:
-        """Record a set as missed if its time is over, since the next one is due; return whether it was.
+        """Record a set as missed if the next one is due already; return whether it was.
 
-        The last set has one hour. The reason is that of the absence, or the state of the disk.
+        The last set has one hour. The reason is that of the first absence (ns of UTC, text) that covers it,
+        else trouble of the disk, else sleep of the computer.
         """
         following = self._plan[due.set_index + 1 : due.set_index + 2]
         over_ns = following[0].due_utc_ns if following else due.due_utc_ns + NS_PER_H
@@ -126,9 +129,10 @@ class DueSets:
         return True
 
     def _self_calibrate_if_due(self, due: DueSet) -> None:
-        """Run the self-calibration of the boards between sets, if its interval is over and time suffices.
+        """Run the self-calibration of the boards, if its interval is over and three minutes are left.
 
-        Raises RigError if it fails for good; a transient failure is logged and stored as an event.
+        Blocks meanwhile; the first one needs no such time. Raises RigError if it fails for good; a transient
+        failure is logged. The result is stored as an event.
         """
         self_calibrating, interval_h = self._rig.self_calibrating, self._rig.self_calibration_interval_h
         if self_calibrating is None or not interval_h:
@@ -152,19 +156,19 @@ class DueSets:
     # Unscheduled sets -----------------------------------------------------------------------------
 
     def _list_requested_sets(self) -> list[DueSet]:
-        """List the requested unscheduled sets that were not started, in the order of their keys."""
+        """List the requested unscheduled sets that this recorder has not started, by key."""
         found = {due.set_key: due for due in self._carried_over.list_unscheduled_sets()}
         found |= {key: one.due for key, one in self._set_assessor.confirmations.waiting.items()}
         return [found[key] for key in sorted(found.keys() - self._started_unscheduled)]
 
     def _is_still_idle(self) -> bool:
-        """Run the work between sets; return whether to keep waiting, because no set has been requested."""
+        """Run the work between sets; return False at a stop or a request for an unscheduled set."""
         return self._waiting.run_between_sets() and not self._list_requested_sets()
 
     def _yield_unscheduled_sets(self, scheduled: DueSet | None) -> Iterator[DueSet]:
-        """Yield the unscheduled sets that precede a scheduled one (None: all that are requested).
+        """Yield the unscheduled sets that precede a scheduled one (None: all that are requested), by key.
 
-        Each is yielded once; one whose file exists only gets its rows. None after a stop.
+        Each is yielded once; one whose file exists only gets its rows. After a stop none is yielded.
         """
         for due in self._list_requested_sets():
             if not self._stop.is_set() and (scheduled is None or due.set_index < scheduled.set_index):
@@ -173,7 +177,7 @@ class DueSets:
                     yield due
 
     def find_skip_reason(self, due: DueSet) -> str:
-        """Return why a due set is not acquired (paused, full memory, too late); empty if it is acquired."""
+        """Return why a due set is not acquired (paused, full memory, no time); empty if it is acquired."""
         if due.position is not None and (reason := self._find_unscheduled_skip_reason(due, due.position)):
             return reason
         if self._commands.paused or self._persistence.trouble is None or self._persistence.has_room:
@@ -181,7 +185,10 @@ class DueSets:
         return f"the memory for what waits is full: {self._persistence.trouble.message}"
 
     def _find_unscheduled_skip_reason(self, due: DueSet, position: str) -> str:
-        """Return why an unscheduled set is rejected (late, or transducer disabled); empty if it is not."""
+        """Return why an unscheduled set is not acquired; empty if it is.
+
+        Its transducer is disabled, it is more than an hour late, or the next scheduled set is too near.
+        """
         if reason := self._set_assessor.disabled().get(position):
             return reason
         now_ns = self._clock.utc_ns()

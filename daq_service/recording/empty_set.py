@@ -29,7 +29,10 @@ def store_empty_set(
     utc_ns: int,
     tried: TakenSet | None = None,
 ) -> None:
-    """Store the rows of a set without a record (`build_empty_set_rows`) after all queued jobs."""
+    """Store the rows of a set without a record (`build_empty_set_rows`) after all queued jobs.
+
+    If the disk refuses, they stay queued and no error is raised.
+    """
     rows = partial(build_empty_set_rows, assessor, due, reasons, utc_ns=utc_ns, tried=tried)
     persistence.post(rows, assessor.commit)
 
@@ -44,10 +47,14 @@ def build_empty_set_rows(
 ) -> SetCommit:
     """Build the rows, alarms and events of a set without a record; the caller commits them.
 
+    Logs a warning. The assessors of the tried positions count their missed strikes.
+
     Parameters
     ----------
     reasons
-        Why there is none, by position.
+        Why there is none, by position; at least one.
+    utc_ns
+        Time of the events and alarms.
     tried
         The attempts, which show the state of the instruments; None: there were none.
     """

@@ -27,12 +27,15 @@ log = logging.getLogger(__name__)
 def find_stored_experiment(folder: Path, history: History, archive: SetReader) -> ExperimentRow | None:
     """Find the experiment of a folder without a catalogue; return None for a new folder.
 
-    The sources are experiment.json, else the history, else the first readable set.
+    The sources are experiment.json, else the history, else the first readable set. A damaged experiment.json
+    is logged and ignored.
 
     Raises
     ------
     OtherExperimentError
         experiment.json and history name two experiments.
+    CatalogueError, ArchiveError
+        experiment.json or the archive cannot be read.
     """
     try:
         kept = read_experiment_file(folder)
@@ -46,7 +49,10 @@ def find_stored_experiment(folder: Path, history: History, archive: SetReader) -
 
 
 def _read_experiment_from_files(archive: SetReader) -> ExperimentRow | None:
-    """Read the experiment from the provenance of the first readable set; None if there is none."""
+    """Build the row of the experiment from the provenance of the first readable set; None if there is none.
+
+    Unreadable sets are logged as warnings and skipped.
+    """
     for reference in archive.sets().values():
         try:
             record = archive.read_set(reference, skip_damaged=True)
@@ -73,7 +79,7 @@ def _read_experiment_from_files(archive: SetReader) -> ExperimentRow | None:
 
 
 def find_foreign_reason(record: SetRecord, experiment: ExperimentRow) -> str:
-    """Return why a set is not of this test (configuration, hour 0); empty if it is."""
+    """Return why a set is not of this test (another configuration or hour 0); empty if it is."""
     stored = record.provenance.get("configuration_hash", experiment.configuration_hash)
     if stored != experiment.configuration_hash:
         return f"configuration {stored} instead of {experiment.configuration_hash}"
@@ -85,7 +91,7 @@ def find_foreign_reason(record: SetRecord, experiment: ExperimentRow) -> str:
 
 
 def _read_hour_0(record: SetRecord) -> int:
-    """Return hour 0 of the test in ns of UTC, from the file's field (format 1.2) or the set's due time."""
+    """Return hour 0 of a set's test in ns of UTC, from its provenance (since format 1.2) or its due time."""
     counted: int = record.due_utc_ns - round(record.due_h * NS_PER_H)
     return int(record.provenance.get("experiment", {}).get("epoch_utc_ns", counted))
 
@@ -117,10 +123,12 @@ def refuse_foreign_sets(found: Sequence[str], where: str) -> None:
 def refuse_foreign_open_set(opened: OpenSet, planned: Sequence[DueSet], where: str) -> None:
     """Raise an error for an open set that the schedule expects at another time: it is of another test.
 
+    A set that is not ``planned`` passes. ``where`` names the folder.
+
     Raises
     ------
     OtherExperimentError
-        With both times.
+        Contains both times.
     """
     due = next((due.due_utc_ns for due in planned if due.set_key == opened.set_key), opened.due_utc_ns)
     if due != opened.due_utc_ns:

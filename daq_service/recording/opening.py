@@ -46,16 +46,19 @@ class Opening:
 
 
 def is_transient(trouble: InstrumentError, *, proven: bool) -> bool:
-    """Return whether an error may be gone at the next set.
+    """Return whether an instrument error may be gone at the next set.
 
-    A board that is busy or gone may be free or back by then; of one that has taken a complete set in this
+    A board that is busy or gone may be free or back by then; if one has taken a complete set in this
     folder (``proven``) no error is final.
     """
     return proven or isinstance(trouble, InstrumentBusyError | ConnectionLostError)
 
 
 def raise_if_permanent(trouble: InstrumentError, due: DueSet, *, n_shots: int, proven: bool) -> None:
-    """Raise RigError if the error that ended a set early will not be gone at the next set."""
+    """Raise RigError if the error that ended a set early will not be gone at the next set (`is_transient`).
+
+    ``n_shots`` is the number of its stored shots, for the message.
+    """
     if not is_transient(trouble, proven=proven):
         raise RigError(
             f"set {due.set_key} ended early: {trouble}; the {n_shots} shots before it are stored"
@@ -65,7 +68,10 @@ def raise_if_permanent(trouble: InstrumentError, due: DueSet, *, n_shots: int, p
 def build_started_payload(
     rig: Rig, not_running_reason: str, sets_done: int, provenance: Mapping[str, Any]
 ) -> dict[str, object]:
-    """Build the payload of the event of a recorder's start: rig, completed sets, absence, versions."""
+    """Build the payload of the event of a recorder's start.
+
+    It has the rig and its identity, dry run, number of completed sets, reason why none ran before, versions.
+    """
     return {
         "rig": rig.kind,
         "dry_run": rig.dry_run,
@@ -89,6 +95,7 @@ class OpeningAlarm:
         moment: Callable[[], Moment],
         report: Callable[..., None],
     ) -> None:
+        """Keep the catalogue, the history, and the functions that give the time and send reports."""
         self._catalogue, self._history = catalogue, history
         self._moment, self._report = moment, report
         self._reported = False
@@ -96,8 +103,8 @@ class OpeningAlarm:
     def report_condition(self, trouble: InstrumentError | None) -> None:
         """Raise the alarm for an error that prevents the opening, or clear it with None.
 
-        A disk error is logged; the next call stores the alarm. Changes are also reported to the starting
-        program.
+        A disk error is logged; the next call stores the alarm. Changes, and the first error without a change,
+        are also reported to the starting program.
         """
         condition, moment = build_opening_condition(trouble), self._moment()
         try:
@@ -113,9 +120,9 @@ class OpeningAlarm:
         self._reported = condition.present
 
     def _update_stored_alarm(self, condition: Condition, moment: Moment) -> Change | None:
-        """Update the alarm in the catalogue and the history; return the change, None if there is none.
+        """Update the alarm in catalogue and history; return its change, None if it does not change.
 
-        An alarm that a set raised is not cleared. Raises errors of the storage.
+        An alarm that a set raised is not cleared. Raises StorageError if the catalogue refuses.
         """
         rows = self._catalogue.rows(AlarmRow, kind=condition.kind)
         row = rows[-1] if rows else None
@@ -144,10 +151,13 @@ def open_rig_with_retries(
 
     A chassis that reboots, a colleague's panel left open or an unplugged cable must not end a test of two
     weeks: the sets that fall due meanwhile get rows with that cause. Where the supervisor starts the recorder
-    again, no person is at the rig: then it waits after any error of the instruments.
+    again, no person is at the rig: then it waits after any error of the instruments. It blocks without limit,
+    writes the heartbeat, logs each error and raises the alarm.
 
     Parameters
     ----------
+    resuming, restarted
+        The test has rows of sets; the supervisor has started the recorder again.
     waits_s
         Pauses between the attempts in s; the last one repeats.
 

@@ -22,7 +22,10 @@ ASKED, ASKED_OVER = "asked", "asked_over"
 
 
 def build_command_executor(resources: Resources, assessor: SetAssessor, waiting: Waiting) -> CommandExecutor:
-    """Build the executor of operators' commands to this recorder, with access to its parts."""
+    """Build the executor of operators' commands to this recorder, with access to its parts.
+
+    No command is read or executed yet.
+    """
     settings, catalogue, drive = resources.settings, resources.catalogue, assessor.drive
     test = RunningTest(
         clock=resources.rig.clock,
@@ -46,12 +49,12 @@ def build_command_executor(resources: Resources, assessor: SetAssessor, waiting:
 def _request_set(
     resources: Resources, assessor: SetAssessor, waiting: Waiting, position: str, author: str, note: str
 ) -> SetCommit:
-    """Build the request of a person for an unscheduled set, which is taken when the line is free.
+    """Build the transaction with a person's request for an unscheduled set; the caller commits it.
 
     Raises
     ------
     ValueError
-        It cannot be taken, and why.
+        It cannot be taken; contains the reason.
     """
     if waiting.newest is None:
         raise ValueError("no planned set was taken yet, or none is left: nothing is struck beside the plan")
@@ -61,10 +64,13 @@ def _request_set(
 
 
 def listen_to_instruments(resources: Resources, persistence: Persistence, activity: Activity) -> None:
-    """Report from now on what an instrument asks a person to do: in the heartbeat and as events."""
+    """Show requests of instruments to a person from now on in the heartbeat, and store and report them."""
 
     def report(text: str, key: ShotKey | None) -> None:
-        """Show a request in the heartbeat and report it as an event; an empty text ends it."""
+        """Show a request in the heartbeat and store and report it as an event; an empty text ends it.
+
+        ``key`` is the shot that waits for it; None: no shot.
+        """
         activity.request = text and f"waiting for a person: {text}"
         # The record is waited for from here on, as long as the heartbeat's deadline allows.
         activity.beat(at_once=True)

@@ -41,6 +41,7 @@ class Persistence:
     """
 
     def __init__(self, resources: Resources) -> None:
+        """Keep the stores and limits of the recorder; no job is queued."""
         self._archive, self._catalogue, self._tasks = resources.archive, resources.catalogue, resources.tasks
         self._disk, self._stop, self._moment = resources.disk, resources.stop, resources.moment
         self._acknowledged, self._mono_s = resources.options.acknowledged, resources.host.machine.mono_s
@@ -53,17 +54,21 @@ class Persistence:
         self.on_change: Callable[[Trouble | None], None] = lambda trouble: None
 
     def __len__(self) -> int:
+        """Return the number of queued jobs."""
         return len(self._jobs)
 
     @property
     def has_room(self) -> bool:
-        """Return whether the queued jobs hold less memory than the configured limit."""
+        """Return whether the queued jobs hold less memory than the limit ``storage.memory_mb``."""
         return self._n_bytes < self._limit_bytes
 
     # Shots and sets -------------------------------------------------------------------------------
 
     def acknowledge(self) -> bool:
-        """Make shots durable and report their ids; return False if the disk refuses: it is retried later."""
+        """Make added shots durable and report their ids; return False if the disk refuses at present.
+
+        A refused sync is retried later; errors of the disk are not raised.
+        """
         if self._find_refusal_reason():
             return False
         try:
@@ -76,11 +81,11 @@ class Persistence:
         return True
 
     def _sync(self) -> None:
-        """Make the journal durable and report the acknowledged shots; raise if the disk refuses."""
+        """Make the journal durable and report the acknowledged shots; raise ArchiveWriteError if refused."""
         self._report_ids(self._archive.sync())
 
     def _report_ids(self, shot_ids: Iterable[int]) -> None:
-        """Report each durable shot that was not reported before."""
+        """Call the option ``acknowledged`` with each id of a durable shot that was not reported before."""
         for shot_id in shot_ids:
             if shot_id not in self._reported_ids:
                 self._reported_ids.add(shot_id)
@@ -91,14 +96,17 @@ class Persistence:
         self._reported_ids.update(shot_ids)
 
     def store(self, record: SetRecord) -> StoredSet:
-        """Make a complete set durable and report the ids of its shots; errors as `Archive.store_set`."""
+        """Make a complete set durable and report the ids of its shots; raise errors of `Archive.store_set`.
+
+        The ids are forgotten afterwards, since no later set has them.
+        """
         stored = self._archive.store_set(record)
         self._report_ids(stored.crc32)
         self._reported_ids.difference_update(stored.crc32)
         return stored
 
     def after_set(self, set_key: SetKey) -> None:
-        """Notify the background tasks of a set whose rows are stored: its file can be written."""
+        """Notify all background tasks that the rows of a set are stored, so that its file can be written."""
         for task in self._tasks:
             task.after_set(set_key)
 
@@ -107,7 +115,7 @@ class Persistence:
     def do(self, job: Callable[[], None], *, n_bytes: int = 0) -> None:
         """Run a job after all queued jobs: at once, unless the disk refuses at present.
 
-        A refused job stays queued.
+        A job that a disk error (`PASSING`) ends stays queued and is retried; other errors are raised.
 
         Parameters
         ----------
@@ -122,7 +130,7 @@ class Persistence:
             self.run_queued_jobs()
 
     def attempt(self, job: Callable[[], None]) -> None:
-        """Run a job; queue it after a disk error, or drop it on one if other jobs already wait.
+        """Run a job at once; after a disk error queue it, or drop it if other jobs wait already.
 
         In the second case the caller's next check runs it again.
         """
@@ -137,12 +145,13 @@ class Persistence:
     ) -> None:
         """Build a transaction once and pass it to each of ``then`` in order, after all queued jobs.
 
-        If the disk refuses, all of ``then`` are repeated with the same transaction.
+        If the disk refuses, all of ``then`` are repeated with the same transaction. ``n_bytes`` is the memory
+        that the job holds.
         """
         built: list[SetCommit] = []
 
         def job() -> None:
-            """Build the transaction on the first try and pass it on."""
+            """Build the transaction on the first try and pass it to each of ``then``."""
             if not built:
                 built.append(build())
             for pass_on in then:
@@ -151,21 +160,26 @@ class Persistence:
         self.do(job, n_bytes=n_bytes)
 
     def say(self, kind: str, payload: Mapping[str, Any]) -> None:
-        """Queue an event of the service, with the present time of the test."""
+        """Store an event of topic ``service`` with the present time of the test, after all queued jobs."""
         utc_ns = self._moment().utc_ns
 
         def job() -> None:
+            """Store the event at the time at which it was queued."""
             self._catalogue.add_service_event(utc_ns=utc_ns, kind=kind, payload=payload)
 
         self.do(job)
 
     def run_for(self, seconds: float) -> None:
-        """Retry the queued jobs if the waiting time is over; ``seconds`` is not used."""
+        """Retry the queued jobs if the waiting time is over (a `BackgroundTask`); ``seconds`` is unused."""
         if self._jobs and self._mono_s() >= self._next_s:
             self.run_queued_jobs()
 
     def run_queued_jobs(self) -> None:
-        """Run the queued jobs in order until one is refused; report when all are stored."""
+        """Run the queued jobs in order until one is refused; schedule its retry.
+
+        When all are stored after a trouble, log it and call ``on_change`` with None. Other errors than
+        `PASSING` are raised.
+        """
         while self._jobs:
             if refusal := self._find_refusal_reason():
                 self._schedule_retry(refusal)
@@ -188,7 +202,10 @@ class Persistence:
         return "" if self._disk is None or self._stop.is_set() else self._disk.refusal
 
     def _schedule_retry(self, message: str) -> None:
-        """Schedule the next retry in 1, 2, 5, 10, then always 30 s; report a new or changed message."""
+        """Schedule the next retry in 1, 2, 5, 10, then always 30 s, and set `trouble`.
+
+        A new or changed message is logged as an error and passed to ``on_change``.
+        """
         now_s, before = self._mono_s(), self.trouble
         self._next_s = now_s + WAITS_S[min(self._tries, len(WAITS_S) - 1)]
         self._tries += 1

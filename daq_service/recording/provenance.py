@@ -17,6 +17,8 @@ PACKAGES = ("solimon", "numpy", "scipy", "h5py", "numba")
 def build_provenance(settings: Settings, rig: Rig, *, experiment: ExperimentRow) -> dict[str, Any]:
     """Build the provenance that is stored with every set of a run, ready for JSON.
 
+    It has configuration and its hash, experiment, rig, host, platform, Python and package versions.
+
     Parameters
     ----------
     experiment

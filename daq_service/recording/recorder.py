@@ -44,13 +44,14 @@ class Cost:
     """Seconds of wall time by stage, printed at the end of a run and stored with its last event."""
 
     def __init__(self, clock_s: Callable[[], float] = time.perf_counter) -> None:
+        """Start at zero seconds for each stage, and the elapsed time now."""
         self.sets = 0
         self._clock_s, self._started_s = clock_s, clock_s()
         self.seconds = dict.fromkeys(STAGES, 0.0)
 
     @contextmanager
     def of(self, stage: str) -> Iterator[None]:
-        """Add the wall time in s that is spent inside the block to a stage; KeyError for an unknown stage."""
+        """Add the wall time in s of the block, even if it raises, to a stage; KeyError if unknown."""
         start = self._clock_s()
         try:
             yield
@@ -58,13 +59,13 @@ class Cost:
             self.seconds[stage] += self._clock_s() - start
 
     def add_set(self, seconds: Mapping[str, float]) -> None:
-        """Count a set that was stored, and add the seconds of its stages."""
+        """Count a stored set and add the seconds of its stages; KeyError for an unknown stage."""
         self.sets += 1
         for stage, value in seconds.items():
             self.seconds[stage] += value
 
     def as_row(self) -> dict[str, float]:
-        """Return the number of sets, and seconds by stage to 1 ms; ``other_s`` completes the elapsed time."""
+        """Return number of sets and seconds by stage, to 1 ms; ``other_s`` is the remaining elapsed time."""
         other_s = self._clock_s() - self._started_s - sum(self.seconds.values())
         seconds = {**self.seconds, "other_s": other_s}
         return {"sets": self.sets, **{stage: round(value, 3) for stage, value in seconds.items()}}
@@ -74,6 +75,7 @@ class Recorder:
     """Takes the sets of a test, one after the other."""
 
     def __init__(self, resources: Resources, *, features_of: FeaturesOf = extract_shot_features) -> None:
+        """Build and connect the parts; read open sets and states of the test, or raise StorageError."""
         self._resources, self._stop, self._cost = resources, resources.stop, Cost()
         self._set_assessor = assessor = SetAssessor(
             resources.settings,
@@ -99,7 +101,7 @@ class Recorder:
     def run(self, *, not_running_reason: str, opening: Opening | None = None) -> bool:
         """Take every set that is still due, then wait for their files; return False when ``stop`` came first.
 
-        ``opening`` is what this recorder did before, while other sets may have fallen due.
+        ``opening`` is what this recorder did before. Raises RigError after a lasting error of an instrument.
         """
         resources, persistence, waiting = self._resources, self._persistence, self.waiting
         done = resources.catalogue.list_committed_sets()
@@ -148,7 +150,7 @@ class Recorder:
             raise_if_permanent(taken.trouble, due, n_shots=len(taken.shots), proven=self._set_assessor.proven)
 
     def _process_acquired_set(self, due: DueSet, taken: TakenSet, *, cut_short_reason: str = "") -> None:
-        """Queue the stages that write acquired records to disk; they wait in memory while it refuses."""
+        """Queue the stages that write acquired records; they wait in memory while the disk refuses."""
         self._activity.announce(f"storing {due}")
         reason = self._carried_over.corruption_of.get(due.set_key, cut_short_reason)
         record = self._acquisition.record_of(due, taken, reason)
@@ -166,11 +168,11 @@ class Recorder:
     # The stages -----------------------------------------------------------------------------------
 
     def plan(self, done: Collection[SetKey], absences: Sequence[tuple[int, str]]) -> Iterator[DueSet]:
-        """Yield each set without rows when it is due; close those whose time is over (`DueSets.follow`)."""
+        """Block until each set without rows is due and yield it; close overdue ones (`DueSets.follow`)."""
         return self._due_sets.follow(done, absences)
 
     def acquire(self, due: DueSet, taken: TakenSet) -> Iterator[Measurement]:
-        """Strike and read; yield each measurement before the next strike, and count the time."""
+        """Strike and read; yield each measurement before the next strike, timed; an error ends the set."""
         measurements = self._acquisition.acquire_measurements(due, taken)
         while True:
             with self._cost.of("strike_and_read_s"):
@@ -180,11 +182,11 @@ class Recorder:
             yield measurement
 
     def persist(self, measurement: Measurement, taken: TakenSet) -> None:
-        """Append a measurement to the journal; in real time also acknowledge it when it is durable."""
+        """Add a measurement to set and journal; in real time also make it durable and acknowledge it."""
         self._acquisition.keep(measurement, taken)
 
     def extract(self, measurement: Measurement, due: DueSet, taken: TakenSet) -> None:
-        """Extract the features of a shot, which decide whether it is repeated; show the waveform."""
+        """Extract the features of a shot, which decide whether it is repeated; show its waveform if due."""
         with self._cost.of("extract_s"):
             self._acquisition.extract(measurement, due, taken)
 
@@ -195,7 +197,7 @@ class Recorder:
         features: Mapping[int, ShotFeatures],
         load: Mapping[str, Any] | None,
     ) -> SetCommit:
-        """Write the set durably, then assess it; return rows, alarms and events as one transaction."""
+        """Store the set durably, then assess it; return its rows and events; ArchiveError if refused."""
         stored = self._persistence.store(record)
         self._cost.add_set(asdict(stored.timings))
         self._activity.doing = f"assessing {due}"
@@ -207,17 +209,17 @@ class Recorder:
         return transaction
 
     def commit(self, transaction: SetCommit) -> None:
-        """Store the rows, alarms and events of a set in one transaction; raise errors of the catalogue."""
+        """Store the rows, alarms and events of a set in one transaction; CatalogueError if refused."""
         with self._cost.of("commit_s"):
             self._set_assessor.store(transaction)
 
     def publish(self, due: DueSet, transaction: SetCommit) -> None:
-        """Report alarms and gaps of a stored set, and let the background tasks write its file."""
+        """Report alarms and gaps of a stored set, and notify the background tasks, which write its file."""
         self._set_assessor.publish(transaction)
         self._persistence.after_set(due.set_key)
 
     def _record_gap(self, due: DueSet, reason: str) -> None:
-        """Close a set that is not acquired: store the records of an open set, or else rows of a gap."""
+        """Queue a set that is not acquired: records of an open set, or rows of a gap with the reason."""
         opened = self._carried_over.open_sets.pop(due.set_key, None)
         if opened is not None and opened.records:
             self._process_acquired_set(due, self._carried_over.resume(opened), cut_short_reason=reason)
@@ -229,12 +231,12 @@ class Recorder:
         store_empty_set(self._set_assessor, self._persistence, due, reasons, utc_ns=now_ns)
 
     def _leave_set_open(self, taken: TakenSet) -> bool:
-        """Return whether a set that a stop cut short is left to the next recorder, with durable shots."""
+        """Return whether a set that a stop cut short is left to the next recorder, its shots durable."""
         cut = self._stop.is_set() and not self.commands.paused and taken.trouble is None
         return cut and not taken.is_complete(self._set_assessor.n_planned) and self._persistence.acknowledge()
 
     def _finish_run(self) -> bool:
-        """Store the end of the run with its cost and that of the drive; return whether it is complete."""
+        """Store the run's end and cost; if supervised, switch the supply off; return False after a stop."""
         finished, is_unsupervised = not self._stop.is_set(), self._resources.options.unsupervised.is_set()
         # A supervisor that was killed is no end of the test: the drive's process watches the supply.
         drive = None if is_unsupervised else self._set_assessor.drive

@@ -9,7 +9,10 @@ from hardware_drivers.nanoseconds import NS_PER_H
 
 
 def report_changes(transaction: SetCommit, news: Callable[..., None]) -> None:
-    """Call ``news`` for each gap of scheduled sets, by set and reason, and for each changed alarm."""
+    """Call ``news`` with "gap" for each set, state and reason, and with "alarm" for each changed alarm.
+
+    Unscheduled sets have no gaps.
+    """
     lacking: dict[tuple[int, str, str], list[str]] = {}
     for row in transaction.sets:
         if row.state in ("missed", "partial") and row.purpose is None:

@@ -134,22 +134,22 @@ class Resources:
 
     @cached_property
     def epoch_ns(self) -> int:
-        """Return hour 0 of the test in ns of UTC."""
+        """Return hour 0 of the test in ns of UTC; read once, NoDataYetError before the test starts."""
         return self.catalogue.read_experiment().epoch_utc_ns
 
     @cached_property
     def plan(self) -> Sequence[DueSet]:
-        """Return every scheduled set; the set of index k is the k-th."""
+        """Return every scheduled set in order; the set of index k is the k-th. Computed once."""
         schedule = self.settings.schedule
         return plan_sets(schedule.phases, self.epoch_ns, end_h=schedule.end_h)
 
     @property
     def in_real_time(self) -> bool:
-        """Return whether the clock of the test advances while the recorder waits."""
+        """Return whether the test runs by the wall clock, which advances while the recorder waits."""
         return self.settings.clock.kind == "wall"
 
     def moment(self) -> Moment:
-        """Return the present moment of the test, without a set."""
+        """Return the present moment of the test: UTC in ns and hour, without a set."""
         return build_present_moment(self.rig.clock, self.epoch_ns)
 
 

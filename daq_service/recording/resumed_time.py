@@ -27,19 +27,21 @@ def read_previous_time(
     elapsed_ns: int,
     doubt_after_h: float,
 ) -> Before:
-    """Read the last known test time from the newest rows and, on the same boot, the last heartbeat.
+    """Read the last known test time from the newest event and, on the same boot, the last heartbeat.
 
-    The heartbeat is a hint that a power cut may take; but then the boot is another one, and its pair of times
-    unreliable. The offset of the system's clock is the one that was stored last.
+    A heartbeat of another boot, as after a power cut, gives no time. The offset of the system's clock from
+    the test's time is the one that was stored last.
 
     Parameters
     ----------
     beat
-        Last sign of life of an earlier recorder.
+        Last heartbeat of an earlier recorder; None: there is none.
     opened_utc_ns
-        Of the last shots that the journal knows and the catalogue does not yet.
+        Times of the last shots that the journal has and the catalogue lacks yet (ns of UTC).
     boot, elapsed_ns
-        This boot, and what has elapsed of it.
+        Name of this boot, and ns since it started.
+    doubt_after_h
+        Hours of downtime after which a clock that is not synchronized is doubtful; part of the result.
     """
     line = extract_time_line(beat, boot=boot, elapsed_ns=elapsed_ns)
     last_event = catalogue.read_last_service_event(CLOCK_STEP, CLOCK_BELIEVED)
@@ -56,12 +58,12 @@ def read_previous_time(
 
 
 def compute_hour_0_ns(system_ns: int) -> int:
-    """Return hour 0 of a test in real time that starts now: the system's time in ns of UTC, once checked.
+    """Check the system's time (ns of UTC) and return it as hour 0 of a test in real time that starts now.
 
     Raises
     ------
     UsageError
-        The system's clock is not set.
+        It is before 2025: the system's clock is not set.
     """
     if system_ns < parse_utc(EARLIEST_UTC):
         raise UsageError(

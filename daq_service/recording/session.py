@@ -75,7 +75,7 @@ def record_test(
     options: SessionOptions = PLAIN,
     host: Host = THIS_COMPUTER,
 ) -> bool:
-    """Record a test to the end of its schedule; the caller holds the lock of the folder.
+    """Create or resume a test, and record it to the end of its schedule; the caller holds the folder's lock.
 
     Returns
     -------
@@ -149,7 +149,10 @@ def record_test(
 def _create_clock(
     clock: ClockSettings, catalogue: RecorderCatalogue, archive: Archive, last_beat: Beat | None, host: Host
 ) -> Clock:
-    """Create the clock of the test, which goes on where the last recorder ended."""
+    """Create the clock of the test, which goes on where the last recorder ended.
+
+    A simulated clock starts at the last record, a real one knows the last times.
+    """
     if clock.kind != "wall":
         epoch_ns = catalogue.read_experiment().epoch_utc_ns
         start_ns = _find_resume_utc_ns(catalogue, archive, epoch_ns)
@@ -169,7 +172,7 @@ def _create_clock(
 def _add_background_tasks(
     bare: Resources, folder: Path, archive: FolderArchive, history: HistoryFollower
 ) -> Resources:
-    """Return the resources with the tasks between sets added.
+    """Return the resources with the tasks between sets added, such as set files, checks and tiles.
 
     Complete sets with rows that the last recorder left in the journal get their files first.
     """
@@ -178,11 +181,11 @@ def _add_background_tasks(
     disk = DiskWatch(folder, bare.settings.storage, usage=bare.host.disk_usage)
 
     def has_room() -> bool:
-        """Return whether the volume has space for tiles."""
+        """Return whether the volume has space for tiles (level "ample" or "warn")."""
         return disk.space.level in ("ample", "warn")
 
     def build_tile_job(set_key: SetKey, results: Results) -> Callable[[SetRecord], str] | None:
-        """Return the function that adds a set to the tiles; None if space is short."""
+        """Build the function that adds a set with these results to the tiles; None if space is short."""
         if not has_room():
             return None
         return partial(add_record_to_tiles, folder, experiment, extract_anchors(results))
@@ -215,7 +218,10 @@ def _add_background_tasks(
 
 
 def _store_rebuilt_event(catalogue: RecorderCatalogue, rebuilt: dict[str, Any], epoch_ns: int) -> None:
-    """Store the event that the catalogue was lost and rebuilt, at the time of its newest event."""
+    """Store the event that the catalogue was lost and rebuilt, at the time of its newest event.
+
+    Raises CatalogueError.
+    """
     newest = catalogue.read_events_after(catalogue.last_event_id() - 1, limit=1)
     now_ns = newest[0].utc_ns if newest else epoch_ns
     catalogue.add_service_event(utc_ns=now_ns, kind="catalogue_rebuilt", payload=rebuilt)
@@ -224,13 +230,19 @@ def _store_rebuilt_event(catalogue: RecorderCatalogue, rebuilt: dict[str, Any], 
 def _store_file_digest(
     catalogue: RecorderCatalogue, history: HistoryFollower, set_key: SetKey, file: str, sha256: str
 ) -> None:
-    """Store the SHA-256 of the file of a set in the catalogue and, with the next lines, the history."""
+    """Store the SHA-256 of a set's file in the catalogue and add it to the next lines of the history.
+
+    Raises CatalogueError.
+    """
     catalogue.store_digest(set_key, file, sha256)
     history.add_digest(file, sha256)
 
 
 def _rebuild_if_lost(settings: Settings, folder: Path, heartbeat: Heartbeat) -> dict[str, Any]:
-    """Rebuild a lost catalogue before recording; return the event's payload, empty if none was lost."""
+    """Rebuild a lost catalogue before recording; return the event's payload, empty if none was lost.
+
+    Logs warnings and writes the heartbeat; raises the errors of `rebuild_folder_catalogue`.
+    """
     if not is_catalogue_lost(folder):
         return {}
     log.error("the catalogue of %s is lost and made again from sets, journal and history", folder)
@@ -247,9 +259,9 @@ def _rebuild_if_lost(settings: Settings, folder: Path, heartbeat: Heartbeat) -> 
 def _store_missing_digests(
     catalogue: RecorderCatalogue, archive: Archive, note_file: Callable[[SetKey, str, str], None]
 ) -> None:
-    """Store the SHA-256 of the newest 100 files that a crash left without one.
+    """Compute and store the SHA-256 of the newest 100 files that a crash left without one.
 
-    Those of an older folder follow when the recorder is idle.
+    ``note_file`` stores each. Those of an older folder follow when the recorder is idle.
     """
     for set_key, file in sorted(catalogue.list_sets_without_digest().items())[-NOTED_AT_ONCE:]:
         sha256 = archive.digest(SetReference(file))
@@ -258,7 +270,7 @@ def _store_missing_digests(
 
 
 def compute_longest_call_s(settings: Settings) -> float:
-    """Compute the longest time in s that a call of an instrument may take until its timeout."""
+    """Compute the longest time in s that a call of an instrument, or reading a record, may take."""
     rig = settings.rig
     longest_s = max(item.kind.longest_call_s(item.parameters) for item in list_instruments(settings))
     return max(rig.read_timeout_s, longest_s)
@@ -267,7 +279,8 @@ def compute_longest_call_s(settings: Settings) -> float:
 def _create_or_read_epoch(catalogue: RecorderCatalogue, settings: Settings) -> int:
     """Return hour 0 (ns of UTC) of this folder's test; create the test in a new folder.
 
-    Raises UsageError if a test in real time would start with a clock that is not set.
+    Raises UsageError if a test in real time would start with a clock that is not set. Another version of
+    solimon is logged as a warning.
     """
     with suppress(NoDataYetError):
         row = catalogue.read_experiment()
@@ -290,9 +303,10 @@ def _create_or_read_epoch(catalogue: RecorderCatalogue, settings: Settings) -> i
 
 
 def _assign_copy_uuid(folder: Path, catalogue: RecorderCatalogue, epoch_ns: int) -> None:
-    """Assign a new UUID to a backup that continues the test, and store an event of it.
+    """Assign a new UUID to a backup that continues the test, in catalogue and experiment.json.
 
-    The original keeps its UUID; another folder is left as it is.
+    Stores an event with both and logs a warning. The original keeps its UUID; a folder that is no backup is
+    left as it is. Raises CatalogueError.
     """
     row, original = catalogue.read_experiment(), read_identity(folder)
     if original is None or original.get("uuid") != row.uuid:
@@ -307,7 +321,7 @@ def _assign_copy_uuid(folder: Path, catalogue: RecorderCatalogue, epoch_ns: int)
 
 
 def _find_resume_utc_ns(catalogue: RecorderCatalogue, archive: Archive, epoch_ns: int) -> int:
-    """Return the time (ns of UTC) of the last stored record, hour 0 without any, for a simulated clock."""
+    """Find the time (ns of UTC) of the last stored record, hour 0 if none, to resume a simulated clock."""
     opened = [item.last_utc_ns for item in archive.open_sets().values()]
     ended_ns = catalogue.find_last_end_utc_ns()
     return max([*opened, *([] if ended_ns is None else [ended_ns])], default=epoch_ns)
@@ -320,7 +334,10 @@ def _store_stop(
     moment: Moment,
     unsupervised: threading.Event,
 ) -> None:
-    """Store the event that a recorder was stopped before its rig was open; log a failure of the disk."""
+    """Store the event that a recorder was stopped before its rig was open; log a failure of the disk.
+
+    Writes the last heartbeat, and the history at once.
+    """
     heartbeat.stage = "ended"
     heartbeat.beat("leaving", at_once=True)
     alone = unsupervised.is_set()
@@ -333,7 +350,7 @@ def _store_stop(
 
 
 def _find_downtime_reason(catalogue: RecorderCatalogue, beat: Beat | None, restart_reason: str) -> str:
-    """Return why no recorder ran until now, by the supervisor, the catalogue or the heartbeat.
+    """Return why no recorder ran until now, from supervisor, catalogue or heartbeat, as one text.
 
     The supervisor's reason comes first; without any trace the recorder was starting.
     """

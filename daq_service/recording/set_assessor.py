@@ -76,6 +76,10 @@ class SetAssessor:
         rehearsal: bool = False,
         news: Callable[..., None] = lambda event, **values: None,
     ) -> None:
+        """Read alarms, delays, requests and assessor states of the test; create the drive if there is one.
+
+        Raises StorageError if they cannot be read.
+        """
         self._settings, self._delays = settings, settings.alarms.kinds
         self._positions_by_method = [settings.list_positions(method) for method in METHODS]
         self.n_planned = {
@@ -101,12 +105,15 @@ class SetAssessor:
             )
 
     def adopt(self) -> None:
-        """Load the newest alarms that another process raised while no recorder stored sets."""
+        """Read the stored alarms about a recorder that does not run, which another process raised.
+
+        Raises CatalogueError.
+        """
         rows = self._catalogue.rows(AlarmRow, kind=RECORDER_NOT_RUNNING)
         self.alarms |= {(row.position, row.kind): row for row in rows}
 
     def apply_stored_row(self, row: SetRow) -> Sequence[Condition]:
-        """Update the state with the stored row of a set without waveforms; return its alarm conditions."""
+        """Update the assessor with the stored row of a set without records; return its alarm conditions."""
         position_result = self.assessors[row.position].assess_empty_set(
             DueSet(set_index=row.set_index, due_h=row.due_h, due_utc_ns=row.due_utc_ns),
             row.n_missed - row.n_restrikes,
@@ -114,7 +121,7 @@ class SetAssessor:
         return position_result.conditions
 
     def disabled(self) -> dict[str, str]:
-        """Return the reason of each disabled transducer, by position."""
+        """Return the reason of each disabled transducer by position; empty if none is disabled."""
         return find_disabled(self.alarms.values())
 
     def assessed(
@@ -128,7 +135,8 @@ class SetAssessor:
     ) -> SetCommit:
         """Assess every position once; return rows, alarms and events as one transaction to commit.
 
-        An unscheduled set is assessed at its own position, and does not change later assessments.
+        An unscheduled set is assessed at its own position, and does not change later assessments. The states
+        of the assessors change at once; nothing is stored.
 
         Parameters
         ----------
@@ -190,7 +198,7 @@ class SetAssessor:
         return self.add_environment(due, moment, transaction)
 
     def build_empty_row(self, due: DueSet, position: str, *, disabled: bool, reason: str) -> SetRow:
-        """Build the row of a position without records (missed), or that was not measured (disabled)."""
+        """Build the row of a position without records, of state "missed" or, if not measured, "disabled"."""
         return SetRow(
             set_index=due.set_index,
             unscheduled_index=due.unscheduled_index,
@@ -205,18 +213,24 @@ class SetAssessor:
         )
 
     def list_set_positions(self, due: DueSet) -> list[str]:
-        """List the positions of a set: all, or the one of an unscheduled set."""
+        """List the positions of a set: all in their order, or the one of an unscheduled set."""
         return list(self._settings.positions) if due.position is None else [due.position]
 
     def update_alarm(self, condition: Condition, moment: Moment) -> None:
-        """Update an alarm that belongs to no set, and store the change, if there is one."""
+        """Update an alarm that belongs to no set, and commit the change, if there is one.
+
+        Raises CatalogueError if it is not stored.
+        """
         transaction = SetCommit()
         self.apply_alarm(condition, moment, transaction)
         if transaction.events:
             self.commit(transaction)
 
     def expire_shelves(self, moment: Moment) -> None:
-        """Store the end of expired shelves, on the test's clock or in real time; they notify again."""
+        """Store and report the end of shelves that expired on the test's clock or in real time.
+
+        Raises CatalogueError.
+        """
         shelved = [row for row in self.alarms.values() if row.suppressed == "shelved"]
         changes = [change for row in shelved if (change := end_expired_shelf(row, moment, time.time_ns()))]
         if changes:
@@ -226,7 +240,7 @@ class SetAssessor:
             self.commit(transaction)
 
     def _find_unanswered_reason(self, record: SetRecord) -> str:
-        """Return why no instrument of a method responded in a set; empty if each method has a record."""
+        """Return why no instrument of a method responded in a set, for the first such method; else ""."""
         for names in self._positions_by_method:
             if not any(item.key.position in names for item in record.records):
                 missed = [item for item in record.missed if item.key.position in names]
@@ -235,14 +249,14 @@ class SetAssessor:
         return ""
 
     def _has_alarm_or_delay(self, position: str | None, kind: str) -> bool:
-        """Return whether there is an alarm, or the delay before one, that an absent condition ends."""
+        """Return whether the position (None: the test) has an alarm of the kind, or its delay runs."""
         return (position, kind) in self.alarms or (position, kind) in self._delayed_since_ns
 
     def apply_alarm(self, condition: Condition, moment: Moment, transaction: SetCommit) -> None:
-        """Add the change of an alarm by a condition, and of its delays, to a transaction.
+        """Apply a condition to its alarm, after its delays, and add the changes to a transaction.
 
         Nothing is added if the alarm does not change, or its delay is running. A missing reflection trips the
-        supply at once.
+        supply at once. A change is logged as a warning.
         """
         key = (condition.position, condition.kind)
         row, since_ns = self.alarms.get(key), self._delayed_since_ns.get(key)
@@ -266,27 +280,34 @@ class SetAssessor:
             log.warning("%s at hour %g: %s", change.event_kind, moment.due_h, change.row.message)
 
     def apply_stored_event(self, event: EventRow) -> None:
-        """Update alarm delays and requested sets from a stored event."""
+        """Update alarm delays and requested sets in memory from a stored event; ignore other events."""
         self.confirmations.apply_event(event)
         if event.kind == DELAY_EVENT:
             payload = event.payload
             self._delayed_since_ns[(event.position, payload["alarm_kind"])] = payload["since_utc_ns"]
 
     def add_environment(self, due: DueSet, moment: Moment, transaction: SetCommit) -> SetCommit:
-        """Add the readings of supply and climate since the last set to the transaction; return it."""
+        """Add the row of supply and climate readings since the last set to the transaction; return it.
+
+        Nothing is added without a drive.
+        """
         if self.drive is not None:
             self.drive.add_environment_row(transaction, due, moment)
         return transaction
 
     def commit(self, transaction: SetCommit) -> None:
-        """Store rows, alarms and events in one transaction, then report them; raises as `store`."""
+        """Store rows, alarms and events in one transaction, then report them.
+
+        Raises CatalogueError, with nothing stored.
+        """
         self.store(transaction)
         self.publish(transaction)
 
     def store(self, transaction: SetCommit) -> None:
-        """Store rows, alarms and events; what later sets build on is taken over only after that.
+        """Store rows, alarms and events in one transaction; update `alarms` only after that.
 
-        Called again after an error, it first checks whether the commit took place all the same.
+        Called again after an error, it first checks whether the commit took place all the same. Raises
+        CatalogueError; then nothing is stored.
         """
         keys = {row.set_key for row in transaction.sets}
         if transaction is self._uncommitted and keys <= self._catalogue.list_committed_sets(keys):
@@ -302,7 +323,7 @@ class SetAssessor:
             self.alarms[(row.position, row.kind)] = replace(row, id=alarm_id)
 
     def publish(self, transaction: SetCommit) -> None:
-        """Update delays and requested sets with a stored transaction, and report its alarms and gaps."""
+        """Update delays and requested sets with a stored transaction, then report its alarms and gaps."""
         for event in transaction.events:
             self.apply_stored_event(event)
         self.confirmations.apply_rows(transaction)
@@ -312,7 +333,7 @@ class SetAssessor:
 def build_shot_row(
     measurement: Shot | PulseEchoRecord, *, valid: bool, flags: Sequence[str], outcome: Outcome = ACCEPTED
 ) -> ShotRow:
-    """Build the catalogue row of a record, with the CRC-32 of its counts."""
+    """Build the catalogue row of a record from key, time stamp and quality, with the CRC-32 of its counts."""
     key, stamp = measurement.key, measurement.stamp
     return ShotRow(
         sequence=measurement.sequence,
@@ -339,7 +360,11 @@ def add_position_rows(
     moment: Moment,
     outcomes: Mapping[int, str] = MappingProxyType({}),
 ) -> None:
-    """Add rows and events of a set at one position; ``outcomes`` name the records that are not accepted."""
+    """Add the rows and events of a set at one position to a transaction.
+
+    ``outcomes`` has the outcome of records that are not accepted, by sequence; ``moment`` dates the events
+    and a new baseline.
+    """
     event = partial(moment.event, position=its_set.position)
     transaction.sets.append(its_set)
     for measurement in measurements:
@@ -381,6 +406,7 @@ class PositionAssessors:
     """
 
     def __init__(self, settings: Settings, catalogue: Catalogue, archive: SetReader, rehearsal: bool) -> None:
+        """Restore the assessor of each position, so that an error of its stored state is raised at once."""
         self._settings, self._catalogue, self._archive = settings, catalogue, archive
         self._rehearsal, self._configuration_hash = rehearsal, settings.configuration_hash()
         self._assessors: dict[str, Assessor] = {}
@@ -390,6 +416,7 @@ class PositionAssessors:
             self[position]  # an error of its state is reported at the start
 
     def __getitem__(self, position: str) -> Assessor:
+        """Return the assessor of a position, restored on the first access; KeyError for an unknown one."""
         if position not in self._assessors:
             method = METHODS[self._settings.positions[position].method]
             self._assessors[position] = method.restored(
@@ -398,21 +425,21 @@ class PositionAssessors:
         return self._assessors[position]
 
     def enable(self, position: str) -> None:
-        """Clear the reason why a transducer was disabled: a person has enabled it."""
+        """Enable the transducer of a position again, because a person has decided so."""
         self[position].enable()
         self.enabled = True
 
     def discard_state(self, position: str) -> None:
-        """Discard the state of a position in memory, because a person has renewed the baseline.
+        """Discard the assessor of a position in memory, because a person has renewed the baseline.
 
-        The following sets are assessed by the stored state.
+        The following sets are assessed by the stored state, which the next access restores.
         """
         self._assessors.pop(position, None)
         self._stored.pop(position, None)
 
     @property
     def states(self) -> dict[str, object]:
-        """Return the state of each position; set it to continue from an earlier one."""
+        """Return the state of each position whose assessor is in memory."""
         return {position: assessor.state for position, assessor in self._assessors.items()}
 
     @states.setter
@@ -422,7 +449,7 @@ class PositionAssessors:
             self[position].state = state
 
     def collect_changed_states(self) -> dict[str, AssessorStateRow]:
-        """Collect the rows of the states that have changed since the last call, by ``place``."""
+        """Build the rows of the states that changed since the last call, by ``place``; reset `enabled`."""
         rows: list[AssessorStateRow] = []
         for position, assessor in self._assessors.items():
             before, self._stored[position] = self._stored.get(position), assessor.state
@@ -440,9 +467,9 @@ class PositionAssessors:
 def find_changed_state_rows(
     before: Any, after: Any, *, position: str, baseline_id: int | None, configuration_hash: str
 ) -> list[AssessorStateRow]:
-    """Build the rows of a state that differ from the earlier state; all of them if that is None.
+    """Build the rows of a state for the parts, frozen and running, that differ from the earlier state.
 
-    Fields are compared by identity.
+    Both parts if that is None. Fields are compared by identity.
     """
     parts = {"frozen": FROZEN_FIELDS, "running": {item.name for item in fields(after)} - FROZEN_FIELDS}
     rows = []

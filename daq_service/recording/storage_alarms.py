@@ -28,6 +28,7 @@ class StorageAlarms:
     """Reports what storage and web service lack, and when it is over."""
 
     def __init__(self, resources: Resources, assessor: SetAssessor, persistence: Persistence) -> None:
+        """Connect to the disk watch; nothing is reported yet."""
         self._archive, self._set_assessor, self._persistence = resources.archive, assessor, persistence
         self._finalizer, self._verification = resources.finalizer, resources.verification
         self._disk, self._web, self._moment = resources.disk, resources.web, resources.moment
@@ -39,12 +40,15 @@ class StorageAlarms:
             self._disk.on_change = self._report_space
 
     def find_overdue_reason(self, due_utc_ns: int) -> str:
-        """Return why the time of a set passed: trouble of the disk, or else sleep of the computer."""
+        """Return why the time of a set passed: trouble of the disk then, else sleep of the computer."""
         is_over = self._persistence.trouble is None and self._trouble_until_ns < due_utc_ns
         return OVERSLEPT if is_over else f"the recorder waited for the disk: {self._reported_trouble}"
 
     def check_web(self) -> None:
-        """Raise or clear the alarm of a missing web service when that changes; a disk error delays it."""
+        """Raise or clear the alarm of a missing web service when that changes; the next call retries.
+
+        Errors of the disk are not raised.
+        """
         is_missing = None if self._web is None else self._web.is_missing()
         if is_missing in (None, self._web_is_missing):
             return
@@ -54,7 +58,10 @@ class StorageAlarms:
             self._web_is_missing = is_missing
 
     def start_verification(self) -> None:
-        """Start the check of stored sets; report those that are missing and the files in quarantine."""
+        """Start the check of stored sets with the known corrupt ones; report corrupt and missing sets.
+
+        Does not wait for the check.
+        """
         if self._verification is not None:
             alarm = self._set_assessor.alarms.get((None, "data_corrupt"))
             stands = alarm is not None and alarm.state in ("unacknowledged", "acknowledged")
@@ -64,7 +71,7 @@ class StorageAlarms:
     def store_in_reserve(self) -> None:
         """Run the queued jobs in the space that is reserved for a stop, if the disk has refused them.
 
-        Jobs that are refused again are lost, which is logged.
+        Jobs that are refused again are lost, which is logged as an error, not raised.
         """
         if self._persistence.trouble is not None and self._disk is not None:
             self._disk.free_reserve()
@@ -73,14 +80,20 @@ class StorageAlarms:
             log.error("%d jobs are lost that no disk took: %s", len(self._persistence), trouble.message)
 
     def report(self) -> None:
-        """Report what the background tasks have found: sets without a file, and corruption."""
+        """Report what the background tasks have found: sets that get no file, and corruption.
+
+        While the disk refuses, nothing is reported.
+        """
         if self._finalizer is not None:
             self._report_finalizing(self._finalizer.trouble)
         if self._persistence.trouble is None:
             self._report_corruption()
 
     def _report_space(self, space: DiskSpace) -> None:
-        """Log and store the level of the volume, with an alarm at the levels "alarm" and "stop"."""
+        """Log the level of the volume and store it as an event; raise or clear the alarm of the space.
+
+        The alarm is active at the levels "alarm" and "stop".
+        """
         log.warning("%s: level %s", space.description, space.level)
         self._persistence.say(DISK_SPACE, asdict(space))
         condition = space_condition(
@@ -89,7 +102,7 @@ class StorageAlarms:
         self._store_alarm(condition)
 
     def _store_alarm(self, condition: Condition) -> None:
-        """Update an alarm now, or queue it if the disk refuses."""
+        """Update an alarm now; if the disk refuses, log it and queue the update."""
         job = partial(self._set_assessor.update_alarm, condition, self._moment())
         try:
             job()
@@ -98,9 +111,10 @@ class StorageAlarms:
             self._persistence.do(job)
 
     def report_trouble(self, trouble: Trouble | None) -> None:
-        """Raise (or with None clear) the storage alarm, if the catalogue accepts it.
+        """Raise the storage alarm with a trouble, if the catalogue accepts it, or clear it with None.
 
-        A short trouble is stored afterwards, as raised and cleared.
+        A trouble that could not be stored is stored at its end, as raised and cleared. Disk errors are
+        logged.
         """
         self._trouble_until_ns = self._moment().utc_ns
         if trouble is not None:
@@ -117,7 +131,10 @@ class StorageAlarms:
             self._reported_finalizing = ""  # what still has no file is reported again
 
     def _report_finalizing(self, trouble: str) -> None:
-        """Raise or clear the alarm of sets that get no file; they are safe in the journal."""
+        """Raise or clear the alarm of sets that get no file, when that changes; they are safe in the journal.
+
+        Nothing happens while the disk refuses.
+        """
         if bool(trouble) == bool(self._reported_finalizing) or self._persistence.trouble is not None:
             return
         message = trouble or self._reported_finalizing
@@ -125,7 +142,10 @@ class StorageAlarms:
         self._store_alarm(storage_condition(message, present=bool(trouble), waits_in="journal"))
 
     def _report_corruption(self, *, at_the_start: bool = False) -> None:
-        """Raise or clear the alarm of corrupt or missing sets, and store an event of each new one."""
+        """Raise or clear the alarm of corrupt or missing sets, if they changed; log and store each new one.
+
+        ``at_the_start`` True updates the alarm even without a change.
+        """
         damaged = dict(self._archive.journal_damage.files)
         for helper in (self._finalizer, self._verification):
             damaged |= {} if helper is None else helper.damaged

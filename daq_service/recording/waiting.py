@@ -43,6 +43,7 @@ class Waiting:
         storage: StorageAlarms,
         activity: Activity,
     ) -> None:
+        """Connect the storage alarms with the write-retry queue; no set is taken yet."""
         self._resources, self._set_assessor, self._persistence = resources, assessor, persistence
         self.storage, self.activity, self.free_until_ns = storage, activity, -math.inf
         self.newest: DueSet | None = None
@@ -50,7 +51,7 @@ class Waiting:
         persistence.on_change = self._report_trouble
 
     def run_between_sets(self) -> bool:
-        """Run retries, background tasks, alarms and requests between sets; return False to stop."""
+        """Run retries, background tasks, alarms and requests between sets; return False at a stop."""
         seconds = (self.free_until_ns - self._resources.rig.clock.utc_ns()) / NS_PER_S
         self._persistence.run_for(seconds)
         for task in self._resources.tasks:  # none that can wait, while the disk takes nothing
@@ -60,13 +61,16 @@ class Waiting:
         return self.activity.run_between_shots()
 
     def wait_until_stored(self) -> None:
-        """Wait until all jobs are stored; after a stop use the reserve of the disk for them."""
+        """Block until all jobs are stored; after a stop use the reserve of the disk for them.
+
+        Jobs that are refused even then are lost, with an error in the log.
+        """
         while self._persistence.trouble is not None and self.run_between_sets():
             self._resources.stop.wait(self._resources.host.look_every_s)
         self.storage.store_in_reserve()
 
     def wait_for_worker(self) -> None:
-        """Wait until at most 40 sets lack their files, or for a stop, for simulated time.
+        """Block until at most 40 sets lack their files, or for a stop; needed in simulated time.
 
         Else journal and memory would grow.
         """
@@ -75,7 +79,7 @@ class Waiting:
             self._resources.stop.wait(self._resources.host.look_every_s / 10.0)
 
     def wait_for_files(self) -> None:
-        """Wait at most 60 s for the files of the last sets, retrying failed ones; not after a stop."""
+        """Block until the last sets have their files, at most 60 s or until a stop; retry failed ones."""
         finalizer, host, stop = self._resources.finalizer, self._resources.host, self._resources.stop
         if finalizer is None or stop.is_set():
             return
@@ -85,18 +89,18 @@ class Waiting:
             stop.wait(host.look_every_s)
 
     def linger(self) -> None:
-        """Execute operators' commands without acquiring sets, until ``stop`` is set."""
+        """Block until ``stop`` is set; meanwhile execute operators' commands without acquiring sets."""
         self.activity.doing = "waiting for commands; every set is taken"
         self.free_until_ns = math.inf
         while self.run_between_sets():
             self._resources.stop.wait(self._resources.host.look_every_s)
 
     def end(self) -> None:
-        """Write to the heartbeat that the recorder ends."""
+        """Write the last heartbeat at once: stage "ended", activity "leaving"."""
         self._resources.heartbeat.stage, self.activity.doing = "ended", "leaving"
         self.activity.beat(at_once=True)
 
     def _report_trouble(self, trouble: Trouble | None) -> None:
-        """Raise or clear the storage alarm and write the heartbeat."""
+        """Raise (or with None clear) the storage alarm and write the heartbeat."""
         self.storage.report_trouble(trouble)
         self.activity.beat()

@@ -44,9 +44,10 @@ class CheckedJournal:
     n_bytes: int = 0
 
     def take(self, number: int, name: str, content: bytes) -> None:
-        """Add a segment: consecutive frames, then zeros to its end.
+        """Add the frames of segment ``number`` and count its bytes; list the damage instead of raising.
 
-        Other bytes between frames count as damage; ``name`` is the segment's path in the list.
+        Bytes between frames that are no frame count as damage; zeros at the end do not. ``name`` is the
+        segment's path in the list of damages.
         """
         end_of_last, length, last_sets = 0, len(content.rstrip(b"\0")), set[SetKey]()
         for frame in parse_frames(content):
@@ -64,7 +65,11 @@ class CheckedJournal:
         self.n_bytes += max(end_of_last, length)
 
     def _add_gap(self, name: str, start: int, end: int, neighbors: set[SetKey]) -> None:
-        """Add damage for bytes that are no frame; the sets of the frames around them become suspects."""
+        """Add a damage for the bytes ``start`` to ``end`` of a segment, which are no frame.
+
+        Raises the number of lost frames by as many as fit there; the sets of the frames around
+        (``neighbors``) become suspects.
+        """
         self.suspects |= neighbors
         self.n_lost += 1 + (end - start) // HEADER.size
         self.damages.append(
@@ -73,15 +78,18 @@ class CheckedJournal:
 
 
 def _is_truncated(frame: Frame, length: int, size: int) -> bool:
-    """Return whether a crash truncated a frame: its last 512-byte sectors are zeros or outside the file."""
+    """Return whether a crash truncated a frame: its last 512-byte sectors are zeros or outside the file.
+
+    ``length`` is the number of bytes of the segment without zeros at its end, ``size`` with them.
+    """
     return frame.end > size or -(-length // _SECTOR_BYTES) * _SECTOR_BYTES < frame.end
 
 
 def check_journal(folder: Path) -> CheckedJournal:
-    """Read every frame of a data folder's journal.
+    """Read every frame of a data folder's journal and list its corruption; nothing is written.
 
     A frame that a crash truncated before it was acknowledged is not corrupt. Pages lost in the middle of a
-    frame, as after a power cut, cannot be distinguished from corruption.
+    frame, as after a power cut, cannot be distinguished from corruption. The sets are sorted by key.
 
     Raises
     ------
@@ -123,5 +131,5 @@ def check_journal(folder: Path) -> CheckedJournal:
 
 
 def _name_segment(folder: Path, number: int) -> str:
-    """Return the path of a segment relative to the data folder, with slashes."""
+    """Format the path of a segment relative to the data folder, with slashes."""
     return build_segment_path(folder, number).relative_to(folder).as_posix()

@@ -47,7 +47,7 @@ class JournaledSet:
     segments: set[int] = field(default_factory=set)
 
     def take(self, frame: Frame, segment: int) -> None:
-        """Add a frame of the set; a record that was written twice counts once.
+        """Add a frame of the set from segment number ``segment``; a record that occurs twice counts once.
 
         A corrupt frame only adds its segment; an ``ASIDE`` frame discards the earlier ones.
         """
@@ -72,7 +72,7 @@ class JournaledSet:
 
     @property
     def reference(self) -> SetReference | None:
-        """Return the reference of its future file; None before its end."""
+        """Return the reference of the file that the set gets when finalized; None before its end frame."""
         return None if self.end is None else build_reference(self.set_key, self.end["due_utc_ns"])
 
     @property
@@ -87,13 +87,13 @@ class JournaledSet:
 
     @property
     def has_records(self) -> bool:
-        """Return whether the set has an intact record in the journal."""
+        """Return whether the journal has an intact record of the set."""
         return bool(self.shots)
 
     def find_sequence(self, position: str, shot_index: int) -> int | None:
         """Find the sequence of the accepted attempt at a shot, else of the last one; None without any.
 
-        The set must have its end frame.
+        Raises AssertionError for a set without end frame.
         """
         assert self.end is not None, "only an ended set names its records"
         replaced = {sequence for sequence, _ in self.end["outcomes"]}
@@ -105,7 +105,10 @@ class JournaledSet:
         return max(attempts)[-1] if attempts else None
 
     def damages(self) -> list[Damage]:
-        """List the records that the end frame (which must exist) names and that are missing or unreadable."""
+        """List the records that the end frame names and that are missing or unreadable; empty if complete.
+
+        Raises AssertionError for a set without end frame.
+        """
         assert self.end is not None, "only an ended set names its records"
         return [
             Damage(
@@ -119,7 +122,10 @@ class JournaledSet:
         ]
 
     def record(self) -> SetRecord:
-        """Build the set from its end frame, which must exist, and its intact records."""
+        """Build the set from its end frame and its intact records, without the lost ones and without results.
+
+        Raises AssertionError for a set without end frame.
+        """
         end = self.end
         assert end is not None, "a set that was not ended has no record"
         sequences = [sequence for sequence, *_ in end["records"] if sequence in self.shots]
@@ -136,7 +142,10 @@ class JournaledSet:
         )
 
     def opened(self) -> OpenSet | None:
-        """Build the durable part of an incomplete set, to resume it; None if no sound frame of it is left."""
+        """Build the durable part of an incomplete set, to resume it; None if no sound frame of it is left.
+
+        Without start and end frame the time of the first shot replaces the due time (``is_dated`` False).
+        """
         facts: Mapping[str, Any]
         if self.begin is not None:
             facts = {**self.begin.parse_facts(), "started_utc_ns": self.begin.utc_ns}
@@ -172,33 +181,36 @@ def _parse_missed(set_key: SetKey, facts: Mapping[str, Any]) -> MissedShot:
 
 
 def list_segments(folder: Path) -> dict[int, Path]:
-    """List the segments of a data folder, number to path, in order; other file names are ignored."""
+    """List the segments of a data folder by number, in order; other file names are ignored."""
     files = ((_NAME.fullmatch(path.name), path) for path in (folder / JOURNAL_FOLDER).glob("*.journal"))
     return dict(sorted((int(match[1]), path) for match, path in files if match))
 
 
 def parse_segment_number(file: str) -> int:
-    """Parse the number in the file name of a segment; ValueError if the name is no number."""
+    """Parse the number from the file name of a segment; ValueError if the name is no number."""
     return int(Path(file).stem)
 
 
 def list_misnamed(folder: Path) -> list[Path]:
-    """List the files of the journal's folder that hold frames but lack a segment's name; read them all."""
+    """List the files of the journal's folder that hold a frame but lack a segment's name.
+
+    Reads these files completely; raises OSError if one is unreadable.
+    """
     others = (path for path in (folder / JOURNAL_FOLDER).glob("*") if not _NAME.fullmatch(path.name))
     return [path for path in others if path.is_file() and any(parse_frames(read_shared(path)))]
 
 
 def build_segment_path(folder: Path, number: int) -> Path:
-    """Return the path of a segment, such as ``journal/000001.journal``, which may be missing."""
+    """Build the path of a segment, such as ``journal/000001.journal``; the file may be missing."""
     return folder / JOURNAL_FOLDER / f"{number:06d}.journal"
 
 
 def read_journal(
     folder: Path, *, of_set: SetKey | None = None, places: Places | None = None
 ) -> dict[SetKey, JournaledSet]:
-    """Read all segments and return the journaled sets by key, in the order of the sets.
+    """Read the segments of the journal and return the journaled sets by key, in the order of the sets.
 
-    A segment that disappears meanwhile has left its sets in files of their own.
+    A segment that disappears meanwhile is skipped: its sets have files of their own.
 
     Parameters
     ----------

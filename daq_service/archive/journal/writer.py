@@ -59,6 +59,10 @@ class Journal:
     """
 
     def __init__(self, folder: Path, *, segment_bytes: int = SEGMENT_BYTES) -> None:
+        """Open the journal of a folder: rename misnamed segments, check all, copy the corrupt ones.
+
+        Raises OSError; blocks until all segments are read.
+        """
         self._folder, self._segment_bytes = folder, segment_bytes
         renamed = self._rename_misnamed_segments()
         checked = check_journal(folder)
@@ -78,7 +82,7 @@ class Journal:
         self._pending_sets: set[SetKey] = set()
 
     def _rename_misnamed_segments(self) -> dict[str, str]:
-        """Give files that hold frames under other names the next segment numbers.
+        """Rename files that hold frames under other names to the next segment numbers.
 
         Returns the former name by new path. Raises OSError.
         """
@@ -90,7 +94,11 @@ class Journal:
         return former_names
 
     def _copy_corrupt_segments(self, checked: CheckedJournal, renamed: Mapping[str, str]) -> JournalDamage:
-        """Copy corrupt segments to the quarantine before any of their frames can be dropped; log each."""
+        """Copy corrupt segments to the quarantine before any of their frames can be dropped.
+
+        Logs an error for each. ``renamed`` has the former name of a renamed segment by its path. Raises
+        OSError.
+        """
         reasons_of = {file: [f"its name was {name}"] for file, name in renamed.items()}
         for file, damage in checked.damages:
             reasons_of.setdefault(file, []).append(str(damage))
@@ -109,7 +117,7 @@ class Journal:
         )
 
     def _copy_to_quarantine(self, number: int, name: str) -> str:
-        """Copy a segment to the quarantine, unless the same content is there.
+        """Copy a segment, without zeros at its end, to the quarantine, unless the same content is there.
 
         Returns the copy's path relative to the data folder; another file of that name stays. Raises OSError.
         """
@@ -124,19 +132,19 @@ class Journal:
         return f"{QUARANTINE_FOLDER}/{copy.name}"
 
     def append(self, record: Shot | PulseEchoRecord) -> None:
-        """Add a record in memory; the next `sync` writes and acknowledges it."""
+        """Add a record in memory, without copying its counts; the next `sync` writes and acknowledges it."""
         self.add(record.key.set_key, build_record_frame(record))
         self._unacknowledged.append(record.sequence)
 
     def add(self, set_key: SetKey, frame: Buffers) -> None:
-        """Add a frame of a set (`frames`) in memory; the next `sync` makes it durable."""
+        """Add an encoded frame (`frames`) of a set in memory; the next `sync` makes it durable."""
         self._pending.append(frame)
         self._pending_sets.add(set_key)
 
     def set_aside(self, set_key: SetKey, name: str) -> None:
         """Copy the segments of a set to the quarantine under its name; the set may then start again.
 
-        Its frames are discarded by a synced frame.
+        Its frames are discarded by a frame that is synced at once, together with all added ones.
 
         Raises
         ------
@@ -153,15 +161,15 @@ class Journal:
         self.settle(set_key)
 
     def sync(self) -> list[int]:
-        """Make all added frames durable; return the ids of the acknowledged shots.
+        """Write and sync all added frames; return the ids of the shots that are durable now.
 
         A failed sync is never repeated on its segment, since the second one may succeed although the data are
-        lost: the frames are written again from memory to a new segment.
+        lost: the frames are written again from memory to a new segment, with a warning in the log.
 
         Raises
         ------
         OSError
-            Nothing was acknowledged; all frames stay for the next call.
+            That failed, too: nothing was acknowledged; all frames stay for the next call.
         """
         if not self._pending:
             return []
@@ -183,7 +191,8 @@ class Journal:
     def _write_buffers(self, content: list[bytes | memoryview]) -> None:
         """Write buffers to the present segment, or to a new one if they do not fit, and sync it.
 
-        Raises OSError; the byte ranges of the sets are updated only after the sync.
+        Blocks until they are durable. Raises OSError; the byte ranges of the sets are updated only after the
+        sync.
         """
         n_bytes = sum(map(len, content))
         if self._descriptor is None or self._room < n_bytes:
@@ -201,7 +210,7 @@ class Journal:
     def _open_segment(self, n_bytes: int) -> None:
         """Create the next segment and allocate its space: 16 MiB, or ``n_bytes`` if that is more.
 
-        A disk that cannot allocate is written without; other errors raise OSError.
+        A disk that cannot allocate is written without allocation; other errors raise OSError.
         """
         self._number += 1
         path = build_segment_path(self._folder, self._number)
@@ -219,7 +228,7 @@ class Journal:
         sync_folder(path.parent)
 
     def _close_segment(self) -> None:
-        """Close the present segment, if any; delete its file if it holds no frame that is needed."""
+        """Close the present segment, if any; delete its file if it holds no set. Errors are not raised."""
         descriptor, self._descriptor = self._descriptor, None
         if descriptor is None:
             return
@@ -229,11 +238,17 @@ class Journal:
             self._remove_segment(self._number)
 
     def places(self, set_key: SetKey) -> Places:
-        """Return the byte range of the durable frames of a set in each segment; empty if there are none."""
+        """Return first and last byte of a set's durable frames by segment number; empty if there are none.
+
+        The last byte is None for a segment of an earlier process: the set is anywhere in it.
+        """
         return {number: sets[set_key] for number, sets in self._sets_in.items() if set_key in sets}
 
     def settle(self, set_key: SetKey) -> None:
-        """Remove a set that has its own file, or rows and no record; delete segments without other sets."""
+        """Remove a set that is stored elsewhere or not needed from the journal; delete segments without sets.
+
+        An unknown set changes nothing. A segment that cannot be deleted is kept for the next call.
+        """
         self.left.pop(set_key, None)
         for number, indices in list(self._sets_in.items()):
             indices.pop(set_key, None)
@@ -241,14 +256,14 @@ class Journal:
                 self._remove_segment(number)
 
     def _remove_segment(self, number: int) -> None:
-        """Delete a segment's file; if the disk refuses, log it and keep the segment for a later call."""
+        """Delete a segment's file; if the disk refuses, keep the segment for a later call."""
         path = build_segment_path(self._folder, number)
         remove_quietly(path)
         if not path.exists():  # else the next call of `settle` tries again
             del self._sets_in[number]
 
     def close(self) -> None:
-        """Close the present segment and delete segments without sets; added frames are not synced."""
+        """Close the present segment and delete segments without sets; frames that are not synced are lost."""
         self._close_segment()
         for number, indices in list(self._sets_in.items()):
             if not indices:

@@ -60,9 +60,9 @@ class Frame:
         return self.first * self.cell_s
 
     def part(self, from_s: float | None, to_s: float | None, width: int) -> Frame:
-        """Return the cells of another width that cover a range of times in this frame.
+        """Return the frame with cells of ``width`` samples that covers a range of times of this frame.
 
-        Times in s after the anchor, None is no limit; outside the frame the result has no cells.
+        Times in s after the anchor, None is no limit; outside this frame the result has no cells.
         """
         start, end = self.first * self.width, (self.first + self.n_cells) * self.width
         if from_s is not None:
@@ -74,7 +74,7 @@ class Frame:
 
 
 def build_frame(waveform: Waveform, alignment: Alignment) -> Frame:
-    """Compute the cells of all records with the sampling of a waveform, at most 1024 per record.
+    """Compute the frame for all records with the sampling of a waveform: at most 1024 cells per record.
 
     Aligned at the trigger it covers the complete record; at the first pulse it extends from half a record
     before to one record after the pulse.
@@ -96,7 +96,10 @@ def build_frame(waveform: Waveform, alignment: Alignment) -> Frame:
 
 
 def extract_anchors(results: Results) -> dict[int, float]:
-    """Find the time in s of the first detected pulse or echo by shot id; omit shots without one."""
+    """Find the time of the first detected pulse or echo, in s after the trigger, by shot id.
+
+    Shots without a finite time are omitted.
+    """
     anchors: dict[int, float] = {}
     for table, column in (("features", "isw_time_s"), ("thickness", "travel_time_s")):
         rows = results.get(table, {})
@@ -106,21 +109,24 @@ def extract_anchors(results: Results) -> dict[int, float]:
 
 
 def new_planes(frame: Frame) -> Planes:
-    """Create the planes of a frame without any sample: NaN, shape (2, n_cells)."""
+    """Create float32 planes of a frame without any sample: NaN, shape (2, n_cells)."""
     return np.full((2, frame.n_cells), np.nan, dtype=np.float32)
 
 
 def merge_planes(rows: Iterable[Planes]) -> Planes:
-    """Compute the extremes over one or more rows of one frame; NaN only where no row has a sample."""
+    """Compute minimum and maximum over the planes of one or more rows of one frame; NaN without any sample.
+
+    ValueError without a row.
+    """
     lows, highs = zip(*rows, strict=True)
     return np.stack([np.fmin.reduce(lows), np.fmax.reduce(highs)])
 
 
 def compute_record_planes(placed: Iterable[tuple[Waveform, float]], frame: Frame) -> Planes:
-    """Compute the cells of records in V, each with the time of its anchor in s; NaN without a sample.
+    """Compute the extremes in V of records in each cell of a frame, shape (2, n_cells); NaN without a sample.
 
-    Records of another sampling rate than the frame's are skipped. Counts are reduced and then calibrated: an
-    ADC's calibration is monotonic.
+    ``placed`` has each record with its anchor in s after the trigger. Records of another sampling rate than
+    the frame's are skipped. Counts are reduced and then calibrated: an ADC's calibration is monotonic.
     """
     by_calibration: dict[bytes, list[tuple[Waveform, float]]] = {}
     for waveform, anchor_s in placed:
@@ -133,7 +139,10 @@ def compute_record_planes(placed: Iterable[tuple[Waveform, float]], frame: Frame
 
 
 def _reduce_records(placed: Sequence[tuple[Waveform, float]], frame: Frame) -> Planes:
-    """Compute the cells of records of one calibration and of the frame's sampling rate."""
+    """Compute the extremes in V of records with one calibration and the frame's rate, shape (2, n_cells).
+
+    ``placed`` has each record, at least one, with its anchor in s after the trigger; NaN without a sample.
+    """
     start, size = frame.first * frame.width, frame.n_cells * frame.width
     # Extremes of each sample of the frame first: far fewer cells remain to reduce.
     limits = np.iinfo(np.result_type(*(waveform.counts for waveform, _ in placed)))
@@ -156,10 +165,10 @@ def _reduce_records(placed: Sequence[tuple[Waveform, float]], frame: Frame) -> P
 def compute_planes(
     record: SetRecord, position: str, alignment: Alignment, anchors: Mapping[int, float], frame: Frame
 ) -> Planes:
-    """Compute the cells in V of all accepted records of a set at a position that have an anchor.
+    """Compute the extremes in V of the accepted records of a set at a position in each cell of a frame.
 
     ``anchors`` holds the time of the first pulse or echo in s by shot id; a record without one is skipped,
-    unless the alignment is the trigger.
+    unless the alignment is the trigger. The result has shape (2, n_cells), NaN without a sample.
     """
     placed = [
         (item.waveform, 0.0 if alignment == "trigger" else anchors[item.sequence])
@@ -170,7 +179,7 @@ def compute_planes(
 
 
 def select_accepted_records(record: SetRecord, position: str) -> list[Shot | PulseEchoRecord]:
-    """Select the accepted records of a set at a position, in their order; empty if none."""
+    """Select the records of a set at a position that no repetition replaces, in order; empty if none."""
     return [
         item
         for item in record.records
@@ -179,12 +188,14 @@ def select_accepted_records(record: SetRecord, position: str) -> list[Shot | Pul
 
 
 def coarsen(planes: Planes, frame: Frame, part: Frame) -> Planes:
-    """Combine cells of a finer frame to those of a coarser one, or of a part of it; NaN outside the finer.
+    """Combine the cells of ``frame`` to the wider ones of ``part``; NaN outside ``frame``.
 
     Parameters
     ----------
     planes
-        Shape (..., 2, frame.n_cells).
+        Shape (..., 2, frame.n_cells), in V.
+    part
+        Its width is a multiple of that of ``frame``.
 
     Returns
     -------

@@ -32,15 +32,18 @@ class Index(Protocol):
     """Queries of a waterfall to the catalogue."""
 
     def count_stored_sets(self, first: int, last: int) -> int:
-        """Count the sets of the position that have records, with indices from first to last (inclusive)."""
+        """Count the sets of the position that have records, with indices from first to last (included)."""
         ...
 
     def file(self, set_index: int) -> SetReference | None:
-        """Return the file with the records of a set; None if it has none."""
+        """Return the reference of the file with a set's records; None if it has none."""
         ...
 
     def read_anchors(self, set_index: int) -> Mapping[int, float]:
-        """Return the time in s of the first pulse or echo by shot id; shots without one are missing."""
+        """Return the time of the first pulse or echo in s after the trigger by shot id.
+
+        Shots without one are omitted.
+        """
         ...
 
 
@@ -97,6 +100,7 @@ class WaterfallReader:
     """
 
     def __init__(self, archive: SetReader) -> None:
+        """Prepare to read records from an archive; the cache of rows is empty."""
         self._archive, self._lock = archive, threading.Lock()
         self._memory: OrderedDict[tuple[str, str, int], TileRow] = OrderedDict()
         self._n_bytes = 0
@@ -104,7 +108,7 @@ class WaterfallReader:
         self.closing = False
 
     def close(self) -> None:
-        """Stop reading records: a running request ends soon and counts the rest as pending."""
+        """Stop reading records: a running request soon ends and counts the remaining sets as pending."""
         self.closing = True
 
     def tiles(
@@ -115,10 +119,10 @@ class WaterfallReader:
         alignment: Alignment,
         files: Iterable[SetReference],
     ) -> Tiles | None:
-        """Find the tiles of a position from its first readable records; None if no file has any.
+        """Build the tiles of a position with the frame of its first readable records.
 
-        The result is kept for later calls. All figures of the position have this frame; records of another
-        rate are not drawn.
+        Returns None if no file has any. The result is kept for later calls: all figures of the position have
+        this frame, and records of another rate are not drawn. Unreadable files are logged as warnings.
         """
         key = position, alignment
         for file in files if key not in self._tiles else ():
@@ -137,12 +141,15 @@ class WaterfallReader:
     def compute_figure(
         self, tiles: Tiles, index: Index, wanted: Wanted, reference: Planes | None = None
     ) -> Picture:
-        """Compute the figure of the requested part; of sets without tile at most 32 are read now.
+        """Compute the figure of the requested part, a row per 1, 2, 4, ... sets.
+
+        Of the sets without tile at most 32 are read now; the others are counted as pending, unreadable ones
+        listed.
 
         Parameters
         ----------
         reference
-            Planes that are subtracted from each set before extremes are taken over sets and times: `mean`.
+            Planes in V that are subtracted from each row before extremes are taken over cells: `mean`.
         """
         row_sets = choose_sets_per_step(wanted.first, wanted.last, wanted.rows)
         frame = _choose_column_frame(tiles.frame, wanted, may_be_finer=reference is None and row_sets == 1)
@@ -170,9 +177,10 @@ class WaterfallReader:
         )
 
     def mean(self, tiles: Tiles, index: Index, sets: Collection[int]) -> tuple[Planes, int, int]:
-        """Compute the mean extremes in V of each cell over sets, and the numbers of read and pending sets.
+        """Compute mean minimum and mean maximum in V of each cell over sets, shape (2, n_cells).
 
-        Cells without a sample are NaN.
+        Returns the planes and the numbers of read and pending sets. Cells without a sample are NaN; at most
+        32 sets without tile are read.
         """
         reading = _Reading(self, tiles, index)
         rows = [row.planes for set_index in sets for row in reading.rows(1, range(set_index, set_index + 1))]
@@ -184,7 +192,7 @@ class WaterfallReader:
         return planes.astype(np.float32), len(rows), reading.pending
 
     def compute_row(self, tiles: Tiles, index: Index, set_index: int, file: SetReference) -> TileRow:
-        """Compute the row of a set from its readable records, without the cache.
+        """Compute the row of a set from its readable records in ``file``, without the cache.
 
         Raises
         ------
@@ -198,12 +206,12 @@ class WaterfallReader:
         return build_tile_row(record, planes)
 
     def find_cached_row(self, tiles: Tiles, set_index: int) -> TileRow | None:
-        """Find the row of a set for the frame of the tiles in the cache; None if it is not there."""
+        """Find the cached row of a set for the frame of the tiles; None if the cache lacks it."""
         with self._lock:
             return self._memory.get((tiles.position, repr((tiles.alignment, tiles.frame)), set_index))
 
     def cache_row(self, tiles: Tiles, set_index: int, row: TileRow) -> None:
-        """Add a row to the cache, unless it is there; drop the oldest rows above 64 MiB."""
+        """Add a row to the cache, unless it has one of this set; drop the oldest rows above 64 MiB."""
         key = tiles.position, repr((tiles.alignment, tiles.frame)), set_index
         with self._lock:
             if key not in self._memory:  # two requests may have computed it
@@ -217,21 +225,26 @@ class _Reading:
     """Reads the rows of one figure and counts the missing ones."""
 
     def __init__(self, reader: WaterfallReader, tiles: Tiles, index: Index) -> None:
+        """Prepare the reading of one figure: at most 32 sets from records."""
         self._reader, self.tiles, self._index = reader, tiles, index
         self._left = SETS_AT_ONCE
         self.pending, self.unreadable = 0, list[int]()
 
     def rows(self, width: int, numbers: range) -> list[TileRow]:
-        """Read the rows of a level that contain all their stored sets, in order; skip rows without sets.
+        """Read the rows of ``width`` sets with these numbers, in order.
 
-        Sets that are not read are counted in ``pending``, corrupt ones listed in ``unreadable``.
+        Rows that have no set or cannot be read are omitted. Sets that are not read now are counted in
+        ``pending``, corrupt ones listed in ``unreadable``.
         """
         tile_rows = dict(self.tiles.rows(width, numbers))
         rows = (self._read_row(width, number, tile_rows.get(number)) for number in numbers)
         return [row for row in rows if row is not None]
 
     def _read_row(self, width: int, number: int, tile_row: TileRow | None) -> TileRow | None:
-        """Read a row from its tile, or join it from the next finer level; None if none of it can be read."""
+        """Return the tile's row if it has all stored sets, else join the row from the next finer level.
+
+        Returns None if no set of it is stored or can be read now. At the finest level the records are read.
+        """
         if tile_row is not None and tile_row.n_sets == width:
             return tile_row
         n_stored = self._index.count_stored_sets(number * width, (number + 1) * width - 1)
@@ -248,7 +261,10 @@ class _Reading:
         return join_tile_rows(finer_rows) if finer_rows else None
 
     def _read_set_row(self, set_index: int) -> TileRow | None:
-        """Read the row of a set from the cache or its records; None if it has none or is pending."""
+        """Read the row of a set from the cache or its records; None if it has none, is corrupt or pending.
+
+        Corrupt sets are logged as warnings.
+        """
         cached_row = self._reader.find_cached_row(self.tiles, set_index)
         if cached_row is not None:
             return cached_row
@@ -270,9 +286,10 @@ class _Reading:
 
 
 def _choose_column_frame(frame: Frame, wanted: Wanted, *, may_be_finer: bool) -> Frame:
-    """Choose the columns of a figure: the narrowest cells that do not exceed the requested number.
+    """Choose the frame of a figure's columns: the narrowest cells that do not exceed the requested number.
 
-    At least two columns: before and after the anchor, independent of their width.
+    Two columns are always allowed: before and after the anchor. ``may_be_finer`` permits, for fewer than 32
+    sets, cells narrower than those of tiles.
     """
     is_short_range = wanted.last - wanted.first < SETS_AT_ONCE
     width = 1 if is_short_range and may_be_finer else frame.width

@@ -28,14 +28,14 @@ def write_tiles_of_set(
     *,
     complete_blocks_only: bool = False,
 ) -> None:
-    """Add a set to the tiles of its positions; existing rows stay.
+    """Write the rows of a set to the tiles of its positions, for each alignment; existing rows stay.
 
     Parameters
     ----------
     experiment
          Identifier of the test (`Tiles.experiment`).
     anchors
-        Shot id to the time of its first pulse or echo (`extract_anchors`).
+        Shot id to the time in s of its first pulse or echo (`extract_anchors`).
     complete_blocks_only
         For the newest set of a test: see `Tiles.write_row`.
 
@@ -56,7 +56,9 @@ def write_tiles_of_set(
 def write_tiles_of_file(
     folder: Path, experiment: str, reference: SetReference, anchors: Mapping[int, float]
 ) -> None:
-    """Add a stored set to the tiles; of a corrupt one the readable records.
+    """Read a stored set and write its rows to the tiles; of a corrupt set the readable records.
+
+    ``anchors`` has the time in s of the first pulse or echo by shot id.
 
     Raises
     ------
@@ -68,7 +70,7 @@ def write_tiles_of_file(
 
 
 def build_tile_row(record: SetRecord, planes: Planes) -> TileRow:
-    """Build the tile row of one set from its cells, shape (2, n_cells) in V."""
+    """Build the tile row of one set from its planes: minimum and maximum in V, shape (2, n_cells)."""
     index, hour = record.set_index, record.due_h
     return TileRow(n_sets=1, first_set=index, last_set=index, first_h=hour, last_h=hour, planes=planes)
 
@@ -76,7 +78,10 @@ def build_tile_row(record: SetRecord, planes: Planes) -> TileRow:
 def build_tiles(
     folder: Path, experiment: str, record: SetRecord, position: str, alignment: Alignment
 ) -> Tiles | None:
-    """Build the tiles with the frame of a set's records; None if it has no accepted one of the position."""
+    """Build the tiles with the frame of a set's first accepted record at a position; None without one.
+
+    Writes nothing.
+    """
     records = select_accepted_records(record, position)
     if not records:
         return None

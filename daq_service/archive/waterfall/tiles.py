@@ -57,7 +57,10 @@ class TileRow:
 
 
 def join_tile_rows(rows: Sequence[TileRow]) -> TileRow:
-    """Combine one or more rows, given in the order of their sets, to one row."""
+    """Combine one or more rows, given in the order of their sets, to one row with their common extremes.
+
+    Raises IndexError without a row.
+    """
     return TileRow(
         n_sets=sum(row.n_sets for row in rows),
         first_set=rows[0].first_set,
@@ -87,14 +90,17 @@ class Tiles:
     frame: Frame
 
     def rows(self, width: int, numbers: range) -> Iterator[tuple[int, TileRow]]:
-        """Yield number and content of the sound rows of a level among consecutive numbers."""
+        """Yield number and content of the sound rows of ``width`` sets among consecutive numbers, in order.
+
+        Missing, corrupt and unreadable rows are left out, not raised.
+        """
         for tile in sorted({number // ROWS_OF_A_TILE for number in numbers}):
             start = max(numbers.start, tile * ROWS_OF_A_TILE)
             end = min(numbers.stop, (tile + 1) * ROWS_OF_A_TILE)
             yield from self._decode_rows(width, start, self._read_slots(width, tile, start, end))
 
     def _decode_rows(self, width: int, start: int, content: memoryview) -> Iterator[tuple[int, TileRow]]:
-        """Yield number and row of the intact rows in the bytes of slots from number ``start`` on."""
+        """Yield number and row of each intact row in the bytes of slots, the first with number ``start``."""
         for offset in range(0, len(content), self._slot_bytes):
             number = start + offset // self._slot_bytes
             row = self._decode_row(content[offset : offset + self._slot_bytes])
@@ -102,13 +108,13 @@ class Tiles:
                 yield number, row
 
     def row(self, width: int, number: int) -> TileRow | None:
-        """Read one row of a level; None if there is no sound one."""
+        """Read the row ``number`` of ``width`` sets; None if there is no sound one."""
         return next((row for _, row in self.rows(width, range(number, number + 1))), None)
 
     def has_set(self, set_index: int) -> bool:
         """Return whether a set has its row, and all coarser rows count the sets of their four finer ones.
 
-        False if a row is missing or corrupt.
+        A missing or corrupt row gives False.
         """
         row = self.row(1, set_index)
         for finer_width, width in pairwise(WIDTHS):
@@ -122,7 +128,7 @@ class Tiles:
         return row is not None
 
     def write_row(self, row: TileRow, *, complete_blocks_only: bool = False) -> None:
-        """Write the row of a set and update the coarser rows above it; replace an existing row.
+        """Write the row of a set and update the rows of 4, 16, ... sets above it; replace existing rows.
 
         Parameters
         ----------
@@ -146,15 +152,18 @@ class Tiles:
 
     @property
     def _slot_bytes(self) -> int:
-        """Return the size of a row's slot in bytes."""
+        """Return the size in bytes of the slot of a row in a tile."""
         return compute_slot_bytes(self.frame.n_cells)
 
     def _build_tile_path(self, width: int, tile: int) -> Path:
-        """Return the path of the file of a tile, which may be missing."""
+        """Build the path of the file of a tile, which may be missing."""
         return self.folder / TILES_FOLDER / self.position / self.alignment / _format_tile_name(width, tile)
 
     def _read_slots(self, width: int, tile: int, start: int, end: int) -> memoryview:
-        """Read the bytes of slots, as many as exist; empty if the tile is missing, unreadable or foreign."""
+        """Read the bytes of the slots ``start`` to ``end`` (excluded) of a tile, as many as exist.
+
+        There are none if the tile is missing, unreadable, or of another test or frame; errors are not raised.
+        """
         path = self._build_tile_path(width, tile)
         try:
             with path.open("rb") as file:
@@ -169,11 +178,14 @@ class Tiles:
             return memoryview(b"")
 
     def _compute_offset(self, number: int) -> int:
-        """Compute the byte offset of the slot of a row in its tile."""
+        """Compute the byte offset of the slot of row ``number`` in its tile."""
         return _HEADER_BYTES + number % ROWS_OF_A_TILE * self._slot_bytes
 
     def _decode_row(self, slot: memoryview) -> TileRow | None:
-        """Decode the row of a slot; None if it is truncated, empty or does not match its CRC-32."""
+        """Decode the row of a slot; None if it is truncated, empty or does not match its CRC-32.
+
+        Its planes are a view of the slot, shape (2, n_cells) in V.
+        """
         if len(slot) < self._slot_bytes:
             return None
         crc32, _, n_sets, first_set, last_set, first_h, last_h = _FACTS.unpack_from(slot)
@@ -189,7 +201,7 @@ class Tiles:
         )
 
     def _write_slot(self, width: int, number: int, row: TileRow) -> memoryview:
-        """Write a row to its slot, with a new tile if necessary.
+        """Write row ``number`` of a level to its slot; create the tile, or replace one of another test.
 
         Returns the bytes of the group of four slots around it as they were before. Raises OSError.
         """
@@ -213,13 +225,13 @@ class Tiles:
 
 
 def _format_tile_name(width: int, tile: int) -> str:
-    """Return the file name of a tile, such as ``0001-000000.tile``."""
+    """Format the file name of a tile, such as ``0001-000000.tile``, from sets per row and number."""
     return f"{width:04d}-{tile:06d}.tile"
 
 
 @lru_cache(maxsize=64)
 def _build_header(tiles: Tiles) -> bytes:
-    """Build the header of the tiles of a position: JSON padded to 512 bytes; cached."""
+    """Build the header of the tiles of a position: JSON padded to 512 bytes; the 64 last are cached."""
     metadata = {
         "solimon_tiles": FORMAT,
         "experiment": tiles.experiment,
@@ -242,7 +254,7 @@ def estimate_tile_bytes(n_cells: int, n_sets: int) -> int:
 
 
 def list_tile_cells(folder: Path) -> list[int]:
-    """List the number of cells per row of each position and alignment with tiles; skip unreadable ones."""
+    """List the number of cells per row of each position and alignment with tiles; skip unreadable tiles."""
     n_cells = []
     for path in (folder / TILES_FOLDER).glob(f"*/*/{_format_tile_name(1, 0)}"):
         try:
@@ -254,5 +266,8 @@ def list_tile_cells(folder: Path) -> list[int]:
 
 
 def sum_tile_bytes(folder: Path) -> int:
-    """Sum the sizes of all tile files of a data folder in bytes; 0 without tiles."""
+    """Sum the sizes of all tile files of a data folder in bytes; 0 without tiles.
+
+    Raises OSError if a file disappears meanwhile.
+    """
     return sum(path.stat().st_size for path in (folder / TILES_FOLDER).rglob("*.tile"))

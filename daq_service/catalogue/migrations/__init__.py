@@ -33,6 +33,8 @@ def list_known_revisions() -> list[str]:
 def migrate_schema(engine: Engine, path: Path, found: str | None) -> None:
     """Migrate a catalogue from revision ``found`` (None: empty) to the newest one, in one transaction.
 
+    Also adds missing checksums and recomputes the trends. SQL errors pass through; nothing is changed then.
+
     Raises
     ------
     SchemaVersionError
@@ -71,7 +73,7 @@ def migrate_schema(engine: Engine, path: Path, found: str | None) -> None:
 
 
 def _add_missing_checksums(connection: Connection) -> None:
-    """Compute and store the checksums of all rows that have none, such as migrated ones."""
+    """Compute and store the checksum of each row without one (migrated rows), in the caller's transaction."""
     for kind in KINDS:
         table = TABLES[kind]
         key = table.primary_key.columns[0]

@@ -88,7 +88,10 @@ class Difference:
 
 
 def list_onsets(catalogue: Catalogue, up_to_set: int | None = None) -> list[Onset]:
-    """List the onsets of alarms about positions that a set (up to ``up_to_set``) raised, in their order."""
+    """List the onsets of alarms about positions that a set raised, in the order of the events.
+
+    ``up_to_set`` is the last set index (None: all); alarms without position or set are left out.
+    """
     epoch_utc_ns = catalogue.read_experiment().epoch_utc_ns
     return [
         Onset(
@@ -106,7 +109,11 @@ def list_onsets(catalogue: Catalogue, up_to_set: int | None = None) -> list[Onse
 
 
 def compare_alarm_onsets(stored: Iterable[Onset], again: Iterable[Onset]) -> AlarmChanges:
-    """Compare alarm onsets: those of the same set are kept, of the others the first of a kind are moved."""
+    """Compare the alarm onsets of two assessments by position and kind.
+
+    Onsets with the same set are kept. Of the others the k-th stored and the k-th new one are a moved pair;
+    the remaining ones go or come. Each list is sorted by position, kind and set.
+    """
     before, after = _group_by_position(stored), _group_by_position(again)
     kept: list[Onset] = []
     come: list[Onset] = []
@@ -127,7 +134,7 @@ def compare_alarm_onsets(stored: Iterable[Onset], again: Iterable[Onset]) -> Ala
 
 
 def _group_by_position(found: Iterable[Onset]) -> dict[tuple[str, str], dict[int, Onset]]:
-    """Group onsets by position and kind, then by set index; the last one of a set counts."""
+    """Group onsets by position and kind, then by set index; of several in a set the last one is kept."""
     by_place: dict[tuple[str, str], dict[int, Onset]] = {}
     for onset in found:
         by_place.setdefault((onset.position, onset.kind), {})[onset.set_index] = onset
@@ -142,11 +149,12 @@ def compare_rows(
     position: str | None = None,
     up_to_set: int | None = None,
 ) -> list[Difference]:
-    """Compare the rows of these kinds, column by column; of features those of complete sets.
+    """Compare the rows of these kinds in two catalogues, column by column.
 
-    A column that no stored row has is of a later version and is ignored. A set with a row in only one of the
-    two differs in the column ``row``. Up to a set, actions of people on a baseline are not compared: its row
-    has the present state, which may be later than the set. The result is empty if all rows agree.
+    Of features those of complete sets are compared. A column that no stored row has is of a later version and
+    is ignored. A set with a row in only one of the two differs in the column ``row``. Up to a set, actions of
+    people on a baseline are not compared: its row has the present state, which may be later than the set. The
+    result is empty if all rows agree.
     """
     found = []
     for kind in kinds:
@@ -178,7 +186,10 @@ def compare_rows(
 def _collect_rows(
     kind: type[Row], catalogue: Catalogue, position: str | None, up_to_set: int | None
 ) -> dict[tuple[str, int], tuple[int, dict[str, Any]]]:
-    """Collect set and columns of each row by position and set, of baselines by position and number."""
+    """Collect set index and columns of each row, up to a set (None: all), by position and set index.
+
+    Baselines are keyed by position and number from 0, with the index of their last set.
+    """
     found: dict[tuple[str, int], tuple[int, dict[str, Any]]] = {}
     baselines: Counter[str] = Counter()
     left_out = NOT_COMPARED if up_to_set is None or kind is not BaselineRow else NOT_COMPARED.union(LIFE)
@@ -197,7 +208,10 @@ def _collect_rows(
 
 
 def drop_diagnosis_state(columns: Mapping[str, Any]) -> dict[str, Any]:
-    """Return columns without the state of the diagnosis, which an earlier version kept with the averages."""
+    """Return a copy of columns whose ``averages`` lack the diagnosis state that earlier versions kept there.
+
+    Averages of which nothing is left become None.
+    """
     averages = columns.get("averages")
     if averages is None:
         return dict(columns)
@@ -227,5 +241,5 @@ def find_differing_columns(
 
 
 def _to_json_value(value: Any) -> Any:
-    """Convert a value to its JSON form: NaN becomes None, an array a list."""
+    """Convert a value to its JSON form: NaN becomes None, an array a list; TypeError if it has none."""
     return orjson.loads(orjson.dumps(value, option=orjson.OPT_SERIALIZE_NUMPY))

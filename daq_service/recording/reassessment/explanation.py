@@ -109,12 +109,14 @@ class Explained:
 
     @property
     def agrees(self) -> bool | None:
-        """Return whether all values agree; None if the alarm does not follow from records."""
+        """Return whether no recomputed value differs; None if the alarm does not follow from records."""
         return None if self.again is None else not self.again.differences
 
 
 def explain_alarm(folder: Path, alarm_id: int, progress: Progress = lambda done, total: None) -> Explained:
-    """Recompute an alarm of a stored or running test; the folder is only read.
+    """Recompute an alarm of a stored or running test from its records; the folder is only read.
+
+    ``progress`` is called with the sets that are done and their number. Blocks until all are read.
 
     Raises
     ------
@@ -149,14 +151,14 @@ def explain_alarm(folder: Path, alarm_id: int, progress: Progress = lambda done,
 
 
 def _describe_unknown_alarm(alarm_id: int, alarms: Sequence[AlarmRow]) -> str:
-    """Format the message for an unknown alarm, with the alarms that exist."""
+    """Format the message for an unknown alarm, with id, kind and position of each alarm that exists."""
     alarm_texts = [f"{row.id} ({row.kind}{f' at {row.position}' if row.position else ''})" for row in alarms]
     available = f"there are {', '.join(alarm_texts)}" if alarm_texts else "none was raised in this test"
     return f"there is no alarm {alarm_id}; {available}"
 
 
 def _find_no_records_reason(alarm: AlarmRow) -> str:
-    """Return why an alarm does not follow from the records of a position; empty if it does."""
+    """Return why an alarm does not follow from the records of a position, as a text; empty if it does."""
     if alarm.position is None:
         return "it is about the test as a whole, not about the records of a position"
     if alarm.raised_set_index is None:
@@ -174,7 +176,8 @@ def _recompute_alarm(
 ) -> Recomputed:
     """Reassess the position of an alarm up to its set, in a temporary catalogue, and compare the results.
 
-    Raises UsageError for results of another extractor, StorageError for a set that cannot be read.
+    ``history`` has the alarm's events. Raises UsageError for results of another extractor, StorageError for a
+    set that cannot be read.
     """
     position, up_to_set = alarm.position, alarm.raised_set_index
     assert position is not None and up_to_set is not None, "it follows from records"  # noqa: PT018
@@ -219,7 +222,7 @@ def _recompute_alarm(
 
 
 def _raise_if_other_extractor(stored: Catalogue, method: Method, position: str, up_to_set: int) -> None:
-    """Raise UsageError if results of the position up to the set are of another version's extractor."""
+    """Raise UsageError if results at a position, up to the set, are of another version's extractor."""
     kind = METHODS[method].row
     columns = stored.columns(kind, ("extractor_version",), position=position, last_set=up_to_set)
     if others := sorted(set(columns["extractor_version"]) - {EXTRACTORS[kind]}):
@@ -232,9 +235,9 @@ def _raise_if_other_extractor(stored: Catalogue, method: Method, position: str, 
 
 
 def _read_position_records(position: str, archive: FolderSetReader, reference: SetReference) -> SetRecord:
-    """Read a set and keep the records of one position; without any, keep the complete set.
+    """Read a set and keep the records of one position; if it has none there, keep the complete set.
 
-    Corruption of other positions is ignored; else it raises CorruptArchiveError.
+    Corruption of other positions is ignored; that of the position or the set raises CorruptArchiveError.
     """
     try:
         record = archive.read_set(reference)
@@ -257,7 +260,10 @@ def _read_position_records(position: str, archive: FolderSetReader, reference: S
 
 
 def _compare_alarm(alarm: AlarmRow, history: Sequence[EventRow], again: Catalogue) -> list[Difference]:
-    """Compare the stored alarm with the recomputed one of the same set; empty if they agree."""
+    """Compare the stored alarm, as it was raised, with the recomputed one of the same set.
+
+    Returns a difference per column, one named ``row`` if either is missing; empty if they agree.
+    """
     stored_alarm = next((event.payload for event in history if event.kind == "alarm_raised"), None)
     new_alarm: Mapping[str, Any] | None = next(
         (
@@ -294,13 +300,16 @@ _SUPPRESSION = frozenset(name for name in AlarmRow.__slots__ if name.startswith(
 def _read_set_results(
     catalogue: Catalogue, method: MeasuringMethod, position: str
 ) -> Sequence[FeatureRow | ThicknessRow]:
-    """Read the results of the sets of a position, of features those of complete sets."""
+    """Read the results of all scheduled sets of a position in order, without those of single shots."""
     of_place: Filters = {**method.of_sets, "position": position}
     return catalogue.rows(method.row, **of_place)
 
 
 def _count_silent_shots(shots: Sequence[ShotRow]) -> dict[int, int]:
-    """Count the accepted shots without reflected wave by set index; 0 for a set that has all."""
+    """Count the accepted shots without reflected wave (flag ``no_psw``) by set index.
+
+    A set with shots whose waves all have one counts 0; sets without shots are omitted.
+    """
     counts: dict[int, int] = {}
     for shot in shots:
         silent = shot.outcome == ACCEPTED and "no_psw" in shot.flags

@@ -42,7 +42,7 @@ class ExtractedAhead:
     def read_set(self, reference: SetReference) -> SetRecord:
         """Return a set's record and start the extraction of following sets; call `features` next.
 
-        Errors of the archive occur up to a few sets early, since sets are read ahead.
+        Reads until two sets per worker are under way. Errors of ``read`` occur up to that many sets early.
         """
         for following in self.references:
             self._start_extraction(following)
@@ -55,7 +55,7 @@ class ExtractedAhead:
         return record
 
     def _start_extraction(self, reference: SetReference) -> None:
-        """Read a set and submit the extraction of its features to the executor; raise as ``read``."""
+        """Read a set and submit the extraction of its features to the executor; raise errors of ``read``."""
         record = self.read(reference)
         # Without truth and settings of a shot: extraction does not use them.
         records = [(shot.sequence, shot.key, shot.stamp, shot.waveform) for shot in record.shots]
@@ -63,9 +63,9 @@ class ExtractedAhead:
         self._under_way[reference] = record, future
 
     def features(self, record: SetRecord) -> Mapping[int, ShotFeatures]:
-        """Wait for the features of a set that `read_set` returned, by sequence.
+        """Wait for the features of a set that `read_set` returned; return them by sequence, once.
 
-        Raises SolimonError if workers end by themselves again and again.
+        Raises SolimonError if workers end by themselves again and again, KeyError for any other set.
         """
         try:
             return self._of_set.pop(record.set_key).result()
@@ -79,7 +79,10 @@ class ExtractedAhead:
 def _extract_in_worker(
     rehearsal: bool, records: Sequence[tuple[int, ShotKey, Stamp, Waveform]]
 ) -> dict[int, ShotFeatures]:
-    """Extract the features of records, by sequence, in a worker process."""
+    """Extract the features of shots in a worker process; return them by sequence.
+
+    ``records`` has sequence, key, time stamp and waveform of each; ``rehearsal``: they are noise.
+    """
     shots = [
         Shot(sequence=sequence, key=key, stamp=stamp, waveform=waveform)
         for sequence, key, stamp, waveform in records

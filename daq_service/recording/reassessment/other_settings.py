@@ -26,7 +26,7 @@ storage or display, which a reassessment does not change."""
 
 
 def list_assessment_keys() -> list[str]:
-    """List the names ``table.key`` of all keys of the assessment that may be set."""
+    """List the names ``table.key`` of all keys of the assessment that ``--set`` may change."""
     return [
         f"{table}.{key}"
         for table, keys in ASSESSMENT_KEYS.items()
@@ -36,7 +36,7 @@ def list_assessment_keys() -> list[str]:
 
 
 def parse_assignments(texts: Sequence[str]) -> dict[KeyPath, Any]:
-    """Parse texts ``KEY=VALUE`` to key paths and values: a value is JSON, or else text.
+    """Parse texts ``KEY=VALUE`` to values by key path: a value is JSON, or else taken as text.
 
     Raises
     ------
@@ -64,7 +64,7 @@ def parse_assignments(texts: Sequence[str]) -> dict[KeyPath, Any]:
 
 
 def apply_setting_changes(configuration: Mapping[str, Any], given: Mapping[KeyPath, Any]) -> Settings:
-    """Return the settings of a stored configuration with the given values in place of its own.
+    """Build the settings of a stored configuration with the given values in place of its own.
 
     Raises
     ------
@@ -86,7 +86,7 @@ def apply_setting_changes(configuration: Mapping[str, Any], given: Mapping[KeyPa
 
 
 def _is_replaced(path: KeyPath, given: Mapping[KeyPath, Any]) -> bool:
-    """Return whether a given key is this key, a parent or a child of it."""
+    """Return whether a given key is the key at ``path``, a parent or a child of it."""
     return any(path[: len(one)] == one or one[: len(path)] == path for one in given)
 
 
@@ -96,7 +96,7 @@ def _list_key_names(table: str) -> frozenset[str]:
 
 
 def _find_settings_class(name: str) -> type[BaseModel]:
-    """Return the class of a table of the settings; KeyError if there is none."""
+    """Return the model class of a top-level table of the settings; KeyError if there is none."""
     kind = Settings.model_fields[name].annotation
     assert isinstance(kind, type) and issubclass(kind, BaseModel), "a table of the configuration"  # noqa: PT018
     return kind

@@ -47,9 +47,9 @@ def read_mean_pulses(
     position: str,
     set_index: int,
 ) -> Pulses | None:
-    """Read the records of a set and of its baseline again and average them; None if either has none.
+    """Read the records of a set and of its baseline again and average each; None if either has none.
 
-    Of a baseline with more than 200 sets, evenly spread ones are read.
+    Of a baseline with more than 200 sets, evenly spread ones are read. ``read_set`` raises ArchiveError.
     """
     indices = [] if baseline is None else baseline.provenance.get("set_indices", [])
     spread = indices[:: math.ceil(len(indices) / MOST_BASELINE_SETS)] if indices else []
@@ -70,7 +70,7 @@ def _average_records(
     set_index: int,
     time_s: NDArray[np.float64],
 ) -> NDArray[np.float64] | None:
-    """Average the accepted records of a set over its shots, in V at ``time_s`` after the incident peak.
+    """Average the accepted records of a set over its shots, in V at ``time_s`` (s) after the incident peak.
 
     The result has the shape of ``time_s``, with NaN where a record ends. Only valid shots count, or all with
     an incident wave if none is valid; None if there are none. The median before the trigger is subtracted

@@ -46,7 +46,10 @@ ReadSet = Callable[[SetReference], SetRecord]
 
 @contextmanager
 def temporary_catalogue(experiment: ExperimentRow) -> Iterator[RecorderCatalogue]:
-    """Create an empty catalogue of this experiment in a temporary folder; delete it after the block."""
+    """Create a catalogue with only this experiment in a temporary folder; delete it after the block.
+
+    Raises CatalogueError if it cannot be created.
+    """
     with (
         tempfile.TemporaryDirectory(prefix="solimon-again-") as folder,
         open_temporary(Path(folder)) as catalogue,
@@ -56,7 +59,7 @@ def temporary_catalogue(experiment: ExperimentRow) -> Iterator[RecorderCatalogue
 
 
 def read_stored_features(catalogue: Catalogue, record: SetRecord) -> dict[int, ShotFeatures]:
-    """Read the stored features of a set's shots by sequence; a shot without a row is extracted."""
+    """Read the stored features of a set's shots by sequence; extract them for a shot without a row."""
     places = {shot.key.position for shot in record.shots}
     flags = {
         row.sequence: tuple(row.flags)
@@ -74,7 +77,7 @@ def read_stored_features(catalogue: Catalogue, record: SetRecord) -> dict[int, S
 def extract_set_features(rehearsal: bool, shots: Sequence[Shot]) -> dict[int, ShotFeatures]:
     """Extract the features of shots from their waveforms, by sequence, as the recorder does.
 
-    ``rehearsal`` True: a dry run, whose records are noise.
+    ``rehearsal`` True: the records are noise of a dry run, which gets features of its own.
     """
     extract = compute_rehearsal_features if rehearsal else extract_shot_features
     return {shot.sequence: extract(shot) for shot in shots}
@@ -98,12 +101,18 @@ def reassess(
     read_set: ReadSet | None = None,
     progress: Progress = lambda done, total: None,
 ) -> set[int]:
-    """Reassess the sets of a folder; the results fill ``again``.
+    """Reassess the sets of a folder in their order; the results are stored in ``again``.
+
+    Actions of people are repeated between the sets.
 
     Parameters
     ----------
+    again
+        Catalogue with only the experiment.
     settings
         Settings of the assessment, which may differ from the test's own.
+    features
+        Returns the features of a record's shots by sequence.
     up_to_set
         The last set that is assessed; None: all.
     read_set
@@ -139,6 +148,7 @@ class _Reassessment:
         features: FeaturesOfSet,
         read_set: ReadSet,
     ) -> None:
+        """Create the assessor for the other catalogue, without a rig; its alarms are not printed."""
         self._stored, self._again, self._settings = stored, again, settings
         self._features, self._read_set = features, read_set
         self._epoch_utc_ns = stored.read_experiment().epoch_utc_ns
@@ -147,9 +157,10 @@ class _Reassessment:
         logging.getLogger(SetAssessor.__module__).addHandler(logging.NullHandler())
 
     def run(self, up_to_set: int | None, progress: Progress) -> set[int]:
-        """Reassess the sets in their order up to a set (None: all).
+        """Reassess the sets and repeat actions of people in the order of events, up to a set (None: all).
 
-        Returns the indices of the reassessed scheduled sets.
+        Returns the indices of the reassessed scheduled sets. Raises ArchiveError for a set that cannot be
+        read.
         """
         events = self._stored.rows(EventRow, topics=("sets", "alarms", "assessments"))
         last = None if up_to_set is None else SetKey(up_to_set)
@@ -171,7 +182,7 @@ class _Reassessment:
     def _assess_set(self, set_key: SetKey) -> None:
         """Assess a set from its file or, without one, its rows, and commit the results.
 
-        A confirmation set of a position that the settings lack is left out.
+        A confirmation set of a position that the settings lack is left out. Raises errors of ``read_set``.
         """
         rows = self._stored.rows(SetRow, **set_key._asdict())
         file = next((row.file for row in rows if row.file), None)
@@ -184,7 +195,10 @@ class _Reassessment:
             self._assessor.commit(self._assessor.assessed(due, record, file, self._features(record)))
 
     def _store_set_without_records(self, rows: list[SetRow]) -> None:
-        """Store the rows of a set without records; missed strikes of a scheduled one may raise alarms."""
+        """Store the rows of a set without records under new ids.
+
+        Missed strikes of a scheduled set may raise alarms, which are stored, too.
+        """
         self._assessor.commit(SetCommit(sets=[replace(row, id=None) for row in rows]))
         for row in rows:
             if row.purpose is None and row.state != "disabled" and row.n_missed:
@@ -194,7 +208,7 @@ class _Reassessment:
                     self._assessor.update_alarm(condition, moment)
 
     def _repeat_action(self, event: EventRow) -> None:
-        """Repeat a person's action on a baseline, an alarm or a transducer."""
+        """Repeat a person's action on a baseline, an alarm or a transducer; ignore other events."""
         if event.kind in STEPS:
             self._repeat_baseline_action(full_row(BaselineRow, event))
         else:
@@ -202,7 +216,7 @@ class _Reassessment:
         repeat_action(event, self._assessor.assessors, self._settings.positions)
 
     def _repeat_baseline_action(self, stored: BaselineRow) -> None:
-        """Repeat a person's action on a baseline; its numbers are those of this assessment.
+        """Repeat a person's action on a baseline: copy its state, not its numbers, which this assessment has.
 
         A baseline that is not there is added as a new one, with as many sets as these settings require.
         """
@@ -218,9 +232,9 @@ class _Reassessment:
             self._again.restore_rows([replace(stored, last_set_index=last_set)])
 
     def _repeat_alarm_action(self, event: EventRow) -> None:
-        """Repeat a person's action on an alarm, if it is active in this assessment.
+        """Repeat a person's acknowledgement or reset of an alarm, if the alarm is active in this assessment.
 
-        An alarm that a command or an instrument raised is raised again.
+        An alarm that a command or an instrument raised is raised again; other events are ignored.
         """
         if event.topic != "alarms" or "kind" not in event.payload:
             return

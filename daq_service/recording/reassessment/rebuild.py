@@ -71,9 +71,10 @@ def rebuild_folder_catalogue(
     settings: Settings | None = None,
     features_of: FeaturesOf = extract_shot_features,
 ) -> Rebuilt:
-    """Rebuild the catalogue of a data folder, with its copies; the caller owns the folder.
+    """Rebuild the catalogue of a data folder, and files that follow from it; the caller owns the folder.
 
-    The old one is replaced when the new one is complete, and kept in the folder.
+    The old catalogue is replaced when the new one is complete and checked, and kept under another name.
+    experiment.json and history are updated, tiles only if results were computed again.
 
     Parameters
     ----------
@@ -81,6 +82,8 @@ def rebuild_folder_catalogue(
         Called with the sets that are done and their number.
     settings
         Refuse a folder of another test; None: accept any test.
+    features_of
+        Extracts the features of a shot.
 
     Raises
     ------
@@ -141,7 +144,7 @@ def rebuild_folder_catalogue(
 
 
 def _read_old_catalogue(folder: Path) -> Salvaged:
-    """Read the sound rows of the old catalogue; none if it cannot be opened.
+    """Read the sound rows of the old catalogue; none, with the error as damage, if it cannot be opened.
 
     Raises SchemaVersionError for an earlier schema, which is complete.
     """
@@ -154,7 +157,10 @@ def _read_old_catalogue(folder: Path) -> Salvaged:
 
 
 def _replace_catalogue(folder: Path, place: Path) -> str:
-    """Replace the old catalogue by the new one, durably; return the new name of the old one, or ""."""
+    """Replace the old catalogue by the new one in ``place``, durably; the old one gets a name with the time.
+
+    Returns that name, or "" if there was none. Raises OSError.
+    """
     new, path = place / FILE_NAME, folder / FILE_NAME
     _sync_file(new)
     kept = f"catalogue-replaced-{datetime.now(UTC):%Y%m%dT%H%M%S%f}Z.sqlite"
@@ -168,13 +174,16 @@ def _replace_catalogue(folder: Path, place: Path) -> str:
 
 
 def _sync_file(path: Path) -> None:
-    """Sync a file, so that its content is durable."""
+    """Sync a file's content to disk and block until then; OSError if it cannot be opened."""
     with path.open("rb+") as file:
         os.fsync(file.fileno())
 
 
 def _update_copies(folder: Path, progress: Progress | None) -> list[str]:
-    """Update experiment.json, history and (unless ``progress`` is None) tiles; list what the tiles lack."""
+    """Update experiment.json, the history and, unless ``progress`` is None, the tiles.
+
+    Returns a text for each set that the tiles lack. Raises CatalogueError or OSError.
+    """
     with open_catalogue(folder, writer=True) as catalogue:
         experiment = catalogue.read_experiment()
         ensure_experiment_file(folder, experiment)
@@ -188,10 +197,10 @@ def _update_copies(folder: Path, progress: Progress | None) -> list[str]:
 
 
 def _collect_warnings(history: History, kept: Salvaged, found: Restored, not_tiled: list[str]) -> list[str]:
-    """Format warnings about history, old catalogue, sets and tiles, at most ten of each."""
+    """Format warnings about history, old catalogue, sets and tiles, at most ten (and a count) of each."""
 
     def prefix_lines(lines: Iterable[str], what: str) -> list[str]:
-        """Prefix lines with their subject; of more than ten, give the number of the others."""
+        """Prefix lines with the text ``what``; after ten lines, give the number of the others."""
         listed = list(lines)
         return [f"{what}: {line}" for line in listed[:10]] + (
             [f"{what}: {len(listed) - 10} more"] if len(listed) > 10 else []

@@ -84,12 +84,16 @@ def replay_test(
 ) -> Replayed:
     """Reassess a stored test with changed settings; return the differences to the stored results.
 
+    Blocks until all sets are assessed; the folder is only read.
+
     Parameters
     ----------
     given
         ``KEY=VALUE`` each; without any the test's own settings are used.
     extract_by
         Executor and number of workers that take the features from the waveforms again; None: the stored ones.
+    progress
+        Called with the sets that are done and their number.
 
     Raises
     ------
@@ -143,9 +147,9 @@ def replay_test(
 
 
 def _describe_unassessed(position: str, recomputed: Catalogue, settings: Settings) -> Iterator[NotAssessed]:
-    """Yield one message if all assessed sets of a position belong to its baseline, else none.
+    """Yield one message if all assessed sets of a position belong to its baseline, else nothing.
 
-    No alarm would report this.
+    No alarm would report this. A position without assessments yields nothing.
     """
     found = recomputed.columns(AssessmentRow, ("set_index", "in_baseline"), position=position)
     if not all(found["in_baseline"]) or not found["set_index"]:
@@ -166,7 +170,7 @@ def _describe_unassessed(position: str, recomputed: Catalogue, settings: Setting
 
 
 def _find_common_extractor(versions: Iterable[str]) -> str:
-    """Return the one extractor version of the features, this version's own for none.
+    """Return the one extractor version of stored features; this version's own if there are none.
 
     Raises UsageError for different extractors, whose features are different quantities.
     """

@@ -119,6 +119,12 @@ def restore_rows(
     """Fill a catalogue that has its experiment and nothing else; return counts and findings.
 
     The caller recomputes the counts of the catalogue. A set that cannot be read gets the rows of the history.
+    ``progress`` is called with the numbers of done and of all files.
+
+    Raises
+    ------
+    StorageError
+        The catalogue refuses, or the journal cannot be read.
     """
     return _Restoration(settings, experiment, archive, catalogue, history, features_of).run(progress)
 
@@ -135,6 +141,7 @@ class _Restoration:
         history: StoredHistory,
         features_of: FeaturesOf,
     ) -> None:
+        """Create the assessor that follows the restored sets; store nothing yet."""
         self._settings, self._experiment = settings, experiment
         self._archive, self._catalogue, self._history = archive, catalogue, history
         rehearsal = settings.rig.dry_run
@@ -146,7 +153,11 @@ class _Restoration:
         self._result = Restored()
 
     def run(self, progress: Progress) -> Restored:
-        """Restore or compute the rows of every set, in the order of the history; report progress in files."""
+        """Restore or compute the rows of every set, in the order of the history, and store them.
+
+        Sets without events come in before the next set; ``progress`` gets the numbers of done and of all
+        files.
+        """
         files = dict(self._archive.sets())
         total = len(files)
         runs = list(group_sets(event for _, event in sorted(self._history.events.items())))
@@ -176,7 +187,7 @@ class _Restoration:
         return self._result
 
     def _apply_events(self, events: Sequence[EventRow]) -> None:
-        """Apply events without a set, such as a command that changes later assessments."""
+        """Queue consecutive events without a set; store annotations and baselines and repeat actions."""
         self._pending.events += events
         for event in events:
             self._apply_alarm_event(event)
@@ -188,7 +199,7 @@ class _Restoration:
             repeat_action(event, self._set_assessor.assessors, self._settings.positions)
 
     def _apply_alarm_event(self, event: EventRow) -> None:
-        """Update alarms, delays and requested sets with an event of the history."""
+        """Update alarms, delays and requested sets in memory with an event of the history."""
         self._set_assessor.apply_stored_event(event)
         if event.topic == "alarms" and event.kind != DELAY_EVENT:
             row = full_row(AlarmRow, event, "alarm_id")
@@ -200,8 +211,8 @@ class _Restoration:
     def _restore_from_tables(self, reference: SetReference, events: Sequence[EventRow]) -> bool:
         """Restore a set from its events and the tables of its file; False if one of them lacks something.
 
-        The file must have the stored SHA-256. Features of a set that are not means of its shots are never
-        restored so.
+        Then nothing is changed. The file must have the stored SHA-256. Features of a set that are not means
+        of its shots are never restored so.
         """
         digest = self._history.digests.get(reference)
         averaged = self._settings.features.of_set != "mean_of_shots"
@@ -217,7 +228,10 @@ class _Restoration:
         return True
 
     def _restore_rows(self, transaction: SetCommit, events: Sequence[EventRow]) -> None:
-        """Queue the stored rows of a set; its assessors follow them. A lost file is listed as damaged."""
+        """Queue the stored rows of a set and update the assessors with them; list a lost file as damaged.
+
+        ``transaction`` has the rows of its shots, if there are any, and gets the others from the events.
+        """
         transaction = _replace_computed_rows(transaction, events, all_rows=True)
         # The events of a set with all its records are complete: a position without one was left out.
         left_out = dict.fromkeys(self._settings.positions, "disabled") if transaction.shots else {}
@@ -230,7 +244,10 @@ class _Restoration:
         self._queue_rows(transaction, events)
 
     def _update_states(self, transaction: SetCommit) -> None:
-        """Update the states with the rows of a set; add the assessments of a baseline that it completes."""
+        """Update the assessors with the rows of a set; add the assessments of a baseline that it completes.
+
+        They precede those of the set in ``transaction``.
+        """
         results: dict[str, FeatureRow | ThicknessRow] = {row.position: row for row in transaction.thickness}
         results |= {row.position: row for row in transaction.features if row.shot_index is None}
         completed: list[AssessmentRow] = []
@@ -254,10 +271,10 @@ class _Restoration:
         transaction.assessments = completed
 
     def _add_disabled_rows(self, stored: Sequence[SetRow], left_out: Mapping[str, str]) -> list[SetRow]:
-        """Add to a set's rows the disabled positions and the SHA-256 of its file, in the order of positions.
+        """Return a set's rows with those of disabled positions and the SHA-256 of its file, by position.
 
-        Each position in ``left_out`` without a row gets a disabled one, unless the set is unscheduled or has
-        no row at all. Rows of positions that the settings lack are dropped.
+        Each position in ``left_out`` (with its reason) without a row gets a disabled one, unless the set is
+        unscheduled or has no row at all. Rows of positions that the settings lack are dropped.
         """
         rows = {row.position: row for row in stored}
         of_the_plan = stored and stored[0].purpose is None
@@ -276,7 +293,7 @@ class _Restoration:
         """Restore the rows of a set from its file, and compute those that the history lacks.
 
         Of a corrupt file the readable records and the stored rows are used; a foreign set is listed and left
-        out.
+        out. ``free`` are the unused event ids of the set. Differences from the stored results are listed.
         """
         damage = ""
         try:
@@ -316,9 +333,9 @@ class _Restoration:
         self._result.computed += 1
 
     def _find_file_digest(self, reference: SetReference) -> str | None:
-        """Return the SHA-256 in the history, else that of the file; None without both.
+        """Return the SHA-256 of a set's file in the history, else that of the file; None without both.
 
-        A difference between the two is listed as damage.
+        A difference between the two is listed as damage. Raises ArchiveError if the file cannot be read.
         """
         found, expected = self._archive.digest(reference), self._history.digests.get(reference)
         if found is not None and expected not in (None, found):
@@ -326,7 +343,7 @@ class _Restoration:
         return expected or found
 
     def _add_environment(self, transaction: SetCommit, record: SetRecord) -> None:
-        """Add the row of supply and climate from the file of a scheduled set, unless there is one."""
+        """Add the row of supply and climate from a scheduled set's file, unless the transaction has one."""
         if record.environment and not transaction.environment and not record.unscheduled_index:
             row = EnvironmentRow(set_index=record.set_index, due_h=record.due_h, **record.environment)  # type: ignore[arg-type] # its columns
             transaction.environment.append(row)
@@ -334,9 +351,10 @@ class _Restoration:
     def _queue_rows(
         self, transaction: SetCommit, events: Sequence[EventRow], *, computed_alarms: bool = False
     ) -> None:
-        """Queue the rows and events of a set; store them after 64 sets, or at once with a new baseline.
+        """Queue the rows and events of a set; store them after 64 sets.
 
-        ``computed_alarms`` True: the set has no events, so its computed alarms are stored at once.
+        Those queued before a new baseline are stored first. ``computed_alarms`` True: the set has no stored
+        events, so it is stored at once with its computed alarms.
         """
         if computed_alarms:
             # This set has no events: its alarms follow from its assessment.
@@ -359,7 +377,10 @@ class _Restoration:
             self._apply_alarm_event(event)
 
     def _store_pending(self) -> None:
-        """Store the rows of the last sets in one commit, with the states after them."""
+        """Store the queued rows and events in one commit, with the states after them, and empty the queue.
+
+        Raises CatalogueError.
+        """
         self._pending.states = self._set_assessor.assessors.collect_changed_states()
         self._pending.events = strip_payloads(self._pending.events, _collect_reported_rows(self._pending))
         self._catalogue.commit_set(self._pending)
@@ -368,10 +389,10 @@ class _Restoration:
     def _number_events(
         self, computed: Sequence[EventRow], stored: Sequence[EventRow], free: Sequence[int]
     ) -> list[EventRow]:
-        """Return the stored events with lost ones in between, if their old ids can be derived.
+        """Return the stored events of a set with the computed ones that the history lost in between.
 
-        The ids are those that are free, if there are as many as lost events; else the lost ones are stored at
-        the end.
+        The lost ones get the ids in ``free``, if there are as many; else they are stored at the end of the
+        restoration. Without stored events all computed ones are returned.
         """
         if not stored:
             return list(computed)
@@ -394,21 +415,21 @@ def _find_free_ids(
     before: Sequence[EventRow],
     following: Sequence[Run],
 ) -> list[int]:
-    """List the unused event ids between the events before a set and those after it."""
+    """List the unused event ids, in order, between the events before a set and those of the next run."""
     first = (before[-1].id or 0) if before else 0
     last = (following[0][1][0].id or 0) if following else (events[-1].id or 0) + 1
     return sorted(set(range(first + 1, last)) - {event.id for event in events if event.id is not None})
 
 
 def _identify(event: EventRow) -> tuple[str, str, str | None]:
-    """Return topic, kind and position, the key of an event within its set."""
+    """Return topic, kind and position, which identify an event within its set."""
     return event.topic, event.kind, event.position
 
 
 def build_shot_rows(tables: SetTables, *, due_h: float) -> tuple[list[ShotRow], list[FeatureRow]] | None:
-    """Build the rows of a set's shots, and their features, from the tables of its file.
+    """Build the rows of a set's shots, and their features, from the tables of its file, in order.
 
-    None if a shot has no result there. ``due_h`` is the hour at which the set was due.
+    Returns None if a shot has no result there. ``due_h`` is the hour at which the set was due.
     """
     results = {
         int(row["shot_id"]): row for name in ("features", "thickness") for row in tables.results.get(name, ())
@@ -442,19 +463,21 @@ def build_shot_rows(tables: SetTables, *, due_h: float) -> tuple[list[ShotRow], 
 
 
 def _none_if_not_finite(value: float | None) -> float | None:
-    """Return the value, or None if it is missing or not finite."""
+    """Return the value, or None if it is None, NaN or infinite."""
     return value if value is not None and math.isfinite(value) else None
 
 
 def _replace_computed_rows(
     transaction: SetCommit, events: Sequence[EventRow], *, all_rows: bool = False
 ) -> SetCommit:
-    """Replace computed rows in a transaction by stored ones: those of how a set ended.
+    """Replace computed rows in a transaction by the stored ones of a set's events; return the transaction.
+
+    Rows of sets and environment are replaced, the results only if the set has no shots.
 
     Parameters
     ----------
     all_rows
-        Those that follow from the records, too: the records are not there, or not all.
+        Replace the results, too: the records are not there, or not all.
     """
     transaction.sets = _merge_set_rows(transaction.sets, _collect_rows(SetRow, events))
     transaction.environment = _collect_rows(EnvironmentRow, events) or transaction.environment
@@ -472,14 +495,17 @@ def _replace_computed_rows(
 
 
 def _collect_reported_rows(transaction: SetCommit) -> list[Row]:
-    """List the rows of a transaction that events report, without those of single shots."""
+    """List the rows of a transaction that events report; of features only those of sets."""
     of_set = [row for row in transaction.features if row.shot_index is None]
     rows = (transaction.sets, of_set, transaction.thickness, transaction.assessments, transaction.environment)
     return list(itertools.chain(*rows))
 
 
 def _merge_set_rows(computed: Sequence[SetRow], stored: Sequence[SetRow]) -> list[SetRow]:
-    """Return the stored rows of a set, with computed SHA-256, and computed rows of other positions."""
+    """Return the stored rows of a set with the computed SHA-256, and computed rows of other positions.
+
+    Computed positions come first, in their order.
+    """
     digests = {row.position: row.file_sha256 for row in computed}
     rows = {row.position: row for row in computed}
     rows |= {row.position: replace(row, file_sha256=digests.get(row.position)) for row in stored}
@@ -487,12 +513,15 @@ def _merge_set_rows(computed: Sequence[SetRow], stored: Sequence[SetRow]) -> lis
 
 
 def _collect_rows(kind: type[R], events: Sequence[EventRow]) -> list[R]:
-    """Build the rows of one kind that events contain, in the order of the events."""
+    """Build the rows of one kind that events contain, in the order of the events; ignore other events."""
     return [full_row(kind, event) for event in events if _STORED_ROWS.get(event.kind) is kind]
 
 
 def _find_differences(computed: Sequence[EventRow], stored: Sequence[EventRow]) -> list[str]:
-    """List the computed results that differ from those in the stored events, by set, position and kind."""
+    """List set, position and kind of each stored event whose computed result differs.
+
+    Columns that the stored event lacks, and diagnosis states in averages, are not compared.
+    """
     found = {_identify(event): event for event in computed if event.kind in _COMPUTED}
     return [
         f"set {event.set_key}, {event.position}: {event.kind}"
@@ -504,10 +533,10 @@ def _find_differences(computed: Sequence[EventRow], stored: Sequence[EventRow]) 
 
 
 def _select_stored_columns(stored: EventRow, computed: EventRow) -> bytes:
-    """Encode the computed payload with the stored columns only: an earlier version had fewer."""
+    """Encode the computed payload with only the columns of the stored one: an earlier version had fewer."""
     return _encode_sorted({name: value for name, value in computed.payload.items() if name in stored.payload})
 
 
 def _encode_sorted(payload: Mapping[str, Any]) -> bytes:
-    """Encode a payload as JSON with sorted keys, to compare it; NaN becomes null."""
+    """Encode a payload as JSON bytes with sorted keys, to compare it; NaN and infinities become null."""
     return orjson.dumps(payload, option=orjson.OPT_SORT_KEYS | orjson.OPT_SERIALIZE_NUMPY)

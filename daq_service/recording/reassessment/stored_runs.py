@@ -23,13 +23,16 @@ Progress = Callable[[int, int], None]
 
 
 def group_sets(events: Iterable[EventRow]) -> Iterator[Run]:
-    """Yield the events in their order, consecutive ones of a set together with its key (None: no set)."""
+    """Yield runs of consecutive events with the same set, in order, each with its key (None: no set)."""
     for set_key, run in groupby(events, key=lambda event: event.set_key):
         yield set_key, list(run)
 
 
 def repeat_action(event: EventRow, assessors: PositionAssessors, positions: Container[str | None]) -> None:
-    """Repeat the effect of a person's action on the state: a renewed baseline, an enabled transducer."""
+    """Repeat a person's action on the assessors: discard a renewed baseline's state, or enable a transducer.
+
+    Other events, and resets at positions that are not in ``positions``, are ignored.
+    """
     if event.kind in STEPS:
         assessors.discard_state(str(event.position))
     elif event.kind == "alarm_reset" and event.payload["kind"] in RETIRING and event.position in positions:
@@ -37,7 +40,7 @@ def repeat_action(event: EventRow, assessors: PositionAssessors, positions: Cont
 
 
 def full_row(kind: type[R], event: EventRow, id_name: str = "id") -> R:
-    """Build the row that the payload of an event contains; ``id_name`` is the key of its id.
+    """Build the row of a kind from the columns in an event's payload; ``id_name`` is the key of its id.
 
     Raises TypeError if a column without default is missing.
     """

@@ -18,7 +18,10 @@ _MEASURED = (
 
 
 def upgrade() -> None:
-    """Add missed and repeated strikes, the outcome of shots, and the table of the environment."""
+    """Add missed and repeated strikes, the outcome of shots, and table ``environment``.
+
+    Older rows get 0 missed, 0 repeated and "accepted".
+    """
     op.add_column("sets", sa.Column("n_missed", sa.Integer(), nullable=False, server_default="0"))
     op.add_column("sets", sa.Column("n_restrikes", sa.Integer(), nullable=False, server_default="0"))
     op.add_column("shots", sa.Column("outcome", sa.String(), nullable=False, server_default="accepted"))

@@ -18,7 +18,7 @@ _TABLES = (
 
 
 def upgrade() -> None:
-    """Add a checksum to each row and the SHA-256 of a set's file, both still NULL."""
+    """Add the column of a checksum to each table and that of the file's SHA-256 to ``sets``, still NULL."""
     op.add_column("sets", sa.Column("file_sha256", sa.String(), nullable=True))
     for name in _TABLES:
         op.add_column(name, sa.Column("row_crc32", sa.BigInteger(), nullable=True))

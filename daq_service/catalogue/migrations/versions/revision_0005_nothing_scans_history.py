@@ -27,7 +27,7 @@ _ECHO_POSITIONS = "SELECT position FROM sets WHERE method = 'pulse_echo'"
 
 
 def upgrade() -> None:
-    """Create the indices and table ``counts``, and fill it from the rows."""
+    """Create indices of everyday queries and table ``counts``, and count the stored rows into it."""
     for table, *columns in _INDICES:
         op.create_index(f"ix_{table}_{'_'.join(columns)}", table, columns)
     for topic in _TOPICS:

@@ -13,7 +13,10 @@ TIMES = ("shelved_until_utc_ns", "shelved_until_wall_utc_ns")
 
 
 def upgrade() -> None:
-    """Add the suppression of an alarm: kind, person, reason, and end of the shelving in ns."""
+    """Add the suppression of an alarm: kind, person, reason and end of the shelving in ns.
+
+    All are NULL in older rows.
+    """
     for name in TEXTS:
         op.add_column("alarms", sa.Column(name, sa.String(), nullable=True))
     for name in TIMES:

@@ -15,7 +15,10 @@ NESTED = (
 
 
 def upgrade() -> None:
-    """Add limits and statistics by name as JSON, and the value and alarm of the control chart."""
+    """Add limits and statistics by name as JSON, and the control chart's value and alarm.
+
+    All are NULL in older rows.
+    """
     for table, name in NESTED:
         op.add_column(table, sa.Column(name, sa.JSON(none_as_null=True), nullable=True))
     op.add_column("verdicts", sa.Column("chart", sa.Float(), nullable=True))

@@ -23,7 +23,8 @@ _VALUES |= {"commands": ("kind",)}
 def upgrade() -> None:
     """Convert names and values of all tables to the current terms; add new columns and a table.
 
-    Clears the checksums of the rows that change.
+    Adds the UUID and site of the test, thickness intervals and table ``assessor_states``; renames
+    ``verdicts`` to ``assessments``. Clears the checksums of the rows that change.
     """
     connection = op.get_bind()
     driver = connection.connection.driver_connection
@@ -38,7 +39,7 @@ def upgrade() -> None:
         return None if text is None else to_json_text(to_current_row(table, {name: orjson.loads(text)})[name])
 
     def to_current_event(topic: str, kind: str, payload: str) -> str:
-        """Convert the JSON payload of an event to current names."""
+        """Convert the JSON payload of an event to current names; topic and kind may be earlier names."""
         event = {"topic": topic, "kind": kind, "payload": orjson.loads(payload)}
         return to_json_text(to_current_row("events", event)["payload"])
 
@@ -85,7 +86,10 @@ def upgrade() -> None:
 
 
 def _rename_assessments() -> None:
-    """Copy table `verdicts` to `assessments` and drop it: its constraints are named after the table."""
+    """Copy table ``verdicts`` to a new table ``assessments``, with its index, and drop the old one.
+
+    A renamed table would keep constraints that are named after ``verdicts``.
+    """
     op.create_table(
         "assessments",
         sa.Column("id", sa.Integer(), nullable=False),

@@ -15,7 +15,10 @@ _QUALITIES = ("supply_quality", "climate_quality")
 
 
 def upgrade() -> None:
-    """Replace "refused" and "lost" by the current words in columns, evidence and payloads."""
+    """Replace the values "refused" and "lost" by "rejected" and "no_communication".
+
+    Changes states of commands and qualities of supply and climate, in columns, evidence and event payloads.
+    """
     _replace_column_value("commands", "state", "refused", "rejected")
     for name in _QUALITIES:
         _replace_column_value("environment", name, *NO_COMMUNICATION)
@@ -30,7 +33,10 @@ def _replace_column_value(table: str, name: str, old: str, new: str) -> None:
 
 
 def _replace_json_value(table: str, name: str, key: str, old: str, new: str) -> None:
-    """Replace the value ``old`` at a key of a JSON column by ``new`` and clear these rows' checksums."""
+    """Replace the value ``old`` at the path ``key`` of a JSON column by ``new``.
+
+    Clears the checksums of the changed rows.
+    """
     op.execute(
         f"UPDATE {table} SET {name} = json_set({name}, '$.{key}', '{new}'), row_crc32 = NULL "
         f"WHERE json_extract({name}, '$.{key}') = '{old}'"

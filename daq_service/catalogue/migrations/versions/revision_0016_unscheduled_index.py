@@ -28,7 +28,11 @@ _LARGE = [f'*set_index":{space}{"[0-9]" * 8}*' for space in ("", " ")]
 
 
 def upgrade() -> None:
-    """Copy the tables of sets with the new key, and split the indices of alarms and events."""
+    """Copy the tables of sets with the new key, and split the set indices of alarms and events.
+
+    Each copy gets column ``unscheduled_index``, its unique constraint and a partial index of unscheduled
+    sets.
+    """
     indices = [sql for table in _OF_SETS for sql in _list_create_statements("index", table)]
     for table in _OF_SETS:
         _add_unscheduled_column(table, "unscheduled_index")
@@ -58,7 +62,11 @@ def upgrade() -> None:
 
 
 def _split_set_keys(table: str, index: str, number: str, nested: str) -> None:
-    """Add column ``number`` to a table, split its set index, and convert set keys in its JSON column."""
+    """Add column ``number`` to a table, split its combined set index, and convert keys in a JSON column.
+
+    ``index`` names the column of the set index, ``nested`` the JSON column. Checksums of changed rows are
+    cleared.
+    """
     driver = op.get_bind().connection.driver_connection
     assert driver is not None
     driver.create_function("current_json", 1, _to_current_json, deterministic=True)
@@ -69,7 +77,7 @@ def _split_set_keys(table: str, index: str, number: str, nested: str) -> None:
 
 
 def _to_current_json(text: str) -> str:
-    """Convert the set keys in a JSON text to the current pairs of indices."""
+    """Convert the combined set numbers in a JSON text to pairs of set index and unscheduled index."""
     return to_json_text(to_current_row("", orjson.loads(text)))
 
 
@@ -79,7 +87,10 @@ def _add_unscheduled_column(table: str, name: str) -> None:
 
 
 def _split_set_indices(table: str, index: str, number: str) -> None:
-    """Split each combined index into set index and unscheduled number; clear these rows' checksums."""
+    """Split each combined number in column ``index`` into set index and, for column ``number``, set number.
+
+    The set number is that of an unscheduled set after the scheduled one. Clears the checksums of these rows.
+    """
     _execute(
         f"UPDATE {table} SET {number} = {index} / {_SETS_OF_A_PLAN}, {index} = {index} % {_SETS_OF_A_PLAN}, "
         f"row_crc32 = NULL WHERE {index} >= {_SETS_OF_A_PLAN}"
@@ -87,7 +98,7 @@ def _split_set_indices(table: str, index: str, number: str) -> None:
 
 
 def _list_create_statements(kind: str, table: str) -> list[str]:
-    """List the SQL statements that create a table (``kind`` "table") or its indices ("index")."""
+    """List the SQL statements that created a table (``kind`` "table") or its indices ("index"), if any."""
     statement = "SELECT sql FROM sqlite_master WHERE type = ? AND tbl_name = ? AND sql IS NOT NULL"
     return [sql for (sql,) in op.get_bind().exec_driver_sql(statement, (kind, table))]
 
