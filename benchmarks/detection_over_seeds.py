@@ -33,7 +33,7 @@ import numpy as np
 
 from analysis.diagnosis.hypotheses import WALL
 from analysis.statistics.baseline import fit_baseline
-from analysis.statistics.chart import chart_with_phi, design_chart
+from analysis.statistics.chart import build_chart, design_chart
 from analysis.statistics.design import is_chart_alarm_active
 from analysis.statistics.directions import find_directions
 from analysis.statistics.distance import distance_squared
@@ -158,8 +158,8 @@ def alarms_of_other_designs(
     )
     found, designs = find_directions(history), design_chart(history, budget)
     charts = {
-        "chart, memory as found": chart_with_phi(history, found.matrix, found.guarded, designs.limit),
-        "chart, no memory": chart_with_phi(history, found.matrix, 0.0 * found.phi, designs.limit),
+        "chart, memory as found": build_chart(history, found.matrix, found.guarded, designs.limit),
+        "chart, no memory": build_chart(history, found.matrix, 0.0 * found.phi, designs.limit),
         "chart, limit of a known baseline": replace(designs, limit=known_limit(p, budget)),
     }
     rows = [row.set_index - begins for row in assessed_rows]

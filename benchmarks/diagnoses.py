@@ -33,7 +33,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import numpy as np
 from diagnosis_slopes import MEAN_TILT_RAD, slopes, walls
 
-from analysis.diagnosis.diagnose import diagnose_latest_set, update_state
+from analysis.diagnosis.diagnose import add_diagnosis, diagnose_latest_set
 from analysis.diagnosis.hypotheses import COUPLING, ENVIRONMENT, OK, SENSOR, WALL
 from analysis.diagnosis.parameters import compute_diagnosis_parameters
 from analysis.diagnosis.slopes import COMPONENTS, DEPTHS
@@ -215,12 +215,12 @@ def diagnose_run(
         memory = add_set(memory, design.mean, logs[index], index)
         state = update_alarm_state(state, bool(beyond[index]), RULE)
         diagnosis = diagnose_latest_set(memory, design, suspicious=state.active)
-        memory = update_state(memory, diagnosis)
+        memory = add_diagnosis(memory, diagnosis)
         if diagnosis.cause not in (OK, COUPLING) and index - confirmed_at >= CONFIRMED_FOR:
             confirmed_at = index
             memory = add_confirmation_set(memory, design.mean, confirmation_logs[index])
             diagnosis = diagnose_latest_set(memory, design, suspicious=True)
-            memory = update_state(memory, diagnosis)
+            memory = add_diagnosis(memory, diagnosis)
         calls[diagnosis.cause] += 1
         for name, seen in (("wall", diagnosis.cause == WALL), ("f", state.active)):
             if seen and first[name] is None:

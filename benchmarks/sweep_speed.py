@@ -24,7 +24,7 @@ import threading
 from concurrent.futures import Executor
 from functools import partial
 
-from daq_service.cli.sweep.execution import compute_plan
+from daq_service.cli.sweep.execution import compute_plan_rows
 from daq_service.cli.sweep.plan import Model, Plan, build_plan
 from daq_service.cli.sweep.shot import compute_zener_impact, summarise_coupled_shot
 from daq_service.cli.sweep.specification import parse_axis
@@ -69,7 +69,7 @@ def run_loop(plan: Plan) -> None:
 
 def run_sweep(plan: Plan, executor: Executor, workers: int) -> None:
     kept: list[int] = []
-    compute_plan(
+    compute_plan_rows(
         plan,
         plan.rows,
         executor,

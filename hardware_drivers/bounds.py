@@ -126,13 +126,13 @@ def bounded(parameters: type[Parameters]) -> type[Parameters]:
     """
     own_checks: Callable[[Parameters], None] | None = getattr(parameters, "__post_init__", None)
 
-    def check(parameters_object: Parameters) -> None:
+    def check_all(parameters_object: Parameters) -> None:
         """Check the bounds, then run the class's own `__post_init__`; ValueError of either passes through."""
         check_bounds(parameters_object)
         if own_checks is not None:
             own_checks(parameters_object)
 
     untyped: Any = parameters
-    untyped.__post_init__ = check
+    untyped.__post_init__ = check_all
     untyped.__pydantic_config__ = {"extra": "forbid"}
     return dataclass(frozen=True, slots=True, kw_only=True)(parameters)

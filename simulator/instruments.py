@@ -115,7 +115,7 @@ class RecordsAhead:
         previous: dict[TimedStrike, _PendingRecord] = {}
         if expected[:1] != [strike]:
             previous, self._pending = self._pending, {}
-            self._plan_from(key, utc_ns, [planned for planned, _ in expected], hour_h)
+            self._plan_strikes(key, utc_ns, [planned for planned, _ in expected], hour_h)
         while len(self._pending) + LARGEST_GROUP <= RECORDS_AHEAD:
             group = next(self._planned, None)
             if group is None:
@@ -147,7 +147,7 @@ class RecordsAhead:
             previous |= {strike: _PendingRecord(future, index) for index, strike in enumerate(new)}
         return {strike: previous.pop(strike) for strike in group}
 
-    def _plan_from(
+    def _plan_strikes(
         self, key: ShotKey, utc_ns: int, expected: Sequence[ShotKey], hour_h: Callable[[int], float]
     ) -> None:
         """Plan the strikes ahead again after one out of the planned order; skip positions passed over.

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from analysis.diagnosis.diagnose import Diagnosis, diagnose_latest_set, update_state
+from analysis.diagnosis.diagnose import Diagnosis, add_diagnosis, diagnose_latest_set
 from analysis.diagnosis.hypotheses import COUPLING, ENVIRONMENT, OK, SENSOR, WALL
 from analysis.diagnosis.parameters import DiagnosisParameters, compute_diagnosis_parameters, log_features
 from analysis.diagnosis.slopes import COMPONENTS
@@ -113,4 +113,4 @@ def _diagnose_newest_set(
     ``suspicious``: a chart or the k-of-n rule is in alarm.
     """
     assessment = diagnose_latest_set(memory, design, suspicious=suspicious)
-    return update_state(memory, assessment), assessment
+    return add_diagnosis(memory, assessment), assessment

@@ -68,7 +68,7 @@ def _decode_value(kind: Any, value: Any) -> Any:
         array.flags.writeable = False
         return array
     if isinstance(kind, type) and is_dataclass(kind):
-        hints = _resolved_type_hints(kind)
+        hints = _resolve_type_hints(kind)
         return kind(**{name: _decode_value(hints[name], item) for name, item in value.items()})
     if origin is not None and issubclass(origin, Mapping):
         return {name: _decode_value(arguments[1], item) for name, item in value.items()}
@@ -81,6 +81,6 @@ def _decode_value(kind: Any, value: Any) -> Any:
 
 
 @cache
-def _resolved_type_hints(kind: type) -> dict[str, object]:
+def _resolve_type_hints(kind: type) -> dict[str, object]:
     """Return the resolved types of a dataclass's fields by name; computed once per class."""
     return get_type_hints(kind)

@@ -18,7 +18,7 @@ from analysis.diagnosis.parameters import DiagnosisParameters
 from analysis.diagnosis.state import DiagnosisState
 from analysis.errors import NotEnoughSetsError, SingularCovarianceError
 from analysis.statistics.baseline import Baseline, fit_baseline
-from analysis.statistics.design import ChartState, Design, build_design, find_end_state, update_chart_state
+from analysis.statistics.design import ChartState, Design, build_chart_state, build_design, update_chart_state
 from analysis.statistics.distance import distance_squared, named_contributions
 from analysis.statistics.limits import F_PREDICTIVE, PAPER_MEAN_3SD, f_predictive_limit, paper_limit
 from analysis.statistics.named_limits import DISTANCE, LIMITS
@@ -355,7 +355,7 @@ def _freeze_baseline(state: State, rules: Rules) -> State:
                 [(healthy_set.set_index, healthy_set.values) for healthy_set in state.healthy]
             ),
         ),
-        memory=find_end_state(fitted, vectors[-1]),
+        memory=build_chart_state(fitted, vectors[-1]),
         diagnosis_state=DiagnosisState(),
         origin=Origin(),
     )

@@ -16,10 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.diagnosis.hypotheses import COUPLING, OK, WALL
-from analysis.diagnosis.noise import compute_covariances
+from analysis.diagnosis.noise import compute_noise_covariance
 from analysis.diagnosis.parameters import FEWEST_GROWN, GROWTHS, POWERS, STEPS, DiagnosisParameters
 from analysis.diagnosis.slopes import COMPONENTS
-from analysis.diagnosis.state import MOST_AVERAGED, SETTLING, DiagnosisState, average_weights, restart_state
+from analysis.diagnosis.state import MOST_AVERAGED, SETTLING, DiagnosisState, averaging_weights, restart_state
 from analysis.waves.record_reduction import FloatArray
 
 UNDETERMINED = "undetermined"
@@ -110,11 +110,11 @@ def diagnose_latest_set(
         changes={name: math.expm1(change) for name, change in zip(COMPONENTS, changes, strict=True)},
         confirmed=bool(memory.confirmation) or moved,
         reseated=contact,
-        returned=moved and _is_nearer_to_its_baseline(memory, design),
+        returned=moved and _is_nearer_to_baseline(memory, design),
     )
 
 
-def _is_nearer_to_its_baseline(memory: DiagnosisState, design: DiagnosisParameters) -> bool:
+def _is_nearer_to_baseline(memory: DiagnosisState, design: DiagnosisParameters) -> bool:
     """Check whether the average of about ten sets is nearer to the baseline than to the re-seated state.
 
     Return False for fewer than ten sets since the re-seat.
@@ -127,7 +127,7 @@ def _is_nearer_to_its_baseline(memory: DiagnosisState, design: DiagnosisParamete
     )
 
 
-def update_state(memory: DiagnosisState, assessment: Diagnosis) -> DiagnosisState:
+def add_diagnosis(memory: DiagnosisState, assessment: Diagnosis) -> DiagnosisState:
     """Return the state with what a diagnosis implies for the next sets: a wall change or a re-seat.
 
     A new re-seat, or a contact that is as in the baseline again, restarts the averages.
@@ -201,7 +201,7 @@ def _log_densities(
 def _compute_change_courses(n: int, gap: int, gap_ago: int, confirmation_ago: int | None) -> FloatArray:
     """Return the averages that a change of final size 1 produces, for each time course; shape (s, r).
 
-    Courses are steps, then growths; the r averages of the last ``n`` sets are those of `average_weights`.
+    Courses are steps, then growths; the r averages of the last ``n`` sets are those of `averaging_weights`.
     ``gap`` sets were missed ``gap_ago`` sets before the newest. A step is between two sets, however far apart
     they are; a growth continues during the gap. Cached: callers must not write to the result.
     """
@@ -211,7 +211,7 @@ def _compute_change_courses(n: int, gap: int, gap_ago: int, confirmation_ago: in
     longest = n + gap  # none began in the baseline
     grown = np.maximum(1.0 - planned_ago / np.minimum(GROWTHS, longest)[:, None], 0.0)
     course = np.vstack([steps, *(grown**power for power in POWERS)])
-    return np.asarray(course @ average_weights(n, confirmation_ago).T)
+    return np.asarray(course @ averaging_weights(n, confirmation_ago).T)
 
 
 def _collect_observations(
@@ -233,7 +233,7 @@ def _collect_observations(
     )
     averaged, reference = max(n, FEWEST_AVERAGED), min(n, SETTLING) if from_moved else design.n
     since = memory.n if from_moved or memory.index is None else memory.index - design.last_index
-    parts = compute_covariances(
+    parts = compute_noise_covariance(
         averaged, min(max(since, averaged), MOST_REMEMBERED), confirmation_ago, reference
     )
     seen, noise = memory.averages(from_moved=from_moved), np.tensordot(design.variances_in_time, parts, 1)

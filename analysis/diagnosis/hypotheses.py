@@ -100,7 +100,7 @@ def make_hypotheses(baseline: FloatArray) -> tuple[Hypothesis, ...]:
     found += _weight_hypotheses(WALL, list(_make_wall_hypotheses()), abrupt=0.0)
     found += _weight_hypotheses(SENSOR, list(_spread_over_sizes(_build_sensor_covariances())), abrupt=0.5)
     found += _weight_hypotheses(COUPLING, list(_spread_over_sizes(_coupling_covariances())), abrupt=RE_SEATS)
-    found += _weight_hypotheses(ENVIRONMENT, list(_spread_over_sizes([_climate_covariance()])), abrupt=0.0)
+    found += _weight_hypotheses(ENVIRONMENT, list(_spread_over_sizes([_thermal_covariance()])), abrupt=0.0)
     return tuple(found)
 
 
@@ -181,7 +181,7 @@ def _coupling_covariances() -> list[FloatArray]:
     return [_sum_source_covariances(foot), _sum_source_covariances(everywhere)]
 
 
-def _climate_covariance() -> FloatArray:
+def _thermal_covariance() -> FloatArray:
     """Return the covariance, shape (7, 7), of a temperature change: modulus, PZT and the striker's guide."""
     return _sum_source_covariances(
         [

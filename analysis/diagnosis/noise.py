@@ -12,7 +12,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.diagnosis.state import average_weights, covariance_of_averages
+from analysis.diagnosis.state import averaging_weights, covariance_of_averages
 from analysis.waves.record_reduction import FloatArray
 
 MEMORIES_SETS = (0.0, 1.5, 5.0, 15.0, 50.0, 150.0, 500.0)
@@ -32,7 +32,7 @@ END_RATES = (0.1, 0.02)
 """Weights of the averages that tell where the wander stood when the baseline ended."""
 
 
-def estimate_variances(whitened: FloatArray, indices: NDArray[np.intp]) -> FloatArray:
+def fit_noise_variances(whitened: FloatArray, indices: NDArray[np.intp]) -> FloatArray:
     """Estimate the variance of each noise component, shape (7,), shared by all directions (penalized ML).
 
     Each step multiplies a variance by the root of the ratio of what the sets show to what it explains, the
@@ -62,7 +62,7 @@ def estimate_variances(whitened: FloatArray, indices: NDArray[np.intp]) -> Float
     return np.asarray(found)
 
 
-def end_averages(changes: FloatArray) -> FloatArray:
+def average_until_end(changes: FloatArray) -> FloatArray:
     """Average a baseline's deviations, shape (n, 7), exponentially up to its end; shape (2, 7).
 
     Rows are the rates of `END_RATES`; the deviations are those from the baseline's mean.
@@ -94,7 +94,7 @@ def _compute_reference_moments(sets: int) -> tuple[FloatArray, FloatArray, Float
 
 
 @lru_cache(maxsize=2048)
-def compute_covariances(n: int, since: int, confirmation_ago: int | None, reference: int) -> FloatArray:
+def compute_noise_covariance(n: int, since: int, confirmation_ago: int | None, reference: int) -> FloatArray:
     """Return the covariance of the observations by component, in units of its variance; shape (7, r, r).
 
     Cached: callers must not write to the result.
@@ -107,12 +107,12 @@ def compute_covariances(n: int, since: int, confirmation_ago: int | None, refere
     n, since
         Sets in the averages, and scheduled sets since the reference ended, at least n.
     confirmation_ago
-        See `state.average_weights`.
+        See `state.averaging_weights`.
     reference
         Number of reference sets.
     """
     sums, before, reach = _compute_reference_moments(reference)
-    after = average_weights(n, confirmation_ago)
+    after = averaging_weights(n, confirmation_ago)
     k, r = len(sums), len(after)
     # A difference is an average less the mean of reference, as often as its weights sum to.
     from_mean = np.eye(k + r)[1:]

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from analysis.diagnosis.hypotheses import PRIOR, Hypothesis, make_hypotheses
-from analysis.diagnosis.noise import end_averages, estimate_variances
+from analysis.diagnosis.noise import average_until_end, fit_noise_variances
 from analysis.diagnosis.slopes import COMPONENTS
 from analysis.errors import InvalidInputError, SingularCovarianceError
 from analysis.statistics.baseline import whitening_matrix
@@ -118,8 +118,8 @@ def compute_diagnosis_parameters(history: ArrayLike, first_index: int = 0) -> Di
         whitening=whitening,
         n=n,
         last_index=first_index + int(indices[-1]),
-        variances_in_time=estimate_variances((complete - mean) @ whitening, indices),
-        ends=end_averages(complete - mean),
+        variances_in_time=fit_noise_variances((complete - mean) @ whitening, indices),
+        ends=average_until_end(complete - mean),
         rows={cause: [k for k, one in enumerate(known) if one.cause == cause] for cause in PRIOR},
         weights=np.array([_prior_weights(one) for one in known]),
         abrupt=np.flatnonzero([one.abrupt > 0.0 for one in known]),

@@ -141,7 +141,7 @@ def restart_state(memory: DiagnosisState, moved: tuple[float, ...]) -> Diagnosis
     return DiagnosisState(wall=memory.wall, index=memory.index, moved=moved)
 
 
-def average_weights(n: int, confirmation_ago: int | None = None) -> FloatArray:
+def averaging_weights(n: int, confirmation_ago: int | None = None) -> FloatArray:
     """Return the weights of the last n sets in the averages, the newest first; shape (3 or 4, n).
 
     Parameters
@@ -171,5 +171,5 @@ def covariance_of_averages(n: int, phi: float, confirmation_ago: int | None) -> 
     if confirmation_ago is None:
         return np.asarray(covariance)
     # Struck right after its planned set, it is no copy of it: it has an innovation of its own.
-    shared = average_weights(n) @ phi ** np.maximum(np.abs(np.arange(n) - confirmation_ago), 1)
+    shared = averaging_weights(n) @ phi ** np.maximum(np.abs(np.arange(n) - confirmation_ago), 1)
     return np.block([[covariance, shared[:, None]], [shared[None], np.ones((1, 1))]])

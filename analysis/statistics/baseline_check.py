@@ -64,7 +64,7 @@ def find_anomalies(vectors: ArrayLike) -> tuple[Anomaly, ...]:
     """
     x = np.asarray(vectors, dtype=np.float64)
     found: list[Anomaly] = []
-    near, core = grow_cores(x)
+    near, core = find_core_sets(x)
     outside = np.flatnonzero(~core)
     if not near.all():
         whitened = _whiten_by_core(x, core)
@@ -79,7 +79,7 @@ def find_anomalies(vectors: ArrayLike) -> tuple[Anomaly, ...]:
     return tuple(found)
 
 
-def grow_cores(x: FloatArray) -> tuple[np.ndarray, np.ndarray]:
+def find_core_sets(x: FloatArray) -> tuple[np.ndarray, np.ndarray]:
     """Return two masks, shape (n,): sets in a robust core of x, shape (n, p), and sets that fit it.
 
     The core starts as 70 % of the sets and becomes those within the 97.5 % limit around it until it no longer

@@ -67,7 +67,7 @@ class Chart:
 
         ``vectors`` has shape (n, p); an incomplete set gives NaN.
         """
-        return self._whiten_and_clip(prewhiten_sets(self._project(vectors), 0.0, self.phi))
+        return self._whiten_and_clip(prewhiten_sets(self._project_sets(vectors), 0.0, self.phi))
 
     def whiten_next_set(self, vector: FloatArray, before: FloatArray, distance: int) -> FloatArray:
         """Return the chart's clipped whitened input of one complete set, shape (p,).
@@ -75,10 +75,10 @@ class Chart:
         ``before`` is the last complete set, ``distance`` sets earlier.
         """
         return self._whiten_and_clip(
-            innovation(self._project(vector), self._project(before), distance, self.phi)
+            innovation(self._project_sets(vector), self._project_sets(before), distance, self.phi)
         )
 
-    def _project(self, vectors: ArrayLike) -> FloatArray:
+    def _project_sets(self, vectors: ArrayLike) -> FloatArray:
         """Subtract the baseline's mean from vectors, shape (..., p), and project them onto the directions."""
         return np.asarray((np.asarray(vectors, dtype=np.float64) - self.mean) @ self.directions)
 
@@ -135,10 +135,10 @@ def design_chart(baseline: ArrayLike, run_length: float, least_phi: ArrayLike = 
     n, p = int(np.isfinite(x).all(axis=1).sum()), x.shape[1]
     found = find_directions(x)
     phi = np.maximum(widen_phi(found), least_phi)
-    return chart_with_phi(x, found.matrix, phi, estimated_limit(n, p, run_length))
+    return build_chart(x, found.matrix, phi, estimated_limit(n, p, run_length))
 
 
-def chart_with_phi(baseline: FloatArray, directions: FloatArray, phi: FloatArray, limit: float) -> Chart:
+def build_chart(baseline: FloatArray, directions: FloatArray, phi: FloatArray, limit: float) -> Chart:
     """Build the control chart of a baseline, shape (n, p), with known autocorrelation and limit.
 
     ``directions`` has shape (p, p), ``phi`` (p,); rows with a NaN are gaps. Raise LinAlgError if the sets do
@@ -201,7 +201,7 @@ def _whiten_without_lag_1(baseline: FloatArray) -> FloatArray:
     Raise SingularCovarianceError if a feature is a combination of the others.
     """
     found = find_directions(baseline)
-    chart = chart_with_phi(baseline, found.matrix, found.phi, math.inf)
+    chart = build_chart(baseline, found.matrix, found.phi, math.inf)
     return replace(chart, cap=math.inf).whiten_sets(baseline)
 
 

@@ -129,7 +129,7 @@ class ChartState:
     alarming: bool = False
 
 
-def find_end_state(baseline: Baseline, last: FloatArray) -> ChartState:
+def build_chart_state(baseline: Baseline, last: FloatArray) -> ChartState:
     """Return the chart's state at the end of a baseline: averages zero, no alarm.
 
     ``last`` is the baseline's last complete set, shape (p,).

@@ -158,7 +158,7 @@ def typical_autocorrelation(baselines: Sequence[FloatArray]) -> FloatArray:
     return np.asarray(np.median(phi, axis=0)) if phi else np.zeros(baselines[0].shape[1])
 
 
-def typical_tails(baselines: Sequence[FloatArray]) -> float:
+def typical_kurtosis(baselines: Sequence[FloatArray]) -> float:
     """Return the mean over the sensors of the relative kurtosis of their baselines, at least 1 (normal sets).
 
     Heavy tails make a covariance as uncertain as fewer normal sets would: its variance grows by the kurtosis
@@ -231,7 +231,7 @@ def mean_squared_correlation(baselines: Sequence[FloatArray]) -> FloatArray:
     return np.mean(found, axis=0) if found else np.eye(baselines[0].shape[1])
 
 
-def sensor_gain(
+def estimate_gain(
     deviations: FloatArray, shared: FloatArray, correlation2: FloatArray
 ) -> tuple[float, float, float]:
     """Estimate the gain of a sensor to the shared change: 1 where it moves as the median does.
@@ -272,7 +272,7 @@ def residual_shift(
     Parameters
     ----------
     gains
-        Of `sensor_gain`, shape (sensors, 3).
+        Of `estimate_gain`, shape (sensors, 3).
     causes
         Shared changes; the largest deviation in them scales the result.
     phi, n, tails

@@ -52,14 +52,14 @@ def tail_limit(distances_squared: ArrayLike, p: int, rate: float = NOMINAL_RATE)
     middle, upper = float(np.median(logs)), logs[n // 2 :]
     caution = min(max(CAUTION * p, LEAST_CAUTION), MOST_CAUTION)
     reach = float(upper.mean()) - middle + caution * float(upper.std(ddof=1)) / math.sqrt(upper.size)
-    per_degree, reaches, middles = _log_f_table(n, p)
+    per_degree, reaches, middles = _tabulate_log_f(n, p)
     inverse = float(np.interp(reach, reaches, per_degree))
     factor = math.exp(middle - float(np.interp(inverse, per_degree, middles)))
     return float(predictive_scale(n, p) * factor * scipy.special.fdtri(p, 1.0 / inverse, 1.0 - rate))
 
 
 @lru_cache(maxsize=64)
-def _log_f_table(n: int, p: int) -> tuple[FloatArray, FloatArray, FloatArray]:
+def _tabulate_log_f(n: int, p: int) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Tabulate log F(p, v), v falling from n - 1 - p: 1/v, mean of the upper half less the median, median.
 
     Three arrays of shape (25,), the first two ascending; v ends at 2.5.

@@ -11,7 +11,7 @@ FACTOR = 4
 """Number of blocks that the next coarser block combines."""
 
 
-def level_widths(finest: int, widest: int) -> list[int]:
+def get_level_widths(finest: int, widest: int) -> list[int]:
     """Return the block width of each level in sets, from ``finest``, times 4 each, to at most ``widest``.
 
     Return an empty list if ``finest`` exceeds ``widest``.
@@ -23,7 +23,7 @@ def level_widths(finest: int, widest: int) -> list[int]:
     return widths
 
 
-def finer_blocks(number: int) -> range:
+def list_finer_blocks(number: int) -> range:
     """Return the numbers of the four blocks of the next finer level that block ``number`` combines."""
     return range(number * FACTOR, (number + 1) * FACTOR)
 

@@ -72,7 +72,7 @@ def update_alarm_state(
     return AlarmState(recent=recent, active=not clears if state.active else count >= rule.k)
 
 
-def determines_state(outliers: Sequence[bool | None], rule: AlarmRule) -> bool:
+def determines_alarm(outliers: Sequence[bool | None], rule: AlarmRule) -> bool:
     """Check whether these outliers, oldest first, alone determine the alarm state.
 
     A full window with outliers enough, or few enough, leaves no doubt whether the alarm is on.

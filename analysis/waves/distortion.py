@@ -43,7 +43,7 @@ def is_same_wall(tofs_s: FloatArray) -> bool:
     return bool(ordered[-1 - tenth] - ordered[tenth] <= ONE_WALL_S)
 
 
-def find_flattened(outlines: Sequence[Outline], tofs_s: FloatArray) -> NDArray[np.bool_]:
+def find_clipped_shots(outlines: Sequence[Outline], tofs_s: FloatArray) -> NDArray[np.bool_]:
     """Find shots with a flattened top: an amplifier near its limit. Boolean, shape (n_shots,).
 
     A hard limit lowers the middle of the ISW's top; a soft one, v - c v^3, more of the ISW than of the PSW,
@@ -102,7 +102,7 @@ def _build_variations(waves: Sequence[tuple[int, int, FloatArray]]) -> FloatArra
     return columns
 
 
-def _fit_columns(columns: FloatArray, values: FloatArray) -> FloatArray:
+def _fit_linear_model(columns: FloatArray, values: FloatArray) -> FloatArray:
     """Return the least-squares weights of columns, shape (m, k), for values, shape (m,) or (m, n).
 
     The result has the shape (k,) or (k, n). A ridge of 1e-13 of the trace keeps columns of zeros solvable.
@@ -129,7 +129,7 @@ def _find_lowered_shots(
     if not (np.isfinite(middle).all() and pattern.any()):
         return np.zeros(len(points), dtype=bool)
     variation = np.column_stack([middle, variation])
-    pattern = pattern - variation @ _fit_columns(variation, pattern)
+    pattern = pattern - variation @ _fit_linear_model(variation, pattern)
     lowered = -(points @ pattern) / np.linalg.norm(pattern)
     known = np.isfinite(lowered)
     typical = median(lowered[known])
@@ -157,7 +157,7 @@ def find_shots_with_lost_samples(outlines: Sequence[Outline], tofs_s: FloatArray
         return found
     variation = np.column_stack([middle, _compute_slope(middle)])
     left = points - middle
-    left -= (variation @ _fit_columns(variation[:ALIGNED], left[:, :ALIGNED].T)).T
+    left -= (variation @ _fit_linear_model(variation[:ALIGNED], left[:, :ALIGNED].T)).T
     left[np.isnan(left)] = 0.0
     scatter2 = max(0.0, median((left**2).sum(axis=1) / middle.size - sd**2))
     for first in range(0, n, ROWS_AT_ONCE):

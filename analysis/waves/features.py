@@ -49,7 +49,7 @@ from analysis.waves.record_reduction import (
     ReducedRecord,
     VoltRecord,
     column_medians,
-    mean_weights,
+    equal_weights,
     reduce_records,
 )
 from analysis.waves.uncertainty import propagate_noise_to_features
@@ -524,7 +524,7 @@ def _compute_autocorrelation_features(
     if power <= 0.0 or high <= low:
         return {}
     width = max(1, round(0.5 * settings.autocorrelation_triangle_s / record.step_s))
-    smooth = np.correlate(record.blocks_v[first:last], mean_weights(width), "full")
+    smooth = np.correlate(record.blocks_v[first:last], equal_weights(width), "full")
     # From one lag before the first wanted to one behind the last.
     later = np.concatenate([smooth[low - 1 :], np.zeros(high - low + 2)])
     correlation = np.correlate(later, smooth[: smooth.size - low + 1], "valid")

@@ -113,7 +113,7 @@ def propose_settings(struck: Mapping[str, StruckTransducer], *, pulse_s: float, 
     falling = {name for name, v in crests_v.items() if v < -LEVEL_OF_NOISE * noises_v[name]}
     sign = -1.0 if len(falling) == len(struck) else 1.0
 
-    def surveys(pretrigger_s: float, above_v: Mapping[str, float]) -> dict[str, SpikeSurvey]:
+    def survey_all(pretrigger_s: float, above_v: Mapping[str, float]) -> dict[str, SpikeSurvey]:
         """Survey the coil spike of every transducer at a level ``above_v`` its quiet level, by name."""
         return {
             name: measure_coil_spike(
@@ -129,7 +129,7 @@ def propose_settings(struck: Mapping[str, StruckTransducer], *, pulse_s: float, 
         }
 
     # What stands out of the noise is a wave; the level follows from it.
-    found = surveys(SHORTEST_PRETRIGGER_S, {name: LEVEL_OF_NOISE * v for name, v in noises_v.items()})
+    found = survey_all(SHORTEST_PRETRIGGER_S, {name: LEVEL_OF_NOISE * v for name, v in noises_v.items()})
     troubles: dict[str, Trouble] = dict.fromkeys(sorted(falling), "inverted")
     for name, survey in found.items():
         if survey.wave_v is None:
@@ -152,7 +152,7 @@ def propose_settings(struck: Mapping[str, StruckTransducer], *, pulse_s: float, 
                 troubles.setdefault(name, "level")
         rises_s = [_rise_s(struck[name], earliest_s, above_v[name], noises_v[name], sign) for name in waves_v]
         pretrigger_s = max(SHORTEST_PRETRIGGER_S, math.ceil((max(rises_s) + QUIET_S) * 1e5) / 1e5)
-        found = surveys(pretrigger_s, above_v)
+        found = survey_all(pretrigger_s, above_v)
         holdoff_s, ringing_s, loudest = _choose_holdoff(found, fall_s)
         if holdoff_s is None:
             troubles.setdefault(loudest, "ringing")

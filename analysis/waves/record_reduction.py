@@ -189,7 +189,7 @@ def moving_mean(values: FloatArray, width: int) -> FloatArray:
     Values outside the record count as 0.
     """
     # Equal weights: correlation is convolution, without its reversal of an array.
-    return np.correlate(values, mean_weights(width), "same")
+    return np.correlate(values, equal_weights(width), "same")
 
 
 def moving_means(rows: FloatArray, width: int) -> FloatArray:
@@ -201,11 +201,11 @@ def moving_means(rows: FloatArray, width: int) -> FloatArray:
     gap, (n_rows, n) = width // 2, rows.shape
     spaced = np.zeros(n_rows * (n + gap) + 2 * gap)
     spaced[gap : spaced.size - gap].reshape(n_rows, n + gap)[:, :n] = rows
-    return np.correlate(spaced, mean_weights(width), "valid").reshape(n_rows, n + gap)[:, :n]
+    return np.correlate(spaced, equal_weights(width), "valid").reshape(n_rows, n + gap)[:, :n]
 
 
 @lru_cache(maxsize=64)
-def mean_weights(width: int) -> FloatArray:
+def equal_weights(width: int) -> FloatArray:
     """Return the weights of a moving mean: equal, with the sum 1; shape (width,), read-only."""
     weights = np.full(width, 1.0 / width)
     weights.flags.writeable = False

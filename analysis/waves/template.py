@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from analysis.waves.distortion import find_flattened, find_shots_with_lost_samples
+from analysis.waves.distortion import find_clipped_shots, find_shots_with_lost_samples
 from analysis.waves.features import ALL_FEATURE_NAMES, ShotFeatures, apply_flags
 from analysis.waves.outline import find_dissimilar_shots
 from analysis.waves.quality_gate import DISTURBED
@@ -181,7 +181,7 @@ def compare_with_others(shots: Sequence[ShotFeatures], template: Template | None
     }
     outlines, tofs_s = [*seen.values()], np.array([found[index].tof_mf_s for index in seen])
     foreign = find_dissimilar_shots(outlines, tofs_s) | find_shots_with_lost_samples(outlines, tofs_s)
-    for flag, flagged in ((DISTURBED, foreign), ("clipped", find_flattened(outlines, tofs_s) & ~foreign)):
+    for flag, flagged in ((DISTURBED, foreign), ("clipped", find_clipped_shots(outlines, tofs_s) & ~foreign)):
         for index in compress(seen, flagged):
             found[index] = apply_flags(found[index], {*found[index].flags, flag})
     return found

@@ -11,7 +11,7 @@ SHOWN = 5
 """Maximum number of files in a message."""
 
 
-def damage_condition(
+def build_data_condition(
     set_aside: Sequence[str], damaged: Mapping[str, str] = MappingProxyType({})
 ) -> Condition:
     """Return the condition ``data_corrupt``: sets in quarantine, or stored files that are corrupt or missing.
@@ -45,7 +45,7 @@ def _describe_file_problem(fault: str) -> str:
     return fault if fault.startswith("is ") else f"is damaged: {fault}"
 
 
-def space_condition(free_space: str, *, present: bool, stops: bool) -> Condition:
+def build_disk_condition(free_space: str, *, present: bool, stops: bool) -> Condition:
     """Return the condition ``disk_space``: priority medium, or high if ``stops`` (nothing more is stored).
 
     Parameters
@@ -64,7 +64,7 @@ def space_condition(free_space: str, *, present: bool, stops: bool) -> Condition
     )
 
 
-def storage_condition(message: str, *, present: bool, waits_in: str = "memory") -> Condition:
+def build_write_condition(message: str, *, present: bool, waits_in: str = "memory") -> Condition:
     """Return the condition ``write_failed`` (priority high): a write failed, and the sets wait to be written.
 
     Parameters

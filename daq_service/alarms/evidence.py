@@ -158,7 +158,7 @@ def describe_confirmation(confirmation: Evidence) -> str:
         return (
             f"The confirmation set at {at} cannot tell: {confirmation['reason'] or 'a feature is missing'}."
         )
-    if known := _collect_values(confirmation, "distance_squared", "limit"):
+    if known := _get_known_values(confirmation, "distance_squared", "limit"):
         distance, limit = known
         relation = "beyond" if distance > limit else "within"
         at += f", squared distance {_format_value(distance)}, {relation} the limit of {_format_value(limit)},"
@@ -185,7 +185,7 @@ def _format_largest_contributions(contributions: Mapping[str, float | None]) -> 
 def _describe_thickness(evidence: Evidence) -> Iterator[str]:
     """Yield sentences about a wall thickness, its limit, their difference (if both are known), roughness."""
     known = dict(evidence)
-    if values := _collect_values(evidence, "thickness_m", "limit_m"):
+    if values := _get_known_values(evidence, "thickness_m", "limit_m"):
         wall_m, limit_m = values
         known["difference_m"] = difference_m = abs(limit_m - wall_m)
         known |= {"percent": 100.0 * difference_m / limit_m, "side": "below" if wall_m < limit_m else "above"}
@@ -230,7 +230,7 @@ _OF_KIND: Mapping[str, Callable[[Evidence], Iterator[str]]] = {
 """Functions by kind of alarm; all other kinds have the evidence of the supply, or none."""
 
 
-def _collect_values(evidence: Evidence, *names: str) -> list[Any]:
+def _get_known_values(evidence: Evidence, *names: str) -> list[Any]:
     """Return the values of these keys in order; an empty list if one is missing or None."""
     values = [evidence.get(name) for name in names]
     return [] if None in values else values

@@ -26,7 +26,7 @@ import numpy as np
 from h5py.h5g import GroupID
 from numpy.typing import NDArray
 
-from daq_service.archive.nexus import add_field, add_group, new_image, open_root, read_image, set_attributes
+from daq_service.archive.nexus import add_attributes, add_field, add_group, new_image, open_root, read_image
 from daq_service.archive.reader import RecordGroup, list_record_groups, open_set_file, read_set_key
 from daq_service.archive.records import SetReference
 from hardware_drivers.measurement import Calibration, SetKey
@@ -146,7 +146,7 @@ def build_consolidated_image(
             "creator": "solimon",
             "creator_version": facts.maker_version,
         }
-        set_attributes(open_root(file), {**root, "solimon_consolidated_version": CONSOLIDATED_VERSION})
+        add_attributes(open_root(file), {**root, "solimon_consolidated_version": CONSOLIDATED_VERSION})
         names = name_groups(shots)
         shown = names[min(names, key=lambda sampling: sampling.is_echo)]  # the first of strikes, if any
         entry = add_group(file, "entry", "NXentry", {"default": shown})
@@ -217,7 +217,7 @@ def _add_shots(
     # Readers show this value where a set's file is missing: no real record is at the lowest count throughout.
     lowest = np.iinfo(sampling.dtype).min
     records = h5py.Group(group).create_virtual_dataset(signal, layout, fillvalue=lowest)
-    set_attributes(records.id, {"units": "counts"})
+    add_attributes(records.id, {"units": "counts"})
     for dimension, axis in enumerate((shot, time)):
         h5py.h5ds.attach_scale(records.id, axis, dimension)
     _add_calibration(group, signal, blocks, shot)
@@ -254,4 +254,4 @@ def _add_columns(group: GroupID, columns: Columns, *, axis: h5py.h5d.DatasetID |
             continue
         field = add_field(group, name, values, axes=[axis])
         if not isinstance(values, list):
-            set_attributes(field, {"units": find_unit(name)})
+            add_attributes(field, {"units": find_unit(name)})

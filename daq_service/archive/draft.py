@@ -123,8 +123,8 @@ def build_draft_image(root: Node) -> bytes:
                 continue
             target = h5o.open(file, node.path.encode() or b"/")
             if chunk and node.stored:
-                nexus.fill_field(target, node.stored, chunk)
-            nexus.set_attributes(target, node.own_attributes)
+                nexus.write_field(target, node.stored, chunk)
+            nexus.add_attributes(target, node.own_attributes)
         return nexus.read_image(file)
     finally:
         file.close()
@@ -157,7 +157,7 @@ class _Skeleton:
         with self.lock:
             for node in draft:
                 if node.path in self.small and node.stored is not None:
-                    nexus.fill_field(self.small[node.path], node.stored, node.chunk)
+                    nexus.write_field(self.small[node.path], node.stored, node.chunk)
             return nexus.read_image(self.file)
 
 
@@ -166,7 +166,7 @@ def _create_skeleton(structure: _Structure) -> _Skeleton:
     """Create the open HDF5 file of a structure, without values; the 32 last used are cached."""
     with nexus.new_image() as file:
         made: dict[str, h5g.GroupID | h5d.DatasetID] = {"": nexus.open_root(file)}
-        nexus.set_attributes(made[""], structure.draft[0].attributes)
+        nexus.add_attributes(made[""], structure.draft[0].attributes)
         for node in structure.draft[1:]:
             parent, _, name = node.path.rpartition("/")
             if node.link:

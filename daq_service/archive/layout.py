@@ -104,9 +104,9 @@ def build_set_image(record: SetRecord) -> bytes:
     _add_records(entry, record, groups)
     _add_record_facts(entry, record, "truth")
     _add_record_facts(entry, record, "settings")
-    _add_shots(entry, record)
-    _add_missed(entry, record)
-    _add_positions(entry, record)
+    _add_shot_table(entry, record)
+    _add_misses(entry, record)
+    _add_position_table(entry, record)
     _add_environment(entry, record)
     _add_results(entry, record)
     _add_preview(entry, groups)
@@ -318,7 +318,7 @@ def _add_record_facts(entry: Node, record: SetRecord, kind: Literal["truth", "se
             field.attributes["known"] = np.array([value is not None for value in values], dtype=np.uint8)
 
 
-def _add_missed(entry: Node, record: SetRecord) -> None:
+def _add_misses(entry: Node, record: SetRecord) -> None:
     """Add table ``missed`` of the strikes and echoes without a record, unless there are none.
 
     Its columns are position, shot index, attempt, reason and cause.
@@ -351,7 +351,7 @@ def _add_environment(entry: Node, record: SetRecord) -> None:
             add_field(group, name, np.float64(value), units=find_unit(name))
 
 
-def _add_shots(entry: Node, record: SetRecord) -> None:
+def _add_shot_table(entry: Node, record: SetRecord) -> None:
     """Add table ``shots`` with key, time stamps, checksum, flags and outcome of each record."""
     records = record.records
     table = add_group(entry, "shots", "NXcollection")
@@ -386,7 +386,7 @@ def _add_shots(entry: Node, record: SetRecord) -> None:
     )
 
 
-def _add_positions(entry: Node, record: SetRecord) -> None:
+def _add_position_table(entry: Node, record: SetRecord) -> None:
     """Add table ``positions``: method, label, serial number, cause of missing records, planned and taken.
 
     The taken number counts every record of a position, superseded ones too.

@@ -147,7 +147,7 @@ def add_group(
 def create_group(parent: h5g.GroupID, name: str, attributes: Mapping[str, Attribute]) -> h5g.GroupID:
     """Create a group with attributes, without a time of creation, and return it; ValueError if it exists."""
     group = h5g.create(parent, name.encode(), gcpl=_create_group_properties())
-    set_attributes(group, attributes)
+    add_attributes(group, attributes)
     return group
 
 
@@ -177,7 +177,7 @@ def add_field(
     """
     stored = to_stored_form(values)
     dataset = create_field(parent, name, stored, chunk, axes, is_axis, attributes)
-    fill_field(dataset, stored, chunk)
+    write_field(dataset, stored, chunk)
     return dataset
 
 
@@ -201,7 +201,7 @@ def create_field(
     if array.dtype.kind == "S":
         # Else xarray returns bytes (netCDF's convention for text of fixed length).
         attributes = {"_Encoding": "utf-8", **attributes}
-    set_attributes(dataset, attributes)
+    add_attributes(dataset, attributes)
     if is_axis:
         h5ds.set_scale(dataset, name.encode())
     for dimension, axis in enumerate(axes):
@@ -209,7 +209,7 @@ def create_field(
     return dataset
 
 
-def fill_field(dataset: h5d.DatasetID, stored: Stored, chunk: tuple[int, ...] | None) -> None:
+def write_field(dataset: h5d.DatasetID, stored: Stored, chunk: tuple[int, ...] | None) -> None:
     """Write all values to a dataset, in place of its present ones.
 
     Its shape, type and chunk must be those of ``stored``.
@@ -245,7 +245,7 @@ def read_field(parent: h5g.GroupID, name: str) -> NDArray[Any]:
     return array
 
 
-def set_attributes(target: h5g.GroupID | h5d.DatasetID, attributes: Mapping[str, Attribute]) -> None:
+def add_attributes(target: h5g.GroupID | h5d.DatasetID, attributes: Mapping[str, Attribute]) -> None:
     """Create attributes of a group or dataset; OSError if one of the names exists.
 
     Texts get strings of variable length, a list of texts a 1-D array; numbers are stored little-endian.
@@ -253,7 +253,7 @@ def set_attributes(target: h5g.GroupID | h5d.DatasetID, attributes: Mapping[str,
     for name, value in attributes.items():
         if isinstance(value, str) or (isinstance(value, Sequence) and all(isinstance(v, str) for v in value)):
             text = np.array(value, dtype=_TEXT)
-            attribute = h5a.create(target, name.encode(), _create_variable_text(), _to_space(text.shape))
+            attribute = h5a.create(target, name.encode(), _create_variable_type(), _to_space(text.shape))
             attribute.write(text, mtype=_create_number_type(_TEXT))
         else:
             array, data_type = to_stored_form(value)
@@ -261,7 +261,7 @@ def set_attributes(target: h5g.GroupID | h5d.DatasetID, attributes: Mapping[str,
 
 
 @cache
-def _create_variable_text() -> h5t.TypeID:
+def _create_variable_type() -> h5t.TypeID:
     """Create the HDF5 type of UTF-8 strings of variable length, as attributes have it; cached."""
     return h5t.py_create(_TEXT, logical=True)
 

@@ -9,7 +9,7 @@ import numpy as np
 from h5py.h5g import GroupID
 from numpy.typing import NDArray
 
-from daq_service.archive.nexus import Attribute, add_field, add_group, new_image, read_image, set_attributes
+from daq_service.archive.nexus import Attribute, add_attributes, add_field, add_group, new_image, read_image
 from hardware_drivers.units import find_unit
 
 _CHUNK_SAMPLES = 65_536
@@ -37,7 +37,7 @@ def build_sweep_image(
         Parts of a `daq_service.cli.sweep.table.SweepTable`.
     """
     with new_image() as file:
-        set_attributes(file, {"default": "entry"})
+        add_attributes(file, {"default": "entry"})
         plain: dict[str, Attribute] = {
             name: value for name, value in facts.items() if isinstance(value, (str, int, float))
         }

@@ -13,12 +13,12 @@ from numpy.typing import NDArray
 
 from daq_service.archive.nexus import (
     Attribute,
+    add_attributes,
     add_field,
     add_group,
     new_image,
     open_root,
     read_image,
-    set_attributes,
 )
 from hardware_drivers.units import find_unit
 
@@ -88,7 +88,7 @@ def _add_entry(file: FileID, name: str, facts_text: str) -> GroupID:
 
     Its default is the group ``name``.
     """
-    set_attributes(open_root(file), {"NX_class": "NXroot", "default": "entry", "creator": "solimon"})
+    add_attributes(open_root(file), {"NX_class": "NXroot", "default": "entry", "creator": "solimon"})
     entry = add_group(file, "entry", "NXentry", {"default": name})
     add_field(entry, "facts", facts_text)
     return entry
@@ -106,5 +106,5 @@ def _add_columns(group: GroupID, columns: Mapping[str, NDArray[Any] | list[str]]
         if key != axis
     }
     for key, field in {axis: axis_field, **fields}.items():
-        set_attributes(field, {"units": find_unit(key)} if find_unit(key) else {})
+        add_attributes(field, {"units": find_unit(key)} if find_unit(key) else {})
     return axis_field

@@ -166,7 +166,7 @@ class FolderArchive(FolderSetReader):
             if stored != reference or build_set_image(stored_record) != build_set_image(record):
                 raise self._create_conflict_error(record.set_key, stored)
         else:
-            self._append_end(record)
+            self._add_end_frame(record)
         added = time.perf_counter()
         self.sync()
         self._sequences_of.pop(record.set_key, None)
@@ -178,7 +178,7 @@ class FolderArchive(FolderSetReader):
             timings=StoreTimings(image_s=added - start, fsync_s=time.perf_counter() - added),
         )
 
-    def _append_end(self, record: SetRecord) -> None:
+    def _add_end_frame(self, record: SetRecord) -> None:
         """Add the records of a set that the journal lacks, and its end frame unless it was added before.
 
         Nothing is synced. Raises ValueError if JSON cannot hold the provenance.

@@ -37,7 +37,7 @@ class BaselineRange:
     row_id: int
 
 
-def baseline_range(position: str, settings: Settings, present: BaselineRow | None) -> BaselineRange:
+def get_baseline_range(position: str, settings: Settings, present: BaselineRow | None) -> BaselineRange:
     """Return the number, row id and range of sets of a position's current baseline.
 
     The first baseline has the sets that the complete schedule (also after `schedule.end_h`) places up to
@@ -73,7 +73,7 @@ def build_first_baseline(position: str, settings: Settings, epoch_utc_ns: int) -
     Its creation time is the epoch of the test, ns of UTC. Raise ValueError if there is no such position.
     """
     row = _build_collecting_row(
-        position, settings.baseline.approval, baseline_range(position, settings, None)
+        position, settings.baseline.approval, get_baseline_range(position, settings, None)
     )
     return replace(row, created_utc_ns=epoch_utc_ns)
 
@@ -113,7 +113,7 @@ def renew(
         The schedule ends before the successor is complete, it would have too few sets, or the position is
         unknown.
     """
-    current = baseline_range(position, settings, present)
+    current = get_baseline_range(position, settings, present)
     n_sets, minimum = 1 + current.last_set - current.first_set, settings.baseline.minimum_sets
     if n_sets < minimum:
         raise ValueError(
@@ -142,7 +142,7 @@ def renew(
     return retired, replace(successor, created_utc_ns=utc_ns)
 
 
-def approve(row: BaselineRow, author: str, utc_ns: int) -> BaselineRow:
+def approve_row(row: BaselineRow, author: str, utc_ns: int) -> BaselineRow:
     """Return a baseline's row as approved by a person at a time, ns of UTC; its state is not checked."""
     return replace(row, state="approved", approval=author, approved_utc_ns=utc_ns)
 

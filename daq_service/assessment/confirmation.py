@@ -99,7 +99,7 @@ def find_rejection_reason(
             f"{n_recent} of {maximum_per_day} confirmation sets a day are used "
             "(alarms.confirmation_sets_a_day)"
         )
-    return find_overlap(available_ns, set_ns)
+    return explain_overlap(available_ns, set_ns)
 
 
 def count_requests(position: str, requests: Iterable[Confirmation], at_h: float) -> int:
@@ -108,7 +108,7 @@ def count_requests(position: str, requests: Iterable[Confirmation], at_h: float)
     return sum(request.due.due_h > at_h - BUDGET_H for request in recent)
 
 
-def find_overlap(available_ns: float, set_ns: int) -> str:
+def explain_overlap(available_ns: float, set_ns: int) -> str:
     """Return why a set of ``set_ns`` overlaps the next scheduled one, due in ``available_ns``; else empty."""
     if set_ns <= available_ns:
         return ""

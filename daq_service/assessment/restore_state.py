@@ -13,7 +13,7 @@ from analysis.waves.quality_gate import ACCEPTED
 from daq_service.alarms.states import RETIRING
 from daq_service.archive import SetNotFoundError, SetReader, SetReference
 from daq_service.assessment.assessor import Assessor, StoredResult
-from daq_service.assessment.baseline_lifecycle import baseline_range
+from daq_service.assessment.baseline_lifecycle import get_baseline_range
 from daq_service.catalogue import Catalogue
 from daq_service.catalogue.rows import AssessorStateRow, EventRow, FeatureRow, SetRow, ShotRow, ThicknessRow
 from daq_service.settings.tree import Settings
@@ -52,7 +52,7 @@ def restore_solitary_wave(
     assessor = SolitaryWaveAssessor(
         position,
         settings,
-        baseline=baseline_range(position, settings, stored),
+        baseline=get_baseline_range(position, settings, stored),
         rehearsal=rehearsal,
         has_chart=stored is None or stored.state == "collecting" or stored.limits is not None,
     )
@@ -124,7 +124,7 @@ def replay_stored_sets(assessor: Assessor, catalogue: Catalogue, archive: SetRea
     for row in sorted(catalogue.rows(SetRow, position=position, purpose="any"), key=lambda row: row.id or 0):
         if row.set_key in enabled_at:
             assessor.enable()
-        if is_assessed(row):
+        if affects_state(row):
             replay_stored_set(
                 assessor,
                 StoredResult(
@@ -138,7 +138,7 @@ def replay_stored_sets(assessor: Assessor, catalogue: Catalogue, archive: SetRea
         assessor.enable()
 
 
-def is_assessed(row: SetRow) -> bool:
+def affects_state(row: SetRow) -> bool:
     """Return whether a set changes the state of an assessor.
 
     It does if it has a record, or if it is scheduled and all its shots were missed.

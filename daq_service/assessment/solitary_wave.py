@@ -168,7 +168,7 @@ class SolitaryWaveAssessor:
             conditions=[
                 # Shots without a reflected wave are a finding about the wall, not about the transducer.
                 *([] if self.state.hole.sets_running else devices),
-                *find_conditions(self.position, self.state, self.rules, assessments[-1]),
+                *build_conditions(self.position, self.state, self.rules, assessments[-1]),
                 build_no_reflection_condition(
                     self.position, due, self.state, self.rules.hole, set_of_shots.flags
                 ),
@@ -397,7 +397,7 @@ def _build_set_feature_row(position: str, due: DueSet, mean: SetFeatures) -> Fea
 # Conditions of alarms --------------------------------------------------------------------------------
 
 
-def find_conditions(position: str, state: State, rules: Rules, assessment: AssessmentRow) -> list[Condition]:
+def build_conditions(position: str, state: State, rules: Rules, assessment: AssessmentRow) -> list[Condition]:
     """Return the conditions ``wall_change`` (high) and ``transducer_change`` (medium) after a set.
 
     At most one is present: a change with a diagnosis other than the wall raises the transducer alarm; an

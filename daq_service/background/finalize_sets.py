@@ -119,13 +119,13 @@ class SetFinalizer(BackgroundTask):
         It never waits for the worker; ``seconds`` is ignored.
         """
         for set_key in [key for key, future in self._running.items() if future.done()]:
-            self._take_result(set_key, self._running.pop(set_key))
+            self._process_result(set_key, self._running.pop(set_key))
         now_s = self._machine.mono_s()
         for set_key in [key for key, due_s in self._again_s.items() if due_s <= now_s]:
             del self._again_s[set_key]
             self.after_set(set_key)
 
-    def _take_result(self, set_key: SetKey, future: Future[tuple[SetReference, str, str]]) -> None:
+    def _process_result(self, set_key: SetKey, future: Future[tuple[SetReference, str, str]]) -> None:
         """Process the worker's result for a set: report its file, then remove the set from the journal.
 
         A set that is not in the journal any more counts as done. After any other error it is retried later

@@ -140,7 +140,7 @@ class TileMaker(BackgroundTask):
         if self._running is not None:
             if not self._running.done():
                 return
-            self._take_result(self._running)
+            self._process_result(self._running)
             self._running = None
         free = seconds > QUIET_S and not self._finalizer.waits
         if free and self._has_room() and self._machine.mono_s() >= self._next_s:
@@ -173,7 +173,7 @@ class TileMaker(BackgroundTask):
                 add_files_to_tiles, self._folder, self._experiment, files_and_results
             )
 
-    def _take_result(self, future: Future[str]) -> None:
+    def _process_result(self, future: Future[str]) -> None:
         """Process the result of the worker: log its message, or its error, once until that changes."""
         try:
             message = future.result()

@@ -105,7 +105,7 @@ class IdleVerification(BackgroundTask):
             file, is_noted, future = self._running
             if future.done():
                 self._running = None
-                self._take_result(file, is_noted, future)
+                self._process_result(file, is_noted, future)
         elif seconds > QUIET_S and self._machine.mono_s() >= self._next_s:
             self._next_s = self._machine.mono_s() + EVERY_S
             if not self._to_come:
@@ -122,7 +122,7 @@ class IdleVerification(BackgroundTask):
                     self._running = file, sha256 is not None, future_or_none
                     del self._to_come[0]
 
-    def _take_result(self, file: str, is_noted: bool, future: Future[tuple[str, str]]) -> None:
+    def _process_result(self, file: str, is_noted: bool, future: Future[tuple[str, str]]) -> None:
         """Process the result for a file: update `damaged`, and report a SHA-256 that is not stored yet.
 
         After an error of the disk, the catalogue or the worker the file is left for the next round, and the

@@ -81,8 +81,8 @@ def _describe_version_changes(connection: Connection, *, on_twin: bool) -> list[
     from analysis.waves import features as solitary_wave
 
     used = {
-        "extractor of solitary waves": (_read_newest(connection, features), solitary_wave.EXTRACTOR_VERSION),
-        "extractor of pulse echoes": (_read_newest(connection, thickness), pulse_echo.EXTRACTOR_VERSION),
+        "extractor of solitary waves": (_read_version(connection, features), solitary_wave.EXTRACTOR_VERSION),
+        "extractor of pulse echoes": (_read_version(connection, thickness), pulse_echo.EXTRACTOR_VERSION),
     }
     if on_twin:
         used["physics of the twin"] = (_read_twin_version(connection), TWIN_VERSION)
@@ -93,7 +93,7 @@ def _describe_version_changes(connection: Connection, *, on_twin: bool) -> list[
     ]
 
 
-def _read_newest(connection: Connection, table: Table) -> Any:
+def _read_version(connection: Connection, table: Table) -> Any:
     """Read the ``extractor_version`` of the newest row of a table; None if the table is empty."""
     return connection.execute(select(table.c.extractor_version).order_by(table.c.id.desc()).limit(1)).scalar()
 

@@ -44,24 +44,24 @@ ADDED_COLUMNS: Mapping[type[Row], tuple[PublishedColumn, ...]] = {
 """Columns that the service adds: hours and temperatures of a baseline, assessed quality, evidence."""
 
 
-def _build_column(name: str, form: Form = "number") -> PublishedColumn:
+def _build_part(name: str, form: Form = "number") -> PublishedColumn:
     """Create the published column for a part of a nested value: nullable, without unit."""
     return PublishedColumn(name=name, form=form, unit="", nullable=True)
 
 
 PARTS: Mapping[type[Row], Mapping[tuple[str, ...], PublishedColumn]] = {
     BaselineRow: {
-        **{("baseline_quality", name): _build_column(name) for name in ("n_eff", "phi_pooled", "tail")},
-        ("baseline_quality", "false_alarms_per_sensor_year"): _build_column("false_alarms_per_sensor_year"),
-        ("baseline_quality", "rate_verified"): _build_column("rate_verified", "truth"),
-        ("baseline_quality", "rate_not_verified_reason"): _build_column("rate_not_verified_reason", "text"),
-        ("limits", "mewma"): _build_column("mewma_limit"),
-        ("limits", "default"): _build_column("limit_default"),
+        **{("baseline_quality", name): _build_part(name) for name in ("n_eff", "phi_pooled", "tail")},
+        ("baseline_quality", "false_alarms_per_sensor_year"): _build_part("false_alarms_per_sensor_year"),
+        ("baseline_quality", "rate_verified"): _build_part("rate_verified", "truth"),
+        ("baseline_quality", "rate_not_verified_reason"): _build_part("rate_not_verified_reason", "text"),
+        ("limits", "mewma"): _build_part("mewma_limit"),
+        ("limits", "default"): _build_part("limit_default"),
     },
     AssessmentRow: {
-        ("limits", "mewma"): _build_column("mewma_limit"),
+        ("limits", "mewma"): _build_part("mewma_limit"),
         **{
-            ("diagnosis_details", "probabilities", name): _build_column(f"probability_{name}")
+            ("diagnosis_details", "probabilities", name): _build_part(f"probability_{name}")
             for name in (OK, *CAUSES)
         },
     },

@@ -222,7 +222,7 @@ class Catalogue:
         """Read the newest ``count`` scheduled rows (None: all) of a position in set order, newest last."""
         table = TABLES[kind]
         statement = filter_by(sa.select(table), table, {**filters, "position": position})
-        newest_first = statement.order_by(None).order_by(*(column.desc() for column in _list_key(table)))
+        newest_first = statement.order_by(None).order_by(*(column.desc() for column in _list_set_key(table)))
         required = _find_required(kind, {**filters, "position": position})
         return self._read_rows(kind, newest_first.limit(count), required)[::-1]
 
@@ -491,7 +491,7 @@ def filter_by(statement: sa.Select[Any], table: sa.Table, filters: Filters) -> s
     # Indices start with the filtered column, then the set: so a page needs no sorting.
     is_complete_test = values.keys() <= {"scope", "purpose"} and values.get("purpose") != "confirmation"
     by_set = "set_index" in table.c and table is not events and not is_complete_test
-    order = (*(_list_key(table) if by_set else []), *table.primary_key.columns)
+    order = (*(_list_set_key(table) if by_set else []), *table.primary_key.columns)
     if after_id is not None:
         statement = statement.where(_build_after_condition(table, order, after_id))
     elif values.get("topic") in RARE_TOPICS:
@@ -538,7 +538,7 @@ def _has_set_key(table: sa.Table) -> bool:
     return table is not events and "unscheduled_index" in table.c
 
 
-def _list_key(table: sa.Table) -> list[sa.Column[int]]:
+def _list_set_key(table: sa.Table) -> list[sa.Column[int]]:
     """List those columns of a table that form a set's key, index first; empty if it has none."""
     return [table.c[name] for name in SetKey._fields if name in table.c]
 
@@ -625,7 +625,7 @@ _FILES = sa.select(sets.c.set_index, sets.c.unscheduled_index, sets.c.file)
 def _build_unscheduled_query() -> sa.Select[int, int, str]:
     """Build the cached query for the files of unscheduled sets that have one, in the order of their keys."""
     unscheduled = _CONDITIONS["purpose"](sets, "confirmation")
-    return _FILES.where(unscheduled, sets.c.file.is_not(None)).order_by(*_list_key(sets))
+    return _FILES.where(unscheduled, sets.c.file.is_not(None)).order_by(*_list_set_key(sets))
 
 
 @cache

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from sqlalchemy import BindParameter, ColumnElement, Connection, bindparam, delete, select
 
 from analysis.statistics.bins import build_bin_dtype, join_bins, make_bins
-from analysis.statistics.levels import FACTOR, level_widths
+from analysis.statistics.levels import FACTOR, get_level_widths
 from analysis.statistics.trend import PART, build_fit_parts, join_fit_parts
 from daq_service.catalogue.reader import is_scheduled
 from daq_service.catalogue.rows import (
@@ -346,10 +346,10 @@ def update_trends(
             continue
         n_before = last_before.get(position, -1) + 1
         for rollup in ROLLUPS:
-            for width in level_widths(rollup.finest, place.end):
+            for width in get_level_widths(rollup.finest, place.end):
                 unfinished = {n_before // width} if n_before % width else set()
                 blocks = sorted({index // width for index in indices} | unfinished)
-                for first, end in _find_runs([block for block in blocks if (block + 1) * width <= place.end]):
+                for first, end in _to_ranges([block for block in blocks if (block + 1) * width <= place.end]):
                     span = {"first": first * width, "end": end * width}
                     try:
                         store_blocks(connection, Blocks(rollup=rollup, place=place, width=width, **span))
@@ -357,7 +357,7 @@ def update_trends(
                         log.warning("trends of %s are not brought up to date: %s", position, error)
 
 
-def _find_runs(numbers: Iterable[int]) -> Iterator[tuple[int, int]]:
+def _to_ranges(numbers: Iterable[int]) -> Iterator[tuple[int, int]]:
     """Group increasing numbers into consecutive ranges and yield each as (first, end), ``end`` excluded."""
     first = end = -1
     for number in numbers:

@@ -89,7 +89,7 @@ def open_for_command(folder: Path) -> RecorderCatalogue:
     return RecorderCatalogue(path, create_sqlite_engine(path, writable=True))
 
 
-def open_temporary(folder: Path) -> RecorderCatalogue:
+def create_temporary(folder: Path) -> RecorderCatalogue:
     """Create a catalogue with the current schema in a temporary folder; nothing is synced to disk.
 
     Raises CatalogueError if it cannot be created. The caller closes it.

@@ -51,12 +51,12 @@ R = TypeVar("R", bound=Row)
 _PYTHON_TYPES = {JSON: dict, Boolean: bool, LargeBinary: bytes, Float: float, Integer: int, String: str}
 
 
-def _find_type(column: ColumnElement[Any]) -> type:
+def _to_python_type(column: ColumnElement[Any]) -> type:
     """Return the Python type of a column: ``dict`` for any JSON; StopIteration for an unknown SQL type."""
     return next(of_type for sql, of_type in _PYTHON_TYPES.items() if isinstance(column.type, sql))
 
 
-_TYPES = {kind: [(name, _find_type(TABLES[kind].c[name])) for name in kind.__slots__] for kind in KINDS}
+_TYPES = {kind: [(name, _to_python_type(TABLES[kind].c[name])) for name in kind.__slots__] for kind in KINDS}
 """Name and type of each column."""
 _VALUES = {kind: attrgetter(*kind.__slots__) for kind in KINDS}
 _BYTES = {kind: [name for name, of_type in columns if of_type is bytes] for kind, columns in _TYPES.items()}
@@ -95,7 +95,7 @@ class Prepared:
 
         Raises sqlite3.Error.
         """
-        return find_driver(connection).execute(
+        return unwrap_sqlite(connection).execute(
             self.text, [given.get(name, value) for name, value in self.parameters]
         )
 
@@ -110,7 +110,7 @@ def compile_sql(statement: CompilerElement, column_keys: Sequence[str] | None = 
     return Prepared(str(compiled), tuple((name, compiled.params.get(name)) for name in names))
 
 
-def find_driver(connection: Connection) -> sqlite3.Connection:
+def unwrap_sqlite(connection: Connection) -> sqlite3.Connection:
     """Return the SQLite connection of the driver below an SQLAlchemy connection, in the same transaction."""
     return connection.connection.driver_connection  # type: ignore[return-value] # the engine is SQLite's
 
@@ -190,14 +190,14 @@ def insert_rows(connection: Connection, rows: Sequence[Row]) -> list[int]:
         stored.append(_to_driver_values(row, next_id))
         if next_id:
             next_id = max(next_id, stored[-1][0] + 1)
-    find_driver(connection).executemany(_INSERT[kind].text, stored)
+    unwrap_sqlite(connection).executemany(_INSERT[kind].text, stored)
     return [row[0] for row in stored]
 
 
 def replace_row(connection: Connection, row: Row) -> bool:
     """Replace the stored row with the same primary key; return False, changing nothing, if there is none."""
     row_id, *stored = _to_driver_values(row)
-    return find_driver(connection).execute(_UPDATE[type(row)].text, [*stored, row_id]).rowcount == 1
+    return unwrap_sqlite(connection).execute(_UPDATE[type(row)].text, [*stored, row_id]).rowcount == 1
 
 
 def _build_row(kind: type[R], stored: Sequence[Any]) -> R:
@@ -307,13 +307,13 @@ def configure_transactions(engine: Engine) -> None:
         """Begin a transaction; a writer waits up to 5 s for the lock, then raises OperationalError."""
         nonlocal timed_out_s
         if not connection.get_execution_options().get(_WRITES, False):
-            find_driver(connection).execute("BEGIN")
+            unwrap_sqlite(connection).execute("BEGIN")
             return
         # Writers wait for each other at the start of a transaction; SQLite cannot wait later.
         wait_s = 0.0 if time.monotonic() < timed_out_s + LOCKED_FOR_S else errors.BUSY_TIMEOUT_S
-        find_driver(connection).execute(f"PRAGMA busy_timeout = {round(1e3 * wait_s)}")
+        unwrap_sqlite(connection).execute(f"PRAGMA busy_timeout = {round(1e3 * wait_s)}")
         try:
-            find_driver(connection).execute("BEGIN IMMEDIATE")
+            unwrap_sqlite(connection).execute("BEGIN IMMEDIATE")
         except sqlite3.OperationalError:
             timed_out_s = time.monotonic() if wait_s else timed_out_s
             raise

@@ -81,7 +81,7 @@ def _choose_sql_type(column: rows.Column) -> TypeEngine[Any]:
     return _TYPES[get_origin(of_type) or of_type]
 
 
-def _make_unique(table: str, *names: str) -> sa.UniqueConstraint:
+def _make_constraint(table: str, *names: str) -> sa.UniqueConstraint:
     """Create the unique constraint ``uq_<table>_<names>``, named after its first three columns."""
     return sa.UniqueConstraint(*names, name=f"uq_{table}_{'_'.join(names[:3])}")
 
@@ -97,7 +97,7 @@ _SCHEDULED = sa.DefaultClause("0")
 sets = _create_table(
     "sets",
     rows.SetRow,
-    _make_unique("sets", *_KEY),
+    _make_constraint("sets", *_KEY),
     unscheduled_index=_SCHEDULED,
     n_missed=sa.DefaultClause("0"),
     n_restrikes=sa.DefaultClause("0"),
@@ -112,7 +112,7 @@ _add_index(sets, "position", "state", "set_index")
 shots = _create_table(
     "shots",
     rows.ShotRow,
-    _make_unique("shots", *_KEY, "shot_index", "attempt"),
+    _make_constraint("shots", *_KEY, "shot_index", "attempt"),
     unscheduled_index=_SCHEDULED,
     outcome=sa.DefaultClause("accepted"),
 )
@@ -131,20 +131,20 @@ _add_index(features, "set_index")
 thickness = _create_table(
     "thickness",
     rows.ThicknessRow,
-    _make_unique("thickness", *_KEY),
+    _make_constraint("thickness", *_KEY),
     unscheduled_index=_SCHEDULED,
     sequence=sa.ForeignKey("shots.sequence"),
 )
 _add_index(thickness, "set_index")
-environment = _create_table("environment", rows.EnvironmentRow, _make_unique("environment", "set_index"))
+environment = _create_table("environment", rows.EnvironmentRow, _make_constraint("environment", "set_index"))
 _add_index(environment, "due_h")
 baselines = _create_table(
-    "baselines", rows.BaselineRow, _make_unique("baselines", "name"), state=sa.DefaultClause("approved")
+    "baselines", rows.BaselineRow, _make_constraint("baselines", "name"), state=sa.DefaultClause("approved")
 )
 assessments = _create_table(
     "assessments",
     rows.AssessmentRow,
-    _make_unique("assessments", *_KEY),
+    _make_constraint("assessments", *_KEY),
     unscheduled_index=_SCHEDULED,
     baseline_id=sa.ForeignKey("baselines.id"),
 )

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from sqlalchemy import Connection, delete, func, select
 
-from analysis.statistics.levels import choose_sets_per_step, level_widths, split_range_into_blocks
+from analysis.statistics.levels import choose_sets_per_step, get_level_widths, split_range_into_blocks
 from analysis.statistics.trend import PART, join_fit_parts
 from daq_service.catalogue.reader import Catalogue, build_set_at_query
 from daq_service.catalogue.rollups import (
@@ -41,7 +41,7 @@ def _iterate_all_blocks(connection: Connection) -> Iterator[Blocks]:
         place = find_position_range(connection, position)
         assert place is not None
         for rollup in ROLLUPS:
-            for width in level_widths(rollup.finest, place.end):
+            for width in get_level_widths(rollup.finest, place.end):
                 complete, step = place.end // width * width, max(_BLOCKS_AT_ONCE * rollup.finest, width)
                 for first in range(0, complete, step):
                     end = min(first + step, complete)
@@ -85,7 +85,7 @@ def _read_covering_pieces(
     """
     parts = [
         read_stored_pieces(connection, Blocks(rollup=rollup, place=place, width=width, first=start, end=stop))
-        for width, start, stop in split_range_into_blocks(first, end, level_widths(rollup.finest, widest))
+        for width, start, stop in split_range_into_blocks(first, end, get_level_widths(rollup.finest, widest))
     ]
     index, content = zip(*parts, strict=True)
     return np.concatenate(index), np.concatenate(content)

@@ -199,13 +199,13 @@ def _build_noisy_set(settings: Settings, strike: RecordSize, echo: RecordSize, s
         shots=[record for record in records if isinstance(record, Shot)],
         echoes=[record for record in records if isinstance(record, PulseEchoRecord)],
         provenance={"configuration": settings.model_dump(mode="json")},
-        results=_build_results(
+        results=_make_result_tables(
             settings.list_positions(PULSE_ECHO), settings.list_positions(SOLITARY_WAVE), records
         ),
     )
 
 
-def _build_results(
+def _make_result_tables(
     probes: Sequence[str], transducers: Sequence[str], records: Sequence[Shot | PulseEchoRecord]
 ) -> Results:
     """Build the placeholder result tables of a set; their size does not depend on the values.

@@ -38,7 +38,7 @@ def serve_tests(
         The folder is missing after a restart, or cannot be written.
     """
     if len(paths) > 1:
-        return _serve_many(paths, data_dir, port, web)
+        return _serve_all_tests(paths, data_dir, port, web)
     if web is not None:
         raise UsageError(
             "--web is for several tests; of a single one, its own configuration has the table [web]"
@@ -57,7 +57,7 @@ def serve_tests(
     )
 
 
-def _serve_many(paths: Sequence[Path], data_dir: Path | None, port: int | None, web: Path | None) -> int:
+def _serve_all_tests(paths: Sequence[Path], data_dir: Path | None, port: int | None, web: Path | None) -> int:
     """Serve several tests with one web service and return the exit code.
 
     Tokens, logins and log are in the service's own folder, by default `OWN_FOLDER` in the working directory.

@@ -113,7 +113,7 @@ def _print_shots(model: str, specimen: Specimen, grid: list[float], *, is_table:
     if as_json:
         click.echo(json.dumps({"shots": rows} if is_table else rows[0]))
     else:
-        _print_table(rows, TABLES[model])
+        _print_shot_table(rows, TABLES[model])
 
 
 def _build_specimen(
@@ -177,7 +177,7 @@ def _compute_shot(
     }
 
 
-def _print_table(rows: list[dict[str, object]], table: _Table) -> None:
+def _print_shot_table(rows: list[dict[str, object]], table: _Table) -> None:
     """Print titles, units and rows of shots, "-" for missing values, and the model's note."""
     click.echo("  ".join(f"{title:>9}" for _, title, _, _ in table.columns))
     click.echo("  ".join(f"{f'({unit})' if unit else '(1)':>9}" for _, _, unit, _ in table.columns))

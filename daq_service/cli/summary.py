@@ -49,7 +49,7 @@ def summarise_run(settings: Settings, folder: Path) -> dict[str, object]:
             "pulse_echo_records": counts["pulse_echo_records"],
             "missed_sets": counts["missed_sets"],
             "seed": settings.twin.seed,
-            "cost": _read_cost(catalogue),
+            "cost": _read_wall_times(catalogue),
             "positions": positions,
         }
 
@@ -59,7 +59,7 @@ def sum_stage_seconds(cost: dict[str, float]) -> float:
     return sum(value for name, value in cost.items() if name != "sets")
 
 
-def _read_cost(catalogue: Catalogue) -> dict[str, float] | None:
+def _read_wall_times(catalogue: Catalogue) -> dict[str, float] | None:
     """Return the wall time in s by stage of the recorder's last run; None if no run ended normally."""
     rows = [row for row in catalogue.rows(EventRow, topic="service") if "cost" in row.payload]
     return rows[-1].payload["cost"] if rows else None

@@ -134,7 +134,7 @@ class Audit:
         return self._allowances[name]
 
 
-def read_audit(
+def read_audit_log(
     folder: Path,
     *,
     limit: int,

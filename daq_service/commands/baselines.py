@@ -9,7 +9,7 @@ from pydantic import AfterValidator, Field
 
 from daq_service.alarms.operator_actions import reset_alarm
 from daq_service.alarms.states import ALARMS_OF_CHANGE, NOT_ASSESSED
-from daq_service.assessment.baseline_lifecycle import APPROVED, COLLECTING, RETIRED, approve, renew
+from daq_service.assessment.baseline_lifecycle import APPROVED, COLLECTING, RETIRED, approve_row, renew
 from daq_service.commands.kinds import SEEN, Facts, Refusal, TransducerArguments, TransducerCommand
 from daq_service.settings.foreign_text import require_visible_text
 
@@ -58,7 +58,7 @@ class ApproveBaseline(TransducerCommand):
         row = test.baseline(self.arguments.position)
         assert row is not None, "a proposed baseline has a row"
         moment = test.moment()
-        test.change_baselines(moment, (approve(row, self.author, moment.utc_ns), APPROVED))
+        test.change_baselines(moment, (approve_row(row, self.author, moment.utc_ns), APPROVED))
         return f"{row.name} is approved"
 
 

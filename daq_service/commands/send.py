@@ -68,7 +68,7 @@ def send_command(
     StorageError
         No data there yet, or the catalogue cannot be written.
     """
-    author = (author or user_name())[:LONGEST_AUTHOR]
+    author = (author or get_user_name())[:LONGEST_AUTHOR]
     all_arguments = {"note": note} | {name: value for name, value in arguments.items() if value is not None}
     parse_command(kind, author, all_arguments)  # refused here, no recorder need look at it
     _, folder = load_settings_and_folder(config, data_dir)
@@ -143,7 +143,7 @@ def _wait_for_answer(
         machine.sleep(LOOK_EVERY_S)
 
 
-def user_name() -> str:
+def get_user_name() -> str:
     """Return the user name of the operating system; ``operator`` if it has none."""
     try:
         return getpass.getuser()

@@ -38,7 +38,7 @@ class ShelfArguments(OutOfServiceArguments):
 
 
 class _AlarmOrder(StoredCommand):
-    def _apply_change(self, row: AlarmRow, moment: states.Moment) -> states.Change:
+    def _build_change(self, row: AlarmRow, moment: states.Moment) -> states.Change:
         """Return the alarm's change, not stored; ValueError if the alarm's state does not allow it.
 
         Each kind implements it; the default raises NotImplementedError.
@@ -59,7 +59,7 @@ class _AlarmOrder(StoredCommand):
         if newest != wanted:
             return Refusal(f"alarm {wanted} is over, alarm {newest} came after it", f"Choose alarm {newest}.")
         try:
-            self._apply_change(row, states.Moment(utc_ns=0, due_h=0.0, set_index=None))
+            self._build_change(row, states.Moment(utc_ns=0, due_h=0.0, set_index=None))
         except ValueError as error:
             return Refusal(str(error), "/api/v1/alarms tells how it is now.")
         return None
@@ -70,7 +70,7 @@ class _AlarmOrder(StoredCommand):
         Raise ValueError if the alarm's state does not allow the change.
         """
         moment = test.moment()
-        test.store_alarm_changes(moment, self._apply_change(test.find_alarm(self.arguments.alarm_id), moment))
+        test.store_alarm_changes(moment, self._build_change(test.find_alarm(self.arguments.alarm_id), moment))
         return self.kind.replace("_", " ")
 
 
@@ -80,7 +80,7 @@ class ShelveAlarm(_AlarmOrder):
     kind: Literal["shelve_alarm"]
     arguments: ShelfArguments
 
-    def _apply_change(self, row: AlarmRow, moment: states.Moment) -> states.Change:
+    def _build_change(self, row: AlarmRow, moment: states.Moment) -> states.Change:
         """Return the change that shelves the alarm for ``for_h`` hours, replacing a running shelf.
 
         Raise ValueError if the alarm is normal or out of service.
@@ -95,7 +95,7 @@ class UnshelveAlarm(_AlarmOrder):
     kind: Literal["unshelve_alarm"]
     arguments: AlarmArguments
 
-    def _apply_change(self, row: AlarmRow, moment: states.Moment) -> states.Change:
+    def _build_change(self, row: AlarmRow, moment: states.Moment) -> states.Change:
         """Return the change that unshelves the alarm, not stored; ValueError if it is not shelved."""
         return end_suppression(row, "shelved", self.author, self.arguments.note, moment)
 
@@ -106,7 +106,7 @@ class TakeOutOfService(_AlarmOrder):
     kind: Literal["take_out_of_service"]
     arguments: OutOfServiceArguments
 
-    def _apply_change(self, row: AlarmRow, moment: states.Moment) -> states.Change:
+    def _build_change(self, row: AlarmRow, moment: states.Moment) -> states.Change:
         """Return the change that takes the alarm out of service and unshelves it.
 
         Raise ValueError if it is out of service already.
@@ -120,6 +120,6 @@ class ReturnToService(_AlarmOrder):
     kind: Literal["return_to_service"]
     arguments: AlarmArguments
 
-    def _apply_change(self, row: AlarmRow, moment: states.Moment) -> states.Change:
+    def _build_change(self, row: AlarmRow, moment: states.Moment) -> states.Change:
         """Return the change that returns the alarm to service; ValueError if it is not out of service."""
         return end_suppression(row, "out_of_service", self.author, self.arguments.note, moment)

@@ -197,7 +197,7 @@ class SupplyLogger:
         """
         return reading.stamp.mono_ns >= self._commanded_ns
 
-    def _commanded_values(self) -> tuple[float, float]:
+    def _find_setpoints(self) -> tuple[float, float]:
         """Return voltage in V and current limit in A of the command in force, else the configured values."""
         command, parameters = self._command or Command(), self._parameters
         return (
@@ -205,9 +205,9 @@ class SupplyLogger:
             parameters.current_limit_a if command.current_limit_a is None else command.current_limit_a,
         )
 
-    def _is_limited(self, reading: SupplyReading) -> bool:
+    def _is_in_cc_mode(self, reading: SupplyReading) -> bool:
         """Return whether the output is on and its current reaches the commanded limit less the tolerance."""
-        limit_a = self._commanded_values()[1]
+        limit_a = self._find_setpoints()[1]
         return reading.output_on and reading.current_a >= limit_a - self._parameters.readback_tolerance_a
 
     def _is_deviating(self, reading: SupplyReading) -> bool:
@@ -216,7 +216,7 @@ class SupplyLogger:
         In current limit a low voltage is normal. A current below ``minimum_current_a`` deviates. False
         without a command, or while the output is off.
         """
-        voltage_v, limit_a = self._commanded_values()
+        voltage_v, limit_a = self._find_setpoints()
         parameters = self._parameters
         above_v = reading.voltage_v - voltage_v
         return (
@@ -224,7 +224,7 @@ class SupplyLogger:
             and self._command is not None
             and (
                 above_v > parameters.readback_tolerance_v
-                or (above_v < -parameters.readback_tolerance_v and not self._is_limited(reading))
+                or (above_v < -parameters.readback_tolerance_v and not self._is_in_cc_mode(reading))
                 or not parameters.minimum_current_a
                 <= reading.current_a
                 <= limit_a + parameters.readback_tolerance_a
@@ -405,7 +405,7 @@ class SupplyLogger:
         They are in the order of `CONDITIONS`; the messages of active ones hold the present values.
         """
         now_ns, reading, command = self._clock.mono_ns(), self._newest, self._command
-        voltage_v, limit_a = self._commanded_values()
+        voltage_v, limit_a = self._find_setpoints()
         measured = "" if reading is None else f"{reading.voltage_v:.3g} V, {reading.current_a:.3g} A"
         cause = ""
         if isinstance(self._supply, ReportsProtections):
@@ -429,7 +429,7 @@ class SupplyLogger:
         active = dict.fromkeys(self._latched, True) | {
             "supply_not_responding": self._supply_log.quality(now_ns) == "no_communication",
             "supply_switch_off_pending": self.must_switch_off,
-            "supply_current_limit": reading is not None and self._is_limited(reading),
+            "supply_current_limit": reading is not None and self._is_in_cc_mode(reading),
             "supply_deviation": deviates_s >= self._parameters.deviation_after_s,
             "interlock_tripped": self.tripped is not None,
         }
@@ -482,7 +482,7 @@ class SupplyLogger:
         )
 
 
-def row_without_supply(set_index: int, due_h: float) -> EnvironmentRow:
+def build_absent_row(set_index: int, due_h: float) -> EnvironmentRow:
     """Build the environment row of a set, due at test hour ``due_h``, without supply and climate probe.
 
     Both are marked as ``absent``; measured columns are None.
@@ -496,7 +496,7 @@ def row_without_supply(set_index: int, due_h: float) -> EnvironmentRow:
     )
 
 
-def summarise_row(row: EnvironmentRow) -> dict[str, float | str | None]:
+def select_columns(row: EnvironmentRow) -> dict[str, float | str | None]:
     """Return an ``environment`` row as a dictionary without ``id``, ``set_index`` and ``due_h``."""
     return {name: value for name, value in as_dict(row).items() if name not in ("id", "set_index", "due_h")}
 

@@ -25,7 +25,7 @@ from typing import Literal
 from daq_service.clock import WallClock, boot_name
 from daq_service.corrosion_drive.channel import Message, Server
 from daq_service.corrosion_drive.charge import DriveState
-from daq_service.corrosion_drive.drive import SupplyLogger, summarise_row
+from daq_service.corrosion_drive.drive import SupplyLogger, select_columns
 from daq_service.corrosion_drive.file_thread import FileThread
 from daq_service.corrosion_drive.reading_log import LONGEST_GAP_INTERVALS
 from daq_service.corrosion_drive.supply_state import (
@@ -349,7 +349,7 @@ class DriveProcess:
         now_ns, written = self._clock.mono_ns(), self._written_state
         return {
             "id": request["id"],
-            "row": summarise_row(self._drive.build_row(0, 0.0)),
+            "row": select_columns(self._drive.build_row(0, 0.0)),
             "conditions": [asdict(condition) for condition in self._drive.list_conditions()],
             "window_length": self._drive.window_length,
             "commanded": self._drive.state.command is not None,

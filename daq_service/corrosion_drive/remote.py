@@ -21,7 +21,7 @@ from daq_service.catalogue.rows import EnvironmentRow
 from daq_service.clock import MACHINE, MachineClock
 from daq_service.corrosion_drive.channel import Connection, Message, connect_to_server
 from daq_service.corrosion_drive.charge import DriveState
-from daq_service.corrosion_drive.drive import CONDITIONS, DriveCondition, Reply, row_without_supply
+from daq_service.corrosion_drive.drive import CONDITIONS, DriveCondition, Reply, build_absent_row
 from daq_service.corrosion_drive.own_process import hash_supply_settings
 from daq_service.corrosion_drive.supply_state import (
     read_address,
@@ -405,7 +405,7 @@ class RemoteDrive:
         measured columns are None.
         """
         unknown = replace(
-            row_without_supply(set_index, due_h),
+            build_absent_row(set_index, due_h),
             supply_state="unknown",
             supply_quality="stale",
             supply_tripped=self._tripped,

@@ -22,8 +22,8 @@ from daq_service.corrosion_drive.drive import (
     DriveCondition,
     Reply,
     SupplyLogger,
-    row_without_supply,
-    summarise_row,
+    build_absent_row,
+    select_columns,
 )
 from daq_service.corrosion_drive.remote import RemoteDrive
 from daq_service.errors import StorageError
@@ -137,7 +137,7 @@ class DriveWatch:
 
     def summarise_readings(self) -> Mapping[str, float | str | None]:
         """Return the environment columns of supply and probe since the last stored set, by column name."""
-        return summarise_row(self._build_environment_row(0, 0.0))
+        return select_columns(self._build_environment_row(0, 0.0))
 
     def add_environment_row(self, transaction: SetCommit, due: DueSet, moment: Moment) -> None:
         """Append the environment row of a set and its event to the transaction, and restart the means.
@@ -155,7 +155,7 @@ class DriveWatch:
         A missing supply or climate probe is marked as absent.
         """
         row = (
-            row_without_supply(set_index, due_h)
+            build_absent_row(set_index, due_h)
             if self._drive is None
             else self._drive.build_row(set_index, due_h)
         )

@@ -40,7 +40,7 @@ if sys.platform == "win32":
         """Lock an open file until it is closed, without waiting; OSError if another process holds it."""
         msvcrt.locking(file.fileno(), msvcrt.LK_NBLCK, 1)
 
-    def is_locked(file: IO[bytes]) -> bool:
+    def is_file_locked(file: IO[bytes]) -> bool:
         """Return whether another process holds the lock of an open file, after retries of 0.1 s.
 
         The check itself holds the lock for an instant, so concurrent checks may disturb each other.
@@ -59,7 +59,7 @@ else:
         """Lock an open file until it is closed, without waiting; OSError if another process holds it."""
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
 
-    def is_locked(file: IO[bytes]) -> bool:
+    def is_file_locked(file: IO[bytes]) -> bool:
         """Return whether another process holds the lock of an open file, without waiting.
 
         The check takes a shared lock until the file is closed, so concurrent checks do not disturb each
@@ -354,7 +354,7 @@ def is_held(folder: Path, name: str = LOCK_FILE) -> bool | None:
     """
     try:
         with (folder / name).open("rb") as file:
-            return is_locked(file)
+            return is_file_locked(file)
     except FileNotFoundError:
         return False
     except OSError as error:

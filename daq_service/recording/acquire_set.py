@@ -93,7 +93,7 @@ class TakenSet:
         else:
             self.echoes.append(measurement)
 
-    def requires_restrike(self, taken: Shot | MissedShot) -> bool:
+    def decide_restrike(self, taken: Shot | MissedShot) -> bool:
         """Return whether the quality check repeats a strike; if so, count and log the repetition.
 
         Raises KeyError for a shot whose features were not added.
@@ -319,7 +319,7 @@ class SetAcquisition:
             first_sequence=self.next_sequence,
             boot_id=self._boot_id,
             idle=lambda: self._activity.run_between_shots() and not self._commands.paused,
-            wants_restrike=taken.requires_restrike,
+            wants_restrike=taken.decide_restrike,
             may_strike=lambda position: position not in self._set_assessor.disabled(),
         )
         try:

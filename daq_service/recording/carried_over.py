@@ -10,7 +10,7 @@ from analysis.waves.quality_gate import RestrikeRule
 from daq_service.archive import CorruptArchiveError, OpenSet
 from daq_service.catalogue.rows import SetRow
 from daq_service.recording.acquire_set import SetAcquisition, TakenSet
-from daq_service.recording.experiment import find_foreign_reason, refuse_foreign_open_set, refuse_foreign_sets
+from daq_service.recording.experiment import find_foreign_reason, raise_if_foreign, raise_if_foreign_open_set
 from daq_service.recording.persistence import Persistence
 from daq_service.recording.resources import Resources
 from daq_service.recording.set_assessor import SetAssessor
@@ -51,7 +51,7 @@ class CarriedOver:
         self.open_sets = dict(self._archive.open_sets())
         for opened in self.open_sets.values():
             if opened.is_dated:
-                refuse_foreign_open_set(opened, self._plan, self._archive.name)
+                raise_if_foreign_open_set(opened, self._plan, self._archive.name)
         self._rowless_files = {
             index: file
             for index, file in self._archive.sets().items()
@@ -160,7 +160,7 @@ class CarriedOver:
         for set_key, file in list(self._rowless_files.items()):
             try:
                 reason = find_foreign_reason(self._archive.read_set(file), self._catalogue.read_experiment())
-                refuse_foreign_sets([f"{file}: {reason}"] if reason else [], self._archive.name)
+                raise_if_foreign([f"{file}: {reason}"] if reason else [], self._archive.name)
             except CorruptArchiveError as error:
                 log.error("set %s is set aside: %s", set_key, error)
                 self._archive.set_aside(file)

@@ -16,8 +16,8 @@ from daq_service.assessment.confirmation import (
     Confirmation,
     ConfirmationResult,
     compute_longest_set_ns,
+    explain_overlap,
     find_next_unscheduled_index,
-    find_overlap,
     find_rejection_reason,
     parse_confirmation_payload,
     read_confirmations,
@@ -124,7 +124,7 @@ class Confirmations:
         Raises ValueError with the reason: the next scheduled set is too near, or there are too many since the
         last.
         """
-        if too_late := find_overlap(self.compute_time_to_next_set_ns(planned, moment.utc_ns), self.set_ns):
+        if too_late := explain_overlap(self.compute_time_to_next_set_ns(planned, moment.utc_ns), self.set_ns):
             raise ValueError(f"{too_late}: that one says the same")
         transaction = SetCommit()
         if self.add(note, planned, position, moment, transaction, author) is None:

@@ -6,7 +6,7 @@ import logging
 import math
 from collections.abc import Callable, Collection, Iterator, Sequence
 
-from daq_service.assessment.confirmation import find_overlap
+from daq_service.assessment.confirmation import explain_overlap
 from daq_service.commands.execution import CommandExecutor
 from daq_service.errors import RigError
 from daq_service.recording.carried_over import CarriedOver
@@ -195,6 +195,6 @@ class DueSets:
         if now_ns > due.due_utc_ns + NS_PER_H:
             return self._waiting.storage.find_overdue_reason(due.due_utc_ns)
         confirmations = self._set_assessor.confirmations
-        return find_overlap(
+        return explain_overlap(
             confirmations.compute_time_to_next_set_ns(self._plan[due.set_index], now_ns), confirmations.set_ns
         )

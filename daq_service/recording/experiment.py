@@ -96,7 +96,7 @@ def _read_hour_0(record: SetRecord) -> int:
     return int(record.provenance.get("experiment", {}).get("epoch_utc_ns", counted))
 
 
-def refuse_foreign_sets(found: Sequence[str], where: str) -> None:
+def raise_if_foreign(found: Sequence[str], where: str) -> None:
     """Raise an error if there are sets of another experiment.
 
     Parameters
@@ -120,7 +120,7 @@ def refuse_foreign_sets(found: Sequence[str], where: str) -> None:
         )
 
 
-def refuse_foreign_open_set(opened: OpenSet, planned: Sequence[DueSet], where: str) -> None:
+def raise_if_foreign_open_set(opened: OpenSet, planned: Sequence[DueSet], where: str) -> None:
     """Raise an error for an open set that the schedule expects at another time: it is of another test.
 
     A set that is not ``planned`` passes. ``where`` names the folder.
@@ -133,4 +133,4 @@ def refuse_foreign_open_set(opened: OpenSet, planned: Sequence[DueSet], where: s
     due = next((due.due_utc_ns for due in planned if due.set_key == opened.set_key), opened.due_utc_ns)
     if due != opened.due_utc_ns:
         stored = f"due at {format_utc(opened.due_utc_ns)} instead of {format_utc(due)}"
-        refuse_foreign_sets([f"journal, set {opened.set_key}: {stored}"], where)
+        raise_if_foreign([f"journal, set {opened.set_key}: {stored}"], where)

@@ -150,24 +150,24 @@ class Persistence:
         """
         built: list[SetCommit] = []
 
-        def job() -> None:
+        def run_job() -> None:
             """Build the transaction on the first try and pass it to each of ``then``."""
             if not built:
                 built.append(build())
             for pass_on in then:
                 pass_on(built[0])
 
-        self.do(job, n_bytes=n_bytes)
+        self.do(run_job, n_bytes=n_bytes)
 
     def say(self, kind: str, payload: Mapping[str, Any]) -> None:
         """Store an event of topic ``service`` with the present time of the test, after all queued jobs."""
         utc_ns = self._moment().utc_ns
 
-        def job() -> None:
+        def run_job() -> None:
             """Store the event at the time at which it was queued."""
             self._catalogue.add_service_event(utc_ns=utc_ns, kind=kind, payload=payload)
 
-        self.do(job)
+        self.do(run_job)
 
     def run_for(self, seconds: float) -> None:
         """Retry the queued jobs if the waiting time is over (a `BackgroundTask`); ``seconds`` is unused."""

@@ -7,7 +7,7 @@ from contextlib import suppress
 from dataclasses import asdict
 from functools import partial
 
-from daq_service.alarms.data_trouble import damage_condition, space_condition, storage_condition
+from daq_service.alarms.data_trouble import build_data_condition, build_disk_condition, build_write_condition
 from daq_service.alarms.process_trouble import build_web_condition
 from daq_service.alarms.states import Condition
 from daq_service.errors import PASSING
@@ -96,7 +96,7 @@ class StorageAlarms:
         """
         log.warning("%s: level %s", space.description, space.level)
         self._persistence.say(DISK_SPACE, asdict(space))
-        condition = space_condition(
+        condition = build_disk_condition(
             space.description, present=space.level in ("alarm", "stop"), stops=space.level == "stop"
         )
         self._store_alarm(condition)
@@ -121,13 +121,13 @@ class StorageAlarms:
             self._reported_trouble = trouble.message
             try:
                 self._set_assessor.update_alarm(
-                    storage_condition(trouble.message, present=True), self._moment()
+                    build_write_condition(trouble.message, present=True), self._moment()
                 )
             except PASSING as error:
                 log.warning("the alarm is not stored: %s", error)
         else:  # on record even if the catalogue itself was what took nothing
-            self._store_alarm(storage_condition(self._reported_trouble, present=True))
-            self._store_alarm(storage_condition(self._reported_trouble, present=False))
+            self._store_alarm(build_write_condition(self._reported_trouble, present=True))
+            self._store_alarm(build_write_condition(self._reported_trouble, present=False))
             self._reported_finalizing = ""  # what still has no file is reported again
 
     def _report_finalizing(self, trouble: str) -> None:
@@ -139,7 +139,7 @@ class StorageAlarms:
             return
         message = trouble or self._reported_finalizing
         self._reported_finalizing = trouble
-        self._store_alarm(storage_condition(message, present=bool(trouble), waits_in="journal"))
+        self._store_alarm(build_write_condition(message, present=bool(trouble), waits_in="journal"))
 
     def _report_corruption(self, *, at_the_start: bool = False) -> None:
         """Raise or clear the alarm of corrupt or missing sets, if they changed; log and store each new one.
@@ -161,5 +161,5 @@ class StorageAlarms:
             log.error("%s: %s", file, description)
             self._persistence.say("data_corrupt", {"file": file, "description": description})
         aside = [file for file in self._archive.list_quarantined() if file not in damaged]
-        condition = damage_condition(aside, damaged)
+        condition = build_data_condition(aside, damaged)
         self._persistence.do(partial(self._set_assessor.update_alarm, condition, self._moment()))

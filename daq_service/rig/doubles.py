@@ -71,7 +71,7 @@ def run_rig_doubles(rig: str, overrides: Mapping[str, object]) -> Iterator[DemoR
         return
     from simulator.doubles.errors import DoublesError
     from simulator.doubles.transports.control import running_doubles
-    from simulator.doubles.transports.library import client_environment
+    from simulator.doubles.transports.library import build_environment
 
     transport = rig.removeprefix("daqmx-")
     with ExitStack() as stack:
@@ -85,7 +85,7 @@ def run_rig_doubles(rig: str, overrides: Mapping[str, object]) -> Iterator[DemoR
             raise UsageError("--rig daqmx-grpc needs the package grpcio: pip install 'solimon[grpc]'")
         tables = _build_rig_table(settings, transport, doubles.grpc, has_probe=has_probe)
         dropped = [] if has_probe else settings.list_positions(PULSE_ECHO)
-        environment = client_environment(doubles.wire, *folders, environment=_build_library_path(folders))
+        environment = build_environment(doubles.wire, *folders, environment=_build_library_path(folders))
         yield DemoRig(
             settings=_replace_rig(settings, tables, dropped),
             environment={**environment, CONTROL_VARIABLE: doubles.control.address},

@@ -37,7 +37,7 @@ def format_commented_toml(
     """
     lines = ["#:schema ./settings.schema.json", *(f"# {line}".rstrip() for line in head.splitlines()), ""]
     document = tomlkit.document()
-    for name, item in _add_key_descriptions(values, (), set()).items():
+    for name, item in _build_commented_table(values, (), set()).items():
         document.append(name, item)
     text = _BLANK_LINES.sub("\n\n", tomlkit.dumps(document))
     return "\n".join([*lines, *_comment_out_tables(text.split("\n"), switched_off)])
@@ -61,7 +61,7 @@ def _comment_out_tables(lines: list[str], tables: Collection[KeyPath]) -> Iterat
         yield f"#{line}" if off and line and not line.lstrip().startswith("#") else line
 
 
-def _add_key_descriptions(values: Mapping[str, object], path: KeyPath, described: set[str]) -> Table:
+def _build_commented_table(values: Mapping[str, object], path: KeyPath, described: set[str]) -> Table:
     """Build a TOML table whose keys have their descriptions as comments; keys precede tables.
 
     ``path`` is that of the table. Texts in ``described`` are not repeated; new ones are added to it.
@@ -83,7 +83,7 @@ def _add_key_descriptions(values: Mapping[str, object], path: KeyPath, described
         table.append(name, item)
         _add_comment(item, f"{tomlkit.key(name).as_string()} = {item.as_string()}", describe_new_key(name))
     for name, value in tables.items():
-        table.append(name, _add_key_descriptions(value, (*path, name), described))
+        table.append(name, _build_commented_table(value, (*path, name), described))
     # Last: tomlkit indents what is appended like the header.
     table.trivia.indent = "\n".join(["", *above, ""])
     return table

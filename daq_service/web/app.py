@@ -25,7 +25,7 @@ from daq_service.web.guards import RequestGuard
 from daq_service.web.request_times import AnswerTimes, RequestTimes
 from daq_service.web.routes import health, metrics, page
 from daq_service.web.routes.admission import require_role
-from daq_service.web.routes.description import OpenApi, describe_names, describe_roles
+from daq_service.web.routes.description import OpenApi, describe_names, describe_security
 from daq_service.web.routes.parameters import refuse_unknown_parameters
 
 _MODULES = (import_module(found.name) for found in iter_modules(routes.__path__, f"{routes.__name__}."))
@@ -68,7 +68,7 @@ class Service(FastAPI):
         if self.openapi_schema is None:
             document = super().openapi()
             document["components"]["schemas"].update(build_problem_schemas())
-            describe_roles(document)
+            describe_security(document)
             describe_names(document)
         assert self.openapi_schema is not None
         return self.openapi_schema

@@ -59,7 +59,7 @@ def choose_instrument(kind_name: str, file: Path | None) -> ChosenInstrument:
         roles = {role: (AT,) if role in OF_POSITIONS else () for role in offer.roles}
         strikers = {AT: (kind, dict[str, object]())} if "striker" in offer.roles else {}
         return ChosenInstrument(kind=kind, offer=offer, table={}, serves=roles, strikers=strikers)
-    configuration = _read_table(file)
+    configuration = _read_toml(file)
     rig = configuration.get("rig", {})
     instruments: Mapping[str, Mapping[str, Any]] = rig.get("instruments", {})
     named = [name for name, table in instruments.items() if table.get("kind") == kind_name]
@@ -94,7 +94,7 @@ def choose_instrument(kind_name: str, file: Path | None) -> ChosenInstrument:
     )
 
 
-def find_double(where: str) -> Double:
+def import_double(where: str) -> Double:
     """Import the `Double` that ``MODULE:NAME`` names and return it.
 
     Raises
@@ -119,7 +119,7 @@ def _read_parameters(table: Mapping[str, object]) -> dict[str, object]:
     return {key: value for key, value in table.items() if key != "kind"}
 
 
-def _read_table(file: Path) -> Mapping[str, Any]:
+def _read_toml(file: Path) -> Mapping[str, Any]:
     """Read and parse a TOML file; ConfigurationError if it cannot be read, is no UTF-8 or no TOML."""
     try:
         return tomllib.loads(file.read_text(encoding="utf-8"))

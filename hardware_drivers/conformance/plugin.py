@@ -55,12 +55,12 @@ def pytest_configure(config: pytest.Config) -> None:
     kind, where = config.getoption("--solimon-kind"), config.getoption("--solimon-double")
     if not kind:
         return
-    from hardware_drivers.conformance.choice import choose_instrument, find_double
+    from hardware_drivers.conformance.choice import choose_instrument, import_double
     from hardware_drivers.errors import ConfigurationError
 
     try:
         config.stash[CHOSEN] = choose_instrument(kind, config.getoption("--solimon-config"))
-        config.stash[DOUBLE] = find_double(where) if where else None
+        config.stash[DOUBLE] = import_double(where) if where else None
     except ConfigurationError as error:
         raise pytest.UsageError(str(error)) from error
 

@@ -89,7 +89,7 @@ class SafetyContract:
         with _open_faulty_instrument(open_kind) as opened:
             if opened.digitizer is None or "digitizer" not in opening.serves:
                 pytest.skip("it is no digitizer")
-            opened.digitizer.arm(_make_key("digitizer", opening))
+            opened.digitizer.arm(_make_shot_key("digitizer", opening))
             read = opened.digitizer.read
             with _inject_fault(bench, fault):
                 first = _capture_error("read", lambda: read(TIMEOUT_S))
@@ -164,7 +164,7 @@ def _capture_error(name: str, call: Call) -> InstrumentError | None:
     return None
 
 
-def _make_key(role: Role, opening: Opening) -> ShotKey:
+def _make_shot_key(role: Role, opening: Opening) -> ShotKey:
     """Return the key of shot 0 of set 0 at the first position that the instrument serves in a role.
 
     KeyError or IndexError if it serves none.
@@ -188,15 +188,15 @@ def _list_calls(
         name: [] for name in ("arm", "strike", "read", "disarm", "make_safe", "measure")
     }
     if (digitizer := opened.digitizer) is not None and "digitizer" in opening.serves:
-        calls_by_role["arm"].append(lambda: digitizer.arm(_make_key("digitizer", opening)))
+        calls_by_role["arm"].append(lambda: digitizer.arm(_make_shot_key("digitizer", opening)))
         calls_by_role["read"].append(lambda: digitizer.read(timeout_s))
         calls_by_role["disarm"].append(digitizer.disarm)
     if (striker := opened.striker) is not None and "striker" in opening.serves:
-        calls_by_role["strike"].append(lambda: striker.strike(_make_key("striker", opening)))
+        calls_by_role["strike"].append(lambda: striker.strike(_make_shot_key("striker", opening)))
         calls_by_role["make_safe"].append(striker.make_safe)
     if (pulse_echo := opened.pulse_echo) is not None and "pulse_echo" in opening.serves:
         calls_by_role["strike"].append(
-            lambda: pulse_echo.acquire(_make_key("pulse_echo", opening), timeout_s)
+            lambda: pulse_echo.acquire(_make_shot_key("pulse_echo", opening), timeout_s)
         )
     if (supply := opened.supply) is not None and "supply" in opening.serves:
         calls_by_role["measure"].append(lambda: supply.read(timeout_s))

@@ -106,7 +106,7 @@ class Connection:
         """
         from nidaqmx import Task
 
-        return self._create_named(
+        return self._create_named_task(
             role, lambda name: self._create_task(Task, f"creating the task {name}", name)
         )
 
@@ -119,11 +119,11 @@ class Connection:
         from nidaqmx.system.watchdog import WatchdogTask
 
         doing = f"creating the watchdog of {device}"
-        return self._create_named(
+        return self._create_named_task(
             role, lambda name: self._create_task(WatchdogTask, doing, device, name, timeout_s, session=name)
         )
 
-    def _create_named(self, role: str, create: Callable[[str], T]) -> T:
+    def _create_named_task(self, role: str, create: Callable[[str], T]) -> T:
         """Create a task by ``create`` under this client's next name for the role, and return it.
 
         If that name is taken, log a warning and use a random one. Any other error of ``create`` passes

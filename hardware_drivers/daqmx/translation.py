@@ -79,7 +79,7 @@ def translate_error(error: Exception, doing: str) -> InstrumentError:
         return _build_status_error(error, doing)
     if isinstance(error, vendor.RpcError):
         code = getattr(error.rpc_code, "name", str(error.rpc_code))
-        texts = (str(error.description), _find_reason(error.__context__))
+        texts = (str(error.description), _get_rpc_reason(error.__context__))
         return _build_rpc_error(code, ": ".join(filter(None, dict.fromkeys(texts))), doing)
     if isinstance(error, vendor.DaqNotFoundError):
         return ConfigurationError(
@@ -97,7 +97,7 @@ def translate_error(error: Exception, doing: str) -> InstrumentError:
         return ConfigurationError(f"{doing}: {_join_lines(str(error))}; {_REMEDIES[ConfigurationError]}")
     if _is_untranslated_rpc_error(error):
         code = error.code() if hasattr(error, "code") else None
-        return _build_rpc_error(getattr(code, "name", "UNKNOWN"), _find_reason(error) or str(error), doing)
+        return _build_rpc_error(getattr(code, "name", "UNKNOWN"), _get_rpc_reason(error) or str(error), doing)
     # nidaqmx turns codes into enumerations and texts as it reads them: an answer it cannot is nonsense.
     return ConnectionLostError(
         f"{doing}: the driver's answer makes no sense ({type(error).__name__}: {_join_lines(str(error))}); "
@@ -160,7 +160,7 @@ def _build_status_error(error: Exception, doing: str) -> InstrumentError:
     return kind(f"{message}; {_REMEDIES[kind]}")
 
 
-def _find_reason(error: BaseException | None) -> str:
+def _get_rpc_reason(error: BaseException | None) -> str:
     """Return the text of gRPC's own error, which NI's package hides; empty if the error has none."""
     return str(getattr(error, "details", str)() or "")
 

@@ -49,7 +49,7 @@ def build_raw_polynomial(properties: Mapping[str, Any]) -> Polynomial | None:
     count = _count_scales(properties)
     if count == 0 or properties.get("NI_Scaling_Status", "unscaled") == "scaled":
         return None
-    coefficients = _resolve(count - 1, properties, limit=count)
+    coefficients = _read_scale(count - 1, properties, limit=count)
     if coefficients.size < 2:
         raise ScalingError("the scaling is a constant: every raw value has the same meaning")
     if not np.isfinite(coefficients).all():
@@ -69,7 +69,7 @@ def _count_scales(properties: Mapping[str, Any]) -> int:
     )
 
 
-def _resolve(source: int, properties: Mapping[str, Any], *, limit: int) -> Polynomial:
+def _read_scale(source: int, properties: Mapping[str, Any], *, limit: int) -> Polynomial:
     """Return the output of scale number ``source`` (`RAW`: the raw values) as a polynomial of the raw values.
 
     Raise ScalingError for an input that is not an earlier scale (below ``limit``), a missing property, or a
@@ -91,7 +91,7 @@ def _resolve(source: int, properties: Mapping[str, Any], *, limit: int) -> Polyn
 
         Raise ScalingError as the enclosing function does.
         """
-        return _resolve(int(properties.get(f"{prefix}{name}_Input_Source", RAW)), properties, limit=source)
+        return _read_scale(int(properties.get(f"{prefix}{name}_Input_Source", RAW)), properties, limit=source)
 
     if kind == "Linear":
         own = np.array(

@@ -39,7 +39,7 @@ def build_shot_key(channel: Channel, names: Mapping[str, str | None], mapping: T
     if not position:
         raise channel.build_error("nothing names the position", "correct the patterns")
     firsts = {"set": mapping.first_set, "shot": mapping.first_shot, "attempt": 0}
-    indices = {part: _read_index(channel, part, values[part], first) for part, first in firsts.items()}
+    indices = {part: _parse_index(channel, part, values[part], first) for part, first in firsts.items()}
     return ShotKey(
         position=mapping.rename.get(position, position),
         set_index=indices["set"],
@@ -48,7 +48,7 @@ def build_shot_key(channel: Channel, names: Mapping[str, str | None], mapping: T
     )
 
 
-def _read_index(channel: Channel, part: str, values: Any, first: int) -> int:
+def _parse_index(channel: Channel, part: str, values: Any, first: int) -> int:
     """Convert the number of a ``part`` (set, shot or attempt) to an index from 0; None becomes 0.
 
     The index is the number less ``first``. Raise ConfigurationError for no whole number, or one below it.

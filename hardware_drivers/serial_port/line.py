@@ -172,7 +172,7 @@ class SerialLine:
         """
         deadline_s = min(deadline_s, self.monotonic_s() + self.parameters.reply_timeout_s)
         self._echoes = False
-        self._write(self._identity_query)
+        self._write_line(self._identity_query)
         strangers, garbage = [], []
         pending = bytearray()
         for _ in range(LINES_BEFORE_NAME):
@@ -231,7 +231,7 @@ class SerialLine:
         ConnectionLostError
             It could not be sent, or the port is gone.
         """
-        self._write(command)
+        self._write_line(command)
         if not self.parameters.terminator:
             with self._translate_errors("be read"):
                 # Only a pause separates this command from the next; nothing is expected in it.
@@ -271,7 +271,7 @@ class SerialLine:
             raise ConnectionLostError(
                 f"{self._format_name()}: no time left to ask {question}; it is too slow for the timeout given"
             )
-        self._write(question)
+        self._write_line(question)
         reply_timeout_s = self.parameters.reply_timeout_s
         pending = bytearray()
         answered_by_s = min(deadline_s, now_s + reply_timeout_s)
@@ -384,7 +384,7 @@ class SerialLine:
             raise self.mark_lost(f"answered {reply!r} to {question}: that is no entry of an error queue")
         return None if int(reply.partition(",")[0]) == 0 else reply
 
-    def _write(self, command: str) -> None:
+    def _write_line(self, command: str) -> None:
         """Discard received data, then send a command with its terminator.
 
         Raise ConnectionLostError if the port is closed, gone or does not take it within the reply timeout.

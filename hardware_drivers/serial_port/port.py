@@ -146,10 +146,10 @@ def open_port(parameters: SerialLineParameters) -> Port:
                 f"{parameters.port} takes no connection ({error}); check that the instrument is on, its "
                 "address and port, and the network between"
             ) from error
-    return _open_serial(parameters)
+    return _open_serial_port(parameters)
 
 
-def _open_serial(parameters: SerialLineParameters) -> Port:
+def _open_serial_port(parameters: SerialLineParameters) -> Port:
     """Open a serial port for this process alone; reads on it wait up to `POLL_S`.
 
     Raises
@@ -231,7 +231,7 @@ def _explain_open_error(path: str, error: Exception) -> InstrumentError:
     reason = os.strerror(code) if isinstance(code, int) else str(error)
     # On Windows pyserial gives only the text of the system's error.
     if code in _BUSY or (sys.platform == "win32" and "PermissionError" in reason):
-        return BusyError(f"{path} is in use by {_find_owners(path)}; stop it, or give another port")
+        return BusyError(f"{path} is in use by {_find_port_owners(path)}; stop it, or give another port")
     if code in _FORBIDDEN:
         return ConfigurationError(
             f"no right to open {path} ({reason}); add this user to the group that owns it (often dialout), "
@@ -247,7 +247,7 @@ def _explain_open_error(path: str, error: Exception) -> InstrumentError:
     )
 
 
-def _find_owners(path: str) -> str:
+def _find_port_owners(path: str) -> str:
     """Return command and process number of the programs that have the port open, as one text.
 
     They are read from `/proc`: ``another program`` where that is missing, or they are another user's.

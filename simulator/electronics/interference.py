@@ -39,7 +39,7 @@ class Interference:
     spike_v: FloatArray
     spike_fwhm_s: float
 
-    def false_triggers_s(self, level_v: float) -> FloatArray:
+    def find_false_triggers_s(self, level_v: float) -> FloatArray:
         """Return the times in s, negative and rising, at which a spike alone reaches the trigger level.
 
         They count from the noise-free crossing of the level by the wave.

@@ -169,7 +169,7 @@ def simulate_triggered_record(
     margin = round(EARLY_TRIGGER_S * adc.sample_rate_hz)
     expected_s = [crossing_s]
     if interference is not None:
-        expected_s = [*(crossing_s + interference.false_triggers_s(adc.trigger_level_v)), crossing_s]
+        expected_s = [*(crossing_s + interference.find_false_triggers_s(adc.trigger_level_v)), crossing_s]
     for edge_s in expected_s:
         start_s = edge_s - (adc.pretrigger_samples + margin + sampling_phase) / adc.sample_rate_hz
         # With a force step of 0.5 us and pulses 100 us wide a chord would leave the curve by 4e-5 of the

@@ -141,7 +141,7 @@ class _Block:
 
 
 @lru_cache(maxsize=64)
-def _draw_block(
+def _draw_shot_block(
     level: str,
     seed: int,
     chain: ChainParameters,
@@ -209,7 +209,7 @@ class TransducerNuisance:
         parameters, n = NUISANCE[self.level], self.chain.bodies
         block, row = divmod(key.shot_index, SHOTS_A_BLOCK)
         first = replace(key, shot_index=block)
-        shots = _draw_block(self.level, self.seed, self.chain, self.climate, first, hour_h, warmer_k)
+        shots = _draw_shot_block(self.level, self.seed, self.chain, self.climate, first, hour_h, warmer_k)
         seat, even, normal = shots.seat, shots.even[row], shots.normal[row]
         factors = shots.factors[row]
         knocked = even[3] < parameters.knock_probability

@@ -194,7 +194,7 @@ def draw_interference(
         inside = time_s >= -adc.pretrigger_samples / adc.sample_rate_hz
         truth["fault_spikes"] = float(np.count_nonzero(inside))
         truth["fault_spike_v"] = spikes.height_v
-        truth["fault_false_triggers"] = float(found.false_triggers_s(adc.trigger_level_v).size)
+        truth["fault_false_triggers"] = float(found.find_false_triggers_s(adc.trigger_level_v).size)
     return found, truth
 
 

@@ -32,11 +32,11 @@ class Temperature:
 
     def at(self, hour_h: float) -> float:
         """Return the temperature in degrees Celsius at an hour of the test; the mean if drift is disabled."""
-        return _cached_temperature_c(self, hour_h) if self.drift.enabled else self.drift.mean_temperature_c
+        return _compute_temperature_c(self, hour_h) if self.drift.enabled else self.drift.mean_temperature_c
 
 
 @lru_cache(maxsize=256)
-def _cached_temperature_c(room: Temperature, hour_h: float) -> float:
+def _compute_temperature_c(room: Temperature, hour_h: float) -> float:
     """Compute the temperature of a drifting room in degrees Celsius, cached: all shots of an hour need it."""
     drift = room.drift
     day = drift.diurnal_amplitude_k * np.cos(2.0 * np.pi * (hour_h - drift.warmest_hour_h) / 24.0)
@@ -76,8 +76,8 @@ def draw_scattered_strike(
     nowhere beyond. The set's part is drawn from the set alone, so all its shots share it. The drop height is
     limited to 0.01 times the nominal one and 1 m, the tilt to 0.2 rad.
     """
-    set_part = _draw_set_numbers(seed, ShotKey.from_set(key.set_key, key.position, 0))
-    shot_part = _draw_unit_numbers(keyed_generator(seed, Purpose.SHOT_SCATTER, key=key))
+    set_part = _draw_set_scatter(seed, ShotKey.from_set(key.set_key, key.position, 0))
+    shot_part = _draw_unit_scatter(keyed_generator(seed, Purpose.SHOT_SCATTER, key=key))
     warmer_k = temperature_c - drift.mean_temperature_c
 
     log_drop = scatter.scale * float(
@@ -107,12 +107,12 @@ def draw_scattered_strike(
 
 
 @lru_cache(maxsize=256)
-def _draw_set_numbers(seed: int, set_key: ShotKey) -> tuple[float, float]:
+def _draw_set_scatter(seed: int, set_key: ShotKey) -> tuple[float, float]:
     """Draw the two numbers of variance 1 that all shots of a set share, for drop height and tilt."""
-    return _draw_unit_numbers(keyed_generator(seed, Purpose.SET_SCATTER, key=set_key))
+    return _draw_unit_scatter(keyed_generator(seed, Purpose.SET_SCATTER, key=set_key))
 
 
-def _draw_unit_numbers(random: np.random.Generator) -> tuple[float, float]:
+def _draw_unit_scatter(random: np.random.Generator) -> tuple[float, float]:
     """Draw a normal and a uniform number, of mean 0 and variance 1, for drop height and tilt."""
     half_width = np.sqrt(3.0)
     return float(random.standard_normal()), float(random.uniform(-half_width, half_width))

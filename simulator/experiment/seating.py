@@ -109,7 +109,7 @@ class _Sources:
 
 
 @lru_cache(maxsize=64)
-def _effects_of_sources(level: str, chain: ChainParameters) -> _Sources:
+def _compute_source_effects(level: str, chain: ChainParameters) -> _Sources:
     """Return sizes and effects of all sources of variability on a chain.
 
     ``level`` is a key of `NUISANCE`. Cached: the arrays must not be written.
@@ -131,16 +131,16 @@ def _effects_of_sources(level: str, chain: ChainParameters) -> _Sources:
     whole = [np.vstack([part, np.zeros((2 * n + 3 - len(part), part.shape[1]))]) for part in effects.values()]
     sizes = [getattr(NUISANCE[level], name) for name, part in effects.items() for _ in range(part.shape[1])]
 
-    def column(name: str) -> FloatArray:
+    def get_column(name: str) -> FloatArray:
         """Return one field of all sources' sizes as an array."""
         return np.array([getattr(size, name) for size in sizes])
 
     return _Sources(
-        set_sd=column("set_sd"),
-        memory=compute_ar1_weights(column("memory")),
-        shot_sd=column("shot_sd"),
-        wander_sd=column("wander_sd"),
-        reseat_sd=column("reseat_sd"),
+        set_sd=get_column("set_sd"),
+        memory=compute_ar1_weights(get_column("memory")),
+        shot_sd=get_column("shot_sd"),
+        wander_sd=get_column("wander_sd"),
+        reseat_sd=get_column("reseat_sd"),
         effect=np.hstack(whole),
         flattening=curvature.sum(axis=1),
     )
@@ -202,7 +202,7 @@ def draw_seat_of_set(
     warmer_k
         Temperature of the transducer over the mean one without the climate, K.
     """
-    parameters, sources = NUISANCE[level], _effects_of_sources(level, chain)
+    parameters, sources = NUISANCE[level], _compute_source_effects(level, chain)
     size, n = sources.set_sd.size, chain.bodies
     slow = draw_slow_drift(
         Purpose.SEATING_WANDER,

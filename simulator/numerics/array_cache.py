@@ -170,7 +170,7 @@ def _remove_unfinished_files(folder: Path) -> None:
     now = time.time()
     for entry in _list_cache_files(folder):
         if entry.name.endswith(UNFINISHED_SUFFIX):
-            status = _file_status(entry)
+            status = _get_file_status(entry)
             if status is not None and now - status.st_mtime > STALE_S:
                 _remove_file(Path(entry.path))
 
@@ -178,7 +178,7 @@ def _remove_unfinished_files(folder: Path) -> None:
 def _limit_folder_size(folder: Path, limit_bytes: int) -> None:
     """Remove the oldest cache files until the folder is within the limit in bytes; the newest stays."""
     files = [
-        (entry, _file_status(entry)) for entry in _list_cache_files(folder) if entry.name.endswith(SUFFIX)
+        (entry, _get_file_status(entry)) for entry in _list_cache_files(folder) if entry.name.endswith(SUFFIX)
     ]
     oldest = sorted(((s.st_mtime_ns, s.st_size, e.path) for e, s in files if s is not None), reverse=True)
     total = sum(size for _, size, _ in oldest)
@@ -198,7 +198,7 @@ def _list_cache_files(folder: Path) -> list[os.DirEntry[str]]:
         return []
 
 
-def _file_status(entry: os.DirEntry[str]) -> os.stat_result | None:
+def _get_file_status(entry: os.DirEntry[str]) -> os.stat_result | None:
     """Return the status of a file; None if it cannot be read, such as after another process removed it."""
     try:
         return entry.stat()

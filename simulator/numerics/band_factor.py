@@ -60,7 +60,7 @@ class _LowerEntries:
         lower = row >= column
         return cls(below=(row - column)[lower], column=column[lower], value=entries.data[lower])
 
-    def within(self, start: int, stop: int) -> _LowerEntries:
+    def cut_block(self, start: int, stop: int) -> _LowerEntries:
         """Return the entries in rows and columns from `start` to `stop`, numbered from zero."""
         inside = (self.column >= start) & (self.column + self.below < stop)
         return _LowerEntries(
@@ -89,11 +89,11 @@ class FactorFamily:
         entries = [_LowerEntries.of(matrix, self._place) for matrix in coefficients]
         self._bandwidth = max(int(one.below.max(initial=0)) for one in entries)
         self._fixed = min(int(one.column.min(initial=n)) for one in entries[1:])
-        self._rest = [one.within(self._fixed, n) for one in entries]
+        self._rest = [one.cut_block(self._fixed, n) for one in entries]
         window = min(self._bandwidth, n - self._fixed)  # what the first columns reach into
         self._factor = np.empty((self._bandwidth + 1, n), order="F")
         end = self._fixed + window
-        head = self._assemble_band([one.within(0, end) for one in entries], 1.0, end)
+        head = self._assemble_band([one.cut_block(0, end) for one in entries], 1.0, end)
         before = _extract_lower_corner(head[:, self._fixed :])
         head = factorize_band(head)
         self._factor[:, : self._fixed] = head[:, : self._fixed]

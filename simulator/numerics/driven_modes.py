@@ -28,7 +28,7 @@ SWEEPS = 60
 """More than enough for an eigenvalue; two are usual."""
 
 
-def driven_modes(
+def find_driven_modes(
     stiffness: FloatArray, mass: FloatArray, load: float, steps: int
 ) -> tuple[FloatArray, FloatArray, float]:
     """Compute the modes of a linear system that is driven at its last unknown.

@@ -124,7 +124,7 @@ def _find_common_vector_type(given: Sequence[Any]) -> Lanes | None:
 def _make_lane_intrinsic(operands: int, emit: Callable[[Any, Any], Any]) -> Callable[..., Any]:
     """Create an intrinsic of one to four vectors or numbers, at least one a vector; numbers are broadcast."""
 
-    def typed(*given: Any) -> Any:
+    def infer_type(*given: Any) -> Any:
         """Return signature and code generator for the given types; None if they do not match."""
         lanes = _find_common_vector_type(given)
         if lanes is None:
@@ -143,12 +143,12 @@ def _make_lane_intrinsic(operands: int, emit: Callable[[Any, Any], Any]) -> Call
 
     # numba reads the number of arguments off the function.
     if operands == 1:
-        return _make_intrinsic(lambda typing, a: typed(a))
+        return _make_intrinsic(lambda typing, a: infer_type(a))
     if operands == 2:
-        return _make_intrinsic(lambda typing, a, b: typed(a, b))
+        return _make_intrinsic(lambda typing, a, b: infer_type(a, b))
     if operands == 3:
-        return _make_intrinsic(lambda typing, a, b, c: typed(a, b, c))
-    return _make_intrinsic(lambda typing, a, b, c, d: typed(a, b, c, d))
+        return _make_intrinsic(lambda typing, a, b, c: infer_type(a, b, c))
+    return _make_intrinsic(lambda typing, a, b, c, d: infer_type(a, b, c, d))
 
 
 def _make_call_emitter(name: str) -> Callable[[Any, Any], Any]:

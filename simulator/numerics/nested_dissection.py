@@ -57,7 +57,7 @@ def order_elimination(cells: IntArray, unknowns: Sequence[IntArray]) -> list[Fro
     touched = np.bincount(np.concatenate(list(unknowns)))
     fronts: list[Front] = []
 
-    def order(chosen: IntArray) -> tuple[int, IntArray, IntArray]:
+    def add_fronts(chosen: IntArray) -> tuple[int, IntArray, IntArray]:
         """Append the fronts of some cells; return the last front, its remaining unknowns and counts."""
         children: tuple[int, ...] = ()
         places: tuple[IntArray, ...] = ()
@@ -65,7 +65,7 @@ def order_elimination(cells: IntArray, unknowns: Sequence[IntArray]) -> list[Fro
             here = unknowns[chosen[0]]
             count = np.ones(len(here), dtype=np.int64)
         else:
-            halves = [order(half) for half in _cut_in_halves(cells, chosen)]
+            halves = [add_fronts(half) for half in _cut_in_halves(cells, chosen)]
             here = np.union1d(halves[0][1], halves[1][1])
             count = np.zeros(len(here), dtype=np.int64)
             children = halves[0][0], halves[1][0]
@@ -85,7 +85,7 @@ def order_elimination(cells: IntArray, unknowns: Sequence[IntArray]) -> list[Fro
         )
         return len(fronts) - 1, here[~done], count[~done]
 
-    order(np.arange(len(cells)))
+    add_fronts(np.arange(len(cells)))
     return fronts
 
 

@@ -38,14 +38,14 @@ def draw_standard_normals(random: np.random.Generator, n: int) -> Table:
     words = np.empty(6, dtype=np.uint64)
     words[:4], words[4], words[5] = state["state"]["state"], state["has_uint32"], state["uinteger"]
     drawn = np.empty(n, dtype=np.float32)
-    _fill_with_normals(words, *_ziggurat_layers(), drawn)
+    _fill_with_normals(words, *_build_ziggurat(), drawn)
     state["state"]["state"], state["has_uint32"], state["uinteger"] = words[:4], int(words[4]), int(words[5])
     bits.state = state
     return drawn
 
 
 @cache
-def _ziggurat_layers() -> tuple[NDArray[np.uint32], Table, Table]:
+def _build_ziggurat() -> tuple[NDArray[np.uint32], Table, Table]:
     """Compute the ziggurat's three tables for 256 layers, the lowest layer first.
 
     Steps fully under the curve, shape (256,); a step's signed width, positive then negative, shape (512,);

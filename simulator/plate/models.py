@@ -16,7 +16,7 @@ from simulator.plate.mindlin.cache import load_reduced_plate
 from simulator.plate.reduced import PlateModes
 from simulator.plate.solid.family import SolidFamily, build_solid_family, restore_family
 from simulator.plate.solid.plate import check_solid_parameters
-from simulator.plate.solid.reduction import SHALLOWEST_FRACTION, solid_modes
+from simulator.plate.solid.reduction import SHALLOWEST_FRACTION, find_solid_modes
 
 DEPTHS_KNOWN = 256
 """Depths whose modes a solid plate remembers, the first ones forgotten first."""
@@ -116,13 +116,13 @@ class CachedSolid:
     def _load_or_compute_modes(self, corrosion: CorrosionParameters) -> PlateModes:
         """Read the modes of a thinned plate from the disk cache, or compute and store them.
 
-        Raise SpecimenError as `solid_modes`.
+        Raise SpecimenError as `find_solid_modes`.
         """
 
         def compute() -> dict[str, FloatArray]:
             """Compute the modes in one BLAS thread; return their arrays by name."""
             with use_one_blas_thread():
-                return asdict(solid_modes(self._plate, corrosion))
+                return asdict(find_solid_modes(self._plate, corrosion))
 
         described = {"modes": "solid", "plate": asdict(self._plate), "patch": asdict(corrosion)}
         found = read_or_compute_arrays(self._folder, compute_cache_key(described), compute)

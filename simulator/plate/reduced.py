@@ -9,7 +9,7 @@ import numpy as np
 from scipy import linalg
 
 from simulator.numerics.arrays import FloatArray
-from simulator.numerics.driven_modes import driven_modes
+from simulator.numerics.driven_modes import find_driven_modes
 
 MERGE_TOLERANCE = 5e-7
 """Directions weaker than this part of the strongest are left out of the merged basis."""
@@ -101,7 +101,7 @@ class ReducedPlate:
         size = self.stiffness.shape[1]
         powers = (1.0 - depth_fraction) ** np.arange(4.0)
         k, m = ((powers @ terms.reshape(4, -1)).reshape(size, size) for terms in (self.stiffness, self.mass))
-        omega, participation, residual = driven_modes(
+        omega, participation, residual = find_driven_modes(
             k, m, float(self.load[0]), math.ceil(MODES_PER_DIRECTION * size)
         )
         return PlateModes(

@@ -335,17 +335,17 @@ class ShotModel:
     ) -> list[ShotForce]:
         """Simulate chains over a wall of one depth and modulus; repeat up to thrice with longer records."""
 
-        def specimen(step: float, wide: bool) -> Propagator:
+        def prepare(step: float, wide: bool) -> Propagator:
             return self._prepare_propagator(depth, step, wide, modulus)
 
-        forces = self._converge(chains, specimen, self._shortest_record_s, contact_forces=contact_forces)
+        forces = self._find_forces(chains, prepare, self._shortest_record_s, contact_forces=contact_forces)
         if self._chosen_duration_s is None:
             for k, chain in enumerate(chains):
                 for _ in range(EXTENSIONS):
                     needed = TURN_TO_END * (forces[k].reflection_time_s or 0.0)
                     if forces[k].time_s[-1] >= needed:
                         break
-                    forces[k] = self._converge([chain], specimen, needed, contact_forces=contact_forces)[0]
+                    forces[k] = self._find_forces([chain], prepare, needed, contact_forces=contact_forces)[0]
         return forces
 
     def _integrate_over_hole(self, chains: list[Chain], contact_forces: bool) -> list[ShotForce]:
@@ -360,7 +360,7 @@ class ShotModel:
             )
             for chain in chains
         ]
-        forces = self._converge(
+        forces = self._find_forces(
             free_ends,
             lambda step, wide: UNMOVED,
             self._shortest_record_s,
@@ -369,7 +369,7 @@ class ShotModel:
         )
         return [replace(force, reflection_time_s=None) for force in forces]
 
-    def _converge(
+    def _find_forces(
         self,
         chains: list[Chain],
         specimen: Callable[[float, bool], Propagator],

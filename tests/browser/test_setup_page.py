@@ -15,7 +15,7 @@ from support.waiting import until
 from daq_service.catalogue import open_catalogue
 from daq_service.catalogue.rows import FeatureRow, SetRow
 from simulator.doubles.chassis.crosstalk import Crosstalk
-from simulator.doubles.transports.library import build_library, client_environment, find_unavailability_reason
+from simulator.doubles.transports.library import build_environment, build_library, find_unavailability_reason
 from simulator.parameters.electronics import NoiseParameters
 
 pytestmark = [
@@ -53,7 +53,7 @@ ONE_SET = {
 @pytest.mark.slow
 def test_terminal_and_page_lead_from_nothing_to_a_first_good_set(doubles, open_page, tmp_path):
     file = tmp_path / "lab.toml"
-    env = client_environment(doubles.wire, build_library("nidaqmx"))
+    env = build_environment(doubles.wire, build_library("nidaqmx"))
     with on_terminal([*SOLIMON, "setup", str(file), "--no-browser"], env) as terminal:
         terminal.until(r"scope  http://127\.0\.0\.1:\d+/;")
         page = open_page(re.search(r"scope  (http://[\d.:]+/)", terminal.written)[1])

@@ -23,8 +23,8 @@ from simulator.doubles.chassis.description import TransducerWiring as DoubleWiri
 from simulator.doubles.transports.control import RunningDoubles
 from simulator.doubles.transports.library import (
     SONAMES,
+    build_environment,
     build_library,
-    client_environment,
     find_unavailability_reason,
 )
 from simulator.parameters.chain import ChainParameters
@@ -125,7 +125,7 @@ def meet(doubles: RunningDoubles, monkeypatch: pytest.MonkeyPatch) -> None:
     """
     folder = build_library("nidaqmx")
     ctypes.CDLL(str(folder / SONAMES["nidaqmx"]), mode=ctypes.RTLD_GLOBAL)
-    for name, text in client_environment(doubles.wire, folder).items():
+    for name, text in build_environment(doubles.wire, folder).items():
         monkeypatch.setenv(name, text)
 
 

@@ -424,9 +424,9 @@ class FilledFolder:
         alarms = self.catalogue.rows(AlarmRow, position=position, active=True)
         (row,) = [alarm for alarm in alarms if alarm.kind == "transducer_disabled"]
         moment = Moment(utc_ns=row.raised_utc_ns, due_h=row.raised_h, set_index=None)
-        self._apply_change(reset_alarm(row, "ann", "put right", moment), moment)
+        self._build_change(reset_alarm(row, "ann", "put right", moment), moment)
 
-    def _apply_change(self, change: Change, moment: Moment) -> None:
+    def _build_change(self, change: Change, moment: Moment) -> None:
         event = EventRow(
             utc_ns=moment.utc_ns,
             topic="alarms",
@@ -440,13 +440,13 @@ class FilledFolder:
         """Shelve an alarm, as the recorder does, once when raised and once at the present time."""
         row = self.catalogue.alarm(alarm_id)
         moment = Moment(utc_ns=row.raised_utc_ns, due_h=row.raised_h, set_index=None)
-        self._apply_change(shelve(row, "ann", reason, for_h, moment, time.time_ns()), moment)
+        self._build_change(shelve(row, "ann", reason, for_h, moment, time.time_ns()), moment)
 
     def acknowledge(self, alarm_id: int, command) -> None:
         """Execute an acknowledgement as the recorder does."""
         row = self.catalogue.alarm(alarm_id)
         moment = Moment(utc_ns=row.raised_utc_ns, due_h=row.raised_h, set_index=None)
-        self._apply_change(acknowledge_alarm(row, command.author, command.arguments["note"], moment), moment)
+        self._build_change(acknowledge_alarm(row, command.author, command.arguments["note"], moment), moment)
         self.catalogue.finish_command(command.id, "done", "acknowledged")
 
     def records(self, index: int):

@@ -25,7 +25,7 @@ from daq_service.catalogue.connection import FILE_NAME
 from daq_service.catalogue.history import HistoryFollower, read_history
 from daq_service.catalogue.rows import AlarmRow, AnnotationRow, CommandRow, EventRow
 from daq_service.cli.maintenance.verify import verify_folder
-from daq_service.commands.audit import read_audit
+from daq_service.commands.audit import read_audit_log
 from daq_service.commands.execution import CommandExecutor
 from daq_service.commands.running_test import RunningTest
 from daq_service.processes.data_folder import hold_recorder_lock
@@ -181,7 +181,7 @@ def wrong_with(folder: Path, answered: Collection[int]) -> list[str]:
         orders, events = catalogue.rows(CommandRow), catalogue.rows(EventRow)
         rows = {"alarm_id": catalogue.rows(AlarmRow), "annotation_id": catalogue.rows(AnnotationRow)}
     history = read_history(folder)
-    audited = Counter(deed.command_id for _, deed in read_audit(folder, limit=MOST_LINES)[0])
+    audited = Counter(deed.command_id for _, deed in read_audit_log(folder, limit=MOST_LINES)[0])
     payloads: dict[str, list[str]] = {}
     for event in events:
         payloads.setdefault(event.kind, []).append(orjson.dumps(event.payload).decode())

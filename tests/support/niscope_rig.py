@@ -20,8 +20,8 @@ from simulator.doubles.chassis.scopes import ScopeParameters
 from simulator.doubles.device_model import Brain
 from simulator.doubles.transports.library import (
     SONAMES,
+    build_environment,
     build_library,
-    client_environment,
     find_unavailability_reason,
 )
 from simulator.doubles.transports.server import WireServer
@@ -102,7 +102,7 @@ def met_server(server: WireServer) -> Iterator[WireServer]:
         patch.setattr(server, "get_request", accept)
         serving = threading.Thread(target=server.serve_forever, args=(POLL_S,), daemon=True)
         serving.start()
-        for name, text in client_environment(server.address, *folders).items():
+        for name, text in build_environment(server.address, *folders).items():
             patch.setenv(name, text)
         try:
             yield server

@@ -14,7 +14,7 @@ import pytest
 from simulator.parameters.chain import ChainParameters
 from simulator.parameters.plate import CorrosionParameters, PlateParameters, SolidMesh
 from simulator.plate.solid.contact import transform_hertz_pressure
-from simulator.plate.solid.reduction import make_modes_passive, solid_modes
+from simulator.plate.solid.reduction import find_solid_modes, make_modes_passive
 from simulator.shot.model import ShotModel
 from simulator.shot.pulse_summary import summarise_pulses
 
@@ -96,7 +96,7 @@ def test_what_the_rigid_mass_neglects(depth, shift_us):
     extra = extra_compliance_m_per_n(CONTACT_RADIUS_M)
     plate = PlateParameters(model="solid", solid=SolidMesh(edge_element=0.2, growth=3.0))
     patch = CorrosionParameters(depth_fraction=depth)
-    rigid = solid_modes(plate, patch)
+    rigid = find_solid_modes(plate, patch)
     both = make_modes_passive(
         replace(rigid, residual_compliance_m_per_n=rigid.residual_compliance_m_per_n + extra)
     )

@@ -52,7 +52,7 @@ class CheckedJournal:
         end_of_last, length, last_sets = 0, len(content.rstrip(b"\0")), set[SetKey]()
         for frame in parse_frames(content):
             if frame.start > end_of_last:
-                self._add_gap(name, end_of_last, frame.start, last_sets | {frame.set_key})
+                self._add_damage(name, end_of_last, frame.start, last_sets | {frame.set_key})
             if not frame.sound and not _is_truncated(frame, length, len(content)):
                 self.unsound.append((name, frame))
             self.sets.setdefault(frame.set_key, JournaledSet(set_key=frame.set_key)).take(frame, number)
@@ -61,10 +61,10 @@ class CheckedJournal:
             end_of_last, last_sets = frame.end, {frame.set_key}
         # A truncated header was never acknowledged; a complete one is followed by facts.
         if length - end_of_last >= HEADER.size:
-            self._add_gap(name, end_of_last, length, last_sets)
+            self._add_damage(name, end_of_last, length, last_sets)
         self.n_bytes += max(end_of_last, length)
 
-    def _add_gap(self, name: str, start: int, end: int, neighbors: set[SetKey]) -> None:
+    def _add_damage(self, name: str, start: int, end: int, neighbors: set[SetKey]) -> None:
         """Add a damage for the bytes ``start`` to ``end`` of a segment, which are no frame.
 
         Raises the number of lost frames by as many as fit there; the sets of the frames around

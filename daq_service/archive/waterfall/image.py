@@ -12,7 +12,7 @@ from typing import Protocol
 
 import numpy as np
 
-from analysis.statistics.levels import FACTOR, choose_sets_per_step, finer_blocks
+from analysis.statistics.levels import FACTOR, choose_sets_per_step, list_finer_blocks
 from daq_service.archive.errors import ArchiveError
 from daq_service.archive.protocol import SetReader
 from daq_service.archive.records import SetReference
@@ -257,7 +257,7 @@ class _Reading:
         if self._left == 0:
             self.pending += n_stored
             return None
-        finer_rows = self.rows(width // FACTOR, finer_blocks(number))
+        finer_rows = self.rows(width // FACTOR, list_finer_blocks(number))
         return join_tile_rows(finer_rows) if finer_rows else None
 
     def _read_set_row(self, set_index: int) -> TileRow | None:

@@ -21,14 +21,14 @@ from pathlib import Path
 
 import numpy as np
 
-from analysis.statistics.levels import FACTOR, finer_blocks, level_widths
+from analysis.statistics.levels import FACTOR, get_level_widths, list_finer_blocks
 from daq_service.archive.waterfall.cells import Alignment, Frame, Planes, merge_planes
 
 log = logging.getLogger(__name__)
 
 TILES_FOLDER = "tiles"
 ROWS_OF_A_TILE = 64
-WIDTHS = level_widths(1, 4096)
+WIDTHS = get_level_widths(1, 4096)
 """Sets per row at each level; at the coarsest one a million sets are 245 rows."""
 FORMAT = 1
 _HEADER_BYTES = 512
@@ -121,7 +121,7 @@ class Tiles:
             if row is None:
                 return False
             number = set_index // width
-            n_below = sum(finer.n_sets for _, finer in self.rows(finer_width, finer_blocks(number)))
+            n_below = sum(finer.n_sets for _, finer in self.rows(finer_width, list_finer_blocks(number)))
             row = self.row(width, number)
             if row is not None and row.n_sets != n_below:
                 return False

@@ -77,7 +77,7 @@ def run_doctor(*, config: Path | None, data_dir: Path | None, strike: str | None
         }
         click.echo(orjson.dumps(report, option=orjson.OPT_SERIALIZE_NUMPY))  # it writes NaN as null
     else:
-        _print_table(checks, trial)
+        _print_checks(checks, trial)
     return code
 
 
@@ -182,7 +182,7 @@ def _print_step(text: str) -> None:
     click.echo(f"looking at: {text}", err=True)
 
 
-def _print_table(checks: list[Check], trial: Trial | None) -> None:
+def _print_checks(checks: list[Check], trial: Trial | None) -> None:
     """Print checks with remedies, features of the test strike, and counts per state, to standard output."""
     width = max(len(check.name) for check in checks)
     for check in checks:

@@ -97,7 +97,7 @@ def _check_time_zone() -> Check:
 
 def _check_synchronization(ask: Ask, system: str) -> Check:
     """Check whether the clock is synchronized to UTC; warn if it is not, or if that is unknown."""
-    source, answer = _read_clock_source(ask, system)
+    source, answer = _query_time_service(ask, system)
     texts = {True: "synchronised", False: "not synchronised", None: "unknown whether it is synchronised"}
     command = {
         "win32": "w32tm /resync, and keep the service W32Time running",
@@ -107,7 +107,7 @@ def _check_synchronization(ask: Ask, system: str) -> Check:
     return Check("machine", "clock synchronised", "ok" if answer else "warn", found, command, values)
 
 
-def _read_clock_source(ask: Ask, system: str) -> tuple[str, bool | None]:
+def _query_time_service(ask: Ask, system: str) -> tuple[str, bool | None]:
     """Return the name of the queried time service, and whether the clock is synchronized (None: unknown).
 
     Asks w32tm on Windows, timedatectl and then chronyc on Linux; other systems are not asked. If no service

@@ -123,12 +123,12 @@ def _check_writable(folder: Path) -> Check:
     """
     name, existing = "data folder: writable", _find_existing_folder(folder)
     if not existing.is_dir():
-        return _failed_check(name, f"{existing} is a file", "choose another folder with --data-dir")
+        return _make_failure(name, f"{existing} is a file", "choose another folder with --data-dir")
     if existing == folder:
         names = {path.name for path in folder.iterdir()}
         if names and not names & OWN_NAMES:
             found = f"{folder} is not empty and no data folder of solimon (it holds {min(names)!r})"
-            return _failed_check(name, found, "choose a new or empty folder with --data-dir")
+            return _make_failure(name, found, "choose a new or empty folder with --data-dir")
     probe = existing / f".write-test-{uuid.uuid4().hex}"
     started_s = time.monotonic()
     try:
@@ -139,7 +139,7 @@ def _check_writable(folder: Path) -> Check:
         retry(probe.unlink)
     except OSError as error:
         found = f"{existing} cannot be written: {error.strerror}"
-        return _failed_check(name, found, "correct its permissions or choose another folder with --data-dir")
+        return _make_failure(name, found, "correct its permissions or choose another folder with --data-dir")
     took_s = time.monotonic() - started_s
     found = f"{folder}{'' if existing == folder else ' (to be made)'}; a small file is durable after "
     found += f"{took_s * 1e3:.0f} ms"
@@ -148,7 +148,7 @@ def _check_writable(folder: Path) -> Check:
     return Check("folder", name, state, found, "use a faster disk, or find what keeps it busy", values)
 
 
-def _failed_check(name: str, found: str, remedy: str) -> Check:
+def _make_failure(name: str, found: str, remedy: str) -> Check:
     """Create a failed check of area ``folder`` with the finding ``found`` and a remedy."""
     return Check("folder", name, "fail", found, remedy)
 
@@ -166,7 +166,7 @@ def _check_owner(settings: Settings, folder: Path) -> Check:
             if experiment is not None:
                 raise_if_other_configuration(experiment, folder, settings)
     except StorageError as error:
-        return _failed_check(
+        return _make_failure(
             name, str(error), "use this test's own folder or configuration, or a new --data-dir"
         )
     found = f"free for this configuration ({own_hash[:12]})"
@@ -183,7 +183,7 @@ def _check_catalogue(folder: Path) -> list[Check]:
     except StorageError:
         return []
     remedy = "look with solimon verify first; a backup of the folder has the catalogue, too"
-    return [_failed_check("data folder: catalogue", reason, remedy)] if reason else []
+    return [_make_failure("data folder: catalogue", reason, remedy)] if reason else []
 
 
 def _check_stored_sets(folder: Path) -> list[Check]:
@@ -199,7 +199,7 @@ def _check_stored_sets(folder: Path) -> list[Check]:
     except (NoDataYetError, SchemaVersionError):
         return []  # not started, or an earlier version's: `_check_owner` reports that
     except (StorageError, OSError) as error:
-        return [_failed_check(name, str(error), "solimon verify says more")]
+        return [_make_failure(name, str(error), "solimon verify says more")]
     values = {"lost_sets": len(lost)}
     if not lost:
         return [Check("folder", name, "ok", "every set that has rows is there", values=values)]

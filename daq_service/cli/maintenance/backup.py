@@ -112,7 +112,7 @@ def back_up(
             segment_names = {path.name for path in _copy_journal(folder, destination, copied)}
             _copy_sets(folder, destination, catalogue, copied, progress)
             copied.damage += _list_lost_sets(folder, destination, catalogue, copied)
-            _copy_others(folder, destination, copied)
+            _copy_other_files(folder, destination, copied)
             for suffix in ("-wal", "-shm"):  # of a program that wrote to the copy
                 remove_quietly(destination / f"{FILE_NAME}{suffix}")
             retry(lambda: os.replace(snapshot, destination / FILE_NAME))  # noqa: PTH105 - the seam is os
@@ -244,7 +244,7 @@ def _list_lost_sets(
     ]
 
 
-def _copy_others(folder: Path, destination: Path, copied: Copied) -> None:
+def _copy_other_files(folder: Path, destination: Path, copied: Copied) -> None:
     """Copy configuration, experiment, supply state, logs, audit log and quarantine of a folder.
 
     Temporary files and those that vanish meanwhile are skipped. Updates ``copied``; raises OSError if a copy

@@ -270,7 +270,7 @@ def check_sets(state: FolderCheck) -> Iterator[Finding]:
     for number, path in enumerate(paths):
         state.progress(number, len(paths))
         ((set_key, reference),) = to_references([path.name]).items()
-        yield from _check_file(state, set_key, reference)
+        yield from _check_set_file(state, set_key, reference)
     state.progress(len(paths), len(paths))
     for set_key, item in state.journal.sets.items():
         file = item.reference
@@ -282,7 +282,7 @@ def check_sets(state: FolderCheck) -> Iterator[Finding]:
             yield from _compare_with_rows(state, _read_set_rows(state, set_key), file, item.record(), lost)
 
 
-def _check_file(state: FolderCheck, set_key: SetKey, reference: SetReference) -> Iterator[Finding]:
+def _check_set_file(state: FolderCheck, set_key: SetKey, reference: SetReference) -> Iterator[Finding]:
     """Check the file of a set, compare it with its rows, and yield the findings; none if it is missing.
 
     Counts files, bytes and shots in ``state.checked``.

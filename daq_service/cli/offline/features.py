@@ -108,7 +108,7 @@ def run_features(
         click.echo(json.dumps(answer, allow_nan=False))
     else:
         for path, shots in found:
-            _print_table(path, shots)
+            _print_features(path, shots)
     for _, further in refused[1:]:
         click.echo(f"solimon: {further}", err=True)
     if refused:
@@ -274,7 +274,7 @@ def _shot_to_json(shot: ShotFeatures) -> dict[str, object]:
     }
 
 
-def _print_table(path: Path, shots: Sequence[ShotFeatures]) -> None:
+def _print_features(path: Path, shots: Sequence[ShotFeatures]) -> None:
     """Print quality, flags and the features in `COLUMNS` of a file's records as a table on stdout."""
     from rich.table import Table
 

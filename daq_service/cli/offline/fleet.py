@@ -18,15 +18,15 @@ from analysis.statistics.fleet import (
     FEWEST_SENSORS,
     SHARED_SD,
     compute_running_p_values,
+    estimate_gain,
     find_alarm_rows,
     find_shared_changes,
     mean_squared_correlation,
     residual_shift,
-    sensor_gain,
     shared_deviation,
     standardize_by_baseline,
     typical_autocorrelation,
-    typical_tails,
+    typical_kurtosis,
 )
 from analysis.statistics.rules import MINIMUM_SETS
 from analysis.statistics.sequence import assess_sequence
@@ -198,7 +198,7 @@ def assess_fleet(
     n_rows, after = max(len(table.in_sd) for table in first), max(map(_find_first_assessed_row, first))
     shared = shared_deviation(_stack_tables([table.in_sd for table in first], n_rows))
     baselines = [(table.in_sd - shared[: len(table.in_sd)])[table.in_baseline] for table in first]
-    usual = Usual(phi=typical_autocorrelation(baselines), tails=typical_tails(baselines))
+    usual = Usual(phi=typical_autocorrelation(baselines), tails=typical_kurtosis(baselines))
     period = max(1, *(len(table.in_sd) - _find_first_assessed_row(table) for table in first))
     assess_table = partial(
         assess_individually, read=read, shared=shared, usual=usual, budget=budget, period=period
@@ -212,7 +212,7 @@ def assess_fleet(
     raised = {k: row for k, row in zip(assessed, rows, strict=True) if row is not None}
     causes = find_shared_changes(shared, len(paths), float(usual.phi.max()), after)
     errors = mean_squared_correlation(baselines)
-    gains = [sensor_gain(table.in_sd[after:], shared[after : len(table.in_sd)], errors) for table in first]
+    gains = [estimate_gain(table.in_sd[after:], shared[after : len(table.in_sd)], errors) for table in first]
     n = int(np.median([table.in_baseline.sum() for table in first]))
     kept_sd = residual_shift(gains, causes, phi=float(usual.phi.max()), n=max(1, n), tails=usual.tails)
     why = _describe_unverified_rate([results[k].why_not for k in assessed], len(paths), kept_sd)

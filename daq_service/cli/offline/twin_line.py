@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from daq_service.acquisition.schedule import plan_sets
 from daq_service.acquisition.shot_features import extract_features_of_shots
 from daq_service.assessment.assessor import PositionResult
-from daq_service.assessment.baseline_lifecycle import baseline_range
+from daq_service.assessment.baseline_lifecycle import get_baseline_range
 from daq_service.assessment.solitary_wave import SolitaryWaveAssessor
 from daq_service.clock import parse_utc
 from daq_service.rig.twin import build_transducers
@@ -65,7 +65,7 @@ def simulate_assessed_sets(
     """
     specimen = specimen or build_twin(settings)
     epoch_ns = parse_utc(settings.clock.epoch)
-    assessor = SolitaryWaveAssessor(position, settings, baseline=baseline_range(position, settings, None))
+    assessor = SolitaryWaveAssessor(position, settings, baseline=get_baseline_range(position, settings, None))
     for due in plan_sets(settings.schedule.phases, epoch_ns, end_h=settings.schedule.end_h):
         hour_h = specimen.hour_h(due.due_utc_ns - epoch_ns)
         stamp = Stamp(utc_ns=due.due_utc_ns, mono_ns=due.due_utc_ns, boot_id="simulated")

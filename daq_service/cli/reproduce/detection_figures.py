@@ -186,7 +186,7 @@ def draw_thickness_figure(material: item.Material) -> item.Product:
         true_h, true_m = truth
         wall.plot(true_h, 1e3 * true_m, color=style.BLUE, lw=1.0, label="the twin's true wall")
         loss.plot(true_h, 1e3 * (initial_m - true_m), color=style.BLUE, lw=1.0, label="true")
-    line = _fit_line(probe)
+    line = _fit_loss_line(probe)
     if line is not None:
         ends_h = np.array([0.0, hours[-1]])
         loss.plot(ends_h, 1e3 * (line[0] + line[1] * ends_h), color=style.BLACK, lw=1.0, label="our line")
@@ -230,7 +230,7 @@ def _read_true_thickness(test: Evidence, position: str) -> tuple[FloatArray, Flo
     return hours, thickness
 
 
-def _fit_line(probe: Series) -> tuple[float, float] | None:
+def _fit_loss_line(probe: Series) -> tuple[float, float] | None:
     """Fit the loss in m at hour 0 and its slope in m/h by least squares; None for fewer than two hours."""
     loss_m = probe.values["thickness_loss_m"]
     present = np.isfinite(loss_m)

@@ -29,7 +29,7 @@ _COLUMNS = (
 )
 
 
-def draw_equations(material: Material) -> Product:
+def draw_extra_features(material: Material) -> Product:
     """Draw the autocorrelation lag, its coefficient and the area under the PSW over the test.
 
     The notes contain the results of the checks of eqs 16 and 17 and of the autocorrelation. Raises
@@ -160,4 +160,4 @@ def _compute_lag_s(trace: Trace, isw_s: float, psw_s: float) -> float:
     return float((peak + 0.5 * (before - after) / (before - 2.0 * at + after)) * block_s)
 
 
-EQUATIONS = Item(name="eqs14-17", make=draw_equations, needs_test=True)
+EQUATIONS = Item(name="eqs14-17", make=draw_extra_features, needs_test=True)

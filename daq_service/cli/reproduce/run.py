@@ -147,7 +147,7 @@ def compute_and_write_items(
         futures = {job: executor.submit(job.function, *job.arguments) for job in jobs}
         try:
             for item in sorted(items, key=lambda item: (item.needs_test, item.name == SLIPS)):
-                _make_item(run, item, futures, evidence, stop, report)
+                _complete_item(run, item, futures, evidence, stop, report)
         except _StoppedError:
             report("interrupted: what is finished stays; the same command with the same --out goes on")
         except BaseException:
@@ -196,7 +196,7 @@ def _wait_for_result(future: Future[T], stop: threading.Event) -> T:
 # One item ------------------------------------------------------------------------------------------
 
 
-def _make_item(
+def _complete_item(
     run: Outcome,
     item: Item,
     futures: Mapping[Job, Future[object]],

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import click
 
-from daq_service.commands.send import user_name
+from daq_service.commands.send import get_user_name
 from daq_service.errors import EXIT_NOT_MET, EXIT_OK, UsageError
 from daq_service.processes.data_folder import load_settings_and_folder
 from daq_service.processes.notifications.addresses import read_address
@@ -38,7 +38,7 @@ def run_test(*, config: Path | None, receiver: str | None, as_json: bool) -> int
     for name in receivers if receiver is None else [receiver]:
         receiver_settings, test = receivers[name], Test(name=settings.name, mark="terminal")
         address = read_address(name, receiver_settings)
-        message = build_test_message(test, name, user_name(), now_ns=time.time_ns())
+        message = build_test_message(test, name, get_user_name(), now_ns=time.time_ns())
         results[name] = (
             deliver_by_apprise(address, message)
             if receiver_settings.kind == "apprise"

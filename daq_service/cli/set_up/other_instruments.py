@@ -117,7 +117,7 @@ def _identify_supply(port: str) -> Tables:
     with closing(
         ScpiPowerSupply(SupplyParameters(line=line, identity=".+"), stamp=read_time_stamp)
     ) as supply:
-        return _to_parameter_table(SupplyParameters(line=line, identity=_build_pattern(supply.identity())))
+        return _to_parameter_table(SupplyParameters(line=line, identity=_build_id_pattern(supply.identity())))
 
 
 def _identify_climate_probe(port: str) -> Tables:
@@ -131,10 +131,10 @@ def _identify_climate_probe(port: str) -> Tables:
     with closing(
         ScpiClimateProbe(ClimateParameters(line=line, identity=".+"), stamp=read_time_stamp)
     ) as probe:
-        return _to_parameter_table(ClimateParameters(line=line, identity=_build_pattern(probe.identity())))
+        return _to_parameter_table(ClimateParameters(line=line, identity=_build_id_pattern(probe.identity())))
 
 
-def _build_pattern(identity: Mapping[str, str]) -> str:
+def _build_id_pattern(identity: Mapping[str, str]) -> str:
     """Build a regular expression of maker, model and serial number; any firmware version matches."""
     parts = [identity[name] for name in ("maker", "model", "serial_number") if identity[name]]
     return ",".join(re.escape(part) for part in parts)

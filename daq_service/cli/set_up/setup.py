@@ -104,7 +104,7 @@ def run_setup(
         set_up_transducers(dialogue, instruments, flags)
         probes_of = None if kinds else flags.probes
         others, off = ask_for_other_instruments(dialogue, probes_of, flags.supply, flags.climate, asks=asks)
-        result = validate_and_write(dialogue, instruments, file, others, off)
+        result = write_valid_config(dialogue, instruments, file, others, off)
     if as_json:
         click.echo(json.dumps(result))
 
@@ -166,14 +166,14 @@ def find_boards(
         names = ", ".join(list_other_kinds()) or "none is installed, see docs/how-to/write-a-driver.md"
         others = f"instruments of other kinds: solimon setup FILE --kind NAME ({names})"
         raise RigError(
-            f"{LOOKED_FOR} by {transport}: {_describe_boards(survey)}; {NO_BOARDS.format(others=others)}"
+            f"{LOOKED_FOR} by {transport}: {_explain_no_boards(survey)}; {NO_BOARDS.format(others=others)}"
         )
     # Any board may drive a coil.
     boards = {board.serial: board for board in survey.boards}
     return Bench(boards=boards, data_folder=data_folder, transport=transport, grpc_address=grpc_address)
 
 
-def _describe_boards(survey: Survey) -> str:
+def _explain_no_boards(survey: Survey) -> str:
     """Describe why no board is usable: failed findings, boards without analog trigger, or none listed."""
     failed = [finding for finding in survey.findings if finding.state == "fail"]
     if failed:
@@ -186,7 +186,7 @@ def _describe_boards(survey: Survey) -> str:
 # The file --------------------------------------------------------------------------------------------
 
 
-def validate_and_write(
+def write_valid_config(
     dialogue: Dialogue, instruments: Instruments, file: Path, others: Tables, off: set[KeyPath]
 ) -> dict[str, object]:
     """Validate the configuration, write it with its schema, and print the next steps.

@@ -9,7 +9,7 @@ from pathlib import Path
 import click
 
 from daq_service.commands.audit import TERMINAL, Audit
-from daq_service.commands.send import user_name
+from daq_service.commands.send import get_user_name
 from daq_service.processes.data_folder import load_settings_for_reading, prepare_data_folder
 from daq_service.web.auth.roles import CLAIMED, Role
 from daq_service.web.auth.tokens import Token, create_token, find_tokens_file, read_tokens, revoke_token
@@ -86,7 +86,7 @@ def _add_audit_entry(audit: Audit, action: str, **arguments: object) -> None:
     An OSError is logged, not raised.
     """
     audit.add(
-        author=user_name(), role=CLAIMED, source=TERMINAL, what=action, arguments=arguments, result="done"
+        author=get_user_name(), role=CLAIMED, source=TERMINAL, what=action, arguments=arguments, result="done"
     )
 
 

@@ -40,7 +40,7 @@ def propose_and_store_values(dialogue: Dialogue, bench: Bench, *, asks: bool) ->
     taken = not asks or dialogue.ask_yes_or_no("accept", "Take these values", default="yes")
     while True:
         if not taken:
-            proposal = _ask_for_values(dialogue, bench, proposal)
+            proposal = _ask_record_settings(dialogue, bench, proposal)
         try:
             bench.accept_proposal(proposal)
         except ValueError as error:
@@ -52,7 +52,7 @@ def propose_and_store_values(dialogue: Dialogue, bench: Bench, *, asks: bool) ->
             return
 
 
-def _ask_for_values(dialogue: Dialogue, bench: Bench, proposal: Proposal) -> Proposal:
+def _ask_record_settings(dialogue: Dialogue, bench: Bench, proposal: Proposal) -> Proposal:
     """Ask for input ranges, trigger level and slope, pre-trigger and holdoff; return the changed proposal.
 
     Volts and seconds; the proposed values are the defaults. "-" keeps the proposed level or pre-trigger, but

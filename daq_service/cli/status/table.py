@@ -53,7 +53,7 @@ def compose_status(facts: Facts, folder: str) -> RenderableType:
         parts.append(_make_position_table(facts["positions"]))
     if facts["alarms"]:
         parts.append(_make_alarm_table(facts["alarms"]))
-        parts += _yield_first_checks(facts["alarms"])
+        parts += _yield_alarm_checks(facts["alarms"])
     return Group(*parts)
 
 
@@ -245,7 +245,7 @@ def _format_chart(row: Facts) -> str:
     return f"{chart['statistic']:.1f} of {chart['limit']:.1f}"
 
 
-def _yield_first_checks(alarms: Sequence[Facts]) -> Iterator[Text]:
+def _yield_alarm_checks(alarms: Sequence[Facts]) -> Iterator[Text]:
     """Yield the numbered checks for each kind of active alarm that is not suppressed, once per kind.
 
     A kind without guidance is left out.

@@ -104,7 +104,7 @@ def print_sweep(request: SweepRequest, columns: Columns, *, as_json: bool) -> No
     }
     with stop_on_signals() as stop:
         table = run_sweep(plan, options, origin, stop)
-    _print_table(table, request.outputs, columns, as_json=as_json)
+    _print_results(table, request.outputs, columns, as_json=as_json)
 
 
 def _read_axes(request: SweepRequest) -> list[Axis]:
@@ -130,7 +130,7 @@ def _describe_sweep(request: SweepRequest) -> list[str]:
     return [*shorthand, *request.sweeps, *rows, *(["--zip"] if request.element_wise else [])]
 
 
-def _print_table(table: SweepTable, outputs: Sequence[Path], columns: Columns, *, as_json: bool) -> None:
+def _print_results(table: SweepTable, outputs: Sequence[Path], columns: Columns, *, as_json: bool) -> None:
     """Print the table with the number of failed rows and the content hash; facts and rows as JSON.
 
     Rows are not printed if they were written to files.

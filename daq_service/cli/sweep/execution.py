@@ -28,7 +28,7 @@ STOP_SEEN_WITHIN_S = 0.2
 Task = list[Row]
 
 
-def compute_plan(
+def compute_plan_rows(
     plan: Plan,
     rows: Sequence[Row],
     executor: Executor,

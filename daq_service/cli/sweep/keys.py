@@ -43,21 +43,21 @@ def _yield_keys(section: type, above: str) -> Iterator[str]:
     hints = get_type_hints(section)
     for field in fields(section):
         key = f"{above}.{field.name}"
-        below = _list_tables(hints[field.name])
+        below = _list_dataclasses(hints[field.name])
         yield key
         for table in below:
             yield from _yield_keys(table, key)
 
 
-def _list_tables(hint: object) -> list[type]:
+def _list_dataclasses(hint: object) -> list[type]:
     """Return the dataclasses that a value of this type may be: tables in the configuration.
 
     Empty for a plain value.
     """
     if get_origin(hint) is Annotated:
-        return _list_tables(get_args(hint)[0])
+        return _list_dataclasses(get_args(hint)[0])
     if get_origin(hint) in (Union, types.UnionType):
-        return [table for option in get_args(hint) for table in _list_tables(option)]
+        return [table for option in get_args(hint) for table in _list_dataclasses(option)]
     return [hint] if isinstance(hint, type) and is_dataclass(hint) else []
 
 

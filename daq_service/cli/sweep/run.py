@@ -11,7 +11,7 @@ from pathlib import Path
 
 import click
 
-from daq_service.cli.sweep.execution import compute_plan
+from daq_service.cli.sweep.execution import compute_plan_rows
 from daq_service.cli.sweep.outputs import check_outputs, list_output_files, write_output
 from daq_service.cli.sweep.plan import Plan, Row, describe_row
 from daq_service.cli.sweep.progress import Progress
@@ -110,7 +110,7 @@ def _compute_outcomes(
     if missing:
         with open_executor(options.executor, options.workers) as executor:
             workers = count_workers(executor, options.workers)
-            compute_plan(plan, missing, executor, workers=workers, keep=keep_outcome, stop=stop)
+            compute_plan_rows(plan, missing, executor, workers=workers, keep=keep_outcome, stop=stop)
     if len(outcomes) < len(plan.rows):
         message = (
             "nothing is kept without --out"

@@ -131,7 +131,7 @@ class ReceiverQueue:
             self.start(self._delivery_log.read_progress([self.name]).get(self.name))
         self._read_events()
         self._send_heartbeat()
-        self._deliver()
+        self._deliver_due()
         self.state.waiting = len(self._waiting) + (len(self._current.changes) if self._current else 0)
         return self._compute_pause_s()
 
@@ -194,7 +194,7 @@ class ReceiverQueue:
 
     # Outgoing messages
 
-    def _deliver(self) -> None:
+    def _deliver_due(self) -> None:
         """Send due changes as one message or retry it; give up after 5 refusals or ``give_up_h``."""
         if self._current is None:
             changes = self._waiting.due(self._machine.mono_s())

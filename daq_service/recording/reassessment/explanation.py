@@ -41,7 +41,7 @@ from daq_service.recording.reassessment.changes import (
     list_onsets,
 )
 from daq_service.recording.reassessment.pulses_of_sets import Pulses, read_mean_pulses
-from daq_service.recording.reassessment.reassess import extract_set_features, reassess, temporary_catalogue
+from daq_service.recording.reassessment.reassess import extract_set_features, make_temp_catalogue, reassess
 from daq_service.recording.reassessment.stored_runs import Progress
 from daq_service.settings.stored import restore_settings
 from daq_service.settings.tree import Settings
@@ -185,7 +185,7 @@ def _recompute_alarm(
     archive = FolderSetReader(folder)
     read_set = partial(_read_position_records, position, archive)
     with ExitStack() as stack:
-        again = stack.enter_context(temporary_catalogue(stored.read_experiment()))
+        again = stack.enter_context(make_temp_catalogue(stored.read_experiment()))
         reassess(
             stored,
             again,

@@ -20,7 +20,7 @@ from daq_service.acquisition.shot_features import compute_rehearsal_features, ex
 from daq_service.alarms.operator_actions import AFTER_ACKNOWLEDGEMENT, acknowledge_alarm, reset_alarm
 from daq_service.alarms.states import Change, Moment
 from daq_service.archive import FolderSetReader, SetRecord, SetReference
-from daq_service.assessment.baseline_lifecycle import STEPS, baseline_range
+from daq_service.assessment.baseline_lifecycle import STEPS, get_baseline_range
 from daq_service.catalogue import Catalogue, RecorderCatalogue, SetCommit
 from daq_service.catalogue.rows import (
     AlarmRow,
@@ -31,7 +31,7 @@ from daq_service.catalogue.rows import (
     SetRow,
     ShotRow,
 )
-from daq_service.catalogue.store import open_temporary
+from daq_service.catalogue.store import create_temporary
 from daq_service.recording.reassessment.changes import LIFE
 from daq_service.recording.reassessment.stored_runs import Progress, full_row, group_sets, repeat_action
 from daq_service.recording.set_assessor import SetAssessor
@@ -45,14 +45,14 @@ ReadSet = Callable[[SetReference], SetRecord]
 
 
 @contextmanager
-def temporary_catalogue(experiment: ExperimentRow) -> Iterator[RecorderCatalogue]:
+def make_temp_catalogue(experiment: ExperimentRow) -> Iterator[RecorderCatalogue]:
     """Create a catalogue with only this experiment in a temporary folder; delete it after the block.
 
     Raises CatalogueError if it cannot be created.
     """
     with (
         tempfile.TemporaryDirectory(prefix="solimon-again-") as folder,
-        open_temporary(Path(folder)) as catalogue,
+        create_temporary(Path(folder)) as catalogue,
     ):
         catalogue.restore_rows([experiment])
         yield catalogue
@@ -225,7 +225,7 @@ class _Reassessment:
             step = {name: getattr(stored, name) for name in LIFE}
             self._again.restore_rows([replace(present, **step)])
         else:  # a successor that begins: as many sets as a baseline has by these settings
-            baseline_plan = baseline_range(
+            baseline_plan = get_baseline_range(
                 stored.position, self._settings, self._again.baseline(stored.position)
             )
             last_set = stored.first_set_index + baseline_plan.last_set - baseline_plan.first_set

@@ -29,9 +29,9 @@ from daq_service.catalogue.experiment_file import ensure_experiment_file, raise_
 from daq_service.catalogue.history import History, HistoryFollower
 from daq_service.catalogue.owner import build_experiment_identity, raise_if_other_configuration
 from daq_service.catalogue.salvage import Salvaged, read_sound_rows
-from daq_service.catalogue.store import open_temporary
+from daq_service.catalogue.store import create_temporary
 from daq_service.processes.lost_catalogue import read_folder_history
-from daq_service.recording.experiment import find_stored_experiment, refuse_foreign_sets
+from daq_service.recording.experiment import find_stored_experiment, raise_if_foreign
 from daq_service.recording.reassessment.restore_rows import FeaturesOf, Restored, StoredHistory, restore_rows
 from daq_service.recording.reassessment.stored_runs import Progress
 from daq_service.settings.stored import restore_settings
@@ -115,11 +115,11 @@ def rebuild_folder_catalogue(
     try:
         shutil.rmtree(place, ignore_errors=True)
         place.mkdir()
-        with open_temporary(place) as catalogue:  # `_replace_catalogue` makes the complete file durable
+        with create_temporary(place) as catalogue:  # `_replace_catalogue` makes the complete file durable
             catalogue.restore_rows([experiment, *orders.values()])
             its_settings = restore_settings(experiment.configuration)
             found = restore_rows(its_settings, experiment, archive, catalogue, stored, progress, features_of)
-            refuse_foreign_sets(found.foreign, str(folder))
+            raise_if_foreign(found.foreign, str(folder))
             catalogue.recompute_counts()
             n_events = catalogue.counts()["events"]
         raise_if_corrupt(place)

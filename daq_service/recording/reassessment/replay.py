@@ -11,7 +11,7 @@ from typing import Any
 
 from analysis.waves.features import EXTRACTOR_VERSION
 from daq_service.archive import FolderSetReader
-from daq_service.assessment.baseline_lifecycle import baseline_range
+from daq_service.assessment.baseline_lifecycle import get_baseline_range
 from daq_service.catalogue import Catalogue, open_catalogue
 from daq_service.catalogue.rows import AssessmentRow, FeatureRow
 from daq_service.errors import UsageError
@@ -28,7 +28,7 @@ from daq_service.recording.reassessment.changes import (
 )
 from daq_service.recording.reassessment.features_ahead import ExtractedAhead
 from daq_service.recording.reassessment.other_settings import apply_setting_changes, parse_assignments
-from daq_service.recording.reassessment.reassess import read_stored_features, reassess, temporary_catalogue
+from daq_service.recording.reassessment.reassess import make_temp_catalogue, read_stored_features, reassess
 from daq_service.recording.reassessment.stored_runs import Progress
 from daq_service.settings.tree import Settings
 from hardware_drivers.methods import SOLITARY_WAVE
@@ -108,7 +108,7 @@ def replay_test(
         stored = stack.enter_context(open_catalogue(folder))
         experiment = stored.read_experiment()
         settings = apply_setting_changes(experiment.configuration, settings_given)
-        again = stack.enter_context(temporary_catalogue(experiment))
+        again = stack.enter_context(make_temp_catalogue(experiment))
         assess_set = partial(reassess, stored, again, folder, settings, progress=progress)
         if extract_by is None:
             versions = stored.columns(FeatureRow, ("extractor_version",))["extractor_version"]
@@ -155,7 +155,7 @@ def _describe_unassessed(position: str, recomputed: Catalogue, settings: Setting
     if not all(found["in_baseline"]) or not found["set_index"]:
         return
     sets, last_set = (
-        baseline_range(position, settings, recomputed.baseline(position)),
+        get_baseline_range(position, settings, recomputed.baseline(position)),
         max(found["set_index"]),
     )
     yield NotAssessed(

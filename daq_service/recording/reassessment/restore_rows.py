@@ -31,7 +31,7 @@ from daq_service.assessment.assessor import StoredResult
 from daq_service.assessment.baseline_lifecycle import STEPS
 from daq_service.assessment.confirmation import CONFIRMATION_ASKED
 from daq_service.assessment.follow_rows import replay_stored_set
-from daq_service.assessment.restore_state import is_assessed, read_first_waveform
+from daq_service.assessment.restore_state import affects_state, read_first_waveform
 from daq_service.assessment.results_in_file import build_result_tables, find_differences
 from daq_service.catalogue import RecorderCatalogue, SetCommit
 from daq_service.catalogue.reported_rows import ROW_OF_EVENT, join_rows, strip_payloads, to_payloads
@@ -251,7 +251,7 @@ class _Restoration:
         results: dict[str, FeatureRow | ThicknessRow] = {row.position: row for row in transaction.thickness}
         results |= {row.position: row for row in transaction.features if row.shot_index is None}
         completed: list[AssessmentRow] = []
-        for row in filter(is_assessed, transaction.sets):
+        for row in filter(affects_state, transaction.sets):
             followed = replay_stored_set(
                 self._set_assessor.assessors[row.position],
                 StoredResult(
@@ -328,7 +328,7 @@ class _Restoration:
             if damage:  # the state follows the stored rows, which are of all records
                 self._set_assessor.assessors.states = states
                 self._update_states(transaction)
-        self._queue_rows(transaction, self._number_events(computed, events, free), computed_alarms=not events)
+        self._queue_rows(transaction, self._merge_events(computed, events, free), computed_alarms=not events)
         self._result.sets += 1
         self._result.computed += 1
 
@@ -386,7 +386,7 @@ class _Restoration:
         self._catalogue.commit_set(self._pending)
         self._pending, self._n_pending = SetCommit(), 0
 
-    def _number_events(
+    def _merge_events(
         self, computed: Sequence[EventRow], stored: Sequence[EventRow], free: Sequence[int]
     ) -> list[EventRow]:
         """Return the stored events of a set with the computed ones that the history lost in between.
@@ -396,12 +396,12 @@ class _Restoration:
         """
         if not stored:
             return list(computed)
-        known = {_identify(event) for event in stored}
+        known = {_build_key(event) for event in stored}
         # The request of an unscheduled set is stored, never computed.
         lost = [
             event
             for event in computed
-            if _identify(event) not in known and event.topic != "alarms" and event.kind != CONFIRMATION_ASKED
+            if _build_key(event) not in known and event.topic != "alarms" and event.kind != CONFIRMATION_ASKED
         ]
         if len(lost) == len(free):
             again = [replace(event, id=row_id) for event, row_id in zip(lost, free, strict=True)]
@@ -421,7 +421,7 @@ def _find_free_ids(
     return sorted(set(range(first + 1, last)) - {event.id for event in events if event.id is not None})
 
 
-def _identify(event: EventRow) -> tuple[str, str, str | None]:
+def _build_key(event: EventRow) -> tuple[str, str, str | None]:
     """Return topic, kind and position, which identify an event within its set."""
     return event.topic, event.kind, event.position
 
@@ -522,12 +522,12 @@ def _find_differences(computed: Sequence[EventRow], stored: Sequence[EventRow]) 
 
     Columns that the stored event lacks, and diagnosis states in averages, are not compared.
     """
-    found = {_identify(event): event for event in computed if event.kind in _COMPUTED}
+    found = {_build_key(event): event for event in computed if event.kind in _COMPUTED}
     return [
         f"set {event.set_key}, {event.position}: {event.kind}"
         for event in stored
-        if _identify(event) in found
-        and _select_stored_columns(event, found[_identify(event)])
+        if _build_key(event) in found
+        and _select_stored_columns(event, found[_build_key(event)])
         != _encode_sorted(drop_diagnosis_state(event.payload))
     ]
 

@@ -14,7 +14,7 @@ from daq_service.web.answers.problem import PROBLEM_TYPES, Problem, not_found
 from daq_service.web.auth.middleware import AccessPolicy
 from daq_service.web.context import Context
 from daq_service.web.multi_test.location import AbsentError, find_folder, locate_test, read_title
-from daq_service.web.multi_test.names import build_unique_url_names
+from daq_service.web.multi_test.names import build_unique_slugs
 
 log = logging.getLogger(__name__)
 
@@ -56,7 +56,7 @@ class ServedTests:
                 raise UsageError(f"{other} and {path} mean the same test; leave one of them out")
         self.access_policy = access_policy
         titles = [read_title(path) for path in paths]
-        entries = zip(build_unique_url_names(titles), titles, paths, strict=True)
+        entries = zip(build_unique_slugs(titles), titles, paths, strict=True)
         self.all = {name: ServedTest(name, title, path) for name, title, path in entries}
 
     def count_streams(self) -> int:

@@ -50,7 +50,7 @@ def list_tests(request: Request) -> JsonAnswer:
 @probes.get("/healthz", response_model=ServiceLiveness)
 async def get_liveness(request: Request) -> JsonAnswer:
     """Return that the process of the service responds, with the numbers of tests at their last read."""
-    return JsonAnswer(_build_liveness(request))
+    return JsonAnswer(_build_health_body(request))
 
 
 @probes.get("/readyz", response_model=ServiceLiveness, responses=describe_errors(503))
@@ -63,10 +63,10 @@ def get_readiness(request: Request) -> JsonAnswer:
             f"None of {len(entries)} tests can be shown.",
             "/api/v1/tests says why of each, and what helps.",
         )
-    return JsonAnswer(_build_liveness(request))
+    return JsonAnswer(_build_health_body(request))
 
 
-def _build_liveness(request: Request) -> dict[str, object]:
+def _build_health_body(request: Request) -> dict[str, object]:
     """Build the body of the liveness and readiness answers, with the numbers of all and of shown tests.
 
     ``status`` is ``ok``, and ``data`` is whether any test is shown. The shown tests are those of the last

@@ -34,7 +34,7 @@ from daq_service.catalogue.rows import (
     SetRow,
     ThicknessRow,
 )
-from daq_service.commands.audit import AuditEntry, read_audit
+from daq_service.commands.audit import AuditEntry, read_audit_log
 from daq_service.commands.deadline import mark_if_expired, remaining_now_s
 from daq_service.errors import UsageError
 from daq_service.processes.freshness import Freshness
@@ -221,7 +221,7 @@ def read_report_contents(
             orders=[
                 mark_if_expired(row, remaining_now_s(row)) for row in catalogue.rows(CommandRow)[-MOST_LINES:]
             ],
-            audit=[entry for _, entry in read_audit(folder, limit=MOST_LINES)[0]] if audited else None,
+            audit=[entry for _, entry in read_audit_log(folder, limit=MOST_LINES)[0]] if audited else None,
         )
 
 

@@ -10,7 +10,7 @@ from typing import Annotated
 from fastapi import APIRouter, Query
 from pydantic import AwareDatetime, BeforeValidator
 
-from daq_service.commands.audit import AUDIT_FILE, AuditEntry, Result, read_audit
+from daq_service.commands.audit import AUDIT_FILE, AuditEntry, Result, read_audit_log
 from daq_service.commands.deadline import read_command_state
 from daq_service.errors import SolimonError, StorageUnavailableError
 from daq_service.web.answers import cursors
@@ -63,7 +63,7 @@ def list_audit(
     """
     kinds = _parse_operations(what)
     first_ns, end_ns = _convert_to_utc_ns(from_utc), _convert_to_utc_ns(to_utc)
-    _check_range(first_ns, end_ns)
+    _check_time_range(first_ns, end_ns)
 
     def is_selected(entry: AuditEntry) -> bool:
         """Return whether an audit entry passes all filters of the request."""
@@ -77,7 +77,7 @@ def list_audit(
 
     listing = build_listing_name("audit", author=author, what=what, result=result, first=first_ns, end=end_ns)
     try:
-        entries, previous_end = read_audit(
+        entries, previous_end = read_audit_log(
             context.data_folder, limit=limit, end=cursors.decode_cursor(listing, cursor), wanted=is_selected
         )
     except OSError as error:
@@ -103,7 +103,7 @@ def _parse_operations(what: str | None) -> frozenset[str] | None:
     return kinds
 
 
-def _check_range(first_ns: int | None, end_ns: int | None) -> None:
+def _check_time_range(first_ns: int | None, end_ns: int | None) -> None:
     """Raise a Problem (422) if the range ends before it starts; an open or empty range is valid."""
     if first_ns is not None and end_ns is not None and end_ns < first_ns:
         raise invalid(

@@ -18,7 +18,7 @@ OpenApi = dict[str, Any]
 """Document of OpenAPI, or a part of it, as FastAPI makes it."""
 
 
-def describe_roles(document: OpenApi) -> None:
+def describe_security(document: OpenApi) -> None:
     """Add security schemes to an OpenAPI document, and role and error answers to each operation, in place.
 
     An operation without an entry in `OPERATIONS` needs admin. Without a token (``{}`` in the list) a service

@@ -229,8 +229,8 @@ def build_published_bins(kind: Kind, bins: NDArray[np.void], fields: Sequence[st
     names = [name for name in list_bin_value_names(kind) if name in fields]
     column_of = {name: list_bin_value_names(kind).index(name) for name in names}
     return {
-        "minimum": {name: _nan_to_none(bins["minimum"][:, column]) for name, column in column_of.items()},
-        "maximum": {name: _nan_to_none(bins["maximum"][:, column]) for name, column in column_of.items()},
+        "minimum": {name: _to_finite_list(bins["minimum"][:, column]) for name, column in column_of.items()},
+        "maximum": {name: _to_finite_list(bins["maximum"][:, column]) for name, column in column_of.items()},
         "count": {name: bins["count"][:, column].astype(int).tolist() for name, column in column_of.items()},
         "last_h": bins["last_h"].tolist(),
         **{name: bins[name].astype(int).tolist() for name in _COUNTS},
@@ -241,7 +241,7 @@ def build_published_bins(kind: Kind, bins: NDArray[np.void], fields: Sequence[st
     }
 
 
-def _nan_to_none(column: NDArray[np.float64]) -> list[float | None]:
+def _to_finite_list(column: NDArray[np.float64]) -> list[float | None]:
     """Convert a column to a list for JSON; None replaces values that are not finite."""
     return [value if math.isfinite(value) else None for value in column.tolist()]
 

@@ -15,7 +15,7 @@ from starlette.responses import Response
 from daq_service.archive import SetReference
 from daq_service.archive.waterfall.cells import extract_anchors
 from daq_service.archive.waterfall.image import Picture, Wanted
-from daq_service.assessment.baseline_lifecycle import baseline_range
+from daq_service.assessment.baseline_lifecycle import get_baseline_range
 from daq_service.assessment.results_in_file import read_set_results
 from daq_service.catalogue import Catalogue
 from daq_service.catalogue.owner import build_experiment_identity
@@ -212,7 +212,7 @@ def _list_baseline_sets(context: Context, catalogue: Catalogue, position: str) -
         reading = catalogue.read_first_thickness(position)
         set_indices = [] if reading is None else [reading.set_index]
     else:
-        plan = baseline_range(position, context.settings, catalogue.baseline(position))
+        plan = get_baseline_range(position, context.settings, catalogue.baseline(position))
         assessments = catalogue.rows(
             AssessmentRow, position=position, first_set=plan.first_set, last_set=plan.last_set
         )

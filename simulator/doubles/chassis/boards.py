@@ -108,7 +108,7 @@ def list_terminals(kind: BoardType, name: str) -> tuple[str, ...]:
     return tuple(f"/{name}/{terminal}" for terminal in (*_PFI, *outputs, *others, *counters))
 
 
-def board_calibration(adc: AdcParameters, offset_shift_v: float = 0.0) -> Calibration:
+def get_board_calibration(adc: AdcParameters, offset_shift_v: float = 0.0) -> Calibration:
     """Return the scaling polynomial of a board from codes to V in the input range of its converter.
 
     Parameters

@@ -70,11 +70,11 @@ class ScopeParameters:
         """Return the distance of two neighbouring codes in the driver's integers: 4 for 14 bits in 16."""
         return 1 << (SAMPLE_BITS - self.resolution_bits)
 
-    def next_range_v(self, asked_v: float) -> float | None:
+    def coerced_range_v(self, asked_v: float) -> float | None:
         """Return the smallest range (-r to +r) that includes a voltage, V; None above the largest."""
         return next((range_v for range_v in sorted(self.ranges_v) if range_v >= asked_v * (1.0 - 1e-9)), None)
 
-    def next_rate_hz(self, asked_hz: float) -> float | None:
+    def coerced_rate_hz(self, asked_hz: float) -> float | None:
         """Return the lowest sample rate at or above the requested one, Hz; None above the highest.
 
         Rates are the highest one divided by a whole number. Raise ZeroDivisionError for 0.

@@ -42,7 +42,7 @@ def create_voltage_channel(bench: Bench, task: Task, arguments: Arguments) -> No
     configuration = arguments["terminal_config"]
     if configuration not in (DEFAULT_CONFIGURATION, device.kind.terminal_configuration):
         detail = f"You Can Select: {device.kind.terminal_configuration}"
-        raise statuses.rejected_property(task.name, "AI.TermCfg", detail, requested=configuration)
+        raise statuses.create_rejection(task.name, "AI.TermCfg", detail, requested=configuration)
     task.set_channel(
         "ai",
         InputChannel(
@@ -77,7 +77,7 @@ def configure_sample_clock(bench: Bench, task: Task, arguments: Arguments) -> No
     """
     if short_name(arguments["source"]) not in ("", "onboardclock"):
         detail = "The double samples by the board's own clock only."
-        raise statuses.rejected_property(task.name, "SampClk.Src", detail, requested=arguments["source"])
+        raise statuses.create_rejection(task.name, "SampClk.Src", detail, requested=arguments["source"])
     _change_settings(
         task,
         {

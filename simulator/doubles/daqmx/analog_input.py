@@ -15,9 +15,9 @@ from simulator.doubles.daqmx.reservations import format_resource
 from simulator.doubles.daqmx.routing import (
     FALLING,
     fire_edge,
+    get_start_trigger,
     require_start_route,
     short_name,
-    start_trigger_of,
 )
 from simulator.doubles.daqmx.strikes import Strike
 from simulator.doubles.daqmx.tasks import Bench, Task
@@ -125,7 +125,7 @@ class AnalogInput:
         rate_hz(task)
         if task.settings.get("SampTimingType") != SAMPLE_CLOCK:
             detail = "The double samples with a sample clock only."
-            raise statuses.rejected_property(task.name, "SampTimingType", detail)
+            raise statuses.create_rejection(task.name, "SampTimingType", detail)
         _verify_record(task)
         _verify_start(bench, task)
 
@@ -143,7 +143,7 @@ class AnalogInput:
             codes = quantise_volts(_simulate_sine_volts(task), task.channel.calibration)
             task.run = Acquisition(begin_ns=now_ns, done_ns=now_ns, codes=codes)
             return
-        task.run = Acquisition(begin_ns=None if start_trigger_of(task) else now_ns)
+        task.run = Acquisition(begin_ns=None if get_start_trigger(task) else now_ns)
         if task.run.begin_ns is not None:
             self.triggered(bench, task, now_ns)
 
@@ -199,7 +199,7 @@ def rate_hz(task: Task) -> float:
     limit_hz = kind.max_rate_hz
     # The timebase divided by a whole number may exceed the limit by a rounding error.
     if not 0.0 < asked_hz <= limit_hz * (1.0 + 1e-9):
-        raise statuses.rejected_property(task.name, "SampClk.Rate", requested=asked_hz, maximum=limit_hz)
+        raise statuses.create_rejection(task.name, "SampClk.Rate", requested=asked_hz, maximum=limit_hz)
     coerced_hz = kind.coerced_rate_hz(asked_hz)
     return coerced_hz if coerced_hz <= limit_hz * (1.0 + 1e-9) else asked_hz
 
@@ -222,12 +222,12 @@ def _has_reference_trigger(task: Task) -> bool:
 
 def _verify_start(bench: Bench, task: Task) -> None:
     """Raise Status if the start trigger cannot reach the board, or its delay is not in s or out of bounds."""
-    if start_trigger_of(task):
+    if get_start_trigger(task):
         require_start_route(bench, task)
     if "StartTrig.Delay" not in task.settings:
         return
     if task.settings.get("StartTrig.DelayUnits") != SECONDS:
-        raise statuses.rejected_property(
+        raise statuses.create_rejection(
             task.name, "StartTrig.DelayUnits", "The double takes a delay in seconds only."
         )
     shortest, longest = task.device.kind.start_delay_ticks
@@ -235,7 +235,7 @@ def _verify_start(bench: Bench, task: Task) -> None:
     if not shortest <= ticks <= longest:
         code = statuses.START_DELAY_TOO_SHORT if ticks < shortest else statuses.START_DELAY_TOO_LONG
         requested = f"{ticks} ticks of {shortest} to {longest}"
-        raise statuses.rejected_property(task.name, "StartTrig.Delay", code=code, requested=requested)
+        raise statuses.create_rejection(task.name, "StartTrig.Delay", code=code, requested=requested)
 
 
 def _verify_record(task: Task) -> None:
@@ -246,20 +246,20 @@ def _verify_record(task: Task) -> None:
     """
     settings = task.settings
     if settings.get("SampQuant.SampMode", FINITE) != FINITE:
-        raise statuses.rejected_property(
+        raise statuses.create_rejection(
             task.name, "SampQuant.SampMode", "The double samples finite records only."
         )
     samples = record_samples(task)
     if samples < SMALLEST_RECORD:
         name = "SampQuant.SampPerChan"
-        raise statuses.rejected_property(task.name, name, requested=samples, minimum=SMALLEST_RECORD)
+        raise statuses.create_rejection(task.name, name, requested=samples, minimum=SMALLEST_RECORD)
     if not _has_reference_trigger(task):
         return
     pretrigger = int(settings["RefTrig.PretrigSamples"])
     if not 2 <= pretrigger <= samples - 2:
         name, code = "RefTrig.PretrigSamples", statuses.TOO_MANY_PRETRIGGER_SAMPLES
         most = samples - 2
-        raise statuses.rejected_property(
+        raise statuses.create_rejection(
             task.name, name, code=code, requested=pretrigger, minimum=2, maximum=most
         )
     channel: InputChannel = task.channel
@@ -269,7 +269,7 @@ def _verify_record(task: Task) -> None:
     level_v = float(settings["AnlgEdge.RefTrig.Lvl"])
     if not 0.0 < level_v < channel.range_v or settings["AnlgEdge.RefTrig.Slope"] != RISING_SLOPE:
         name, detail = "AnlgEdge.RefTrig.Lvl", "The double triggers on a rising edge above 0 V."
-        raise statuses.rejected_property(task.name, name, detail, requested=level_v, maximum=channel.range_v)
+        raise statuses.create_rejection(task.name, name, detail, requested=level_v, maximum=channel.range_v)
 
 
 def _build_adc(task: Task, pretrigger_samples: int, trigger_level_v: float) -> AdcParameters:
@@ -438,7 +438,7 @@ def correct_started_tasks(bench: Bench, terminal: str, pulse: Pulse, now_ns: int
     """
     for task in bench.tasks.values():
         run = task.run
-        if not isinstance(run, Acquisition) or run.ended or start_trigger_of(task) != short_name(terminal):
+        if not isinstance(run, Acquisition) or run.ended or get_start_trigger(task) != short_name(terminal):
             continue
         if pulse.start_ns > now_ns:
             run.begin_ns = None

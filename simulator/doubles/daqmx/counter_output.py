@@ -10,11 +10,11 @@ from simulator.doubles.daqmx.analog_input import correct_started_tasks, discard_
 from simulator.doubles.daqmx.devices import Device
 from simulator.doubles.daqmx.lines import Pulse
 from simulator.doubles.daqmx.reservations import format_resource
-from simulator.doubles.daqmx.routing import FALLING, RISING, fire_edge, start_trigger_of
+from simulator.doubles.daqmx.routing import FALLING, RISING, fire_edge, get_start_trigger
 from simulator.doubles.daqmx.strikes import Strike
 from simulator.doubles.daqmx.tasks import Arguments, Bench, Task, TaskHandler
 from simulator.doubles.vendor_api import statuses
-from simulator.doubles.vendor_api.statuses import Status, rejected_property
+from simulator.doubles.vendor_api.statuses import Status, create_rejection
 
 LOW = 10214
 HIGH = 10192
@@ -74,7 +74,7 @@ class CounterOutput:
             ("CO.Pulse.HighTime", task.channel.high_s, 2.0 / TIMEBASE_HZ),
         ):
             if not shortest_s <= time_s <= longest_s:
-                raise rejected_property(
+                raise create_rejection(
                     task.name, name, requested=time_s, minimum=shortest_s, maximum=longest_s
                 )
 
@@ -98,7 +98,7 @@ class CounterOutput:
             if mine and watch.run is not None and watch.run.expired_ns is not None:
                 raise Status(statuses.WATCHDOG_EXPIRED, task=task.name)
         task.n_starts += 1
-        task.run = Generation(begin_ns=None if start_trigger_of(task) else now_ns)
+        task.run = Generation(begin_ns=None if get_start_trigger(task) else now_ns)
         if task.run.begin_ns is not None:
             self.triggered(bench, task, now_ns)
 
@@ -185,7 +185,7 @@ def create_pulse_channel(bench: Bench, task: Task, arguments: Arguments) -> None
     device, number = bench.devices.channel(arguments["counter"], "ctr")
     if arguments["idle_state"] != LOW:
         detail = "The double's pins are low between pulses."
-        raise rejected_property(task.name, "CO.Pulse.IdleState", detail, requested=arguments["idle_state"])
+        raise create_rejection(task.name, "CO.Pulse.IdleState", detail, requested=arguments["idle_state"])
     task.set_channel(
         "co",
         PulseChannel(

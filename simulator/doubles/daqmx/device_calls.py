@@ -25,7 +25,7 @@ def _require_present(bench: Bench, name: str) -> Device:
         raise Status(statuses.DEVICE_ABSENT, f"Device Specified: {name}") from status
 
 
-def _take_from_tasks(bench: Bench, device: Device, status: int, cause: str) -> None:
+def _remove_from_tasks(bench: Bench, device: Device, status: int, cause: str) -> None:
     """Remove a board from all its tasks, which are stopped; their next calls answer ``status``.
 
     All its reservations are released, and its lines go low; ``cause`` is recorded with these level changes.
@@ -46,7 +46,7 @@ def reset_board(bench: Bench, client: str, arguments: Arguments) -> None:
     Raise Status if the board is unknown or has been removed.
     """
     device = _require_present(bench, arguments["device_name"])
-    _take_from_tasks(bench, device, statuses.DEVICE_ABORTED, "reset")
+    _remove_from_tasks(bench, device, statuses.DEVICE_ABORTED, "reset")
     own = f"{device.name.casefold()}/"
     bench.routes = {end: start for end, start in bench.routes.items() if not end.startswith(own)}
 
@@ -118,7 +118,7 @@ def unplug_board(bench: Bench, serial_number: int) -> None:
 
     Raise KeyError if no board has this serial number.
     """
-    _take_from_tasks(bench, bench.devices.get_by_serial(serial_number), statuses.DEVICE_REMOVED, "unplug")
+    _remove_from_tasks(bench, bench.devices.get_by_serial(serial_number), statuses.DEVICE_REMOVED, "unplug")
     bench.devices.unplug(serial_number)
     bench.changed.notify_all()
 

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Iterator
 from datetime import datetime
 
 from hardware_drivers.measurement import Calibration
-from simulator.doubles.chassis.boards import BoardType, board_calibration
+from simulator.doubles.chassis.boards import BoardType, get_board_calibration
 from simulator.doubles.chassis.description import BoardParameters
 from simulator.doubles.vendor_api import statuses
 from simulator.doubles.vendor_api.statuses import Status
@@ -48,7 +48,7 @@ class Device:
     def calibration(self, range_v: float) -> Calibration:
         """Return the board's present polynomial from codes to V in an input range, -range_v to +range_v."""
         adc = self.parameters.adc(AdcParameters(range_v=range_v, trigger_level_v=0.5 * range_v))
-        return board_calibration(adc, self.offset_shift_v)
+        return get_board_calibration(adc, self.offset_shift_v)
 
     def self_calibrate(self, now: datetime) -> None:
         """Set time and temperature of the last self-calibration; shift the offset by the described step."""

@@ -24,7 +24,7 @@ def short_name(terminal: str) -> str:
     return terminal.strip().lstrip("/").casefold()
 
 
-def start_trigger_of(task: Task) -> str:
+def get_start_trigger(task: Task) -> str:
     """Return the normalized terminal whose edge starts the task; empty if it has no digital start trigger."""
     if task.settings.get("StartTrig.Type", NO_TRIGGER) != DIGITAL_EDGE:
         return ""
@@ -51,7 +51,7 @@ def fire_edge(bench: Bench, terminal: str, at_ns: int, edge: int = RISING) -> No
         waiting = task.state is TaskState.RUNNING and task.run.begin_ns is None
         if (
             waiting
-            and _is_reached(start_trigger_of(task), reached)
+            and _is_reached(get_start_trigger(task), reached)
             and task.settings["DigEdge.StartTrig.Edge"] == edge
         ):
             bench.kinds[task.kind].triggered(bench, task, at_ns)
@@ -110,14 +110,14 @@ def require_start_route(bench: Bench, task: Task) -> None:
         The board cannot be started by that counter (-89136), is in another chassis (-89125), or the counter's
         board is unknown.
     """
-    name, _, end = start_trigger_of(task).partition("/")
+    name, _, end = get_start_trigger(task).partition("/")
     if not end.endswith(INTERNAL_OUTPUT):
         return
     source, device = bench.devices.find(name), task.device
     if source is device:
         if int(end.removeprefix("ctr").removesuffix(INTERNAL_OUTPUT)) not in device.kind.starting_counters:
             raise Status(
-                statuses.ROUTE_NOT_SUPPORTED, f"Source Terminal: {start_trigger_of(task)}", task=task.name
+                statuses.ROUTE_NOT_SUPPORTED, f"Source Terminal: {get_start_trigger(task)}", task=task.name
             )
     elif "slot" not in name or _parse_chassis_name(name) != _parse_chassis_name(device.name):
         between = f"Source Device: {source.name}\nDestination Device: {device.name}"

@@ -114,7 +114,7 @@ def create_watchdog(bench: Bench, client: str, arguments: Arguments) -> Answer:
     if timeout_s != NEVER and not 0.0 < timeout_s <= LONGEST_TIMEOUT_S:
         session, name = arguments["session_name"], "Watchdog.Timeout"
         code = statuses.WATCHDOG_TIMEOUT_OUT_OF_RANGE
-        raise statuses.rejected_property(
+        raise statuses.create_rejection(
             session, name, code=code, requested=timeout_s, maximum=LONGEST_TIMEOUT_S
         )
     task = tasks.create_task(bench, client, arguments["session_name"])
@@ -147,7 +147,7 @@ def configure_expiration(bench: Bench, task: Task, arguments: Arguments) -> None
             raise Status(statuses.DEVICE_NOT_IN_TASK, f"Device: {device.name}", task=task.name)
         if state not in (LOW, HIGH, TRISTATE, NO_CHANGE):
             name, requested = "Watchdog.DO.ExpirState", f"{state} on {device.name}"
-            raise statuses.rejected_property(task.name, name, requested=requested)
+            raise statuses.create_rejection(task.name, name, requested=requested)
     task.settings["expiration"] |= {line: state for (_, line), state in wanted.items()}
 
 

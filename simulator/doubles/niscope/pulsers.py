@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from hardware_drivers.measurement import Calibration, ShotKey
 from simulator.doubles.chassis.description import ProbeWiring
 from simulator.doubles.chassis.scopes import ScopeParameters
-from simulator.doubles.niscope.records import RecordShape, single_records
+from simulator.doubles.niscope.records import RecordShape, simulate_records
 from simulator.doubles.niscope.session import Acquisition, Channel, Session
 from simulator.electronics.transduction import quantise_volts
 from simulator.specimen import Specimen
@@ -150,5 +150,5 @@ class Pulsers:
             return quiet.astype(np.int32)
         if running.codes is None:
             key, hour_h = self._next_echo(running.position)
-            running.codes = single_records(self._specimen, probe, running.shape, calibration, key, hour_h)
+            running.codes = simulate_records(self._specimen, probe, running.shape, calibration, key, hour_h)
         return running.codes

@@ -26,7 +26,7 @@ class RecordShape:
     trigger_delay_s: float
 
 
-def single_records(
+def simulate_records(
     specimen: Specimen,
     probe: ProbeWiring,
     shape: RecordShape,

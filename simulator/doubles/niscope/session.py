@@ -156,7 +156,7 @@ def configure_vertical(session: Session, arguments: Arguments) -> None:
     Raise ScopeStatus for too large a range, an unknown channel, or while an acquisition runs.
     """
     require_idle(session)
-    range_v = session.board.next_range_v(0.5 * arguments["range"])
+    range_v = session.board.coerced_range_v(0.5 * arguments["range"])
     if range_v is None:
         raise ScopeStatus(statuses.SCOPE_INVALID_VALUE, f"vertical range {arguments['range']} V")
     for _, channel in channels_of(session, arguments):
@@ -184,7 +184,7 @@ def configure_horizontal_timing(session: Session, arguments: Arguments) -> None:
     acquisition runs.
     """
     require_idle(session)
-    rate_hz = session.board.next_rate_hz(arguments["min_sample_rate"])
+    rate_hz = session.board.coerced_rate_hz(arguments["min_sample_rate"])
     samples, records = arguments["min_num_pts"], arguments["num_records"]
     if rate_hz is None or samples < 1 or records < 1 or not 0.0 <= arguments["ref_position"] <= 100.0:
         raise ScopeStatus(statuses.SCOPE_INVALID_VALUE, "horizontal timing")

@@ -73,7 +73,7 @@ class AimTtiSupply(Supply):
         if header == "OP1":
             if argument == "1" and any(self._tripped.values()):
                 return CONFLICT
-            self._switch(argument == "1", "command")
+            self._set_output(argument == "1", "command")
         elif header == "TRIPRST":
             self._tripped = dict.fromkeys(self._tripped, False)
         return None  # a command error is a bit of another register
@@ -99,7 +99,7 @@ class KoradSupply(Supply):
             return chr(0x40 * self._on | 0x01)  # bit 0: holds its voltage
         if command.startswith("OUT"):
             if command == "OUT0" or not any(self._tripped.values()):
-                self._switch(command == "OUT1", "command")
+                self._set_output(command == "OUT1", "command")
             return None
         quantity, form = QUANTITY[command[0]], "05.2f" if command[0] == "V" else ".3f"
         if not command.endswith("?"):
@@ -175,7 +175,7 @@ class RigolSupply(Supply):
         if header == ":OUTP":
             if value == "ON" and any(self._tripped.values()):
                 return CONFLICT
-            self._switch(value == "ON", "command")
+            self._set_output(value == "ON", "command")
         elif found := re.fullmatch(r":OUTP:(OVP|OCP)(:VAL|)", header):
             if found[2]:
                 return self._set_protection(self._WORDS[found[1]], float(value))

@@ -119,7 +119,7 @@ class Supply:
 
     def brown_out(self) -> None:
         """Interrupt the mains for a moment: the output goes off and all settings are lost."""
-        self._switch(False, "brown-out")
+        self._set_output(False, "brown-out")
         self._set_power_on_state()
 
     def trip(self, protection: str = "CURR") -> None:
@@ -128,13 +128,13 @@ class Supply:
         Commands cannot switch it on until the protection is cleared.
         """
         self._tripped[protection] = True
-        self._switch(False, f"protection {protection}")
+        self._set_output(False, f"protection {protection}")
 
     def press_output_key(self, on: bool) -> None:
         """Switch the output at the front panel, without a command, also with a tripped protection."""
-        self._switch(on, "front panel")
+        self._set_output(on, "front panel")
 
-    def _switch(self, on: bool, cause: str) -> None:
+    def _set_output(self, on: bool, cause: str) -> None:
         """Switch the output on or off; record a change of state with its monotonic time and its cause."""
         if on != self._on:
             self._on = on
@@ -192,9 +192,9 @@ class Supply:
             case "OUTP", "ON" | "1":
                 if any(self._tripped.values()):
                     return CONFLICT
-                self._switch(True, "command")
+                self._set_output(True, "command")
             case "OUTP", "OFF" | "0":
-                self._switch(False, "command")
+                self._set_output(False, "command")
             case "VOLT" | "CURR", number:
                 return self._set_level(header, number)
             case "VOLT:PROT" | "CURR:PROT", number if self.has_protections:

@@ -22,7 +22,7 @@ from hardware_drivers.measurement import ShotKey
 from simulator.doubles.chassis.crosstalk import Crosstalk
 from simulator.doubles.chassis.description import Description, build_default_description, to_json
 from simulator.doubles.errors import DoublesProcessError
-from simulator.doubles.transports.library import DEFAULT_CACHE_FOLDER, build_library, client_environment
+from simulator.doubles.transports.library import DEFAULT_CACHE_FOLDER, build_environment, build_library
 
 DEFAULT_TIMEOUT_S = 30.0
 READY_TIMEOUT_S = 60.0
@@ -181,7 +181,7 @@ class RunningDoubles:
             A library cannot be built here.
         """
         folders = [build_library(library, cache) for library in libraries or ("nidaqmx",)]
-        return client_environment(self.wire, *folders, environment=environment)
+        return build_environment(self.wire, *folders, environment=environment)
 
     def kill(self) -> None:
         """Kill the process, as a crash of the driver does, and wait for its end.

@@ -96,7 +96,7 @@ def build_library(library: str = "nidaqmx", cache: Path = DEFAULT_CACHE_FOLDER) 
     return folder
 
 
-def client_environment(
+def build_environment(
     wire: str, *folders: Path, environment: Mapping[str, str] | None = None
 ) -> dict[str, str]:
     """Return the environment in which a process with an unmodified vendor package uses the double.

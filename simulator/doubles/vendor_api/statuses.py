@@ -59,7 +59,7 @@ class ScopeStatus(Status):
         return "\n".join(filter(None, [text, detail]))
 
 
-def rejected_property(
+def create_rejection(
     task: str, name: str, detail: str = "", *, code: int = CODES["INVALID_VALUE"], **values: object
 ) -> Status:
     """Create, not raise, the status for a property value that the driver rejects.

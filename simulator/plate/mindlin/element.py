@@ -52,7 +52,7 @@ def element_matrices(
     return sums[0], sums[1], sums[2], sums[3]
 
 
-def thinned_element_matrices(
+def compute_thinned_coefficients(
     plate: PlateParameters, a: FloatArray, b: FloatArray, linear: FloatArray, cubic: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Compute the coefficients of 1, s, s^2, s^3 in stiffness and mass of elements of uneven thickness.

@@ -32,13 +32,13 @@ def make_graded_half_edge(length_m: float, elements: int, first_m: float, edge_m
             f"make plate.contact_element_m smaller"
         )
     if edge_m > length_m * (1.0 - SAME_LINE):
-        return _grow_lines(0.0, length_m, first_m, _growth_of_sum(first_m, elements, length_m), elements)
+        return _grow_lines(0.0, length_m, first_m, _find_growth_of_sum(first_m, elements, length_m), elements)
     best: tuple[float, FloatArray] | None = None
     for inner in range(1, elements):
-        growth = _growth_of_sum(first_m, inner, edge_m)
+        growth = _find_growth_of_sum(first_m, inner, edge_m)
         left = _grow_lines(0.0, edge_m, first_m, growth, inner)
         last = left[-1] - left[-2]
-        outer_growth = _continued_growth(last, elements - inner, length_m - edge_m)
+        outer_growth = _find_outer_growth(last, elements - inner, length_m - edge_m)
         misfit = abs(math.log(growth / outer_growth))
         if best is None or misfit < best[0]:
             right = _grow_lines(edge_m, length_m, last * outer_growth, outer_growth, elements - inner)
@@ -47,7 +47,7 @@ def make_graded_half_edge(length_m: float, elements: int, first_m: float, edge_m
     return best[1]
 
 
-def _growth_of_sum(first_m: float, elements: int, length_m: float) -> float:
+def _find_growth_of_sum(first_m: float, elements: int, length_m: float) -> float:
     """Find the growth factor r with ``first (1 + r + ... + r^(n-1)) = length``.
 
     A single element takes the complete length.
@@ -58,7 +58,7 @@ def _growth_of_sum(first_m: float, elements: int, length_m: float) -> float:
     return _solve_growth(lambda r: first_m * np.sum(r ** np.arange(elements)) - length_m, largest)
 
 
-def _continued_growth(last_m: float, elements: int, length_m: float) -> float:
+def _find_outer_growth(last_m: float, elements: int, length_m: float) -> float:
     """Find the growth factor r with ``last (r + r^2 + ... + r^n) = length``."""
     largest = (length_m / last_m) ** (1.0 / elements)
     return _solve_growth(lambda r: last_m * np.sum(r ** np.arange(1, elements + 1)) - length_m, largest)

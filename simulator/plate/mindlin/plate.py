@@ -27,8 +27,8 @@ from simulator.parameters.plate import CorrosionParameters, PlateParameters
 from simulator.plate.mindlin.element import (
     DOF_PER_NODE,
     GAUSS_POINTS,
+    compute_thinned_coefficients,
     element_matrices,
-    thinned_element_matrices,
 )
 from simulator.plate.mindlin.grid import SAME_LINE, make_graded_edge, make_graded_half_edge
 from simulator.plate.mindlin.hertz_pressure import hertz_nodal_weights
@@ -291,7 +291,7 @@ def _element_coefficients(
     is_uneven = thinning.profile.any(axis=0)
     uneven = np.flatnonzero(is_uneven)
     a, b = (s.ravel()[uneven] for s in np.meshgrid(np.diff(x_m), np.diff(y_m), indexing="ij"))
-    varied = thinned_element_matrices(plate, a, b, linear[:, :, uneven], cubic[:, :, uneven])
+    varied = compute_thinned_coefficients(plate, a, b, linear[:, :, uneven], cubic[:, :, uneven])
     stiffness, mass = [], []
     for j in range(4):
         # An element that is thinned evenly has the same coefficients at all its Gauss points.

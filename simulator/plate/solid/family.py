@@ -110,9 +110,9 @@ def build_solid_family(
     """
     spaces = []
     for lost, vectors in depths:
-        built = build_solid_plate(plate, _patch_at_loss(corrosion, lost))
+        built = build_solid_plate(plate, _thin_patch(corrosion, lost))
         spaces.append(krylov_fields(built, vectors))
-    built = build_solid_plate(plate, _patch_at_loss(corrosion, 0.5))
+    built = build_solid_plate(plate, _thin_patch(corrosion, 0.5))
     fields = np.hstack(spaces)
     strength, directions = linalg.eigh(fields.T @ fields, check_finite=False)
     is_strong = strength > MERGE_TOLERANCE**2 * strength[-1]
@@ -121,12 +121,12 @@ def build_solid_family(
     deepest = math.log(1.0 - DEEPEST_PATCH_FRACTION)
     residuals = []
     for place in places:
-        patch = _patch_at_loss(corrosion, 1.0 - math.exp(0.5 * (1.0 - place) * deepest))
+        patch = _thin_patch(corrosion, 1.0 - math.exp(0.5 * (1.0 - place) * deepest))
         residuals.append(contact_residual_m_per_n(build_solid_plate(plate, patch), patch))
     coefficients = chebyshev.chebfit(places, np.array(residuals), RESIDUAL_NODES - 1)
     return SolidFamily(projected=project_layers(built, basis), residual=np.asarray(coefficients))
 
 
-def _patch_at_loss(corrosion: CorrosionParameters, lost: float) -> CorrosionParameters:
+def _thin_patch(corrosion: CorrosionParameters, lost: float) -> CorrosionParameters:
     """Return the patch with this fraction of the thickness lost and a depth factor of 1."""
     return replace(corrosion, depth_fraction=lost, depth_factor=1.0)

@@ -60,16 +60,16 @@ def contact_correction_m_per_n(plate: SolidPlate, corrosion: CorrosionParameters
 Fold = tuple[IntArray, sparse.csr_matrix]
 
 
-def list_column_folds(plate: SolidPlate) -> list[Fold]:
+def map_column_unknowns(plate: SolidPlate) -> list[Fold]:
     """Return for each column of elements its sorted unknowns, and the map between them and its displacements.
 
     The map is a sparse matrix, shape (unknowns, displacements).
     """
-    return [_fold_column(plate, int(ex), int(ey)) for ex, ey in plate.columns]
+    return [_map_one_column(plate, int(ex), int(ey)) for ex, ey in plate.columns]
 
 
-def _fold_column(plate: SolidPlate, ex: int, ey: int) -> Fold:
-    """Return the sorted unknowns of one column, and the map to its displacements (`list_column_folds`).
+def _map_one_column(plate: SolidPlate, ex: int, ey: int) -> Fold:
+    """Return the sorted unknowns of one column, and the map to its displacements (`map_column_unknowns`).
 
     ``ex``, ``ey`` are the column's numbers along x and y.
     """
@@ -103,7 +103,7 @@ def column_matrices(plate: SolidPlate, column: int, fold: sparse.csr_matrix) -> 
     """Compute stiffness and mass of one column over its unknowns, times the number of symmetric copies.
 
     Both have the shape (unknowns, unknowns). ``column`` is a row of ``plate.columns``, ``fold`` its map: see
-    `list_column_folds`.
+    `map_column_unknowns`.
     """
     ex, ey = (int(e) for e in plate.columns[column])
     kind, nodes = _find_column_kind(plate, ex, ey)
@@ -124,10 +124,10 @@ def column_matrices(plate: SolidPlate, column: int, fold: sparse.csr_matrix) -> 
         stiffness += np.kron(a, through_mass) + np.kron(b, through_stiffness) + slope + slope.T
         mass += np.kron(d, through_mass)
     repeats = float(plate.repeats[column])
-    return repeats * _fold_matrix(stiffness, fold), repeats * _fold_matrix(mass, fold)
+    return repeats * _reduce_matrix(stiffness, fold), repeats * _reduce_matrix(mass, fold)
 
 
-def _fold_matrix(matrix: FloatArray, fold: sparse.csr_matrix) -> FloatArray:
+def _reduce_matrix(matrix: FloatArray, fold: sparse.csr_matrix) -> FloatArray:
     """Reduce a symmetric matrix to the unknowns of a column, ``fold matrix fold^T``."""
     return np.asarray(fold @ np.ascontiguousarray((fold @ matrix).T))
 
@@ -138,7 +138,7 @@ def make_shifted_solver(plate: SolidPlate, shift_rad_per_s: float) -> Callable[[
     K and M are stiffness and mass over the n unknowns. Raise SpecimenError if the sum is not positive
     definite.
     """
-    folds = list_column_folds(plate)
+    folds = map_column_unknowns(plate)
 
     def cell(column: int) -> FloatArray:
         """Compute the shifted matrix of one column of elements."""
@@ -173,7 +173,7 @@ def make_mass_product(plate: SolidPlate) -> Callable[[FloatArray], FloatArray]:
             layers.append((sparse.csr_matrix(entries, shape=(shape[0] * shape[1],) * 2), through))
     lift, lower = plate.lift, plate.lift.T.tocsr()
 
-    def product(x: FloatArray) -> FloatArray:
+    def multiply(x: FloatArray) -> FloatArray:
         """Multiply a vector of the unknowns by the mass matrix."""
         field = (lift @ x).reshape(shape[0] * shape[1], -1)
         total = np.zeros((len(field) * COMPONENTS, len(layers[0][1])))
@@ -181,7 +181,7 @@ def make_mass_product(plate: SolidPlate) -> Callable[[FloatArray], FloatArray]:
             total += (in_plane @ field).reshape(-1, len(through)) @ through
         return np.asarray(lower @ total.ravel())
 
-    return product
+    return multiply
 
 
 def krylov_fields(plate: SolidPlate, vectors: int) -> FloatArray:
@@ -282,7 +282,7 @@ def _energy_products(field: FloatArray, in_plane: FloatArray, through: FloatArra
     return np.asarray(field.reshape(-1, count).T @ product.reshape(-1, count))
 
 
-def solid_modes(
+def find_solid_modes(
     plate: PlateParameters, corrosion: CorrosionParameters, vectors: int = SOLID_VECTORS
 ) -> PlateModes:
     """Compute modes of the solid plate at the depth of `corrosion`; the residual compliance is not negative.

@@ -66,11 +66,11 @@ def write_acceptance_report(
     text = json.dumps(report_to_json(report), allow_nan=False)
     if json_file is not None:
         write_output(json_file, f"{text}\n".encode())
-    click.echo(text if to_json == STANDARD_OUTPUT else "\n".join(_format_lines(report)))
+    click.echo(text if to_json == STANDARD_OUTPUT else "\n".join(_format_report(report)))
     return EXIT_OK if report.outcome == "pass" else EXIT_NOT_MET
 
 
-def _format_lines(report: AcceptanceReport) -> list[str]:
+def _format_report(report: AcceptanceReport) -> list[str]:
     """Format the comparisons of a report as aligned lines, followed by the notes and the outcome."""
     rows = [
         (item.state, item.quantity.text, format_limit(item), format_quantity(item.quantity), item.reason)

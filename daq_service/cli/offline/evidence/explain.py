@@ -41,13 +41,13 @@ def run_explain(*, alarm_id: int, data_dir: Path, out: Path | None, overwrite: b
         raise UsageError(f"{existing[0]} exists; choose another --out, or replace it with --overwrite")
     found = explain_alarm(data_dir, alarm_id, print_set_progress)
     # Brings matplotlib along, which the rest does not need.
-    from daq_service.cli.offline.evidence.figures import draw_evidence
+    from daq_service.cli.offline.evidence.figures import draw_alarm_figures
 
     facts = orjson.dumps(
         {**collect_alarm_facts(found), "files": [str(page), str(facts_file)]},
         option=orjson.OPT_SERIALIZE_NUMPY,
     )
-    write_output(page, render_alarm_page(found, draw_evidence(found)))
+    write_output(page, render_alarm_page(found, draw_alarm_figures(found)))
     write_output(facts_file, facts)
     if as_json:
         click.echo(facts.decode())

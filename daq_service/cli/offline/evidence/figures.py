@@ -40,7 +40,7 @@ class Picture:
     svg: str
 
 
-def draw_evidence(found: Explained) -> list[Picture]:
+def draw_alarm_figures(found: Explained) -> list[Picture]:
     """Draw an alarm's mean records, quantities of the sets and contributions, those that have data.
 
     Returns an empty list if the alarm was not recomputed from stored records (``found.again`` is None).
@@ -49,7 +49,7 @@ def draw_evidence(found: Explained) -> list[Picture]:
         return []
     pictures = [
         _draw_mean_records(found, found.again.pulses) if found.again.pulses else None,
-        _draw_quantities(found, found.again),
+        _draw_set_quantities(found, found.again),
     ]
     pictures.append(_draw_contributions(found.alarm.evidence.get("contributions") or {}))
     return [picture for picture in pictures if picture is not None]
@@ -95,7 +95,7 @@ class _Panel:
         self.limits = {name: factor * limit for name, limit in limits.items() if limit is not None}
 
 
-def _draw_quantities(found: Explained, recomputed: Recomputed) -> Picture | None:
+def _draw_set_quantities(found: Explained, recomputed: Recomputed) -> Picture | None:
     """Draw a panel for each quantity of the sets up to the alarm, with limits; None if no set has a value."""
     panels = [panel for panel in _yield_panels(found, recomputed) if panel.values]
     if not panels:

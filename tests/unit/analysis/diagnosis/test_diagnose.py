@@ -6,7 +6,7 @@ from dataclasses import asdict, replace
 import numpy as np
 import pytest
 
-from analysis.diagnosis.diagnose import STATED, UNDETERMINED, WALL_STATED, diagnose_latest_set, update_state
+from analysis.diagnosis.diagnose import STATED, UNDETERMINED, WALL_STATED, add_diagnosis, diagnose_latest_set
 from analysis.diagnosis.hypotheses import COUPLING, OK, SENSOR, WALL
 from analysis.diagnosis.parameters import DiagnosisParameters, compute_diagnosis_parameters, log_features
 from analysis.diagnosis.slopes import COMPONENTS, DAMPING, DEPTHS, DROP_HEIGHT, GAIN, STIFFNESS, TILT, WALL_B
@@ -16,7 +16,7 @@ from analysis.diagnosis.state import (
     DiagnosisState,
     add_confirmation_set,
     add_set,
-    average_weights,
+    averaging_weights,
     covariance_of_averages,
 )
 from analysis.errors import InvalidInputError
@@ -59,7 +59,7 @@ def diagnoses(change, seed=1, confirmation=None):
         if confirmation is not None and index == BASELINE + 30:
             memory = add_confirmation_set(memory, design.mean, logs[0] + confirmation)
         assessment = diagnose_latest_set(memory, design)
-        memory = update_state(memory, assessment)
+        memory = add_diagnosis(memory, assessment)
         if index % EVERY == 0:
             yield assessment
 
@@ -174,14 +174,14 @@ def test_a_wall_is_diagnosed_by_two_consecutive_sets_including_a_confirmation():
         assessment = diagnose_latest_set(memory, design)
         if assessment.probabilities[WALL] >= WALL_STATED:
             break
-        memory = update_state(memory, assessment)
+        memory = add_diagnosis(memory, assessment)
     assert assessment.cause == UNDETERMINED
-    memory = update_state(memory, assessment)
+    memory = add_diagnosis(memory, assessment)
     following = add_set(memory, design.mean, logs[index + 1], index + 1)
     assert diagnose_latest_set(following, design).cause == WALL
     confirmation_change = add_confirmation_set(memory, design.mean, logs[index + 1])
     assert diagnose_latest_set(confirmation_change, design).cause == WALL
-    healthy_again = update_state(memory, diagnose_latest_set(DiagnosisState(), design))
+    healthy_again = add_diagnosis(memory, diagnose_latest_set(DiagnosisState(), design))
     assert not healthy_again.likely
 
 
@@ -199,7 +199,7 @@ def test_a_first_wall_diagnosis_needs_a_higher_probability():
     assert between
     assert {diagnose_latest_set(one, design).cause for one in between} == {UNDETERMINED}
     assert {diagnose_latest_set(replace(one, wall=True), design).cause for one in between} == {WALL}
-    assert not any(update_state(one, diagnose_latest_set(one, design)).likely for one in between)
+    assert not any(add_diagnosis(one, diagnose_latest_set(one, design)).likely for one in between)
 
 
 def test_a_wall_diagnosis_is_withdrawn_only_by_healthy_sets():
@@ -212,8 +212,8 @@ def test_a_wall_diagnosis_is_withdrawn_only_by_healthy_sets():
     diagnosis = diagnose_latest_set(memory, design)
     assert diagnosis.probabilities[SENSOR] > 0.9
     assert diagnosis.cause == UNDETERMINED
-    assert update_state(memory, diagnosis).wall
-    assert not update_state(memory, diagnose_latest_set(DiagnosisState(), design)).wall
+    assert add_diagnosis(memory, diagnosis).wall
+    assert not add_diagnosis(memory, diagnose_latest_set(DiagnosisState(), design)).wall
 
 
 def test_a_wall_is_diagnosed_after_a_re_seat_and_a_return_is_healthy():
@@ -243,7 +243,7 @@ def test_growth_during_a_gap_is_not_a_step():
     for index in (*range(BASELINE, BASELINE + 5), *range(BASELINE + 110, BASELINE + 114)):
         memory = add_set(memory, design.mean, logs[index], index)
         assessment = diagnose_latest_set(memory, design)
-        memory = update_state(memory, assessment)
+        memory = add_diagnosis(memory, assessment)
     assert (memory.gap, memory.gap_ago) == (105, 4)
     assert assessment.cause == WALL
     # Had the plan been without a gap, it would have come at once.
@@ -265,7 +265,7 @@ def test_averages_scatter_as_autocorrelated_sets_do(phi):
     n, confirmation_ago = 40, 3
     sets = phi ** np.abs(np.subtract.outer(np.arange(n), np.arange(n)))
     found = covariance_of_averages(n, phi, confirmation_ago)
-    assert found[:3, :3] == pytest.approx(average_weights(n) @ sets @ average_weights(n).T)
+    assert found[:3, :3] == pytest.approx(averaging_weights(n) @ sets @ averaging_weights(n).T)
     # The unscheduled set is no copy of the scheduled one that it follows.
     confirmation_change = sets[confirmation_ago] - (1.0 - phi) * (np.arange(n) == confirmation_ago)
-    assert found[3] == pytest.approx([*(average_weights(n) @ confirmation_change), 1.0])
+    assert found[3] == pytest.approx([*(averaging_weights(n) @ confirmation_change), 1.0])

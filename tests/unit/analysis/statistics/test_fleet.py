@@ -12,15 +12,15 @@ from analysis.statistics.fleet import (
     SHARED_SD,
     SharedChange,
     compute_running_p_values,
+    estimate_gain,
     find_alarm_rows,
     find_shared_changes,
     mean_squared_correlation,
     residual_shift,
-    sensor_gain,
     shared_deviation,
     standardize_by_baseline,
     typical_autocorrelation,
-    typical_tails,
+    typical_kurtosis,
 )
 from analysis.statistics.mewma import compute_averages, estimated_limit
 from analysis.statistics.sequence import assess_sequence
@@ -88,11 +88,11 @@ def test_autocorrelation_and_tails_of_the_fleet_are_those_of_its_sensors():
     unequal = [remembering(one, UNEQUAL) for one in random_numbers]
     assert typical_autocorrelation(unequal) == pytest.approx(sorted(UNEQUAL, reverse=True), abs=0.1)
     assert typical_autocorrelation(baselines("independent")) == pytest.approx(np.zeros(P), abs=0.06)
-    normal, heavy = typical_tails(baselines("independent")), typical_tails(baselines("t5"))
+    normal, heavy = typical_kurtosis(baselines("independent")), typical_kurtosis(baselines("t5"))
     assert normal == 1.0  # Mardia's (n - 1)/(n + 1) of normal sets is below 1
     assert 1.5 < heavy < 3.0  # 3 of endless sets: (5 - 2)/(5 - 4); a hundred seldom hold the far ones
     empty = np.full((40, P), np.nan)
-    assert typical_tails([empty]) == 1.0
+    assert typical_kurtosis([empty]) == 1.0
     assert not typical_autocorrelation([empty]).any()
 
 
@@ -148,7 +148,7 @@ def test_residual_weather_effects_of_unlike_sensors_are_detected():
         for g in 1.0 + scatter * random.standard_normal(200):
             sd = random.standard_normal((usual["n"], P)).std(axis=0, ddof=1)  # as a baseline shows it
             gains.append(
-                sensor_gain((g * shared + random.standard_normal(shared.shape)) / sd, shared, np.eye(P))
+                estimate_gain((g * shared + random.standard_normal(shared.shape)) / sd, shared, np.eye(P))
             )
         return residual_shift(gains, causes, **usual)
 
@@ -156,5 +156,5 @@ def test_residual_weather_effects_of_unlike_sensors_are_detected():
     assert kept(0.2) == pytest.approx(3 * 0.2 * 2.0, rel=0.25)
     # Without taking off what chance makes: 3 x 2 SD x .045, which is .27.
     assert kept(0.0) < SHARED_SD / 2
-    assert residual_shift([sensor_gain(shared, 0.0 * shared, np.eye(P))], causes, **usual) == 0.0
+    assert residual_shift([estimate_gain(shared, 0.0 * shared, np.eye(P))], causes, **usual) == 0.0
     assert residual_shift([(1.0, 0.1, 0.3), (3.0, 0.1, 0.3)], (), **usual) == 0.0

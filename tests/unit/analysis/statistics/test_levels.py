@@ -4,22 +4,22 @@ import pytest
 
 from analysis.statistics.levels import (
     choose_sets_per_step,
-    finer_blocks,
-    level_widths,
+    get_level_widths,
+    list_finer_blocks,
     split_range_into_blocks,
 )
 
 
 def test_each_level_has_blocks_of_four_times_as_many_sets():
-    assert level_widths(4, 255) == [4, 16, 64]
-    assert level_widths(4, 256) == [4, 16, 64, 256]
-    assert level_widths(64, 63) == []
-    assert list(finer_blocks(3)) == [12, 13, 14, 15]
+    assert get_level_widths(4, 255) == [4, 16, 64]
+    assert get_level_widths(4, 256) == [4, 16, 64, 256]
+    assert get_level_widths(64, 63) == []
+    assert list(list_finer_blocks(3)) == [12, 13, 14, 15]
 
 
 @pytest.mark.parametrize("finest", [1, 4])
 def test_parts_cover_a_range_once_with_whole_blocks(finest):
-    widths = level_widths(finest, 64)
+    widths = get_level_widths(finest, 64)
     for first, end in ((first, end) for first in range(0, 90, 3) for end in range(0, 150, 7)):
         parts = list(split_range_into_blocks(first, end, widths))
         covered = [index for _, start, stop in parts for index in range(start, stop)]

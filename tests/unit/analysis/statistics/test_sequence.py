@@ -9,8 +9,8 @@ from analysis.statistics.baseline_check import find_anomalies
 from analysis.statistics.chart import design_chart, explain_unverified_rate
 from analysis.statistics.design import (
     Budget,
+    build_chart_state,
     build_design,
-    find_end_state,
     is_chart_alarm_active,
     update_chart_state,
 )
@@ -104,7 +104,7 @@ def test_set_by_set_assessment_equals_that_of_the_whole_sequence(name, n):
     baseline = fit_baseline(x[rows], rows.tolist(), name="b", feature_names=NAMES)
     design = build_design(x[:n], baseline, Budget().run_length)
     assert {key: limit for key, limit in design.limits.items() if key != "mewma"} == found.limits
-    memory, beyond = find_end_state(baseline, x[rows[-1]]), []
+    memory, beyond = build_chart_state(baseline, x[rows[-1]]), []
     for row in [row for row in range(n, found.onsets[0] + 1) if np.isfinite(x[row]).all()]:
         memory, statistics = update_chart_state(memory, design, row, x[row])
         # Both compute the same, in another order of operations.

@@ -57,10 +57,10 @@ def test_a_repeated_shot_is_one_shot():
 
 def test_a_repetition_counts_only_for_its_transducer():
     taken = taken_set(budget=1)
-    assert taken.requires_restrike(missed("B", 0))
-    assert not taken.requires_restrike(missed("B", 1)), "the budget is used up"
-    assert taken.requires_restrike(missed("C", 0))
-    assert not taken.requires_restrike(missed("C", 0, attempt=1))
+    assert taken.decide_restrike(missed("B", 0))
+    assert not taken.decide_restrike(missed("B", 1)), "the budget is used up"
+    assert taken.decide_restrike(missed("C", 0))
+    assert not taken.decide_restrike(missed("C", 0, attempt=1))
     assert taken.restrikes == {"B": 1, "C": 1}
 
 
@@ -69,7 +69,7 @@ def test_a_restrike_is_requested_according_to_the_quality_flags(features, wanted
     shot = make_shot("B", 0, 1)
     taken = taken_set(shot)
     taken.features[1] = features
-    assert taken.requires_restrike(shot) is wanted
+    assert taken.decide_restrike(shot) is wanted
 
 
 def test_a_failed_analysis_flags_only_its_shot(monkeypatch):

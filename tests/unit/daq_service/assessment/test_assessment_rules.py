@@ -2,7 +2,7 @@
 
 import pytest
 
-from daq_service.assessment.baseline_lifecycle import baseline_range
+from daq_service.assessment.baseline_lifecycle import get_baseline_range
 from daq_service.assessment.rules import build_rules
 from daq_service.settings.tree import Settings
 
@@ -11,7 +11,7 @@ HOURLY = {"phases": [{"until_h": 350.0, "interval_h": 1.0}]}
 
 def rules(**alarms):
     settings = Settings(schedule=HOURLY, alarms=alarms)
-    return build_rules(settings, baseline=baseline_range("B", settings, None), position="B")
+    return build_rules(settings, baseline=get_baseline_range("B", settings, None), position="B")
 
 
 def test_a_total_budget_is_shared_by_solitary_wave_transducers_alone():

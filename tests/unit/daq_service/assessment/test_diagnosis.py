@@ -17,7 +17,7 @@ from analysis.diagnosis.slopes import COMPONENTS, DAMPING, DROP_HEIGHT, GAIN, ST
 from analysis.statistics.rules import AlarmRule, HoleRule
 from daq_service.alarms.evidence import describe_evidence
 from daq_service.assessment.diagnosis_texts import build_diagnosis_details, format_diagnosis
-from daq_service.assessment.solitary_wave import find_conditions
+from daq_service.assessment.solitary_wave import build_conditions
 from daq_service.recording.set_assessor import find_changed_state_rows
 
 LAST, SETS = 59, 100
@@ -88,7 +88,7 @@ def row_of(assessment):
 def test_the_alarm_has_the_kind_and_name_of_the_diagnosis(cause, raised):
     state, assessment = run(CHANGES[cause])
     assert assessment.cause.cause == cause
-    found = find_conditions("B", state, RULES, row_of(assessment))
+    found = build_conditions("B", state, RULES, row_of(assessment))
     assert {item.kind for item in found if item.present} == raised
     for item in found:
         if item.present:
@@ -148,10 +148,10 @@ def test_an_undetermined_cause_raises_the_wall_alarm():
     state, assessment = run(CHANGES[SENSOR])
     state = replace(state, origin=Origin())
     row = replace(row_of(assessment), diagnosis=UNDETERMINED)
-    assert [item.present for item in find_conditions("B", state, RULES, row)] == [True, False]
+    assert [item.present for item in build_conditions("B", state, RULES, row)] == [True, False]
     # Without a cause, as in a folder of an earlier version, the message is the old one.
     row = replace(row, diagnosis=None, diagnosis_probability=None, diagnosis_details=None)
-    wall, transducer = find_conditions("B", state, RULES, row)
+    wall, transducer = build_conditions("B", state, RULES, row)
     assert (wall.present, transducer.present) == (True, False)
     assert wall.message.endswith("wall or transducer has changed; inspect")
 
@@ -163,8 +163,8 @@ def test_a_wall_diagnosis_raises_an_alarm_before_the_chart_does():
     healthy, row = replace(state, memory=quiet), row_of(assessment)
     named = replace(healthy, diagnosis_state=replace(state.diagnosis_state, wall=True))
     wall_row = replace(row, diagnosis=WALL, diagnosis_probability=0.97)
-    assert not find_conditions("B", healthy, chart, row)[0].present
-    wall, transducer = find_conditions("B", named, chart, wall_row)
+    assert not build_conditions("B", healthy, chart, row)[0].present
+    wall, transducer = build_conditions("B", named, chart, wall_row)
     assert (wall.present, transducer.present) == (True, False)
     assert wall.message.startswith("the cause of a change at B is named, while the chart stands at")
     assert wall.evidence["raised_by"] == "diagnosis"
@@ -174,11 +174,11 @@ def test_a_wall_diagnosis_raises_an_alarm_before_the_chart_does():
     )
     # An undetermined diagnosis does not reverse it, only a healthy set does.
     unsure = replace(wall_row, diagnosis=UNDETERMINED)
-    assert find_conditions("B", named, chart, unsure)[0].present
+    assert build_conditions("B", named, chart, unsure)[0].present
     # If k of n sets decide, nothing else does.
-    assert not find_conditions("B", named, RULES, wall_row)[0].present
+    assert not build_conditions("B", named, RULES, wall_row)[0].present
     alarming = replace(named, memory=replace(quiet, alarming=True))
-    by_chart = find_conditions("B", alarming, chart, wall_row)[0]
+    by_chart = build_conditions("B", alarming, chart, wall_row)[0]
     assert by_chart.evidence["raised_by"] == "mewma"
     assert not any(
         "not the chart" in sentence for sentence in describe_evidence(by_chart.kind, by_chart.evidence)
@@ -225,5 +225,5 @@ def test_a_confirmation_set_changes_an_abrupt_change_to_coupling_permanently():
     confirmed_state = restarted(replace(state, diagnosis_state=memory))
     state, assessment = run(change, state=confirmed_state, since=struck_after + 1)
     assert assessment.cause.cause == COUPLING
-    wall, transducer = find_conditions("B", state, RULES, row_of(assessment))
+    wall, transducer = build_conditions("B", state, RULES, row_of(assessment))
     assert (wall.present, transducer.present) == (False, True)

@@ -553,7 +553,7 @@ def test_a_writer_waits_once_for_a_lock_and_not_in_each_transaction(tmp_path, mo
             waits.append(int(statement.rpartition(" ")[2]))
 
     with writer.open_snapshot() as connection_:
-        stored_rows.find_driver(connection_).set_trace_callback(note)
+        stored_rows.unwrap_sqlite(connection_).set_trace_callback(note)
     holder = sqlite3.connect(tmp_path / "catalogue.sqlite", isolation_level=None)
     holder.execute("BEGIN IMMEDIATE")
     for _ in range(4):

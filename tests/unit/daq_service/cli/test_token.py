@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from support.command_line import solimon_here
 
-from daq_service.commands.audit import read_audit
+from daq_service.commands.audit import read_audit_log
 from daq_service.web.auth.tokens import create_token
 
 TLS = Path(__file__).parents[3] / "fixtures" / "tls"
@@ -37,7 +37,8 @@ def test_a_token_is_created_printed_once_listed_and_revoked(token, tmp_path):
     assert token("revoke", "ann")[:2] == (0, "the token of ann opens nothing any more\n")
     assert token("list")[1].split()[2] == "revoked"
     entries = [
-        (deed.what, deed.source, deed.result, deed.arguments) for _, deed in read_audit(tmp_path, limit=9)[0]
+        (deed.what, deed.source, deed.result, deed.arguments)
+        for _, deed in read_audit_log(tmp_path, limit=9)[0]
     ]
     assert entries == [
         ("revoke_token", "terminal", "done", {"name": "ann"}),

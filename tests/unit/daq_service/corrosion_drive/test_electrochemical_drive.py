@@ -7,7 +7,7 @@ from support.serial_rig import TestClock
 from daq_service.catalogue.rows import EnvironmentRow
 from daq_service.corrosion_drive.charge import Command, DriveState
 from daq_service.corrosion_drive.climate import ClimateLog
-from daq_service.corrosion_drive.drive import SupplyLogger, row_without_supply, summarise_row
+from daq_service.corrosion_drive.drive import SupplyLogger, build_absent_row, select_columns
 from hardware_drivers.errors import BusyError, ConfigurationError, ConnectionLostError
 from hardware_drivers.measurement import ClimateReading
 from hardware_drivers.serial_port.parameters import ClimateParameters, SerialLineParameters
@@ -63,7 +63,7 @@ class Bench:
             self.clock.advance(0.5)
 
     def summarise_readings(self):
-        return summarise_row(self.climate.add_climate_to_row(self.drive.build_row(0, 0.0)))
+        return select_columns(self.climate.add_climate_to_row(self.drive.build_row(0, 0.0)))
 
     def active(self):
         return {condition.name for condition in self.drive.list_conditions() if condition.active}
@@ -120,7 +120,7 @@ def test_charge_is_the_integral_of_the_measured_current(energised):
 def test_the_summary_has_the_columns_of_the_catalogue(energised):
     columns = set(EnvironmentRow.__slots__) - {"id", "set_index", "due_h"}
     assert set(energised.summarise_readings()) == columns
-    assert set(summarise_row(row_without_supply(0, 0.0))) == columns
+    assert set(select_columns(build_absent_row(0, 0.0))) == columns
 
 
 def test_a_window_holds_the_readings_of_its_set(energised):
@@ -141,7 +141,7 @@ def test_a_window_holds_the_readings_of_its_set(energised):
 
 
 def test_without_a_supply_the_state_is_absent():
-    row = summarise_row(row_without_supply(0, 0.0))
+    row = select_columns(build_absent_row(0, 0.0))
     assert (row["supply_state"], row["supply_quality"], row["climate_quality"]) == ("absent",) * 3
     assert row["charge_coulomb"] is None
 

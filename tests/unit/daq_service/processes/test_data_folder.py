@@ -13,8 +13,8 @@ from daq_service.processes.data_folder import (
     LOCK_FILE,
     FolderGoneError,
     hold_recorder_lock,
+    is_file_locked,
     is_held,
-    is_locked,
     load_settings_and_folder,
     prepare_data_folder,
     remove_temporary_files,
@@ -84,7 +84,7 @@ def test_any_number_of_readers_can_query_the_ownership_of_a_folder(tmp_path):
     with hold_recorder_lock(tmp_path):
         assert [is_held(tmp_path) for _ in range(3)] == [True] * 3
     with (tmp_path / LOCK_FILE).open("rb") as asking:
-        assert is_locked(asking) is False
+        assert is_file_locked(asking) is False
         assert is_held(tmp_path) is False, "who asks is no owner"
     (tmp_path / LOCK_FILE).unlink()
     (tmp_path / LOCK_FILE).mkdir()
@@ -96,7 +96,7 @@ def test_an_owner_waits_for_a_reader_of_the_lock(tmp_path):
         pass
     with ExitStack() as asking:
         file = asking.enter_context((tmp_path / LOCK_FILE).open("rb"))
-        assert not is_locked(file)  # holds it until it is closed
+        assert not is_file_locked(file)  # holds it until it is closed
         closing = threading.Timer(0.05, asking.pop_all().close)
         closing.start()
         with hold_recorder_lock(tmp_path):

@@ -19,7 +19,7 @@ from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 
 from daq_service.catalogue.history import encode_history_line
-from daq_service.commands.audit import Audit, read_audit
+from daq_service.commands.audit import Audit, read_audit_log
 from daq_service.errors import StorageError, UsageError
 from daq_service.processes.line_file import read_newest_lines
 from daq_service.settings.tree import Settings
@@ -55,7 +55,7 @@ def logged_in(filled, token):
 
 def audit_entries(folder, **wanted):
     """Return the audit entries, the oldest first."""
-    found = [deed for _, deed in reversed(read_audit(folder, limit=1000)[0])]
+    found = [deed for _, deed in reversed(read_audit_log(folder, limit=1000)[0])]
     return [deed for deed in found if all(getattr(deed, key) == value for key, value in wanted.items())]
 
 
@@ -367,7 +367,7 @@ def test_a_torn_line_takes_no_other_with_it(tmp_path):
     with (tmp_path / "audit.jsonl").open("ab") as file:
         file.write(b'{"crc32":"0000')
     audit.add(**ann)
-    found, before = read_audit(tmp_path, limit=10)
+    found, before = read_audit_log(tmp_path, limit=10)
     assert ([number for number, _ in found], before) == ([2, 1], None)
 
 

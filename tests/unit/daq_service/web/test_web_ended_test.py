@@ -10,7 +10,7 @@ from support.filled_folder import filled_folder
 from support.served_web import served
 
 from daq_service.catalogue.rows import CommandRow
-from daq_service.commands.audit import read_audit
+from daq_service.commands.audit import read_audit_log
 from daq_service.processes.data_folder import LOCK_FILE
 from daq_service.settings.tree import Settings
 from hardware_drivers.nanoseconds import NS_PER_H
@@ -39,7 +39,7 @@ def test_an_acknowledgement_is_done_within_its_request(ended):
     )
     alarm = api.get("/api/v1/alarms/1").json()
     assert (alarm["state"], alarm["acknowledged_by"]) == ("acknowledged", "Ada")
-    ((_, deed), *_) = read_audit(filled.folder, limit=1)[0]
+    ((_, deed), *_) = read_audit_log(filled.folder, limit=1)[0]
     assert (deed.what, deed.result, deed.command_id) == ("acknowledge_alarm", "done", 1)
     again = api.post("/api/v1/alarms/1/acknowledge", json={})
     assert (again.status_code, again.json()["detail"]) == (

@@ -14,7 +14,7 @@ from support.table_rows import execute
 from support.waiting import until
 
 from daq_service import client as solimon_client
-from daq_service.commands.audit import read_audit
+from daq_service.commands.audit import read_audit_log
 from daq_service.errors import UsageError
 from daq_service.settings.tree import Settings
 from daq_service.settings.web import WebSettings
@@ -23,7 +23,7 @@ from daq_service.web.auth.tokens import create_token
 from daq_service.web.multi_test.app import create_multi_test_app
 from daq_service.web.multi_test.listing import Listing
 from daq_service.web.multi_test.location import REMEDIES
-from daq_service.web.multi_test.names import build_unique_url_names, build_url_name
+from daq_service.web.multi_test.names import build_slug, build_unique_slugs
 from daq_service.web.multi_test.open_tests import ServedTests
 
 HOLE, TWIN = Settings(name="Hole Nr. 2"), Settings(name="Hole: its twin", clock={"pace_h_per_s": 5.0})
@@ -66,11 +66,11 @@ def several(tmp_path_factory):
     [("Hole Nr. 2", "hole-nr-2"), ("Größe/../Öl", "grosse-ol"), ("  ?#%  ", "test"), ("a" * 300, "a" * 60)],
 )
 def test_a_name_in_addresses_is_of_small_letters_digits_and_hyphens(text, name):
-    assert build_url_name(text) == name
+    assert build_slug(text) == name
 
 
 def test_names_that_are_taken_are_numbered():
-    assert build_unique_url_names(["Hole", "hole", "Hole 2", "HOLE!"]) == [
+    assert build_unique_slugs(["Hole", "hole", "Hole 2", "HOLE!"]) == [
         "hole",
         "hole-2",
         "hole-2-2",
@@ -331,7 +331,7 @@ def test_one_login_is_valid_for_all_tests_of_the_service_alone(several, tmp_path
             assert client.get(path).status_code == 200, path
         order = {"kind": "disable", "author": "x", "arguments": {"position": "B"}}
         assert client.post("/tests/hole-its-twin/api/v1/commands", json=order).status_code == 403
-        deeds, _ = read_audit(tmp_path, limit=10)
+        deeds, _ = read_audit_log(tmp_path, limit=10)
         assert [(deed.what, deed.author) for _, deed in deeds] == [("log_in", "vera")]
         headers = {"Authorization": f"Bearer {admin}"}
         (refusal,) = client.get("/tests/hole-its-twin/api/v1/audit", headers=headers).json()["items"]

@@ -40,7 +40,7 @@ QUIET = TwinParameters(
 )
 YEAR_H = 8_766.0
 DRAWN = (
-    nuisance._draw_block,
+    nuisance._draw_shot_block,
     processes._draw_innovations,
     processes._draw_reseats,
     processes.draw_slow_drift,
@@ -62,7 +62,7 @@ def only(monkeypatch):
         level = f"only {next(names)}"
         for module in (nuisance, seating):
             monkeypatch.setattr(module, "NUISANCE", {**module.NUISANCE, level: NuisanceParameters(**sizes)})
-        for kept in (seating._effects_of_sources, nuisance._draw_block):
+        for kept in (seating._compute_source_effects, nuisance._draw_shot_block):
             kept.cache_clear()
         return specimen(replace(twin, nuisance=level))
 

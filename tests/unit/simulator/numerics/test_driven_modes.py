@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import linalg
 
-from simulator.numerics.driven_modes import driven_modes
+from simulator.numerics.driven_modes import find_driven_modes
 
 
 def system(size, slowest=300.0, fastest=3e7):
@@ -22,7 +22,7 @@ def system(size, slowest=300.0, fastest=3e7):
 @pytest.mark.parametrize("size", [1, 2, 3, 40, 101])
 def test_modes_are_those_that_made_the_matrices(size):
     stiffness, mass, omega, last = system(size)
-    found, participation, residual = driven_modes(stiffness, mass, 3.0, size)
+    found, participation, residual = find_driven_modes(stiffness, mass, 3.0, size)
     # Rounding of the matrices, relative to the fastest mode: they span a factor of 1e10 in omega^2.
     np.testing.assert_allclose(found, omega, rtol=1e-5)
     np.testing.assert_allclose(participation, 3.0 * last, rtol=1e-5)
@@ -34,7 +34,7 @@ def test_fewer_steps_keep_the_whole_static_deflection_and_are_a_krylov_space(ste
     stiffness, mass, _, _ = system(40)
     load = np.zeros(40)
     load[-1] = 2.0
-    omega, participation, _ = driven_modes(stiffness.copy(), mass.copy(), 2.0, steps)
+    omega, participation, _ = find_driven_modes(stiffness.copy(), mass.copy(), 2.0, steps)
     assert len(omega) == steps
     exact = load @ np.linalg.solve(stiffness, load)
     assert np.sum((participation / omega) ** 2) == pytest.approx(exact, rel=1e-10)
@@ -53,7 +53,7 @@ def test_modes_hidden_by_rounding_stay_as_compliance():
     """Deflections (0.6, 0.8) and (-0.8, 0.6), equally stiff, omega a factor 1e8 apart."""
     turned = np.array([[0.6, -0.8], [0.8, 0.6]])
     mass = turned @ np.diag([1.0, 1e-16]) @ turned.T
-    omega, participation, residual = driven_modes(np.eye(2), mass, 1.0, 2)
+    omega, participation, residual = find_driven_modes(np.eye(2), mass, 1.0, 2)
     np.testing.assert_allclose(omega, [1.0], rtol=1e-12)
     np.testing.assert_allclose(participation, [0.8], rtol=1e-12)
     assert residual == pytest.approx(0.36, rel=1e-12)
@@ -71,4 +71,4 @@ def test_modes_hidden_by_rounding_stay_as_compliance():
 )
 def test_invalid_stiffness_and_mass_are_refused(stiffness, mass):
     with pytest.raises(np.linalg.LinAlgError):
-        driven_modes(stiffness, mass, 1.0, 2)
+        find_driven_modes(stiffness, mass, 1.0, 2)

@@ -15,7 +15,7 @@ from support.command_line import solimon_here
 from support.drifting_wall import RAISED, drifting_wall
 
 from analysis.waves.features import EXTRACTOR_VERSION
-from daq_service.assessment.baseline_lifecycle import approve
+from daq_service.assessment.baseline_lifecycle import approve_row
 from daq_service.catalogue.rows import AlarmRow, AssessmentRow, BaselineRow, FeatureRow
 from daq_service.cli.offline.evidence.replay import describe_replay
 from daq_service.errors import UsageError
@@ -296,7 +296,7 @@ def test_a_different_stored_value_is_reported_with_both_values(changed_line, lin
 @pytest.mark.parametrize(
     "after",
     [
-        lambda row: approve(row, "ann", 2**60),
+        lambda row: approve_row(row, "ann", 2**60),
         lambda row: replace(
             row, state="retired", retired_utc_ns=2**60, retired_by="ann", retired_reason="coupled anew"
         ),

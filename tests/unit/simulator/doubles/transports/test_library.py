@@ -11,7 +11,7 @@ from simulator.doubles.chassis.description import build_default_description, fro
 from simulator.doubles.errors import LibraryBuildError
 from simulator.doubles.transports import library
 from simulator.doubles.transports.c_source import generate_library_source
-from simulator.doubles.transports.library import build_library, client_environment, find_unavailability_reason
+from simulator.doubles.transports.library import build_environment, build_library, find_unavailability_reason
 
 needs_compiler = pytest.mark.skipif(
     bool(find_unavailability_reason()), reason=find_unavailability_reason() or "never"
@@ -101,13 +101,13 @@ def test_other_systems_than_linux_are_reported(monkeypatch, tmp_path):
 
 
 def test_the_environment_puts_the_folders_first_and_keeps_what_was_there(tmp_path):
-    found = client_environment("127.0.0.1:9", tmp_path, environment={"LD_LIBRARY_PATH": "/opt/x", "A": "b"})
+    found = build_environment("127.0.0.1:9", tmp_path, environment={"LD_LIBRARY_PATH": "/opt/x", "A": "b"})
     assert found == {
         "A": "b",
         "SOLIMON_DOUBLES": "127.0.0.1:9",
         "LD_LIBRARY_PATH": f"{tmp_path}{os.pathsep}/opt/x",
     }
-    assert client_environment("h:1", tmp_path, environment={})["LD_LIBRARY_PATH"] == str(tmp_path)
+    assert build_environment("h:1", tmp_path, environment={})["LD_LIBRARY_PATH"] == str(tmp_path)
 
 
 # The description travels to the process as JSON

@@ -7,7 +7,7 @@ import pytest
 
 from simulator.errors import SpecimenError
 from simulator.parameters.plate import CorrosionParameters, PlateParameters
-from simulator.plate.mindlin.element import GAUSS_POINTS, element_matrices, thinned_element_matrices
+from simulator.plate.mindlin.element import GAUSS_POINTS, compute_thinned_coefficients, element_matrices
 from simulator.plate.mindlin.grid import make_graded_half_edge
 from simulator.plate.mindlin.patches import patch_fraction
 from simulator.plate.mindlin.plate import build_plate
@@ -89,7 +89,7 @@ def test_elements_thinned_alike_at_all_points_are_thinner_elements(s):
         for terms in ((1 - p, p, 0, 0), ((1 - p) ** 3, 3 * (1 - p) ** 2 * p, 3 * (1 - p) * p**2, p**3))
     )
     a, b = (side.ravel() for side in np.meshgrid(*sizes, indexing="ij"))
-    coefficients = thinned_element_matrices(SMALL, a, b, linear, cubic)
+    coefficients = compute_thinned_coefficients(SMALL, a, b, linear, cubic)
     thinner = replace(SMALL, thickness_m=SMALL.thickness_m * (1 - p + s * p))
     bending, shear, translation, rotation = element_matrices(thinner, *sizes)
     for found, direct in zip(coefficients, (bending + shear, translation + rotation), strict=True):
@@ -111,7 +111,7 @@ def test_points_of_an_element_are_thinned_where_they_lie(axis):
     thin = replace(SMALL, thickness_m=1e-3)
     one = np.array([0.02])
     none = np.zeros_like(terms)
-    stiffness, _ = thinned_element_matrices(thin, one, one, none, terms)  # bending alone
+    stiffness, _ = compute_thinned_coefficients(thin, one, one, none, terms)  # bending alone
     direct = bent @ element_matrices(thin, one, one)[0][0] @ bent
     near, far = (1 - 3**-0.5) ** 2, (1 + 3**-0.5) ** 2
     found = bent @ stiffness[0, 0] @ bent

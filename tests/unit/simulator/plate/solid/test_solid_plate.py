@@ -17,9 +17,9 @@ from simulator.plate.solid.integrals import (
 from simulator.plate.solid.plate import UPPER_LINES, build_solid_plate
 from simulator.plate.solid.reduction import (
     column_matrices,
-    list_column_folds,
     make_mass_product,
     make_shifted_solver,
+    map_column_unknowns,
 )
 
 MESH = SolidMesh(degree=3, edge_element=0.5, contact_element=1.0, largest_element=4.0)
@@ -32,7 +32,7 @@ PATCH = CorrosionParameters(size_m=0.02)
 def assembled(plate):
     size = len(plate.load)
     stiffness, mass = np.zeros((size, size)), np.zeros((size, size))
-    for column, (unknowns, fold) in enumerate(list_column_folds(plate)):
+    for column, (unknowns, fold) in enumerate(map_column_unknowns(plate)):
         k, m = column_matrices(plate, column, fold)
         stiffness[np.ix_(unknowns, unknowns)] += k
         mass[np.ix_(unknowns, unknowns)] += m

@@ -15,11 +15,11 @@ from simulator.plate.solid.contact import exact_contact_compliance_m_per_n, half
 from simulator.plate.solid.plate import build_solid_plate
 from simulator.plate.solid.reduction import (
     contact_residual_m_per_n,
+    find_solid_modes,
     krylov_fields,
     make_modes_passive,
     make_shifted_solver,
     project_layers,
-    solid_modes,
 )
 from simulator.shot.model import ENERGY_TOLERANCE, ShotModel
 
@@ -72,7 +72,7 @@ def test_contact_no_longer_depends_on_its_elements():
 def test_static_compliance_of_the_pristine_plate_is_the_exact_one():
     exact = exact_contact_compliance_m_per_n(COARSE, 0.6096, 0.6096, 6.35e-3)
     exact -= half_space_indentation_m_per_n(200e9, 0.3, COARSE.contact_radius_m)
-    modes = solid_modes(replace(COARSE, solid=SolidMesh()), PATCH)
+    modes = find_solid_modes(replace(COARSE, solid=SolidMesh()), PATCH)
     assert modes.static_compliance_m_per_n == pytest.approx(exact, rel=1e-5)
     assert modes.residual_compliance_m_per_n >= 0.0
 
@@ -97,7 +97,7 @@ def test_kept_modes_are_those_computed_to_the_last_bit(tmp_path, monkeypatch):
     patch = replace(PATCH, depth_fraction=0.4)
     bare = CachedSolid(COARSE, patch, None).modes(0.4)
     first = CachedSolid(COARSE, patch, tmp_path).modes(0.4)
-    monkeypatch.setattr(plate_models, "solid_modes", None)  # from here on, only what is kept
+    monkeypatch.setattr(plate_models, "find_solid_modes", None)  # from here on, only what is kept
     second = CachedSolid(COARSE, patch, tmp_path).modes(0.4)
     for modes in (first, second):
         assert modes.omega_rad_per_s.tobytes() == bare.omega_rad_per_s.tobytes()
@@ -123,7 +123,7 @@ def test_shots_on_the_solid_keep_their_energy_at_every_depth(shots):
 def test_response_changes_smoothly_with_depth(shots):
     """Of the modes: the shots themselves also see at which step a contact opens."""
     depths = (0.3, 0.301, 0.302)
-    modes = [solid_modes(COARSE, replace(PATCH, depth_fraction=depth)) for depth in depths]
+    modes = [find_solid_modes(COARSE, replace(PATCH, depth_fraction=depth)) for depth in depths]
     for sigma in (1e4, 6e4):
         a, b, c = (
             np.sum(m.participation**2 / (m.omega_rad_per_s**2 + sigma**2)) + m.residual_compliance_m_per_n
@@ -144,7 +144,7 @@ def test_one_basis_holds_every_depth(one_basis, tmp_path, monkeypatch):
     """Against a plate of each depth alone; in one basis the layers of other depths help to resolve it."""
     plate = CachedSolid(one_basis, PATCH, tmp_path)
     for depth in (0.0, 2e-3, 0.52):
-        alone = solid_modes(COARSE, replace(PATCH, depth_fraction=depth))
+        alone = find_solid_modes(COARSE, replace(PATCH, depth_fraction=depth))
         found = plate.modes(depth)
         for s in (1e4, 1e4 + 6e4j):
             one, other = (
