@@ -44,7 +44,7 @@ class MeasuringMethod:
     restored: Callable[[str, Settings, Catalogue, SetReader, bool], Assessor]
 
     @property
-    def values(self) -> tuple[str, ...]:
+    def value_names(self) -> tuple[str, ...]:
         """Return the names of the measured values of a row, with units in the names."""
         return MEASURED[self.row]
 

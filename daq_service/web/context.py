@@ -28,7 +28,7 @@ from daq_service.processes.lost_catalogue import describe_loss
 from daq_service.processes.notifications.service import Notifications
 from daq_service.settings.tree import Settings
 from daq_service.web.answers.json_answer import add_utc, format_hour_as_rfc3339, format_rfc3339
-from daq_service.web.answers.problem import Problem, create_catalogue_lost, create_no_data, not_found
+from daq_service.web.answers.problem import Problem, create_catalogue_lost, create_no_data_error, not_found
 from daq_service.web.auth.middleware import AccessPolicy
 from daq_service.web.streams.hub import EventHub
 from daq_service.web.streams.live_figures import LiveFigures
@@ -156,10 +156,10 @@ class Context:
         except NoDataYetError:
             if reason := describe_loss(self.data_folder):
                 raise create_catalogue_lost(reason) from None
-            raise create_no_data() from None
+            raise create_no_data_error() from None
         if not self._has_data:
             if not catalogue.rows(SetRow, limit=1):
-                raise create_no_data()
+                raise create_no_data_error()
             self._has_data = True
         return catalogue
 

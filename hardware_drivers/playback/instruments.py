@@ -102,7 +102,7 @@ class RecordedStriker:
     """Striker without a coil: it selects the next shot, and records what a coil would have done."""
 
     def __init__(self, recording: Recording) -> None:
-        """Strike for this recording; no switching is recorded yet."""
+        """Store the recording that a strike advances; no switching is recorded yet."""
         self._recording = recording
         self._switchings: deque[tuple[str, bool]] = deque(maxlen=SWITCHINGS_KEPT)
 

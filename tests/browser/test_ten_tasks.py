@@ -27,11 +27,11 @@ LAST, OUTLIERS = N_SETS - 1, (49, 50)
 OF_B, OF_C = 1, 2
 """Alarms."""
 COUNT_PRESSES = """
-addEventListener("pointerdown", (event) => {
-  if (event.isTrusted) sessionStorage.presses = Number(sessionStorage.presses) + 1;
-}, true)
+addEventListener("pointerdown", (event) => setTimeout(() => {
+  if (event.isTrusted && !event.defaultPrevented) sessionStorage.presses = Number(sessionStorage.presses) + 1;
+}), true)
 """
-"""Counted by the page before anything on it hears of them, and kept by the tab."""
+"""Kept by the tab; Playwright prevents a press that misses because the page moved, and repeats it."""
 
 
 GO_TO = """view => {

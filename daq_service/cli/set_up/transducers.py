@@ -54,7 +54,7 @@ class Instruments(Protocol):
         """Ask for the wiring of a transducer until it works; raise UsageError if the answers end."""
 
     def check(self) -> None:
-        """Check the transducers that were wired by options; raise UsageError if one cannot work."""
+        """Check and print whether the wired transducers can work; UsageError for incomplete settings."""
 
     def strike(self, position: str) -> None:
         """Strike once and print the result.

@@ -81,7 +81,7 @@ class Problem(Exception):  # noqa: N818 - the RFC's word
         self.status, self.title, self.hint = status or kind.status, title or kind.title, hint or kind.hint
 
 
-def create_no_data() -> Problem:
+def create_no_data_error() -> Problem:
     """Create, without raising it, the error that nothing is recorded yet (503)."""
     return Problem("no-data-yet", "No record has been stored in this data folder so far.")
 

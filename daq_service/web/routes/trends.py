@@ -155,7 +155,7 @@ def read_trend_columns(
     StorageError if the catalogue cannot be read.
     """
     measured_names = [
-        name for name in fields if name in METHODS[context.settings.positions[position].method].values
+        name for name in fields if name in METHODS[context.settings.positions[position].method].value_names
     ]
     assessment_names = [name for name in fields if name in ASSESSMENTS]
     columns = read_measured_columns(context, position, [*COMMON, *measured_names], from_h, last_h)
@@ -263,7 +263,7 @@ def get_fit(
     from analysis.statistics.trend import fit_trend_of_part
 
     method = context.settings.positions[context.validate_position(position)].method
-    (name,) = parse_fields(method, field.replace(",", " "), known=METHODS[method].values)
+    (name,) = parse_fields(method, field.replace(",", " "), known=METHODS[method].value_names)
     fresh = context.read_freshness()
     part = compute_trend_part(
         context.catalogue(), position, name, first_h=from_h, last_h=find_last_hour(from_h, to_h)

@@ -19,8 +19,8 @@ def test_each_method_has_an_entry_and_each_record_its_method():
 def test_every_row_has_the_fields_that_views_use(name):
     columns = [column.name for column in list_columns(METHODS[name].row)]
     assert {"set_index", "position", "sequence", "due_h", "quality", "extractor_version"} <= set(columns)
-    assert METHODS[name].values
-    assert set(METHODS[name].values) <= set(columns)
+    assert METHODS[name].value_names
+    assert set(METHODS[name].value_names) <= set(columns)
 
 
 def test_a_set_has_one_echo_and_the_configured_number_of_strikes():
