@@ -88,7 +88,7 @@ def get_trend(
     """
     method = context.settings.positions[context.validate_position(position)].method
     field_list = None if fields is None else ",".join(fields)
-    chosen = parse_fields(method, field_list, known=(*METHODS[method].values, *ASSESSMENTS))
+    chosen = parse_fields(method, field_list, known=(*METHODS[method].value_names, *ASSESSMENTS))
     last_h = find_last_hour(from_h, to_h)
     fresh = context.read_freshness()
     kind = METHODS[method].row
