@@ -233,7 +233,9 @@ def test_fields_of_a_trend_are_an_array_of_known_names_and_its_columns_have_type
     array = next(part for part in fields["schema"]["anyOf"] if part.get("type") == "array")
     columns = document["components"]["schemas"]["TrendColumns"]["properties"]
     assert set(array["items"]["enum"]) < columns.keys()
-    assert {*METHODS["solitary_wave"].values, *METHODS["pulse_echo"].values} < set(array["items"]["enum"])
+    assert {*METHODS["solitary_wave"].value_names, *METHODS["pulse_echo"].value_names} < set(
+        array["items"]["enum"]
+    )
     assert columns["tof_pp_s"]["items"]["anyOf"][0] == {"type": "number"}
     assert columns["outlier"]["items"]["anyOf"][0] == {"type": "boolean"}
 
