@@ -18,7 +18,7 @@ from daq_service.catalogue.network_folder import find_network_type
 from daq_service.catalogue.owner import raise_if_other_configuration
 from daq_service.cli.doctor.check import Check, State
 from daq_service.cli.inspection import describe_plan
-from daq_service.errors import BusyError, StorageError
+from daq_service.errors import BusyError, StorageError, StorageUnavailableError
 from daq_service.processes.data_folder import OWN_NAMES, hold_recorder_lock
 from daq_service.processes.disk_policy import disk_space
 from daq_service.processes.lost_catalogue import describe_loss, is_catalogue_lost, read_folder_history
@@ -39,14 +39,14 @@ COMFORTABLE = 2.0
 def lock_folder(folder: Path) -> Iterator[str]:
     """Hold the recorder's lock while the context is open, so that no recorder starts.
 
-    Waits at most `LOOK_S` (s) for the lock. If another process holds it, the context runs without it. Raises
-    StorageUnavailableError if the lock file cannot be opened.
+    Waits at most `LOOK_S` (s) for the lock. If another process holds it, or its file cannot be opened, the
+    context runs without it.
 
     Yields
     ------
     str
-        Description of the present owner; empty: none. A folder without a lock file has never
-        had a recorder, and no lock file is created.
+        Description of the present owner, or why it is unknown; empty: none. A folder without a lock file has
+        never had a recorder, and no lock file is created.
     """
     with ExitStack() as stack:
         owner = ""
@@ -55,10 +55,10 @@ def lock_folder(folder: Path) -> Iterator[str]:
                 stack.enter_context(hold_recorder_lock(folder, patience_s=LOOK_S))
             except BusyError as error:
                 owner = str(error)
-            except OSError as error:
+            except StorageUnavailableError as error:
                 owner = (
-                    f"a recorder may own {folder}: its lock cannot be opened ({error.strerror}); look as the "
-                    "user that runs the recorder"
+                    f"a recorder may own {folder}: its lock cannot be opened ({error.__cause__}); look as "
+                    "the user that runs the recorder"
                 )
         yield owner
 

@@ -392,11 +392,11 @@ def test_an_unreadable_lock_counts_as_a_running_recorder(tmp_path, monkeypatch):
     prepare_data_folder(tmp_path)
     (tmp_path / "recorder.lock").touch()
 
-    def forbidden(folder, **patience):
+    def forbidden(path, *mode):
         raise PermissionError(13, "Permission denied")
 
-    monkeypatch.setattr("daq_service.cli.doctor.storage.hold_recorder_lock", forbidden)
-    assert "(Permission denied); look as the user that runs the recorder" in read_lock_owner(tmp_path)
+    monkeypatch.setattr(Path, "open", forbidden)
+    assert "Permission denied); look as the user that runs the recorder" in read_lock_owner(tmp_path)
 
 
 def test_a_folder_without_a_recorder_is_left_unchanged(tmp_path):
