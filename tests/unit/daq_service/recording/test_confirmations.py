@@ -198,6 +198,17 @@ def test_a_restart_during_a_confirmation_set_continues_it_once(line):
     assert [row.set_key for row in confirmation_rows(line)] == [AFTER_FIRST, AFTER_THIRD]
 
 
+def test_a_confirmation_set_with_rows_is_neither_struck_again_nor_the_newest_set(line):
+    next_set = ShotKey(position="B", set_index=FIRST + 1, shot_index=0)
+    assert not line.run(stop=line.stop_at(next_set), archive=MemoryArchive(line.shelf))
+    assert [row.set_key for row in confirmation_rows(line)] == [AFTER_FIRST]
+    with line.catalogue() as catalogue:
+        assert catalogue.read_latest_rows()["B"].last_set.set_key == SetKey(FIRST)
+    line.script = deviating(*range(FIRST, SETS))
+    assert line.run(archive=MemoryArchive(line.shelf))
+    assert not [key for key in line.instruments[1].struck if key[1] == AFTER_FIRST]
+
+
 def test_the_result_of_a_confirmation_set_survives_a_restart_and_a_rebuild(line):
     line.script = with_incident_wave
     run(line, stop=line.stop_at(shot_after_first(3)))
