@@ -48,8 +48,9 @@ PERIOD_S = 0.05
 GROUPED = """
 SELECT v.set_index / :width, min(f.tof_pp_s), max(f.tof_pp_s), avg(f.tof_pp_s),
        min(v.distance_squared), max(v.distance_squared), avg(v.distance_squared), max(v.outlier), count(*)
-FROM features f JOIN assessments v ON v.position = f.position AND v.set_index = f.set_index
+FROM features f JOIN assessments v USING (position, set_index, unscheduled_index)
 WHERE f.position = 'B' AND f.shot_index IS NULL AND f.set_index BETWEEN :first AND :last
+  AND f.unscheduled_index = 0
 GROUP BY 1
 """
 
