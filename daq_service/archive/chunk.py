@@ -4,18 +4,18 @@ HDF5 deflates the shuffled bytes as one run. The low bytes of a record are mostl
 searches in vain and whose statistics spoil those of the high bytes. Here each plane of bytes (all low
 bytes, all high bytes) is a run of its own, and a plane that cannot be shortened is stored as it is, as
 deflate's format allows (RFC 1951, 3.2.4). Records get shorter and cost half the time; any reader that
-knows gzip reads them. ISA-L deflates faster than zlib, and releases the GIL, as HDF5 would not.
+knows gzip reads them. ``zlib`` releases the GIL, HDF5 would not.
 """
 
 from __future__ import annotations
 
 import math
 import struct
+import zlib
 from functools import cache, lru_cache
 from typing import Any
 
 import numpy as np
-from isal import isal_zlib as zlib
 from numpy.typing import NDArray
 
 GZIP_LEVEL = 1
