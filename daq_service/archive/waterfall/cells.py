@@ -9,7 +9,7 @@ anchor: nothing is interpolated, and no sample is lost or added.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from typing import Literal, get_args
 
@@ -126,39 +126,23 @@ def compute_record_planes(placed: Iterable[tuple[Waveform, float]], frame: Frame
     """Compute the extremes in V of records in each cell of a frame, shape (2, n_cells); NaN without a sample.
 
     ``placed`` has each record with its anchor in s after the trigger. Records of another sampling rate than
-    the frame's are skipped. Counts are reduced and then calibrated: an ADC's calibration is monotonic.
-    """
-    by_calibration: dict[bytes, list[tuple[Waveform, float]]] = {}
-    for waveform, anchor_s in placed:
-        if waveform.sample_rate_hz == frame.sample_rate_hz:
-            key = waveform.calibration.coefficients_v.tobytes()
-            by_calibration.setdefault(key, []).append((waveform, anchor_s))
-    return merge_planes(
-        [new_planes(frame), *(_reduce_records(alike, frame) for alike in by_calibration.values())]
-    )
-
-
-def _reduce_records(placed: Sequence[tuple[Waveform, float]], frame: Frame) -> Planes:
-    """Compute the extremes in V of records with one calibration and the frame's rate, shape (2, n_cells).
-
-    ``placed`` has each record, at least one, with its anchor in s after the trigger; NaN without a sample.
+    the frame's are skipped.
     """
     start, size = frame.first * frame.width, frame.n_cells * frame.width
     # Extremes of each sample of the frame first: far fewer cells remain to reduce.
-    limits = np.iinfo(np.result_type(*(waveform.counts for waveform, _ in placed)))
-    low, high = np.full(size, limits.max, limits.dtype), np.full(size, limits.min, limits.dtype)
+    low, high = np.full(size, np.inf), np.full(size, -np.inf)
     for waveform, anchor_s in placed:
+        if waveform.sample_rate_hz != frame.sample_rate_hz:
+            continue
         anchor = waveform.pretrigger_samples + anchor_s * waveform.sample_rate_hz
         before = math.ceil(anchor - _ON_A_SAMPLE) + start  # samples of the record ahead of the frame
-        counts = waveform.counts[max(before, 0) : max(before + size, 0)]
-        inside = slice(max(-before, 0), max(-before, 0) + counts.size)
-        np.minimum(low[inside], counts, out=low[inside])
-        np.maximum(high[inside], counts, out=high[inside])
+        volts = waveform.volts()[max(before, 0) : max(before + size, 0)]
+        inside = slice(max(-before, 0), max(-before, 0) + volts.size)
+        np.minimum(low[inside], volts, out=low[inside])
+        np.maximum(high[inside], volts, out=high[inside])
     cells = frame.n_cells, frame.width
-    extremes = np.stack([low.reshape(cells).min(axis=1), high.reshape(cells).max(axis=1)])
-    # Sorted, since an inverting amplifier's calibration decreases.
-    planes = np.sort(placed[0][0].calibration.volts(extremes), axis=0).astype(np.float32)
-    planes[:, extremes[0] > extremes[1]] = np.nan
+    planes = np.stack([low.reshape(cells).min(axis=1), high.reshape(cells).max(axis=1)]).astype(np.float32)
+    planes[np.isinf(planes)] = np.nan
     return planes
 
 
