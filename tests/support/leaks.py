@@ -186,7 +186,10 @@ class LeakGuard:
 
     def _after_grace(self, left: set[str]) -> set[str]:
         deadline_s, pause, rounds = time.monotonic() + self._grace_s, threading.Event(), 0
-        while left := {thing for thing in left and left & self._looker.things() if not _is_deserted(thing)}:
+        # Looked up again each time: a process in the midst of its start has not been recognized at first.
+        while left := left and {
+            thing for thing in self._looker.things() - self._allowed if not _is_deserted(thing)
+        }:
             if time.monotonic() > deadline_s:
                 break
             if (
