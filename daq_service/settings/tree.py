@@ -20,7 +20,7 @@ from pydantic_settings import BaseSettings, PydanticBaseSettingsSource, Settings
 from analysis.statistics.rules import MINIMUM_SETS, NOMINAL_RATE, AlarmRule, HoleRule
 from analysis.waves.quality_gate import MINIMUM_VALID_SHOTS, RESTRIKE_FLAGS, RestrikeFlag, RestrikeRule
 from daq_service.clock import parse_utc
-from daq_service.settings.alarm_delays import EARLIER_ALARM_KINDS, AlarmKindSettings
+from daq_service.settings.alarm_delays import CONTACTS, EARLIER_ALARM_KINDS, AlarmKindSettings
 from daq_service.settings.notifications import NotificationSettings
 from daq_service.settings.rig import RigSettings
 from daq_service.settings.tables import Tables
@@ -251,6 +251,8 @@ class AlarmSettings(Section):
     """Loss read by the ultrasonic probe that raises its alarm (k of n), as a part of the initial wall."""
     confirmation_sets_a_day: int = Field(default=2, ge=0, le=24)
     """Sets beside the plan that suspicion may ask for at a transducer within 24 h of the test; 0: none."""
+    contacts: dict[str, str] = Field(default_factory=dict)
+    """Person to ask, with telephone number, by responsibility: `wall`, `rig`, `computer`, `cell`."""
     kinds: dict[str, AlarmKindSettings] = Field(default_factory=dict)
     """Delays and dead-band by kind of alarm; a kind that is not named follows its condition at once."""
 
@@ -261,6 +263,14 @@ class AlarmSettings(Section):
         if not isinstance(kinds, Mapping):
             return kinds
         return {EARLIER_ALARM_KINDS.get(kind, kind): rule for kind, rule in kinds.items()}
+
+    @field_validator("contacts")
+    @classmethod
+    def _check_contacts(cls, contacts: dict[str, str]) -> dict[str, str]:
+        """Return the table; raise ValueError for a responsibility that no guidance names."""
+        if unknown := sorted(set(contacts) - set(CONTACTS)):
+            raise ValueError(f"{', '.join(unknown)} is none of {', '.join(CONTACTS)}")
+        return contacts
 
     @field_validator("kinds")
     @classmethod
@@ -490,6 +500,7 @@ class Settings(BaseSettings):
             if values["alarms"][key] == before:
                 del values["alarms"][key]
         # Keys that came later: absent, what was hashed before is hashed still.
+        del values["alarms"]["contacts"]  # a telephone number affects no data
         if self.alarms.false_alarms_per_year is None:
             del values["alarms"]["false_alarms_per_year"]
         for key in ("holdoff_s", "watchdogs"):
