@@ -129,7 +129,7 @@ def test_status_lists_alarms_with_state_and_age(filled):
     assert line_of(lines, " 2") == " 2  critical  C  acknowledged  0 s  a hole"
     assert line_of(lines, " B").startswith(" B  alarm")
     assert line_of(lines, " C").startswith(" C  disabled")
-    assert line_of(lines, "wall_change: checks: 1 the control position")
+    assert line_of(lines, "Checks, wall change: 1. Does the control position change")
     filled.shelve(1, "a known leak", for_h=8.0)
     lines = status_of(filled)
     assert line_of(lines, "alarms") == "alarms  1, 1 shelved or out of service"
