@@ -21,6 +21,7 @@ from daq_service.web.answers.models import build_problem_schemas, describe_error
 from daq_service.web.answers.version import API_VERSION
 from daq_service.web.auth.middleware import AuthenticationMiddleware
 from daq_service.web.context import Context, find_app_context
+from daq_service.web.documentation import Documentation
 from daq_service.web.guards import RequestGuard
 from daq_service.web.request_times import AnswerTimes, RequestTimes
 from daq_service.web.routes import health, metrics, page
@@ -59,6 +60,7 @@ class Service(FastAPI):
             generate_unique_id_function=lambda route: route.name,  # the function, as in the table of roles
         )
         problem.install_error_handlers(self)
+        self.mount("/docs", Documentation())
 
     def openapi(self) -> OpenApi:
         """Return the OpenAPI 3.1 description of the interface, with roles, units and examples.
