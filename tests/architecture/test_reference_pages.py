@@ -11,7 +11,7 @@ DOCS = ROOT / "docs"
 
 
 @pytest.mark.parametrize("name", PAGES)
-def test_a_generated_page_is_what_the_code_says(name):
+def test_a_generated_page_equals_what_the_code_describes(name):
     stored = (FOLDER / f"{name}.md").read_text(encoding="utf-8")
     assert stored == render_page(name), "`python -m support.reference_pages` in tests/ writes it"
 

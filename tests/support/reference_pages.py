@@ -79,14 +79,14 @@ def _describe_bounds(node: Node) -> str:
     """Return the bounds of a schema or of its alternatives in words; empty without any."""
     words = []
     for one in (node, *node.get("anyOf", [])):
+        words += [f"above {one['exclusiveMinimum']:.10g}"] if "exclusiveMinimum" in one else []
         for low, high, unit in _BOUNDS:
             if low in one and high in one:
                 words.append(f"{one[low]:.10g} to {one[high]:.10g}{unit}")
             else:
                 words += [f"at least {one[low]:.10g}{unit}"] if low in one else []
                 words += [f"at most {one[high]:.10g}{unit}"] if high in one else []
-        words += [f"above {one['exclusiveMinimum']:g}"] if "exclusiveMinimum" in one else []
-        words += [f"below {one['exclusiveMaximum']:g}"] if "exclusiveMaximum" in one else []
+        words += [f"below {one['exclusiveMaximum']:.10g}"] if "exclusiveMaximum" in one else []
     return ", ".join(words)
 
 
@@ -108,12 +108,13 @@ def _slug(heading: str) -> str:
 def _collect_fields(node: Node, link: Callable[[str], str]) -> Iterator[Mapping[str, object]]:
     """Yield each property of a schema: name, type, bounds, default (JSON), description, unit, required."""
     for name, field in node.get("properties", {}).items():
-        default = json.dumps(field["default"]) if "default" in field else ""
+        value = field.get("default")
+        default = f"{value:.10g}" if isinstance(value, float) else json.dumps(value)
         yield {
             "name": name,
             "type": _describe_type(field, link),
             "bounds": _describe_bounds(field),
-            "default": default if len(default) <= _LONGEST_DEFAULT else "",
+            "default": default if "default" in field and len(default) <= _LONGEST_DEFAULT else "",
             "description": field.get("description", ""),
             "unit": field.get("x-unit", ""),
             "required": name in node.get("required", ()),
