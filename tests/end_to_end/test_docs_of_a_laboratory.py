@@ -152,7 +152,7 @@ def kinds_of_alarms():
 
 
 def test_every_kind_of_alarm_has_its_row():
-    text = (HOW_TO / "my-alarm-what-now.md").read_text(encoding="utf-8")
+    text = (HOW_TO / "respond-to-an-alarm.md").read_text(encoding="utf-8")
     rows = re.findall(r"^\| `(\w+)` \|(.*)\|$", text, flags=re.MULTILINE)
     assert sorted(kind for kind, _ in rows) == sorted(kinds_of_alarms())
     for kind, row in rows:
@@ -182,7 +182,7 @@ COMMANDS = {
     "tutorial.md": ["demo", "status", "verify", "export"],
     "how-to/back-up.md": ["backup", "verify"],
     "how-to/choose-a-baseline.md": ["check-config", "simulate", "approve-baseline", "renew-baseline"],
-    "how-to/my-alarm-what-now.md": ["status"],
+    "how-to/respond-to-an-alarm.md": ["status"],
     "how-to/upgrade.md": ["backup", "verify", "check-config", "doctor", "run"],
 }
 """Pages and the commands on separate lines there, in this order."""
