@@ -30,7 +30,7 @@ def table(head: str, rows: Iterable[Iterable[str]]) -> str:
 
 def acceptance() -> str:
     """Return the default limits of the acceptance report."""
-    rows = ((f"`{item.quantity}`", f"{item.sense} {item.limit:,g}") for item in DEFAULTS)
+    rows = ((f"`{item.quantity}`", f"{item.sense} {item.limit:,.10g}") for item in DEFAULTS)
     return table("Criterion, Default limit", rows)
 
 
