@@ -4,8 +4,11 @@ import ast
 import base64
 import contextlib
 import io
+import os
 import re
 import shlex
+import subprocess
+import sys
 from pathlib import Path
 
 import h5py
@@ -49,7 +52,15 @@ def exported(folder):
 def finished_demo(tmp_path_factory):
     """Return the folder of a finished demo of 24 sets."""
     folder = tmp_path_factory.mktemp("demo") / "my-test-data"
-    done = solimon_here("demo", "--exit", "--no-web", "--hours", "12", "--data-dir", str(folder), env=COARSE)
+    # In a process of its own, which ends with the log files that it opens.
+    command = [sys.executable, "-m", "daq_service.cli", *shlex.split("demo --exit --no-web --hours 12")]
+    done = subprocess.run(
+        [*command, "--data-dir", str(folder)],
+        env=os.environ | COARSE,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
     assert done.returncode == 0, done.stderr
     return folder
 
