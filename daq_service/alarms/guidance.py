@@ -1,6 +1,6 @@
 """Guidance for each kind of alarm: one table for the page, the API and the how-to.
 
-`docs/how-to/my-alarm-what-now.md` shows `format_guidance_markdown`; a test compares.
+`docs/how-to/respond-to-an-alarm.md` shows `format_guidance_markdown`; a test compares.
 """
 
 from __future__ import annotations

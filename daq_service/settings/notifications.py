@@ -129,7 +129,7 @@ class RuleSettings(_Table):
     positions: tuple[str, ...] = ()
     """Alarms of these positions; empty: of all, and those of the rig, the disk and the clock."""
     kinds: tuple[str, ...] = ()
-    """Kinds of alarm, for example wall_change; empty: all (docs/how-to/my-alarm-what-now.md lists them)."""
+    """Kinds of alarm, for example wall_change; empty: all (docs/how-to/respond-to-an-alarm.md lists them)."""
     delay_s: float = Field(default=0.0, ge=0.0, le=3600.0)
     """An alarm that returns to normal within this time is not sent."""
     group_s: float = Field(default=10.0, ge=0.0, le=3600.0)

@@ -12,7 +12,7 @@ from daq_service.alarms.states import NOT_ASSESSED
 from daq_service.corrosion_drive.drive import CONDITIONS
 
 ROOT = Path(__file__).parents[4]
-HOW_TO = ROOT / "docs" / "how-to" / "my-alarm-what-now.md"
+HOW_TO = ROOT / "docs" / "how-to" / "respond-to-an-alarm.md"
 RAISED_IN = ("alarms", "assessment", "commands")
 
 
