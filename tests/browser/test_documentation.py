@@ -107,7 +107,7 @@ def test_a_page_that_the_browser_has_keeps_its_policy(api):
     assert first.headers["cache-control"] == "no-cache"
 
 
-def test_scripts_and_the_search_index_have_their_types_whatever_the_registry_has(api, site, monkeypatch):
+def test_scripts_and_the_search_index_have_their_types_on_any_system(api, site, monkeypatch):
     """On Windows a program may have registered JavaScript as plain text, which no browser runs."""
     mimetypes.init()
     for suffix in (".js", ".json"):
