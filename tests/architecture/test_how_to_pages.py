@@ -17,7 +17,7 @@ PACKAGES = ("daq_service", "hardware_drivers", "analysis", "simulator")
 def test_the_generated_tables_are_those_of_the_code():
     texts = {path.name: path.read_text(encoding="utf-8") for path in PAGES}
     outdated = [name for name, text in texts.items() if fill(text) != text]
-    assert outdated == [], "run `python -m support.how_to_tables` in tests/"
+    assert outdated == [], "run `python -m support.reference_pages` in tests/"
     assert sorted(name for text in texts.values() for name in BLOCK.findall(text)) == sorted(TABLES)
 
 

@@ -1,6 +1,6 @@
-"""Tables of the how-to pages that are generated from the code, and the command that writes them.
+"""Tables of the how-to pages that are generated from the code.
 
-``python -m support.how_to_tables`` in ``tests/`` writes them between their markers in ``docs/how-to``;
+``python -m support.reference_pages`` in ``tests/`` writes them between their markers in ``docs/how-to``;
 ``tests/architecture/test_how_to_pages.py`` compares.
 """
 
@@ -62,13 +62,9 @@ def fill(text: str) -> str:
     return BLOCK.sub(lambda found: f"{found[1]} -->\n\n{TABLES[found[1]]()}\n", text)
 
 
-def main() -> None:
+def write_tables() -> None:
     """Write the tables into the pages."""
     for path in sorted(HOW_TO.glob("*.md")):
         text = path.read_text(encoding="utf-8")
         if (filled := fill(text)) != text:
             path.write_text(filled, encoding="utf-8", newline="\n")
-
-
-if __name__ == "__main__":
-    main()

@@ -1,6 +1,7 @@
 """Reference pages that the code already describes: commands, keys, alarms, columns, API, statuses, helpers.
 
-``python -m support.reference_pages`` in ``tests/`` writes them to docs/reference/generated; a test compares.
+``python -m support.reference_pages`` in ``tests/`` writes them to docs/reference/generated, and the
+tables of the how-tos; tests compare.
 """
 
 from __future__ import annotations
@@ -25,8 +26,8 @@ from daq_service.catalogue.tables import TABLES
 from daq_service.cli.groups.registry import SECTIONS, find_command
 from daq_service.settings.alarm_delays import DEAD_BAND_KINDS, LONGEST_DELAY_S
 from daq_service.settings.schema import build_settings_schema
-from daq_service.web.answers.problem import PROBLEM_TYPES, TYPE_PREFIX
 from daq_service.web.answers.vocabulary import MEANINGS
+from support.how_to_tables import write_tables
 
 ROOT = Path(__file__).parents[2]
 FOLDER = ROOT / "docs/reference/generated"
@@ -297,11 +298,6 @@ def collect_api() -> Mapping[str, object]:
     return {"info": document["info"], "tags": document["tags"], "operations": operations, "types": types}
 
 
-def collect_problems() -> Mapping[str, object]:
-    """Collect the types of problems with which the service answers errors."""
-    return {"prefix": TYPE_PREFIX, "problems": PROBLEM_TYPES}
-
-
 def collect_statuses() -> Mapping[str, object]:
     """Collect the statuses of NI's drivers with name, meaning and error class, by driver."""
     drivers: dict[str, list[Mapping[str, object]]] = {}
@@ -347,7 +343,6 @@ PAGES: Mapping[str, Callable[[], Mapping[str, object]]] = {
     "alarm-kinds": collect_alarms,
     "catalogue-columns": collect_columns,
     "rest-api": collect_api,
-    "error-codes": collect_problems,
     "driver-statuses": collect_statuses,
     "benchmarks": collect_benchmarks,
     "test-support": collect_test_support,
@@ -373,3 +368,4 @@ if __name__ == "__main__":
     FOLDER.mkdir(exist_ok=True)
     for page in PAGES:
         (FOLDER / f"{page}.md").write_text(render_page(page), encoding="utf-8", newline="\n")
+    write_tables()
