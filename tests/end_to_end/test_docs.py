@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import click
+import orjson
 import pytest
 import yaml
 from click.testing import CliRunner
@@ -127,7 +128,7 @@ def parse_yaml(text):
 PARSERS = {
     "python": lambda text: compile(text, "block", "exec"),
     "toml": tomllib.loads,
-    "json": json.loads,
+    "json": orjson.loads,
     "yaml": parse_yaml,
     "sh": parse_shell,
     "console": parse_shell,
