@@ -132,9 +132,8 @@ PARSERS = {
     "yaml": parse_yaml,
     "sh": parse_shell,
     "console": parse_shell,
-    "": None,  # a drawing
     "matlab": None,  # its names are compared with files (`test_docs_of_a_laboratory.py`)
-    "text": None,  # output of a command, or a tree of files
+    "text": None,  # output of a command, a tree of files, or a drawing
 }
 """What checks a block of a language that no other test runs."""
 
