@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import click
+import orjson
 import pytest
 import yaml
 from click.testing import CliRunner
@@ -120,13 +121,12 @@ def parse_yaml(text):
 PARSERS = {
     "python": lambda text: compile(text, "block", "exec"),
     "toml": tomllib.loads,
-    "json": json.loads,
+    "json": orjson.loads,
     "yaml": parse_yaml,
     "sh": parse_shell,
     "console": parse_shell,
-    "": None,  # a drawing
     "matlab": None,  # its names are compared with files (`test_docs_of_a_laboratory.py`)
-    "text": None,  # output of a command, or a tree of files
+    "text": None,  # output of a command, a tree of files, or a drawing
 }
 """What checks a block of a language that no other test runs."""
 
