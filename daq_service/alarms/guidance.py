@@ -1,4 +1,7 @@
-"""Guidance for each kind of alarm: one table for page, API, report and documentation."""
+"""Guidance for each kind of alarm: one table for the page, the API and the how-to.
+
+`docs/how-to/respond-to-an-alarm.md` shows `format_guidance_markdown`; a test compares.
+"""
 
 from __future__ import annotations
 

@@ -15,7 +15,7 @@ from daq_service.settings.alarm_delays import CONTACTS
 from daq_service.settings.tree import Settings
 
 ROOT = Path(__file__).parents[4]
-HOW_TO = ROOT / "docs" / "how-to" / "my-alarm-what-now.md"
+HOW_TO = ROOT / "docs" / "how-to" / "respond-to-an-alarm.md"
 RAISED_IN = ("alarms", "assessment", "commands")
 
 
