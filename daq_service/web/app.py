@@ -100,8 +100,8 @@ def create_app_of_test(lifespan: Lifespan[FastAPI] | None = None) -> Service:
         "solimon",
         (
             "State, history and live stream of a test with highly nonlinear solitary waves. Values are "
-            "SI with the unit in the name; `null` is not available; times are RFC 3339 UTC beside hours "
-            "of the experiment; ranges are half-open; errors are problem details (RFC 9457)."
+            "SI with the unit in the name; `null` is not available. Times are RFC 3339 UTC next to hours "
+            "of the test; ranges are half-open. Errors are problem details (RFC 9457)."
         ),
         lifespan,
     )
