@@ -2,10 +2,10 @@
 
     python benchmarks/first_minute.py [--rounds R] [--json]
 
-Each round starts ``solimon demo`` twice, as a user does, and stops it by Ctrl-C at the first row. Cold: machine
-code and reduced plates are made again, in an empty cache folder. Warm: they are read from it. Processor time is
-that of all processes (none on Windows) and is hardly disturbed by other programs; wall time needs two idle
-cores.
+Each round starts ``solimon demo`` twice, as a user does, and stops it by Ctrl-C at the first row. Cold:
+machine code and reduced plates are made again, in an empty cache folder. Warm: they are read from it.
+Processor time is that of all processes (none on Windows) and is hardly disturbed by other programs; wall
+time needs two idle cores.
 """
 
 from __future__ import annotations
@@ -39,7 +39,9 @@ def run_demo(caches: Path) -> dict[str, float]:
             [*command, "--data-dir", str(Path(folder) / "data")],
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,
-            env=os.environ | {"PYTHONUNBUFFERED": "1"} | {name: str(caches / at) for name, at in CACHES.items()},
+            env=os.environ
+            | {"PYTHONUNBUFFERED": "1"}
+            | {name: str(caches / at) for name, at in CACHES.items()},
             creationflags=getattr(subprocess, "CREATE_NEW_PROCESS_GROUP", 0),
         ) as demo:
             assert demo.stdout is not None
