@@ -16,18 +16,18 @@ from simulator.specimen import Transducer, build_specimen
 
 def compile_wide_loop(law: DampingLaw) -> None:
     """Compile the time loop of many strikes with dashpots of this law, or load its machine code."""
-    _build_transducer(law).model.shots([Impact()] * WIDEST)
+    _build_model(law).shots([Impact()] * WIDEST)
 
 
 def compile_other_loops(law: DampingLaw) -> None:
     """Compile the time loop of few strikes and the loops of plates and records, or load their code."""
     find_driven_modes(np.eye(2), np.eye(2), 1.0, 2)
-    transducer = _build_transducer(law)
+    transducer = Transducer(chain=ChainParameters(damping_law=law), model=_build_model(law))
     specimen = build_specimen(TwinParameters(), transducers={"A": transducer}, probed_thickness_m={})
     specimen.simulate_wave(ShotKey(position="A", set_index=0, shot_index=0), 0.0)
 
 
-def _build_transducer(law: DampingLaw) -> Transducer:
+def _build_model(law: DampingLaw) -> ShotModel:
     """Build the paper's chain on an infinite plate, which needs no preparation."""
     chain, plate = ChainParameters(damping_law=law), PlateParameters(model="infinite_kirchhoff")
-    return Transducer(chain=chain, model=ShotModel(chain, plate, CorrosionParameters(depth_fraction=0.0)))
+    return ShotModel(chain, plate, CorrosionParameters(depth_fraction=0.0))

@@ -24,7 +24,7 @@ from concurrent.futures import (
 from contextlib import ExitStack, contextmanager
 from functools import cache, partial
 from importlib.metadata import version
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from daq_service.acquisition.schedule import plan_sets
 from daq_service.acquisition.strikes_ahead import build_strike_predictor
@@ -131,7 +131,7 @@ def prepare_twin(
         stack.callback(gc.enable)
         wide = pool.submit(compile_wide_loops)
         transducers = pool.submit(build_transducers, settings)
-        parts = [wide, transducers, pool.submit(compile_others)]
+        parts: list[Future[Any]] = [wide, transducers, pool.submit(compile_others)]
         while pending := [part for part in parts if not part.done()]:
             done, took_s = len(parts) - len(pending), time.monotonic() - started_s
             preparing(f"{PREPARING}: part {done + 1} of {len(parts)}, {took_s:.0f} s", True)

@@ -2,6 +2,7 @@
 
 import multiprocessing
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -99,7 +100,7 @@ def test_progress_is_reported_until_the_twin_is_prepared():
     reports = []
     transducers = prepare_twin(SETTINGS, None, lambda what, begins: reports.append((what, begins)))
     assert list(transducers) == list(build_transducers(SETTINGS))
-    assert reports[0] == (f"{PREPARING}: part 1 of 3, 0 s", True)
+    assert re.fullmatch(rf"{PREPARING}: part [123] of 3, \d+ s", reports[0][0])
     assert reports[-1] == (PREPARING, False)
     assert all(begins for _, begins in reports[:-1])
 

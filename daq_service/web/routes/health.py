@@ -18,7 +18,7 @@ router = APIRouter(tags=["health"])
 
 @probes.get("/healthz", response_model=Liveness)
 def get_liveness(context: ContextOf) -> JsonAnswer:
-    """Return that the web process responds, and whether data are stored; before that, the recorder's status."""
+    """Return that the web process responds, and whether data are stored; if not, the recorder's status."""
     if context.has_data():
         return JsonAnswer({"status": "ok", "data": True, "recorder": None, "doing": None})
     recorder = read_recorder_state(context.data_folder, [])
