@@ -18,6 +18,7 @@ from daq_service.processes.printing import print_line, print_result
 from daq_service.processes.supervisor import Message, Supervisor
 from daq_service.rig.doubles import run_rig_doubles
 from daq_service.settings.file import load_settings
+from daq_service.settings.tree import Settings
 from daq_service.web.port import bind_socket
 
 NUISANCE = "laboratory"
@@ -98,15 +99,20 @@ def run_demo(
         if interrupted and not finished.is_set():
             print_line(f"interrupted; what was taken is in {folder}", err=as_json)
             return EXIT_INTERRUPTED
-        summary = summarise_run(settings, folder)
-        elapsed_s = time.time() - started_s
-        cost = summary["cost"]
-        if isinstance(cost, dict):  # starting Python, opening the test, and this summary
-            cost["other_processes_s"] = round(elapsed_s - sum_stage_seconds(cost), 3)
-        result = {**summary, "elapsed_s": round(elapsed_s, 3), "data_dir": str(folder)}
-        lines = [*format_summary_lines(summary, folder), f"done in {elapsed_s:.1f} s"]
-        print_result(result, lines, as_json=as_json)
+        _print_summary(settings, folder, started_s, as_json=as_json)
         return EXIT_OK
+
+
+def _print_summary(settings: Settings, folder: Path, started_s: float, *, as_json: bool) -> None:
+    """Print the summary of a completed test, with the seconds since the process started (Unix time in s)."""
+    summary = summarise_run(settings, folder)
+    elapsed_s = time.time() - started_s
+    cost = summary["cost"]
+    if isinstance(cost, dict):  # starting Python, opening the test, and this summary
+        cost["other_processes_s"] = round(elapsed_s - sum_stage_seconds(cost), 3)
+    result = {**summary, "elapsed_s": round(elapsed_s, 3), "data_dir": str(folder)}
+    lines = [*format_summary_lines(summary, folder), f"done in {elapsed_s:.1f} s"]
+    print_result(result, lines, as_json=as_json)
 
 
 def _build_overrides(

@@ -119,7 +119,7 @@ export class DataLoader {
       const { data, recorder, doing } = await getLiveness();
       if (!data) {
         this.listener.onWaiting(
-          `${doing ? `Recorder: ${doing}` : "Waiting for the first record"}. This page fills itself with the first set.`,
+          `${doing ? `Recorder: ${doing}` : "Waiting for the first record"}. The first set fills this page.`,
           recorder,
         );
         // From the first event on: the recorder may have asked an operator to strike the first shot.
