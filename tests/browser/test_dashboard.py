@@ -387,7 +387,7 @@ def test_a_page_that_was_opened_first_asks_for_the_first_shot_and_fills_itself(t
         filled = FilledFolder(tmp_path, Settings())
         filled.say("asked", text="strike B now", within_s=600.0)
         expect(page.locator("#prompt")).to_contain_text("strike B now")
-        expect(page.locator("#notice")).to_contain_text("Waiting for the first record")
+        expect(page.locator("#notice")).to_contain_text("Recorder: waiting. The first set fills this page.")
         filled.add_set(0, stored=False, shown=True)
         expect(page.locator("#tof")).to_have_attribute("data-points", "1")
         expect(page.locator("#notice")).to_be_hidden()
