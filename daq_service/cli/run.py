@@ -45,13 +45,14 @@ from daq_service.processes.data_folder import (
     require_data_folder,
 )
 from daq_service.processes.disk_policy import disk_space, refusal
-from daq_service.processes.heartbeat import create_web_beat
+from daq_service.processes.heartbeat import Heartbeat, create_web_beat
 from daq_service.processes.notifications.service import notify_while_web_is_silent
 from daq_service.processes.printing import print_line
 from daq_service.processes.service_manager import forward_to_service_manager, notify_manager
 from daq_service.processes.supervisor import ChildPlan, Message, Supervisor
 from daq_service.settings.tree import Settings, StorageSettings
 from daq_service.settings.web import WebSettings
+from daq_service.web.port import bind_socket
 
 if TYPE_CHECKING:
     from fastapi import FastAPI
@@ -107,10 +108,14 @@ def run_supervised(*, config: Path | None, data_dir: Path | None, port: int | No
     ------
     UsageError
         The configuration, a receiver, or the protection of the web service is invalid.
+    BusyError
+        The port is in use.
     StorageError
         The folder cannot be used, or belongs to another test.
     """
     settings, folder = load_settings_and_folder(config, data_dir)
+    if not no_web:
+        bind_socket(settings.web.host, settings.web.port if port is None else port, locked=True).close()
     prepare_data_folder(folder)
     check_owner(settings, folder)
     if not no_web and settings.web.is_reachable:
@@ -236,7 +241,7 @@ def record_alone(
             finished = record_test(
                 settings,
                 folder,
-                partial(_open_rig_without_supply, report),
+                partial(_open_rig_without_supply, report, folder),
                 stop=stop,
                 report=report,
                 options=SessionOptions(
@@ -258,18 +263,24 @@ def record_alone(
 
 @contextmanager
 def _open_rig_without_supply(
-    report: Callable[..., None], settings: Settings, clock: Clock, epoch_utc_ns: int
+    report: Callable[..., None], folder: Path, settings: Settings, clock: Clock, epoch_utc_ns: int
 ) -> Iterator[Rig]:
     """Open the rig without the supply, whose port belongs to the supply process; close it at the end.
 
     Existing objects are excluded from garbage collection (`gc.freeze`), since they stay until the process
     ends. Raises InstrumentError if an instrument cannot be opened.
     """
+    from daq_service.recording.session import compute_longest_call_s
     from daq_service.rig.open_rig import open_rig
 
+    deadline_s = compute_longest_call_s(settings) + settings.rig.stall_timeout_s
+    heartbeat = Heartbeat(folder, deadline_s=deadline_s, notify=report)
+    heartbeat.stage = "opening"
+
     def report_preparation(what: str, begins: bool) -> None:
-        """Report the start or the end of a preparation, such as compiling, to the recorder's reporter."""
+        """Report progress or end of a preparation, such as compiling, to the reporter and the heartbeat."""
         report("preparing" if begins else "prepared", what=what)
+        heartbeat.beat(what if begins else "opening the rig", at_once=True)
 
     without_supply = settings.model_copy(update={"rig": settings.rig.copy_without_supply()})
     with open_rig(without_supply, clock, epoch_utc_ns, preparing=report_preparation) as rig:

@@ -58,7 +58,7 @@ export const RECORDER = {
   finished: { label: "Test finished", icon: "flag", tone: "info" },
   stopped: { label: "Recorder stopped", icon: "stop", tone: "warn" },
   not_responding: { label: "Recorder silent", icon: "triangle", tone: "alarm" },
-  not_started: { label: "Recorder absent", icon: "triangle", tone: "warn" },
+  not_started: { label: "Recorder not started", icon: "triangle", tone: "warn" },
 };
 
 /** @type {Record<string, Look>} */
