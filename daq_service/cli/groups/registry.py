@@ -89,8 +89,8 @@ def _build_command(name: str, table: Table) -> click.Command:
     text = f"{table['summary']}\n\n{table.get('details', '')}"
     if "commands" in table:
         return click.Group(name, [_build_command(*item) for item in table["commands"].items()], help=text)
-    given = {key: table[key] for key in ("starting", "extras") if key in table}
-    callback = partial(import_and_call, table["target"], **given, **table.get("fixed", {}))
+    given = table["target"], table.get("starting", ""), table.get("extras", ())
+    callback = partial(import_and_call, *given, **table.get("fixed", {}))
     return click.Command(name, callback=callback, params=list(_build_parameters(table["options"])), help=text)
 
 
