@@ -29,6 +29,7 @@ from typing import TYPE_CHECKING, Any
 from daq_service.acquisition.schedule import plan_sets
 from daq_service.acquisition.strikes_ahead import build_strike_predictor
 from daq_service.errors import UsageError
+from daq_service.processes.installation import MODULES, require_extras
 from daq_service.processes.worker import leave_with_parent, start_one_worker
 from daq_service.settings.tree import Settings
 from hardware_drivers.bounds import bounded
@@ -200,6 +201,7 @@ def _open_twin(parameters: TwinOfTheExperiment, opening: Opening) -> Iterator[Op
     Others compute it in a thread. On exit pending work is canceled. Raises UsageError if the specimen cannot
     be built as configured.
     """
+    require_extras("twin")
     settings = Settings.model_validate(opening.experiment)
     places, schedule, serves = settings.positions, settings.schedule, opening.serves
     served = {name: places[name] for name in opening.positions}
@@ -274,4 +276,10 @@ def _require_both_roles(parameters: TwinOfTheExperiment, serves: Mapping[Role, t
         )
 
 
-KIND = Kind(parameters=TwinOfTheExperiment, open=_open_twin, check=_check_boards, require=_require_both_roles)
+KIND = Kind(
+    parameters=TwinOfTheExperiment,
+    open=_open_twin,
+    check=_check_boards,
+    require=_require_both_roles,
+    packages=lambda parameters: MODULES["twin"],
+)

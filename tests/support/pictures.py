@@ -21,7 +21,7 @@ from typing import Any
 from xml.etree import ElementTree
 from xml.sax.saxutils import escape
 
-import httpx
+import httpx2
 
 from daq_service.processes.data_folder import CONFIGURATION_FILE
 from daq_service.settings.file import load_settings
@@ -115,7 +115,7 @@ def _on_terminal(*words: str, **environment: str) -> str:
 
 
 @contextmanager
-def _page(browser: Any, data: Path, hour: int) -> Iterator[tuple[Any, httpx.Client]]:
+def _page(browser: Any, data: Path, hour: int) -> Iterator[tuple[Any, httpx2.Client]]:
     """Open the page of the test in its present state."""
     settings = load_settings(data / CONFIGURATION_FILE, overrides={"schedule": {"end_h": hour}})
     with served(settings, data) as service:
@@ -128,7 +128,7 @@ def _page(browser: Any, data: Path, hour: int) -> Iterator[tuple[Any, httpx.Clie
         context.close()
 
 
-def _taken(page: Any, api: httpx.Client, picture: Picture) -> bytes:
+def _taken(page: Any, api: httpx2.Client, picture: Picture) -> bytes:
     # As the page asks: of all columns so many sets would come in bins.
     asked = {"points": 1000, "fields": ",".join(CHARTS.values())}
     trend = api.get(f"/api/v1/trends/{picture.position}", params=asked).json()["columns"]

@@ -5,7 +5,7 @@ import re
 import time
 from datetime import UTC, datetime, timedelta
 
-import httpx
+import httpx2
 import numpy as np
 import pytest
 from support.filled_folder import LIMIT_F, filled_folder, frozen_baseline, served_folder
@@ -385,8 +385,8 @@ def test_alarm_filter_by_activity(api):
     ],
 )
 def test_an_unknown_item_is_404(api, path):
-    # A raw request target: httpx would tidy the dots away.
-    answer = api.send(httpx.Request("GET", api.base_url.copy_with(raw_path=path.encode())))
+    # A raw request target: httpx2 would tidy the dots away.
+    answer = api.send(httpx2.Request("GET", api.base_url.copy_with(raw_path=path.encode())))
     assert answer.status_code == 404, answer.text
     assert answer.headers["content-type"] == "application/problem+json"
     models.ProblemDetails.model_validate_json(answer.content)

@@ -5,7 +5,7 @@ import queue
 import socket
 import threading
 
-import httpx
+import httpx2
 import pytest
 from support.filled_folder import filled_folder
 from support.served_web import DEADLINE_S, served
@@ -31,7 +31,7 @@ def test_port_zero_takes_a_free_port(filled):
     with served(filled.settings, filled.folder) as service:
         port = int(service.netloc.rpartition(":")[2])
         assert port > 0
-        assert httpx.get(f"{service.url}healthz").json() == {
+        assert httpx2.get(f"{service.url}healthz").json() == {
             "status": "ok",
             "data": True,
             "recorder": None,
@@ -66,7 +66,7 @@ def test_stop_ends_all_waiting_streams(filled):
     read_to_end = queue.Queue()
 
     def read(url):
-        with httpx.stream("GET", url, timeout=DEADLINE_S) as response:
+        with httpx2.stream("GET", url, timeout=DEADLINE_S) as response:
             connected.release()
             read_to_end.put(response.read())
 
