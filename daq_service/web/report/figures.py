@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import io
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import matplotlib as mpl
@@ -22,10 +22,13 @@ from hardware_drivers.methods import PULSE_ECHO
 # Okabe and Ito (2008), Color Universal Design.
 BLUE, VERMILLION, PURPLE, GREEN, GREY = "#0072B2", "#D55E00", "#9c4a7c", "#009E73", "#555555"
 WIDTH_IN, PANEL_IN = 7.2, 1.75
+SUMMARY_IN = (3.5, 1.5)
+"""Width and height: two figures next to each other fill a sheet of paper."""
+DOTS: Any = {"linestyle": "none", "marker": "o", "color": BLUE}
 MARGIN = 0.01
 """Fraction of the hours at both ends, so that the first and last points are fully visible."""
 POOR = "suspect or bad"
-ABOVE: Any = {"loc": "lower left", "bbox_to_anchor": (0.0, 0.98), "ncols": 4}
+ABOVE: Any = {"loc": "lower left", "bbox_to_anchor": (0.0, 0.98), "ncols": 4, "columnspacing": 1.0}
 """Position of a legend above the axes."""
 RULES: Any = load_module_toml(__file__)
 _NO_METADATA = {"Date": None, "Creator": None, "Format": None, "Type": None}
@@ -36,21 +39,50 @@ def draw_position_figure(contents: Contents, position: PositionReport) -> str:
 
     A transducer has three panels, a probe one; equal contents give equal bytes.
     """
+    panels = [_draw_thickness]
+    if position.method != PULSE_ECHO:
+        panels = [_draw_time_of_flight, _draw_amplitude_ratio, _draw_distance]
+    size_in = (WIDTH_IN, 0.35 + PANEL_IN * len(panels))
+    return _draw_panels(contents, position, panels, size_in, f"figure-{position.name}")
+
+
+def draw_summary_figure(contents: Contents, position: PositionReport) -> str:
+    """Draw thickness, control chart or squared distance of a position as small SVG; empty without values.
+
+    A transducer has the control chart if it decides its alarm. Equal contents give equal bytes.
+    """
+    panel = _draw_distance
+    if position.assessments is None:
+        panel = _draw_thickness
+    elif contents.settings.alarms.decides_by == "chart" and any(position.assessments["mewma_statistic"]):
+        panel = _draw_chart
+    return _draw_panels(contents, position, [panel], SUMMARY_IN, f"summary-{position.name}")
+
+
+def _draw_panels(
+    contents: Contents,
+    position: PositionReport,
+    panels: Sequence[Callable[[PositionReport, Axes], None]],
+    size_in: tuple[float, float],
+    prefix: str,
+) -> str:
+    """Draw panels of a position below each other over the hours of the report as SVG element.
+
+    It is empty if the position has no values. ``prefix`` makes its ids unique.
+    """
     if not position.values["due_h"]:
         return ""
     with mpl.rc_context(RULES):
-        panels = _draw_echo_panels if position.method == PULSE_ECHO else _draw_wave_panels
-        number = 1 if position.method == PULSE_ECHO else 3
-        figure = Figure(figsize=(WIDTH_IN, 0.35 + PANEL_IN * number), layout="constrained")
-        axes = [axis for (axis,) in figure.subplots(number, 1, squeeze=False, sharex=True)]
-        panels(contents, position, axes)
-        for axis in axes:
+        figure = Figure(figsize=size_in, layout="constrained")
+        axes = [axis for (axis,) in figure.subplots(len(panels), 1, squeeze=False, sharex=True)]
+        for panel, axis in zip(panels, axes, strict=True):
+            panel(position, axis)
             _mark_gaps_and_alarms(contents, position, axis)
         to_h = min(contents.to_h, contents.now_h)
         margin_h = MARGIN * (to_h - contents.from_h)
         axes[0].set_xlim(contents.from_h - margin_h, to_h + margin_h)
         axes[-1].set_xlabel("time since start (h)")
-        return render_svg(figure, f"figure-{position.name}")
+        return render_svg(figure, prefix)
 
 
 def render_svg(figure: Figure, prefix: str) -> str:
@@ -60,48 +92,67 @@ def render_svg(figure: Figure, prefix: str) -> str:
     return _extract_svg_element(content.getvalue(), prefix)
 
 
-def _draw_wave_panels(contents: Contents, position: PositionReport, axes: Sequence[Axes]) -> None:
-    """Draw time of flight (µs), amplitude ratio and squared distance of a transducer into three panels.
+def _draw_time_of_flight(position: PositionReport, axis: Axes) -> None:
+    """Draw the time of flight (µs) of a transducer's sets."""
+    _draw_points(axis, position.values, "tof_pp_s", 1e6, "time of flight (µs)")
 
-    The distance has a logarithmic axis if any value is positive.
-    """
-    assert position.assessments is not None, "these have them"
-    for axis, name, factor, label in (
-        (axes[0], "tof_pp_s", 1e6, "time of flight (µs)"),
-        (axes[1], "amplitude_ratio", 1.0, "amplitude ratio"),
-    ):
-        _draw_points(axis, position.values, name, factor, label)
-    distance = axes[2]
+
+def _draw_amplitude_ratio(position: PositionReport, axis: Axes) -> None:
+    """Draw the amplitude ratio of a transducer's sets."""
+    _draw_points(axis, position.values, "amplitude_ratio", 1.0, "amplitude ratio")
+
+
+def _draw_distance(position: PositionReport, axis: Axes) -> None:
+    """Draw the squared distance of a transducer's sets with its limits; outliers are diamonds."""
     assessments = position.assessments
-    dots = {"linestyle": "none", "marker": "o", "color": BLUE, "label": "D²"}
+    assert assessments is not None, "these have them"
     diamonds = {"marker": "D", "markersize": 5, "markerfacecolor": "none", "color": VERMILLION}
-    outliers = dots | diamonds | {"label": "outlier"}
-    _draw_line(distance, assessments, "distance_squared", dots)
-    _draw_line(
-        distance, assessments, "distance_squared", outliers, rows=assessments["outlier"], gid="outliers"
+    outliers = DOTS | diamonds | {"label": "outlier"}
+    _draw_line(axis, assessments, "distance_squared", DOTS | {"label": "D²"})
+    _draw_line(axis, assessments, "distance_squared", outliers, rows=assessments["outlier"], gid="outliers")
+    _draw_line(axis, assessments, "limit_f_predictive", {"color": VERMILLION, "label": "F limit"})
+    dashed = {"color": PURPLE, "linestyle": "--", "label": "mean + 3 SD"}
+    _draw_line(axis, assessments, "limit_mean_3sd", dashed)
+    _finish_statistic_axis(axis, assessments["distance_squared"], "squared distance")
+
+
+def _draw_chart(position: PositionReport, axis: Axes) -> None:
+    """Draw the statistic of a transducer's control chart with its limit."""
+    assessments = position.assessments
+    assert assessments is not None, "these have them"
+    _draw_line(axis, assessments, "mewma_statistic", DOTS)
+    _draw_line(axis, assessments, "mewma_limit", {"color": VERMILLION, "label": "limit"})
+    _finish_statistic_axis(axis, assessments["mewma_statistic"], "control chart")
+
+
+def _finish_statistic_axis(axis: Axes, values: Sequence[float | None], label: str) -> None:
+    """Label the axis of a statistic and add its legend; it is logarithmic if any value is positive."""
+    if any(value is not None and value > 0.0 for value in values):
+        axis.set_yscale("log")
+        axis.yaxis.set_major_formatter(LogFormatter())
+        axis.yaxis.set_minor_formatter(LogFormatter(minor_thresholds=(1, 0.4)))
+    axis.set_ylabel(label)
+    axis.legend(**ABOVE)
+
+
+def _draw_thickness(position: PositionReport, axis: Axes) -> None:
+    """Draw the wall thickness (mm) of a probe's sets with the 95 % interval of each and the alarm limit."""
+    values = position.values
+    names = ("due_h", "interval_low_m", "interval_high_m")
+    known = [row for row in zip(*(values[name] for name in names), strict=True) if None not in row]
+    axis.fill_between(
+        [hour for hour, _, _ in known],
+        [1e3 * low for _, low, _ in known],
+        [1e3 * high for _, _, high in known],
+        color=GREY,
+        alpha=0.25,
+        linewidth=0.0,
+        label="95 % interval",
     )
-    _draw_line(distance, assessments, "limit_f_predictive", {"color": VERMILLION, "label": "F limit"})
-    dashed = {"color": PURPLE, "linestyle": "--", "label": "paper's limit"}
-    _draw_line(distance, assessments, "limit_mean_3sd", dashed)
-    if any(value is not None and value > 0.0 for value in assessments["distance_squared"]):
-        distance.set_yscale("log")
-        distance.yaxis.set_major_formatter(LogFormatter())
-        distance.yaxis.set_minor_formatter(LogFormatter(minor_thresholds=(2, 0.4)))
-    distance.set_ylabel("squared distance")
-    distance.legend(**ABOVE)
-
-
-def _draw_echo_panels(contents: Contents, position: PositionReport, axes: Sequence[Axes]) -> None:
-    """Draw the wall thickness (mm) of a probe with its alarm limit and the interval of the newest value."""
-    _draw_points(axes[0], position.values, "thickness_m", 1e3, "wall (mm)")
+    _draw_points(axis, values, "thickness_m", 1e3, "wall (mm)")
     if position.limit is not None:
-        axes[0].axhline(1e3 * position.limit, color=VERMILLION, label="alarm below")
-    last = position.last.last_thickness
-    if last is not None and last.interval_low_m is not None and last.interval_high_m is not None:
-        ends = [1e3 * last.interval_low_m, 1e3 * last.interval_high_m]
-        hours, label = [last.due_h] * 2, "95 % interval of the newest"
-        axes[0].plot(hours, ends, color=GREY, marker="_", label=label)
-    axes[0].legend(**ABOVE)
+        axis.axhline(1e3 * position.limit, color=VERMILLION, label="limit")
+    axis.legend(**ABOVE)
 
 
 def _draw_points(axis: Axes, columns: Columns, name: str, factor: float, label: str) -> None:
@@ -110,7 +161,7 @@ def _draw_points(axis: Axes, columns: Columns, name: str, factor: float, label: 
     ``label`` names the axis. The legend appears only with crosses.
     """
     for gid, good, style in (
-        (name, True, {"linestyle": "none", "marker": "o", "color": BLUE}),
+        (name, True, DOTS),
         (f"{name}-poor", False, {"linestyle": "none", "marker": "x", "color": VERMILLION, "label": POOR}),
     ):
         rows = [(quality == "good") is good for quality in columns["quality"]]

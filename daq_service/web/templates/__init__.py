@@ -6,6 +6,7 @@ A page is one file without scripts: `base.html.j2` has head and style, `macros.h
 from __future__ import annotations
 
 import base64
+import math
 from collections.abc import Mapping
 from functools import cache
 from importlib.metadata import version
@@ -15,7 +16,7 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
 from daq_service.clock import format_utc
 
-NOT_KNOWN = "not known"
+NOT_KNOWN = "not available"
 
 
 def render_template(template: str, **context: object) -> bytes:
@@ -46,7 +47,8 @@ def _create_environment() -> Environment:
         "plain": format_plain_text,
         "quantity": format_quantity,
         "significant": format_significant,
-        "utc": lambda utc_ns: format_utc(utc_ns, 0),
+        "percent": format_percent,
+        "utc": lambda utc_ns: f"{format_utc(utc_ns, 0)[:16].replace('T', ' ')} UTC",
         "words": lambda name: name.replace("_", " "),
     }
     environment.globals |= {"not_known": NOT_KNOWN, "solimon": f"solimon {version('solimon')}"}
@@ -63,6 +65,18 @@ def format_quantity(value: float | None, factor: float = 1.0, digits: int = 2, u
 def format_significant(value: float | None, digits: int = 4) -> str:
     """Format a number with ``digits`` significant digits; `NOT_KNOWN` for None."""
     return NOT_KNOWN if value is None else f"{value:.{digits}g}"
+
+
+def format_three_digits(value: float | None) -> str:
+    """Format a number with three significant digits, from 1000 on as an integer; `NOT_KNOWN` for None."""
+    if value is None:
+        return NOT_KNOWN
+    return f"{value:.0f}" if abs(value) >= 999.5 else f"{value:#.3g}".rstrip(".")
+
+
+def format_percent(probability: float) -> str:
+    """Format a probability in whole percent, rounded down; at most ``> 99 %``."""
+    return "> 99 %" if probability > 0.99 else f"{math.floor(100.0 * probability)} %"
 
 
 def format_plain_text(value: object) -> str:

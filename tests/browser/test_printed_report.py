@@ -1,0 +1,55 @@
+"""The PDF of a report has its summary on two pages, and that of an alarm its finding on the first."""
+
+import json
+
+import pytest
+from click.testing import CliRunner
+from pypdf import PdfReader
+from support.filled_folder import filled_folder, frozen_baseline
+
+from daq_service.catalogue import SetCommit
+from daq_service.catalogue.rows import AlarmRow
+from daq_service.cli.main import cli
+from daq_service.web.report import pdf
+
+pytestmark = pytest.mark.browser
+
+A4_PT = (595, 842)
+NOTE = "<b>couplant</b> renewed"
+
+
+@pytest.fixture(scope="module")
+def filled(tmp_path_factory):
+    with filled_folder(tmp_path_factory.mktemp("data"), sets=56) as folder:
+        folder.catalogue.commit_set(SetCommit(baselines=[frozen_baseline(name) for name in "BCD"]))
+        for position, index in (("B", 52), ("C", 50), (None, 30)):
+            folder.add_alarm(position, index)
+        folder.annotate(3.0, NOTE, position="B")
+        yield folder
+
+
+def read_pages(command, target, monkeypatch):
+    from support.browser_pages import find_browser
+
+    monkeypatch.setattr(pdf, "BROWSERS", (find_browser(),))
+    done = CliRunner().invoke(cli, [*map(str, command), "--pdf", "--json"], catch_exceptions=False)
+    assert done.exit_code == 0, done.output
+    pages = PdfReader(target).pages
+    for page in pages:
+        assert [float(size) for size in page.mediabox[2:]] == pytest.approx(A4_PT, abs=1)
+    return json.loads(done.stdout), [" ".join(page.extract_text().split()) for page in pages]
+
+
+def test_a_report_has_its_summary_on_two_pages(browser, filled, tmp_path, monkeypatch):
+    target = tmp_path / "report.pdf"
+    answer, pages = read_pages(("report", filled.folder, "--out", target), target, monkeypatch)
+    assert answer == {"ok": True, "file": str(target), "n_bytes": target.stat().st_size}
+    assert list(tmp_path.iterdir()) == [target]
+    summary = " ".join(pages[:2])
+    for heading in ("Findings by position", "Active alarms and actions", "Reliability of the findings"):
+        assert f" {heading} " in f"{summary} "
+    for alarm in filled.catalogue.rows(AlarmRow, active=True):
+        assert alarm.message in summary
+    assert "Appendix Identity" in pages[2], "the summary ends with the second page"
+    assert NOTE in " ".join(pages[2:])
+    assert all(f"Page {number} of {len(pages)}" in page for number, page in enumerate(pages, start=1))
