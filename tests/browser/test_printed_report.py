@@ -3,18 +3,23 @@
 import json
 
 import pytest
+from axe_playwright_python.sync_playwright import Axe
 from click.testing import CliRunner
 from pypdf import PdfReader
+from support.browser_pages import DESK, PHONE, find_browser
 from support.filled_folder import filled_folder, frozen_baseline
 
 from daq_service.catalogue import SetCommit
 from daq_service.catalogue.rows import AlarmRow
 from daq_service.cli.main import cli
 from daq_service.web.report import pdf
+from daq_service.web.report.make import build_report_page
 
 pytestmark = pytest.mark.browser
 
 A4_PT = (595, 842)
+A4_PX = 688
+"""Width between the margins of the style: 182 mm at 96 pixels an inch."""
 NOTE = "<b>couplant</b> renewed"
 
 
@@ -29,8 +34,6 @@ def filled(tmp_path_factory):
 
 
 def read_pages(command, target, monkeypatch):
-    from support.browser_pages import find_browser
-
     monkeypatch.setattr(pdf, "BROWSERS", (find_browser(),))
     done = CliRunner().invoke(cli, [*map(str, command), "--pdf", "--json"], catch_exceptions=False)
     assert done.exit_code == 0, done.output
@@ -38,6 +41,19 @@ def read_pages(command, target, monkeypatch):
     for page in pages:
         assert [float(size) for size in page.mediabox[2:]] == pytest.approx(A4_PT, abs=1)
     return json.loads(done.stdout), [" ".join(page.extract_text().split()) for page in pages]
+
+
+def test_a_report_is_cut_nowhere_and_accessible(open_page, filled, tmp_path):
+    file = tmp_path / "report.html"
+    file.write_bytes(build_report_page(filled.folder, audited=True))
+    page = open_page(file.as_uri(), name=None)
+    for media, width in (("screen", PHONE["width"]), ("screen", DESK["width"]), ("print", A4_PX)):
+        page.emulate_media(media=media)
+        page.set_viewport_size({"width": width, "height": 900})
+        assert page.evaluate("document.documentElement.scrollWidth") <= width, (media, width)
+    page.emulate_media(media="screen")
+    found = Axe().run(page)
+    assert found.violations_count == 0, found.generate_report()
 
 
 def test_a_report_has_its_summary_on_two_pages(browser, filled, tmp_path, monkeypatch):
