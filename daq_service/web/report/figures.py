@@ -24,7 +24,7 @@ BLUE, VERMILLION, PURPLE, GREEN, GREY = "#0072B2", "#D55E00", "#9c4a7c", "#009E7
 WIDTH_IN, PANEL_IN = 7.2, 1.75
 SUMMARY_IN = (3.5, 1.5)
 """Width and height: two figures next to each other fill a sheet of paper."""
-DOTS: Any = {"linestyle": "none", "marker": "o", "color": BLUE}
+DOTS = {"linestyle": "none", "marker": "o", "color": BLUE}
 MARGIN = 0.01
 """Fraction of the hours at both ends, so that the first and last points are fully visible."""
 POOR = "suspect or bad"

@@ -6,7 +6,7 @@ import json
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from functools import partial
-from typing import Any, NamedTuple, get_args
+from typing import NamedTuple, get_args
 
 from analysis.statistics.chart import ENOUGH_SETS
 from daq_service.alarms.evidence import build_evidence_sentences
@@ -120,13 +120,12 @@ def _find_newest(values: Sequence[object]) -> int | None:
     return next((at for at in reversed(range(len(values))) if values[at] is not None), None)
 
 
-def _find_newest_diagnosis(position: PositionReport) -> dict[str, Any]:
-    """Find the newest diagnosis of a transducer: hour and probability by cause; empty without one."""
+def _find_newest_diagnosis(position: PositionReport) -> tuple[float, Mapping[str, float]] | None:
+    """Find the newest diagnosis of a transducer: its hour and the probability of each cause."""
     assessments = position.assessments or {}
     if (at := _find_newest(assessments.get("diagnosis_details", ()))) is None:
-        return {}
-    probabilities = assessments["diagnosis_details"][at]["probabilities"]
-    return {"hour": assessments["due_h"][at], "probabilities": probabilities}
+        return None
+    return assessments["due_h"][at], assessments["diagnosis_details"][at]["probabilities"]
 
 
 def _list_newest(position: PositionReport, alarms: AlarmSettings) -> list[Measured]:
