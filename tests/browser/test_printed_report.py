@@ -7,6 +7,7 @@ from axe_playwright_python.sync_playwright import Axe
 from click.testing import CliRunner
 from pypdf import PdfReader
 from support.browser_pages import DESK, PHONE, find_browser
+from support.drifting_wall import drifting_wall
 from support.filled_folder import filled_folder, frozen_baseline
 
 from daq_service.catalogue import SetCommit
@@ -69,3 +70,17 @@ def test_a_report_has_its_summary_on_two_pages(browser, filled, tmp_path, monkey
     assert "Appendix Identity" in pages[2], "the summary ends with the second page"
     assert NOTE in " ".join(pages[2:])
     assert all(f"Page {number} of {len(pages)}" in page for number, page in enumerate(pages, start=1))
+
+
+def test_an_explained_alarm_has_finding_and_guidance_on_its_first_page(browser, tmp_path, monkeypatch):
+    (tmp_path / "data").mkdir()
+    line = drifting_wall(tmp_path / "data")
+    with line.catalogue() as catalogue:
+        alarm = next(row for row in catalogue.rows(AlarmRow) if row.position == "B")
+    out, target = tmp_path / "out", tmp_path / f"out/alarm-{alarm.id}.pdf"
+    command = ("explain", alarm.id, "--data-dir", line.folder, "--out", out)
+    answer, pages = read_pages(command, target, monkeypatch)
+    assert sorted(answer["files"]) == sorted(map(str, out.iterdir()))
+    assert alarm.message[1:] in pages[0]
+    for heading in ("Finding", "Guidance", "Figures"):
+        assert f" {heading} " in pages[0]
