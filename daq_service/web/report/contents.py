@@ -15,7 +15,6 @@ from typing import Any
 from daq_service.assessment.position_status import (
     find_data_age_h,
     find_limit,
-    find_newest_data_hour,
     find_status,
     is_data_stale,
     read_latest_rows,
@@ -97,7 +96,6 @@ class PositionReport:
     serial_number: str
     last: LatestRows
     state: str
-    data_h: float | None
     age_h: float | None
     stale: bool
     limit: float | None
@@ -271,7 +269,6 @@ def _build_position_report(
         serial_number=position_settings.serial_number,
         last=last,
         state=find_status(last),
-        data_h=find_newest_data_hour(last),
         age_h=age_h,
         stale=is_data_stale(settings.schedule, fresh, age_h),
         limit=find_limit(last, settings.thinnest_m),

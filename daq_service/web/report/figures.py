@@ -8,16 +8,17 @@ from __future__ import annotations
 import io
 import re
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from typing import Any
 
 import matplotlib as mpl
+import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogFormatter
 
 from daq_service.shared_file import load_module_toml
 from daq_service.web.report.contents import Columns, Contents, PositionReport
-from hardware_drivers.methods import PULSE_ECHO
 
 # Okabe and Ito (2008), Color Universal Design.
 BLUE, VERMILLION, PURPLE, GREEN, GREY = "#0072B2", "#D55E00", "#9c4a7c", "#009E73", "#555555"
@@ -39,9 +40,15 @@ def draw_position_figure(contents: Contents, position: PositionReport) -> str:
 
     A transducer has three panels, a probe one; equal contents give equal bytes.
     """
-    panels = [_draw_thickness]
-    if position.method != PULSE_ECHO:
-        panels = [_draw_time_of_flight, _draw_amplitude_ratio, _draw_distance]
+    values, assessments = position.values, position.assessments
+    panels = [partial(_draw_thickness, position)]
+    if assessments is not None:
+        points = partial(partial, _draw_points, values)
+        panels = [
+            points("tof_pp_s", 1e6, "time of flight (µs)"),
+            points("amplitude_ratio", 1.0, "amplitude ratio"),
+            partial(_draw_distance, assessments),
+        ]
     size_in = (WIDTH_IN, 0.35 + PANEL_IN * len(panels))
     return _draw_panels(contents, position, panels, size_in, f"figure-{position.name}")
 
@@ -51,18 +58,19 @@ def draw_summary_figure(contents: Contents, position: PositionReport) -> str:
 
     A transducer has the control chart if it decides its alarm. Equal contents give equal bytes.
     """
-    panel = _draw_distance
-    if position.assessments is None:
-        panel = _draw_thickness
-    elif contents.settings.alarms.decides_by == "chart" and any(position.assessments["mewma_statistic"]):
-        panel = _draw_chart
+    assessments, by_chart = position.assessments, contents.settings.alarms.decides_by == "chart"
+    if assessments is None:
+        panel = partial(_draw_thickness, position)
+    else:
+        draw = _draw_chart if by_chart and any(assessments["mewma_statistic"]) else _draw_distance
+        panel = partial(draw, assessments)
     return _draw_panels(contents, position, [panel], SUMMARY_IN, f"summary-{position.name}")
 
 
 def _draw_panels(
     contents: Contents,
     position: PositionReport,
-    panels: Sequence[Callable[[PositionReport, Axes], None]],
+    panels: Sequence[Callable[[Axes], None]],
     size_in: tuple[float, float],
     prefix: str,
 ) -> str:
@@ -76,7 +84,7 @@ def _draw_panels(
         figure = Figure(figsize=size_in, layout="constrained")
         axes = [axis for (axis,) in figure.subplots(len(panels), 1, squeeze=False, sharex=True)]
         for panel, axis in zip(panels, axes, strict=True):
-            panel(position, axis)
+            panel(axis)
             _mark_gaps_and_alarms(contents, position, axis)
         to_h = min(contents.to_h, contents.now_h)
         margin_h = MARGIN * (to_h - contents.from_h)
@@ -92,20 +100,8 @@ def render_svg(figure: Figure, prefix: str) -> str:
     return _extract_svg_element(content.getvalue(), prefix)
 
 
-def _draw_time_of_flight(position: PositionReport, axis: Axes) -> None:
-    """Draw the time of flight (µs) of a transducer's sets."""
-    _draw_points(axis, position.values, "tof_pp_s", 1e6, "time of flight (µs)")
-
-
-def _draw_amplitude_ratio(position: PositionReport, axis: Axes) -> None:
-    """Draw the amplitude ratio of a transducer's sets."""
-    _draw_points(axis, position.values, "amplitude_ratio", 1.0, "amplitude ratio")
-
-
-def _draw_distance(position: PositionReport, axis: Axes) -> None:
+def _draw_distance(assessments: Columns, axis: Axes) -> None:
     """Draw the squared distance of a transducer's sets with its limits; outliers are diamonds."""
-    assessments = position.assessments
-    assert assessments is not None, "these have them"
     diamonds = {"marker": "D", "markersize": 5, "markerfacecolor": "none", "color": VERMILLION}
     outliers = DOTS | diamonds | {"label": "outlier"}
     _draw_line(axis, assessments, "distance_squared", DOTS | {"label": "D²"})
@@ -116,10 +112,8 @@ def _draw_distance(position: PositionReport, axis: Axes) -> None:
     _finish_statistic_axis(axis, assessments["distance_squared"], "squared distance")
 
 
-def _draw_chart(position: PositionReport, axis: Axes) -> None:
+def _draw_chart(assessments: Columns, axis: Axes) -> None:
     """Draw the statistic of a transducer's control chart with its limit."""
-    assessments = position.assessments
-    assert assessments is not None, "these have them"
     _draw_line(axis, assessments, "mewma_statistic", DOTS)
     _draw_line(axis, assessments, "mewma_limit", {"color": VERMILLION, "label": "limit"})
     _finish_statistic_axis(axis, assessments["mewma_statistic"], "control chart")
@@ -138,24 +132,16 @@ def _finish_statistic_axis(axis: Axes, values: Sequence[float | None], label: st
 def _draw_thickness(position: PositionReport, axis: Axes) -> None:
     """Draw the wall thickness (mm) of a probe's sets with the 95 % interval of each and the alarm limit."""
     values = position.values
-    names = ("due_h", "interval_low_m", "interval_high_m")
-    known = [row for row in zip(*(values[name] for name in names), strict=True) if None not in row]
-    axis.fill_between(
-        [hour for hour, _, _ in known],
-        [1e3 * low for _, low, _ in known],
-        [1e3 * high for _, _, high in known],
-        color=GREY,
-        alpha=0.25,
-        linewidth=0.0,
-        label="95 % interval",
-    )
-    _draw_points(axis, values, "thickness_m", 1e3, "wall (mm)")
+    ends_mm = (np.array(values[f"interval_{end}_m"], dtype=float) * 1e3 for end in ("low", "high"))
+    shade = {"color": GREY, "alpha": 0.25, "linewidth": 0.0, "label": "95 % interval"}
+    axis.fill_between(values["due_h"], *ends_mm, **shade)
+    _draw_points(values, "thickness_m", 1e3, "wall (mm)", axis)
     if position.limit is not None:
         axis.axhline(1e3 * position.limit, color=VERMILLION, label="limit")
     axis.legend(**ABOVE)
 
 
-def _draw_points(axis: Axes, columns: Columns, name: str, factor: float, label: str) -> None:
+def _draw_points(columns: Columns, name: str, factor: float, label: str, axis: Axes) -> None:
     """Draw each set as a point, or as a cross if its quality is not good; ``factor`` converts the unit.
 
     ``label`` names the axis. The legend appears only with crosses.

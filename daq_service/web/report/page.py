@@ -13,8 +13,7 @@ from daq_service.alarms.evidence import build_evidence_sentences
 from daq_service.alarms.states import PRIORITIES
 from daq_service.alarms.transitions import build_transition
 from daq_service.assessment.position_status import PositionStatus
-from daq_service.catalogue.rows import BaselineRow, EventRow
-from daq_service.settings.tree import AlarmSettings, NoveltySettings
+from daq_service.settings.tree import AlarmSettings
 from daq_service.web.report.contents import MOST_LINES, Columns, Contents, PositionReport
 from daq_service.web.templates import NOT_KNOWN, format_quantity, format_three_digits, render_template
 
@@ -51,68 +50,19 @@ def render_report_page(
         active=sorted(active, key=lambda row: (-PRIORITIES.index(row.priority), row.raised_h)),
         figures=figures,
         summary_figures=summary_figures,
-        alarm_rule=_list_alarm_rules(
-            alarms, contents.settings.novelty, contents.settings.false_alarms_per_sensor_year()
-        ),
+        enough_sets=ENOUGH_SETS,
         most_lines=MOST_LINES,
         most_alarms=MOST_ALARMS,
         configuration=json.dumps(contents.experiment.configuration, indent=1, sort_keys=True),
         newest=partial(_list_newest, alarms=alarms),
         baselines={row.position: row for row in contents.baselines.values() if row.state == "approved"},
-        rate=partial(describe_rate, alarms=alarms),
         diagnosis=_find_newest_diagnosis,
         series=_build_series_rows,
         sentences=partial(build_evidence_sentences, baselines=contents.baselines),
         headline=lambda alarm: alarm.message,
         action=lambda alarm: "",
-        history_cells=build_history_cells,
+        transition=build_transition,
     )
-
-
-def build_history_cells(event: EventRow) -> Row:
-    """Return kind, states, person and reason of an event of an alarm as table cells.
-
-    Without a person the reason is empty.
-    """
-    change = build_transition(event)
-    states = ", ".join(filter(None, (change["state"], change["suppressed"])))
-    # Without a person the reason is the message of the alarm, which the page has anyway.
-    reason = change["reason"] or "" if change["author"] else ""
-    return (event.kind.replace("_", " "), states.replace("_", " "), change["author"] or "", reason)
-
-
-def _list_alarm_rules(
-    alarms: AlarmSettings, novelty: NoveltySettings, budget: float
-) -> list[tuple[str, str]]:
-    """Describe the alarm rule and the outlier limit as rows (label, text) of a table.
-
-    ``budget`` is the design false-alarm rate per transducer-year.
-    """
-    outlier = f"{novelty.limit}, {novelty.false_alarm_rate:g} false alarms per set"
-    rule = f"{alarms.k} of {alarms.n} sets above the outlier limit"
-    if alarms.decides_by != "chart":
-        return [("Alarm rule", rule), ("Outlier limit", outlier)]
-    by_chart = (
-        f"MEWMA control chart above its limit (design rate {budget:g} per transducer-year), or the diagnosis "
-        f"wall; {rule} where a baseline of an earlier version has no chart"
-    )
-    return [("Alarm rule", by_chart), ("Outlier limit", f"{outlier}; an outlier alone raises no alarm")]
-
-
-def describe_rate(baseline: BaselineRow | None, alarms: AlarmSettings) -> str:
-    """Describe the design false-alarm rate of a transducer, and whether its baseline verifies it."""
-    if alarms.decides_by != "chart":
-        return f"no design rate: alarm at {alarms.k} of {alarms.n} sets"
-    quality = (baseline and baseline.baseline_quality) or {}
-    if (rate := quality.get("false_alarms_per_sensor_year")) is None:
-        return NOT_KNOWN
-    design = f"design rate {rate:g} per transducer-year"
-    if quality["rate_verified"]:
-        return f"{design}, verified"
-    reason = quality["rate_not_verified_reason"]
-    if quality["n"] < ENOUGH_SETS:
-        reason = f"{quality['n']} sets, {ENOUGH_SETS} needed"
-    return f"{design}, not verified: {reason}"
 
 
 def _find_newest(values: Sequence[object]) -> int | None:

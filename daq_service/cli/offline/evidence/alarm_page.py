@@ -14,7 +14,6 @@ from daq_service.catalogue.rows import as_dict
 from daq_service.cli.offline.evidence.figures import Picture
 from daq_service.recording.reassessment.changes import NOT_COMPARED
 from daq_service.recording.reassessment.explanation import Explained, Recomputed
-from daq_service.web.report.page import build_history_cells
 from daq_service.web.templates import render_template
 
 NOT_SHOWN = (*NOT_COMPARED, "averages")
@@ -62,7 +61,7 @@ def render_alarm_page(found: Explained, pictures: Sequence[Picture]) -> bytes:
             {name: assessment[name] for name in assessment if name not in NOT_SHOWN}
         ),
         guidance=_find_guidance(found),
-        history_cells=build_history_cells,
+        transition=build_transition,
         evidence=_yield_facts_with_value(found.alarm.evidence),
     )
 

@@ -25,9 +25,13 @@ from daq_service.web.auth.tokens import create_token
 from daq_service.web.report import contents
 from daq_service.web.report.contents import read_report_contents
 from daq_service.web.report.figures import GREEN, draw_position_figure
-from daq_service.web.report.page import _list_alarm_rules, describe_rate
 from daq_service.web.routes import report as route
-from daq_service.web.templates import format_percent, format_quantity, format_three_digits
+from daq_service.web.templates import (
+    _create_environment,
+    format_percent,
+    format_quantity,
+    format_three_digits,
+)
 
 N_SETS = 56
 HEADINGS = ("h2", "h3", "h4")
@@ -188,13 +192,18 @@ def test_the_summary_has_findings_alarms_actions_and_reliability(filled, page):
 
 
 def test_a_rate_is_described_with_the_reason_why_it_is_not_verified():
+    macros = _create_environment().get_template("macros.html.j2").module
+
+    def describe(baseline, alarms):
+        return as_shown(str(macros.false_alarm_rate(baseline, alarms, 150)))
+
     quality = {"n": 150, "false_alarms_per_sensor_year": 0.5, "rate_verified": False}
     row = frozen_baseline("B", baseline_quality={**quality, "rate_not_verified_reason": "a trend"})
     alarms = Settings().alarms
-    assert describe_rate(row, alarms) == "design rate 0.5 per transducer-year, not verified: a trend"
-    assert describe_rate(None, alarms) == describe_rate(frozen_baseline("B"), alarms) == "not available"
+    assert describe(row, alarms) == "design rate 0.5 per transducer-year, not verified: a trend"
+    assert describe(None, alarms) == describe(frozen_baseline("B"), alarms) == "not available"
     by_count = alarms.model_copy(update={"decides_by": "k_of_n"})
-    assert describe_rate(row, by_count) == "no design rate: alarm at 3 of 5 sets"
+    assert describe(row, by_count) == "no design rate: alarm at 3 of 5 sets"
 
 
 def test_probabilities_and_values_are_rounded_as_the_house_writes_them():
@@ -221,9 +230,9 @@ def test_hostile_text_is_shown_as_text(tmp_path):
 
 
 def decides(alarms):
-    settings = Settings(alarms=alarms)
-    budget = settings.false_alarms_per_sensor_year()
-    return dict(_list_alarm_rules(settings.alarms, settings.novelty, budget))
+    macros = _create_environment().get_template("macros.html.j2").module
+    page = Page(str(macros.alarm_rules(Settings(alarms=alarms))).encode())
+    return dict(page.tables[""])
 
 
 def test_the_report_describes_the_configured_alarm_rule():
@@ -277,14 +286,14 @@ def test_the_report_has_gaps_alarms_evidence_history_and_commands(page):
     shares = "Largest contributions: time of flight between the peaks 70 %, amplitude ratio 30 %."
     assert shares in page.words
     assert ["contributions", "tof_pp_s 21.4, amplitude_ratio 9.1"] in alarm
-    assert [row[1:] for row in alarm if row[0] == "26.50"][-1] == [
+    assert [row[1:] for row in alarm if row[0] == "2024-01-02 02:30 UTC"][-1] == [
         "alarm acknowledged",
         "acknowledged",
         "ann",
         NOTE,
     ]
     shelved = find_alarm(page, 2)
-    assert [row[1:] for row in shelved if row[0] == "5.50"][-1] == [
+    assert [row[1:] for row in shelved if row[0] == "2024-01-01 05:30 UTC"][-1] == [
         *("alarm shelved", "unacknowledged, shelved", "ann", "a new coil comes")
     ]
     states = [row[3] for row in page.tables["Active alarms and actions"][1:]]
