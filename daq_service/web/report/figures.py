@@ -132,9 +132,8 @@ def _finish_statistic_axis(axis: Axes, values: Sequence[float | None], label: st
 def _draw_thickness(position: PositionReport, axis: Axes) -> None:
     """Draw the wall thickness (mm) of a probe's sets with the 95 % interval of each and the alarm limit."""
     values = position.values
-    ends_mm = (np.array(values[f"interval_{end}_m"], dtype=float) * 1e3 for end in ("low", "high"))
-    shade = {"color": GREY, "alpha": 0.25, "linewidth": 0.0, "label": "95 % interval"}
-    axis.fill_between(values["due_h"], *ends_mm, **shade)
+    low_mm, high_mm = (1e3 * np.array(values[f"interval_{end}_m"], dtype=float) for end in ("low", "high"))
+    axis.fill_between(values["due_h"], low_mm, high_mm, color=GREY, alpha=0.25, lw=0.0, label="95 % interval")
     _draw_points(values, "thickness_m", 1e3, "wall (mm)", axis)
     if position.limit is not None:
         axis.axhline(1e3 * position.limit, color=VERMILLION, label="limit")

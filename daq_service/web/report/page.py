@@ -10,6 +10,7 @@ from typing import NamedTuple, get_args
 
 from analysis.statistics.chart import ENOUGH_SETS
 from daq_service.alarms.evidence import build_evidence_sentences
+from daq_service.alarms.guidance import GUIDANCE
 from daq_service.alarms.states import PRIORITIES
 from daq_service.alarms.transitions import build_transition
 from daq_service.assessment.position_status import PositionStatus
@@ -54,13 +55,13 @@ def render_report_page(
         most_lines=MOST_LINES,
         most_alarms=MOST_ALARMS,
         configuration=json.dumps(contents.experiment.configuration, indent=1, sort_keys=True),
-        newest=partial(_list_newest, alarms=alarms),
+        newest=lambda position: list(_list_newest(position, alarms)),
         baselines={row.position: row for row in contents.baselines.values() if row.state == "approved"},
         diagnosis=_find_newest_diagnosis,
         series=_build_series_rows,
         sentences=partial(build_evidence_sentences, baselines=contents.baselines),
         headline=lambda alarm: alarm.message,
-        action=lambda alarm: "",
+        action=lambda alarm: GUIDANCE[alarm.kind].short if alarm.kind in GUIDANCE else "",
         transition=build_transition,
     )
 
@@ -78,27 +79,24 @@ def _find_newest_diagnosis(position: PositionReport) -> tuple[float, Mapping[str
     return assessments["due_h"][at], assessments["diagnosis_details"][at]["probabilities"]
 
 
-def _list_newest(position: PositionReport, alarms: AlarmSettings) -> list[Measured]:
-    """List the newest values of a position: wall thickness, or control chart (if it decides) and distance."""
-    values, rows, found = position.values, position.assessments, []
-    qualities = dict(zip(values["due_h"], values["quality"], strict=True))
-    if rows is None:
-        if (at := _find_newest(values["thickness_m"])) is not None:
-            ends = [format_quantity(values[f"interval_{end}_m"][at], 1e3) for end in ("low", "high")]
-            wall = format_quantity(values["thickness_m"][at], 1e3, 2, "mm")
-            shown = f"{wall} (95 % interval {' to '.join(ends)} mm)"
-            limit, hour = format_quantity(position.limit, 1e3, 2, "mm"), values["due_h"][at]
-            found.append(Measured("Wall thickness", shown, limit, hour, qualities[hour]))
-        return found
-    if alarms.decides_by == "chart" and (at := _find_newest(rows["mewma_statistic"])) is not None:
-        shown, limit = (format_three_digits(rows[f"mewma_{name}"][at]) for name in ("statistic", "limit"))
-        hour = rows["due_h"][at]
-        found.append(Measured("Control chart", shown, limit, hour, qualities.get(hour, NOT_KNOWN)))
-    if (at := _find_newest(rows["distance_squared"])) is not None:
-        shown, limit = map(format_three_digits, (rows["distance_squared"][at], position.limit))
-        hour = rows["due_h"][at]
-        found.append(Measured("Squared distance D²", shown, limit, hour, qualities.get(hour, NOT_KNOWN)))
-    return found
+def _list_newest(position: PositionReport, alarms: AlarmSettings) -> Iterator[Measured]:
+    """Yield the newest values of a position: thickness, or control chart (if it decides) and distance."""
+    columns, wanted = position.values, {"thickness_m": "Wall thickness"}
+    qualities = dict(zip(columns["due_h"], columns["quality"], strict=True))
+    if position.assessments is not None:
+        by_chart = {"mewma_statistic": "Control chart"} if alarms.decides_by == "chart" else {}
+        columns, wanted = position.assessments, by_chart | {"distance_squared": "Squared distance D²"}
+    for column, quantity in wanted.items():
+        if (at := _find_newest(columns[column])) is None:
+            continue
+        value, hour = columns[column][at], columns["due_h"][at]
+        limit = columns["mewma_limit"][at] if column == "mewma_statistic" else position.limit
+        texts = format_three_digits(value), format_three_digits(limit)
+        if column == "thickness_m":
+            ends = (format_quantity(columns[f"interval_{end}_m"][at], 1e3) for end in ("low", "high"))
+            wall, limit_mm = (format_quantity(one, 1e3, 2, "mm") for one in (value, limit))
+            texts = f"{wall} (95 % interval {' to '.join(ends)} mm)", limit_mm
+        yield Measured(quantity, *texts, hour, qualities.get(hour, NOT_KNOWN))
 
 
 def _build_series_rows(position: PositionReport) -> Iterator[Row]:

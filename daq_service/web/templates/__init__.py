@@ -82,10 +82,11 @@ def format_percent(probability: float) -> str:
 def format_plain_text(value: object) -> str:
     """Format any value of a row as text: items of collections joined by commas, None as `NOT_KNOWN`.
 
-    A float has four significant digits.
+    A float has four significant digits. Missing values of a mapping are left out.
     """
     if isinstance(value, Mapping):
-        return ", ".join(f"{name} {format_plain_text(item)}" for name, item in value.items())
+        known = {name: item for name, item in value.items() if item is not None}
+        return ", ".join(f"{name} {format_plain_text(item)}" for name, item in known.items())
     if isinstance(value, list | tuple):
         return ", ".join(map(format_plain_text, value))
     return format_significant(value) if isinstance(value, float) or value is None else str(value)
