@@ -13,6 +13,7 @@ from support.filled_folder import filled_folder, frozen_baseline
 from daq_service.catalogue import SetCommit
 from daq_service.catalogue.rows import AlarmRow
 from daq_service.cli.main import cli
+from daq_service.settings.tree import Settings
 from daq_service.web.report import pdf
 from daq_service.web.report.make import build_report_page
 
@@ -24,12 +25,25 @@ A4_PX = 688
 NOTE = "<b>couplant</b> renewed"
 
 
+LABEL = "transducer with a long name, 25.4 mm patch, weld 14 west"
+HEADLINE = "signal change, probable wall thinning (model: 97 %) of a large part of it"
+"""With the position as long as a headline may be."""
+
+
 @pytest.fixture(scope="module")
 def filled(tmp_path_factory):
-    with filled_folder(tmp_path_factory.mktemp("data"), sets=56) as folder:
-        folder.catalogue.commit_set(SetCommit(baselines=[frozen_baseline(name) for name in "BCD"]))
-        for position, index in (("B", 52), ("C", 50), (None, 30)):
-            folder.add_alarm(position, index)
+    """Yield a test with more positions and alarms than a summary shows, and long texts."""
+    methods = {"A": "pulse_echo", **dict.fromkeys("BCDEFGH", "solitary_wave")}
+    place = {"label": LABEL, "serial_number": "SN-0012345"}
+    settings = Settings(positions={name: {**place, "method": method} for name, method in methods.items()})
+    quality = {"n": 48, "false_alarms_per_sensor_year": 0.2, "rate_verified": False}
+    with filled_folder(tmp_path_factory.mktemp("data"), settings, sets=52) as folder:
+        rows = [frozen_baseline(name, baseline_quality=quality) for name in methods]
+        folder.catalogue.commit_set(SetCommit(baselines=rows))
+        for position in methods:
+            for index, kind, priority in ((49, "wall_change", "high"), (51, "no_reflection", "critical")):
+                message = f"{position}: {HEADLINE}"
+                folder.add_alarm(position, index, kind=kind, priority=priority, message=message)
         folder.annotate(3.0, NOTE, position="B")
         yield folder
 
@@ -64,9 +78,12 @@ def test_a_report_has_its_summary_on_two_pages(browser, filled, tmp_path, monkey
     assert list(tmp_path.iterdir()) == [target]
     summary = " ".join(pages[:2])
     for heading in ("Findings by position", "Active alarms and actions", "Reliability of the findings"):
-        assert f" {heading} " in f"{summary} "
-    for alarm in filled.catalogue.rows(AlarmRow, active=True):
-        assert alarm.message in summary
+        assert f" {heading} " in summary
+    # Two of each of 6 positions, and 6 in the table; the first one is on top, too.
+    assert summary.count(HEADLINE) == 6 * 2 + 6 + 1
+    assert "10 further alarms are in the appendix." in summary
+    assert summary.count("not verified: 48 sets, 150 needed") == 5, "one is a probe"
+    assert summary.endswith("A value of suspect or bad quality needs a second measurement.")
     assert "Appendix Identity" in pages[2], "the summary ends with the second page"
     assert NOTE in " ".join(pages[2:])
     assert all(f"Page {number} of {len(pages)}" in page for number, page in enumerate(pages, start=1))

@@ -6,6 +6,7 @@ import json
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from functools import partial
+from textwrap import shorten
 from typing import NamedTuple, get_args
 
 from analysis.statistics.chart import ENOUGH_SETS
@@ -18,8 +19,9 @@ from daq_service.settings.tree import AlarmSettings
 from daq_service.web.report.contents import MOST_LINES, Columns, Contents, PositionReport
 from daq_service.web.templates import NOT_KNOWN, format_quantity, format_three_digits, render_template
 
-MOST_POSITIONS, MOST_ALARMS = 6, 8
+MOST_POSITIONS, MOST_ALARMS = 6, 6
 """Limits of the summary, which fits two pages; the most urgent are shown."""
+LONGEST_HEADLINE = 80
 Row = Sequence[str]
 
 
@@ -60,7 +62,7 @@ def render_report_page(
         diagnosis=_find_newest_diagnosis,
         series=_build_series_rows,
         sentences=partial(build_evidence_sentences, baselines=contents.baselines),
-        headline=lambda alarm: alarm.message,
+        headline=lambda alarm: shorten(alarm.message, LONGEST_HEADLINE, placeholder=" ..."),
         action=lambda alarm: GUIDANCE[alarm.kind].short if alarm.kind in GUIDANCE else "",
         transition=build_transition,
     )

@@ -5,6 +5,7 @@ import re
 from contextlib import nullcontext
 from dataclasses import replace
 from html.parser import HTMLParser
+from textwrap import shorten
 from xml.etree import ElementTree
 
 import numpy as np
@@ -16,6 +17,7 @@ from support.served_web import served
 from support.small_experiment import AtOnce
 
 from daq_service import client
+from daq_service.alarms.guidance import GUIDANCE
 from daq_service.catalogue import SetCommit
 from daq_service.catalogue.rows import AlarmRow, AssessmentRow, SetRow, ThicknessRow
 from daq_service.cli.main import cli
@@ -168,11 +170,12 @@ def test_the_summary_has_findings_alarms_actions_and_reliability(filled, page):
     assert f"{n_done} of {len(rows)} scheduled sets are complete" in words
     assert "The rig is simulated: no real wall was measured." in words
     assert "Alarms are active at B, C." in words
-    alarms = filled.catalogue.rows(AlarmRow, active=True)
+    alarms = sorted(filled.catalogue.rows(AlarmRow, active=True), key=lambda row: row.raised_h)
     listed = page.tables["Active alarms and actions"][1:]
     assert [row[:2] for row in listed] == [
-        [row.priority.capitalize(), row.message] for row in sorted(alarms, key=lambda row: row.raised_h)
+        [row.priority.capitalize(), shorten(row.message, 80, placeholder=" ...")] for row in alarms
     ]
+    assert [row[4] for row in listed] == [GUIDANCE[row.kind].short for row in alarms]
     assert [row[2] for row in listed] == [
         "hour 5.5 (2024-01-01 05:30 UTC)",
         "hour 26.5 (2024-01-02 02:30 UTC)",
