@@ -26,8 +26,7 @@ NOTE = "<b>couplant</b> renewed"
 
 
 LABEL = "transducer with a long name, 25.4 mm patch, weld 14 west"
-HEADLINE = "signal change, probable wall thinning (model: 97 %) of a large part of it"
-"""With the position as long as a headline may be."""
+WALL = {"diagnosis": "wall", "diagnosis_probability": 0.97}
 
 
 @pytest.fixture(scope="module")
@@ -42,8 +41,7 @@ def filled(tmp_path_factory):
         folder.catalogue.commit_set(SetCommit(baselines=rows))
         for position in methods:
             for index, kind, priority in ((49, "wall_change", "high"), (51, "no_reflection", "critical")):
-                message = f"{position}: {HEADLINE}"
-                folder.add_alarm(position, index, kind=kind, priority=priority, message=message)
+                folder.add_alarm(position, index, kind=kind, priority=priority, evidence=WALL)
         folder.annotate(3.0, NOTE, position="B")
         yield folder
 
@@ -79,8 +77,9 @@ def test_a_report_has_its_summary_on_two_pages(browser, filled, tmp_path, monkey
     summary = " ".join(pages[:2])
     for heading in ("Findings by position", "Active alarms and actions", "Reliability of the findings"):
         assert f" {heading} " in summary
-    # Two of each of 6 positions, and 6 in the table; the first one is on top, too.
-    assert summary.count(HEADLINE) == 6 * 2 + 6 + 1
+    # Both of each of 6 positions; the table has 6, the most urgent, and the first is on top.
+    assert summary.count("signal change, probable wall thinning (model: 97 %)") == 6
+    assert summary.count("no reflected wave, possible hole or lost contact") == 6 + 6 + 1
     assert "10 further alarms are in the appendix." in summary
     assert summary.count("not verified: 48 sets, 150 needed") == 5, "one is a probe"
     assert summary.endswith("A value of suspect or bad quality needs a second measurement.")

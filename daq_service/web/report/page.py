@@ -6,22 +6,19 @@ import json
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from functools import partial
-from textwrap import shorten
 from typing import NamedTuple, get_args
 
 from analysis.statistics.chart import ENOUGH_SETS
 from daq_service.alarms.evidence import build_evidence_sentences
-from daq_service.alarms.guidance import GUIDANCE
-from daq_service.alarms.states import PRIORITIES
+from daq_service.alarms.states import PRIORITIES, describe_alarm, format_number
 from daq_service.alarms.transitions import build_transition
 from daq_service.assessment.position_status import PositionStatus
 from daq_service.settings.tree import AlarmSettings
 from daq_service.web.report.contents import MOST_LINES, Columns, Contents, PositionReport
-from daq_service.web.templates import NOT_KNOWN, format_quantity, format_three_digits, render_template
+from daq_service.web.templates import NOT_KNOWN, format_quantity, render_template
 
 MOST_POSITIONS, MOST_ALARMS = 6, 6
 """Limits of the summary, which fits two pages; the most urgent are shown."""
-LONGEST_HEADLINE = 80
 Row = Sequence[str]
 
 
@@ -62,8 +59,8 @@ def render_report_page(
         diagnosis=_find_newest_diagnosis,
         series=_build_series_rows,
         sentences=partial(build_evidence_sentences, baselines=contents.baselines),
-        headline=lambda alarm: shorten(alarm.message, LONGEST_HEADLINE, placeholder=" ..."),
-        action=lambda alarm: GUIDANCE[alarm.kind].short if alarm.kind in GUIDANCE else "",
+        headline=lambda alarm: describe_alarm(alarm).headline,
+        action=lambda alarm: describe_alarm(alarm).action,
         transition=build_transition,
     )
 
@@ -93,7 +90,7 @@ def _list_newest(position: PositionReport, alarms: AlarmSettings) -> Iterator[Me
             continue
         value, hour = columns[column][at], columns["due_h"][at]
         limit = columns["mewma_limit"][at] if column == "mewma_statistic" else position.limit
-        texts = format_three_digits(value), format_three_digits(limit)
+        texts = format_number(value), NOT_KNOWN if limit is None else format_number(limit)
         if column == "thickness_m":
             ends = (format_quantity(columns[f"interval_{end}_m"][at], 1e3) for end in ("low", "high"))
             wall, limit_mm = (format_quantity(one, 1e3, 2, "mm") for one in (value, limit))

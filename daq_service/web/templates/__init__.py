@@ -67,13 +67,6 @@ def format_significant(value: float | None, digits: int = 4) -> str:
     return NOT_KNOWN if value is None else f"{value:.{digits}g}"
 
 
-def format_three_digits(value: float | None) -> str:
-    """Format a number with three significant digits, from 1000 on as an integer; `NOT_KNOWN` for None."""
-    if value is None:
-        return NOT_KNOWN
-    return f"{value:.0f}" if abs(value) >= 999.5 else f"{value:#.3g}".rstrip(".")
-
-
 def format_percent(probability: float) -> str:
     """Format a probability in whole percent, rounded down; at most ``> 99 %``."""
     return "> 99 %" if probability > 0.99 else f"{math.floor(100.0 * probability)} %"

@@ -5,7 +5,6 @@ import re
 from contextlib import nullcontext
 from dataclasses import replace
 from html.parser import HTMLParser
-from textwrap import shorten
 from xml.etree import ElementTree
 
 import numpy as np
@@ -17,7 +16,7 @@ from support.served_web import served
 from support.small_experiment import AtOnce
 
 from daq_service import client
-from daq_service.alarms.guidance import GUIDANCE
+from daq_service.alarms.states import describe_alarm, format_number
 from daq_service.catalogue import SetCommit
 from daq_service.catalogue.rows import AlarmRow, AssessmentRow, SetRow, ThicknessRow
 from daq_service.cli.main import cli
@@ -32,7 +31,6 @@ from daq_service.web.templates import (
     _create_environment,
     format_percent,
     format_quantity,
-    format_three_digits,
 )
 
 N_SETS = 56
@@ -157,7 +155,7 @@ def test_the_tables_have_the_numbers_of_the_client(filled, page):
         ("Control chart", newest["mewma_statistic"], LIMIT_CHART),
         ("Squared distance D²", newest["distance_squared"], newest["limit_f_predictive"]),
     ):
-        texts = [format_three_digits(value), format_three_digits(limit)]
+        texts = [format_number(value), format_number(limit)]
         assert ["B", "alarm", name, *texts, newest["quality"], hour, "1"] in page.tables["Status"]
     identity = {row[0]: row[1] for row in page.tables["Identity"]}
     assert identity["Configuration"] == f"SHA-256 {info['configuration_hash']}"
@@ -173,9 +171,9 @@ def test_the_summary_has_findings_alarms_actions_and_reliability(filled, page):
     alarms = sorted(filled.catalogue.rows(AlarmRow, active=True), key=lambda row: row.raised_h)
     listed = page.tables["Active alarms and actions"][1:]
     assert [row[:2] for row in listed] == [
-        [row.priority.capitalize(), shorten(row.message, 80, placeholder=" ...")] for row in alarms
+        [row.priority.capitalize(), describe_alarm(row).headline] for row in alarms
     ]
-    assert [row[4] for row in listed] == [GUIDANCE[row.kind].short for row in alarms]
+    assert [row[4] for row in listed] == [describe_alarm(row).action for row in alarms]
     assert [row[2] for row in listed] == [
         "hour 5.5 (2024-01-01 05:30 UTC)",
         "hour 26.5 (2024-01-02 02:30 UTC)",
@@ -209,11 +207,8 @@ def test_a_rate_is_described_with_the_reason_why_it_is_not_verified():
     assert describe(row, by_count) == "no design rate: alarm at 3 of 5 sets"
 
 
-def test_probabilities_and_values_are_rounded_as_the_house_writes_them():
+def test_probabilities_are_rounded_down():
     assert [format_percent(value) for value in (0.9999, 0.979, 0.004)] == ["> 99 %", "97 %", "0 %"]
-    values = (61.0, 344.4, 4.567, 1234.5, 0.0, None)
-    shown = ["61.0", "344", "4.57", "1234", "0.00", "not available"]
-    assert [format_three_digits(value) for value in values] == shown
 
 
 def test_hostile_text_is_shown_as_text(tmp_path):
