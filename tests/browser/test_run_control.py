@@ -53,7 +53,7 @@ def shared(service, browser):
     """Yield a page for commands that leave nothing behind, with the control card open."""
     with watched_pages(browser) as open_:
         page = open_(service.url, name="ann")
-        page.get_by_text("Run control").click()
+        page.get_by_text("Test control").click()
         yield page
 
 
@@ -180,7 +180,7 @@ def test_a_baseline_without_limits_is_shown_and_cannot_be_approved(filled, servi
     filled.catalogue.commit_set(SetCommit(assessments=[replace(assessment, set_index=3)]))
     page = open_page(service.url, name="ann")
     tile, card = page.locator('#tiles [data-position="D"]'), page.locator("#baseline")
-    expect(tile).to_contain_text("Not judged")
+    expect(tile).to_contain_text("Not assessed")
     expect(tile).to_contain_text(why)
     tile.click()
     expect(card.locator("summary")).to_contain_text("Baseline of D No limits: nothing is judged")
@@ -267,7 +267,7 @@ def test_nothing_is_shown_without_a_token_and_no_button_that_its_role_does_not_a
         page.reload()
         expect(tiles).not_to_have_count(0)
         assert text not in page.url + str(page.evaluate("document.cookie + JSON.stringify(localStorage)"))
-        page.get_by_text("Run control").click()
+        page.get_by_text("Test control").click()
         buttons = page.locator("#control button:visible")
         expect(buttons).to_have_count(6)
         expect(page.locator("#pause")).to_be_visible(visible=held)
