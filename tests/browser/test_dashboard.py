@@ -206,7 +206,6 @@ def test_an_alarm_appears_and_its_acknowledgement_becomes_a_command(filled, serv
     expect(alarms).to_contain_text("3 of the last 5 judged sets at B")
     expect(alarms).to_contain_text("hour 30.0")
     expect(page.locator('.tile[data-position="B"]')).to_have_attribute("data-state", "alarm")
-    alarms.get_by_text("Proof", exact=True).click()
     alarms.get_by_role("button", name="Acknowledge:").click()
     acknowledging = alarms.locator('[data-focus^="ack-"]')
     expect(acknowledging).to_have_text(SENT)
@@ -215,7 +214,8 @@ def test_an_alarm_appears_and_its_acknowledgement_becomes_a_command(filled, serv
     filled.acknowledge(alarm_id, command)
     expect(alarms).to_contain_text("damage alarm, acknowledged by dashboard")
     expect(acknowledging).to_have_count(0)
-    # The evidence stays open, and a new set comes into its picture.
+    # A new set comes into the chart of the open evidence.
+    alarms.get_by_role("button", name="Evidence").click()
     last = f"document.getElementById('evidence-chart-{alarm_id}')?.snapshot()?.opens.at(-1)"
     until(lambda: page.evaluate(last) == N_SETS - 1, "the sets so far are drawn")
     filled.add_set(N_SETS, stored=False)
@@ -227,14 +227,14 @@ def test_an_unverified_clock_is_trusted_from_its_alarm(ordering):
     filled.add_alarm(None, N_SETS - 1, kind="clock_unverified", message="the system's clock says 2010")
     alarms = page.locator("#alarms")
     expect(alarms).to_contain_text("the system's clock says 2010")
-    alarms.get_by_role("button", name="The clock is right").click()
+    alarms.get_by_role("button", name="Trust clock").click()
     expect(alarms.get_by_role("button", name="Sent")).to_be_visible()
     filled.add_alarm("B", N_SETS - 1, message="the list is drawn anew")
     expect(alarms).to_contain_text("the list is drawn anew")
     expect(alarms.get_by_role("button", name="Sent")).to_be_disabled()
     answer(filled, "trust_clock", {"note": ""}, state="rejected", result="nobody doubts the system's clock")
     expect(page.locator("body")).to_contain_text("nobody doubts the system's clock")
-    expect(alarms.get_by_role("button", name="The clock is right")).to_be_enabled()
+    expect(alarms.get_by_role("button", name="Trust clock")).to_be_enabled()
 
 
 def test_finish_now_becomes_a_command_or_expires_on_the_page(filled, service, open_page, monkeypatch):
@@ -242,14 +242,14 @@ def test_finish_now_becomes_a_command_or_expires_on_the_page(filled, service, op
     notice = page.locator("#notice")
 
     def order():
-        page.get_by_role("button", name="Finish now").click()
-        page.get_by_role("button", name="Run to the end").click()
+        page.get_by_role("button", name="Skip to end").click()
+        page.get_by_role("dialog").get_by_role("button", name="Skip to end").click()
 
     with monkeypatch.context() as late:
         late.setattr("daq_service.commands.deadline.remaining_now_s", lambda row: 0.0)
         order()
         expect(notice).to_contain_text("finish_now expired: not executed")
-        expect(page.locator("#finish")).to_have_text("Finish now")
+        expect(page.locator("#finish")).to_have_text("Skip to end")
     order()
     expect(page.locator("#finish")).to_have_text(SENT)
     # No recorder has closed the one before.

@@ -118,7 +118,7 @@ export class DataLoader {
     try {
       if (!(await hasData())) {
         this.listener.onWaiting(
-          "Waiting for the first record. This page fills itself as soon as the recorder has stored something.",
+          "Waiting for the first waveform. The page updates itself when the recorder has stored it.",
         );
         // From the first event on: the recorder may have asked an operator to strike the first shot.
         openEvents(0);
@@ -127,7 +127,7 @@ export class DataLoader {
       }
       this.info = await get("/info");
     } catch (error) {
-      this.listener.onWaiting(`The service does not answer: ${/** @type {Error} */ (error).message}`);
+      this.listener.onWaiting(`The service does not respond: ${/** @type {Error} */ (error).message}`);
       setTimeout(() => this.start(openEvents), RETRY_MS);
       return;
     }

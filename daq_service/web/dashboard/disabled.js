@@ -67,7 +67,7 @@ export class DisabledTransducers {
   /** @param {string} position */
   async enable(position) {
     const paragraphs = [
-      `Position ${position} strikes again from the next set on: hands out of the rig. The alarm that ` +
+      `Position ${position} strikes again from the next set. Keep hands out of the rig. The alarm that ` +
         "disabled it is reset.",
       "To undo it, disable it again.",
     ];

@@ -77,7 +77,7 @@ export function utc(text) {
 }
 
 /**
- * Return the age of the newest data of another test: on its own clock, and since its recorder wrote.
+ * Return the age of the newest data of another test: on its own clock, and since its last update.
  *
  * @param {any} standing of /tests
  * @param {{data_h: Maybe, age_h: Maybe, stale: boolean}} data
@@ -88,7 +88,7 @@ export function ageText(standing, data, sinceS) {
   const elapsedH = standing.clock === "wall" ? sinceS / 3600 : 0;
   const last =
     data.data_h === null
-      ? "nothing measured yet"
+      ? "No data yet"
       : `hour ${hour(data.data_h)} · ${fixed((data.age_h ?? 0) + elapsedH, 1)} h old`;
-  return `${data.stale ? "Stale: " : ""}${last} · written ${wall}`;
+  return `${data.stale && standing.recorder !== "finished" ? "Stale: " : ""}${last} · updated ${wall}`;
 }

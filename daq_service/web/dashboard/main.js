@@ -262,6 +262,7 @@ function showAll() {
 
 function onStart() {
   operatorPrompt.show(data.info.asked);
+  alarmList.handover.start(data.info.last_event_id);
   showInfo();
   showAll();
 }
@@ -293,7 +294,7 @@ function showColumns() {
 
 /** @param {{alarms?: any[], notes?: any[], transducers?: any, environment?: any, info?: boolean}} news */
 function onRead({ alarms, notes: noteRows, transducers, environment, info }) {
-  if (alarms) alarmList.update(alarms);
+  if (alarms) alarmList.update(alarms.map((alarm) => ({ ...alarm, headline: alarm.headline ?? alarm.message })));
   if (noteRows) notes.update(noteRows);
   if (info) {
     operatorPrompt.show(data.info.asked);
@@ -316,6 +317,7 @@ function onRead({ alarms, notes: noteRows, transducers, environment, info }) {
 function onEvent(topic, event) {
   if (topic === "service") operatorPrompt.onEvent(event);
   data.onEvent(topic, event);
+  alarmList.handover.add(topic, event);
   const { position, set } = address.view;
   const concerns = event.position === position && (setKey(event) === set || String(event.kind).includes("baseline"));
   if (set !== null && concerns) void panel.read();
@@ -333,7 +335,7 @@ function showInfo() {
   rig.dataset.rig = info.rig;
   setText(
     byId("approval"),
-    `${info.clock.kind} clock${info.clock.pace_h_per_s ? `, ${significant(info.clock.pace_h_per_s)} h a second` : ""}`,
+    `${info.clock.kind} clock${info.clock.pace_h_per_s ? `, ${significant(info.clock.pace_h_per_s)} h per second` : ""}`,
   );
   setText(byId("hour-total"), ` of ${hour(info.schedule.end_h)} h`);
   setText(byId("version"), `solimon ${info.version}`);
@@ -351,6 +353,7 @@ function showClock(asOf) {
     : 0;
   Object.assign(state, { recorder: asOf.recorder, now_h: asOf.now_h, clockReadAt: performance.now() });
   if (state.recorder !== "running") byId("finish").hidden = true;
+  alarmList.running = state.recorder !== "finished";
   pauseControl.update(data.info?.paused ?? null, state.recorder);
   showConnection();
 }
@@ -401,9 +404,8 @@ const theme = new Theme(
 );
 byId("finish").addEventListener("click", async () => {
   const button = /** @type {HTMLButtonElement} */ (byId("finish"));
-  const paragraphs = ["The rest of the simulated test runs as fast as it goes. It cannot be slowed down again."];
-  if ((await askConfirmation({ title: "Finish the test now", paragraphs, submitLabel: "Run to the end" })) === null)
-    return;
+  const paragraphs = ["The rest of the simulated test runs at full speed. You cannot slow it down again."];
+  if ((await askConfirmation({ title: "Skip to end", paragraphs, submitLabel: "Skip to end" })) === null) return;
   if (await sendByButton(button, "finish_now", {}, (text) => notice(text, "alarm"))) {
     button.disabled = true;
     setText(button, "Finishing");

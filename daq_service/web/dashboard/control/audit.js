@@ -2,6 +2,7 @@
 
 import { get } from "../api.js";
 import { byId, el, setText } from "../dom.js";
+import { utc } from "../format.js";
 import { isAllowed } from "./session.js";
 
 const PAGE = 50;
@@ -21,7 +22,7 @@ const COMMAND_KINDS = [
 ];
 /** @type {[string, string[]][]} */
 const KINDS = [
-  ["Everything", []],
+  ["All", []],
   ["Pauses", PAUSE_KINDS],
   ["Commands", COMMAND_KINDS],
   ["Logins and tokens", LOGIN_KINDS],
@@ -52,9 +53,9 @@ function row(item) {
   const args = Object.entries(item.arguments)
     .filter(([name, value]) => name !== "request_id" && value !== null && value !== "")
     .map(([name, value]) => `${name}: ${value}`);
-  const omitted = item.left_out ? `; ${item.left_out} rejections before it are not listed` : "";
+  const omitted = item.left_out ? `; ${item.left_out} earlier rejections are not listed` : "";
   const cells = [
-    el("time", { datetime: item.utc, title: item.utc, text: new Date(item.utc).toLocaleString() }),
+    el("time", { datetime: item.utc, title: item.utc, text: utc(item.utc) }),
     item.author || "Unknown",
     item.role || "Not logged in",
     item.source,
@@ -145,7 +146,7 @@ export class Audit {
     const query = new URLSearchParams({ limit: String(PAGE) });
     for (const [name, value] of Object.entries(filters)) if (value) query.set(name, value);
     const requestNumber = ++this.requestNumber;
-    setText(this.status, "Reading");
+    setText(this.status, "Loading");
     try {
       const page = await get(`/audit?${query}`);
       if (requestNumber !== this.requestNumber) return; // another filter was chosen in the meantime
@@ -154,11 +155,11 @@ export class Audit {
       this.cursor = page.next_cursor;
       this.olderButton.hidden = this.cursor === null;
       const count = this.body.childElementCount;
-      const rest = this.cursor === null ? "" : "; there is more before that";
-      setText(this.status, `${count || "Nothing"} found${rest}. Times are this computer's.`);
+      const rest = this.cursor === null ? "" : "; older entries exist";
+      setText(this.status, `${count || "Nothing"} found${rest}. Days are those of this browser's time zone.`);
     } catch (error) {
       if (requestNumber === this.requestNumber)
-        setText(this.status, `The audit cannot be read: ${/** @type {Error} */ (error).message}`);
+        setText(this.status, `Audit log not available: ${/** @type {Error} */ (error).message}`);
     }
   }
 }
