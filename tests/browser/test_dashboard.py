@@ -377,11 +377,11 @@ def test_positions_are_chosen_by_keyboard_and_charts_read_by_it_and_as_a_table(h
 def test_a_page_that_was_opened_first_asks_for_the_first_shot_and_fills_itself(tmp_path, open_page):
     with served(Settings(), tmp_path) as service:
         page = open_page(service.url)
-        expect(page.locator("#notice")).to_contain_text("Waiting for the first record")
+        expect(page.locator("#notice")).to_contain_text("Waiting for the first waveform")
         filled = FilledFolder(tmp_path, Settings())
         filled.say("asked", text="strike B now", within_s=600.0)
         expect(page.locator("#prompt")).to_contain_text("strike B now")
-        expect(page.locator("#notice")).to_contain_text("Waiting for the first record")
+        expect(page.locator("#notice")).to_contain_text("Waiting for the first waveform")
         filled.add_set(0, stored=False, shown=True)
         expect(page.locator("#tof")).to_have_attribute("data-points", "1")
         expect(page.locator("#notice")).to_be_hidden()

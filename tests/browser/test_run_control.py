@@ -87,7 +87,12 @@ def answered(filled, author="ann"):
         ),
         (
             "Supply on or new limits",
-            ["the wall corrodes", "Ventilate the tank", "never switches on again by itself", "caps are 11 V and 2 A"],
+            [
+                "the wall corrodes",
+                "Ventilate the tank",
+                "never switches on again by itself",
+                "caps are 11 V and 2 A",
+            ],
             "Switch on: 9 V, limit 1 A",
             ("supply_on", {"voltage_v": 9.0, "current_limit_a": 1.0, "note": ""}),
         ),
@@ -220,9 +225,7 @@ def test_a_name_is_requested_once_and_remembered(filled, service, open_page):
         expect(dialog).to_contain_text("as claimed")
         if name is None:
             page.keyboard.press("Escape")
-            expect(page.locator("#notice")).to_contain_text(
-                "it needs the name of its author"
-            )
+            expect(page.locator("#notice")).to_contain_text("it needs the name of its author")
             assert filled.catalogue.list_open_commands() == []
         else:
             page.keyboard.type(name)

@@ -49,7 +49,7 @@ export class AlarmFilter {
       select.replaceChildren(
         el("option", {
           value: ALL,
-          text: { priority: "Any priority", position: "Any position", kind: "Any kind" }[name] ?? name,
+          text: { priority: "Priority", position: "Position", kind: "Kind" }[name] ?? name,
         }),
         ...found[name].map((one) => el("option", { value: one, text: one.replaceAll("_", " ") })),
       );

@@ -59,8 +59,11 @@ export class SolimonAlarms extends HTMLElement {
     /** Evidence that was opened last. @type {AlarmEvidence | null} */
     this.evidence = null;
     this.count = el("p", { "aria-live": "polite", text: "Loading" });
-    this.visit = button("Since my last visit", () => this.showVisit(), { "data-focus": "visit" });
-    this.acknowledgeAll = button("", () => this.acknowledgeShown(), { "data-focus": "ack-all" });
+    this.visit = button("Since my last visit", () => this.showVisit(), { "data-focus": "visit", hidden: true });
+    this.acknowledgeAll = button("Acknowledge all", () => this.acknowledgeShown(), {
+      "data-focus": "all",
+      hidden: true,
+    });
     this.suppressed = el("ul", { class: "suppressed-list", "aria-label": "Shelved and out of service" });
     this.list = el("ul", { class: "alarm-list" });
     this.none = el("p", { class: "no-alarms", text: "" });
@@ -71,10 +74,15 @@ export class SolimonAlarms extends HTMLElement {
     this.setAttribute("aria-labelledby", "alarms-title");
     const { toggle, silence } = this.announcer;
     this.append(
-      el("div", { class: "card-head" }, el("div", {}, el("h2", { id: "alarms-title", text: "Alarms" }), this.count)),
+      el(
+        "div",
+        { class: "card-head" },
+        el("div", {}, el("h2", { id: "alarms-title", text: "Alarms" }), this.count),
+        el("div", { class: "card-actions" }, silence, toggle),
+      ),
       this.suppressed,
-      el("div", { class: "alarm-filter" }, silence, this.acknowledgeAll, this.visit, toggle),
       this.filter.root,
+      el("div", { class: "alarm-filter" }, this.acknowledgeAll, this.visit),
       this.none,
       this.list,
       this.details.dialog,
@@ -138,7 +146,9 @@ export class SolimonAlarms extends HTMLElement {
       this.acknowledgeAll,
       `Acknowledge all in view (${waiting.length - critical}${critical ? `, not ${critical} critical` : ""})`,
     );
-    setText(this.visit, `Since my last visit: ${this.handover.summary()}`);
+    const summary = this.handover.summary();
+    this.visit.hidden = !summary;
+    setText(this.visit, `Since my last visit: ${summary}`);
   }
 
   /** @param {any} alarm @returns {HTMLElement} */
@@ -166,7 +176,9 @@ export class SolimonAlarms extends HTMLElement {
     };
     /** @param {string} key @param {string} text @param {() => void} act */
     const detail = (key, text, act) =>
-      foot.append(button(text, act, { "data-focus": `${key}-${id}`, "aria-label": `${text}: ${headline}` }));
+      foot.append(
+        button(text, act, { class: "link", "data-focus": `${key}-${id}`, "aria-label": `${text}: ${headline}` }),
+      );
     /** @param {any} args @param {string} kind @param {(text: string) => void} report */
     const command = async (args, kind, report) => args && sendCommand(kind, args, report);
     const main = "button small";

@@ -42,7 +42,7 @@ export class Announcer {
   open() {
     if (!this.on) return;
     this.audio ??= new AudioContext();
-    void this.audio.resume().then(() => this.show());
+    if (this.audio.state !== "running") void this.audio.resume().then(() => (this.show(), this.sound()));
   }
 
   silenceAll() {

@@ -25,6 +25,8 @@ const CHANGES = {
   alarm_in_service: ["shelved", "returned to service"],
 };
 
+const GROUPS = [...new Set(Object.values(CHANGES).map(([group]) => group)), "commanded"];
+
 /** Return the text of a change of an alarm. @param {string} kind of its event */
 export const changeText = (kind) => CHANGES[kind]?.[1] ?? kind.replace("alarm_", "").replaceAll("_", " ");
 
@@ -102,15 +104,11 @@ export class Handover {
     return new Set(this.list().flatMap(({ topic, payload }) => (topic === "alarms" ? [payload.alarm_id] : [])));
   }
 
-  /** Return the count of each group, e.g. "2 raised, 1 commanded". */
+  /** Return the count of each group, e.g. "2 raised, 1 commanded"; empty: nothing. */
   summary() {
-    /** @type {Map<string, number>} */
-    const counts = new Map();
-    for (const event of this.list()) {
-      const group = this.groupOf(event.topic, event);
-      counts.set(group, (counts.get(group) ?? 0) + 1);
-    }
-    return [...counts].map(([group, count]) => `${count} ${group}`).join(", ") || "no changes";
+    const groups = this.list().map((event) => this.groupOf(event.topic, event));
+    const counts = GROUPS.map((group) => [groups.filter((one) => one === group).length, group]);
+    return counts.flatMap(([count, group]) => (count ? [`${count} ${group}`] : [])).join(", ");
   }
 
   /** Return the list as an element. @param {(id: number) => string} headline of an alarm */
@@ -123,11 +121,6 @@ export class Handover {
     });
     const started = utc(new Date(this.since.ms).toISOString());
     const older = this.incomplete ? " Older events are not available here; see the audit log." : "";
-    return el(
-      "div",
-      {},
-      el("p", { class: "quiet", text: `Last visit: ${started}. ${this.summary()}.${older}` }),
-      el("ul", {}, ...lines),
-    );
+    return el("div", {}, el("p", { class: "quiet", text: `Last visit: ${started}.${older}` }), el("ul", {}, ...lines));
   }
 }
