@@ -220,7 +220,7 @@ def test_axe_finds_nothing_at_alarms_and_notes(page):
         show(page, f"?theme={theme}")
         expect(page.locator("#theme")).to_have_text(f"Theme: {theme}")
         expect(page.locator("#notes [data-note]")).to_have_count(1)
-        expect(page.locator("#alarms .shelved")).to_have_count(1)
+        expect(page.locator("#alarms .suppressed-list li")).to_have_count(1)
         assert Axe().run(page, context="#alarms, #notes").response["violations"] == []
         box = open_details(page, 1, "Evidence")
         expect(box.locator(".evidence-sets a")).to_have_count(3)

@@ -244,7 +244,7 @@ def test_a_missing_answer_is_shown_with_the_age_of_the_data(filled, service, ope
         page.clock.run_for(1000)
     until(lambda: page.clock.run_for(1000) or failing.is_visible(), "the deadline has passed")
     expect(failing).to_contain_text("no answer within 15 s")
-    expect(failing).to_contain_text(re.compile(r"was read \d+ (s|min) ago"))
+    expect(failing).to_contain_text(re.compile(r"shown data are \d+ (s|min) old"))
 
 
 def test_an_outlier_is_visible_in_its_bin_and_a_zoom_shows_single_sets(filled, service, browser):
@@ -349,7 +349,7 @@ def test_each_baseline_has_its_band_and_sets_are_relative_to_the_one_in_force(fi
     assert limit == [LIMIT_CHART] * RENEWED + [None] * (count - RENEWED)
     card = page.locator("#baseline")
     card.locator("summary").press("Enter")
-    expect(card).to_contain_text(f"{count - RENEWED} of 48 so far ({RENEWED} to {RENEWED + 47})")
+    expect(card).to_contain_text(f"{count - RENEWED} of 48 ({RENEWED} to {RENEWED + 47})")
     expect(card).to_contain_text(f"with the set of hour {hours[1]:.1f}")
 
 

@@ -224,7 +224,7 @@ export class SolimonAlarms extends HTMLElement {
     });
     const note = alarm.note ? `: ${alarm.note}` : "";
     const acknowledger = alarm.acknowledged_by ? ` by ${alarm.acknowledged_by}${note}` : "";
-    const look = { label: alarm.suppressed === "shelved" ? "Shelved" : "Out of service", icon: "pause", tone: "info" };
+    const suppressed = alarm.suppressed ? `, ${suppressedText(alarm)}` : "";
     const item = el(
       "li",
       { class: "alarm" },
@@ -238,9 +238,8 @@ export class SolimonAlarms extends HTMLElement {
       el("p", { class: "alarm-message", text: headline }),
       el("p", {
         class: "quiet small",
-        text: `${alarm.alarm_class} alarm, ${STATE_LABELS[alarm.state] ?? alarm.state}${acknowledger}`,
+        text: `${alarm.alarm_class} alarm, ${STATE_LABELS[alarm.state] ?? alarm.state}${acknowledger}${suppressed}`,
       }),
-      ...(alarm.suppressed ? [el("p", { class: "small shelved" }, chip(look), ` ${suppressedText(alarm)}`)] : []),
       foot,
     );
     item.dataset.alarm = String(id);
@@ -327,7 +326,8 @@ export class SolimonAlarms extends HTMLElement {
   /**
    * Send a command of an alarm: its buttons are disabled, and the pressed one shows the status.
    *
-   * @param {number} id @param {string} key of the button @param {(report: (text: string) => void) => Promise<unknown>} send
+   * @param {number} id @param {string} key of the button
+   * @param {(report: (text: string) => void) => Promise<unknown>} send
    */
   async send(id, key, send) {
     // The list keeps the status: it may replace the button while the command waits.

@@ -2,7 +2,7 @@
 
 import { askConfirmation } from "./control/confirm.js";
 import { isAllowed } from "./control/session.js";
-import { el } from "./dom.js";
+import { button, el } from "./dom.js";
 import { NONE, fixed, significant, utc } from "./format.js";
 import { chip } from "./icons.js";
 import { sendByButton } from "./commands.js";
@@ -181,14 +181,11 @@ export class BaselineCard {
 
   /** @param {string} label @param {string} kind @param {import("./control/confirm.js").Question} question */
   button(label, kind, question) {
-    const commandButton = /** @type {HTMLButtonElement} */ (
-      el("button", { class: "button ghost", type: "button", text: label })
-    );
-    commandButton.addEventListener("click", async () => {
-      const { position } = this;
+    const { position } = this;
+    const ask = async (/** @type {HTMLButtonElement} */ pressed) => {
       const answers = await askConfirmation(question);
-      if (answers !== null) await sendByButton(commandButton, kind, { position, ...answers }, this.onTrouble);
-    });
-    return commandButton;
+      if (answers !== null) await sendByButton(pressed, kind, { position, ...answers }, this.onTrouble);
+    };
+    return button(label, ask, { class: "button ghost" });
   }
 }

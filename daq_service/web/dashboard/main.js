@@ -335,7 +335,7 @@ function showInfo() {
   rig.dataset.rig = info.rig;
   setText(
     byId("approval"),
-    `${info.clock.kind} clock${info.clock.pace_h_per_s ? `, ${significant(info.clock.pace_h_per_s)} h per second` : ""}`,
+    `${info.clock.kind} clock${info.clock.pace_h_per_s ? `, ${significant(info.clock.pace_h_per_s)} h per s` : ""}`,
   );
   setText(byId("hour-total"), ` of ${hour(info.schedule.end_h)} h`);
   setText(byId("version"), `solimon ${info.version}`);

@@ -2,7 +2,7 @@
 
 import { get, post } from "./api.js";
 import { isAllowed } from "./control/session.js";
-import { el, setText } from "./dom.js";
+import { button, el, setText } from "./dom.js";
 import { duration, utc } from "./format.js";
 import { chip } from "./icons.js";
 
@@ -55,15 +55,10 @@ class Receiver {
     this.values = Object.fromEntries(["Last success", "Waiting", "Heartbeat"].map((term) => [term, el("dd")]));
     this.trouble = el("p", { role: "status" });
     this.result = el("p", { class: "quiet small", role: "status" });
-    this.button = /** @type {HTMLButtonElement} */ (
-      el("button", {
-        class: "button ghost",
-        type: "button",
-        hidden: !isAllowed("test_receiver"),
-        text: `Send test message to ${this.name}`,
-      })
-    );
-    this.button.addEventListener("click", () => this.#test(changed));
+    this.button = button(`Send test message to ${this.name}`, () => this.#test(changed), {
+      class: "button ghost",
+      hidden: !isAllowed("test_receiver"),
+    });
     const readouts = Object.entries(this.values).map(([term, value]) => el("div", {}, el("dt", { text: term }), value));
     this.element = el(
       "div",

@@ -1,7 +1,7 @@
 // Show the audit log to administrators, newest entry first: author, operation, time, source and result.
 
 import { get } from "../api.js";
-import { byId, el, setText } from "../dom.js";
+import { button, byId, el, setText } from "../dom.js";
 import { utc } from "../format.js";
 import { isAllowed } from "./session.js";
 
@@ -82,9 +82,7 @@ export class Audit {
     for (const [k, text] of RESULTS.entries()) this.result.append(el("option", { value: k === 0 ? "" : text, text }));
     this.status = el("p", { class: "quiet small", role: "status" });
     this.body = el("tbody");
-    this.olderButton = /** @type {HTMLButtonElement} */ (
-      el("button", { class: "button ghost small", type: "button", text: "Older" })
-    );
+    this.olderButton = button("Older", () => this.read(this.cursor));
     this.kind = this.choice(
       "Kind",
       KINDS.map(([word]) => word),
@@ -111,23 +109,18 @@ export class Audit {
     this.root.addEventListener("toggle", () => this.root.open && void this.read(null));
     this.author.addEventListener("change", () => void this.read(null));
     this.result.addEventListener("change", () => void this.read(null));
-    this.olderButton.addEventListener("click", () => void this.read(this.cursor));
   }
 
   /** Return a group of buttons of which one is chosen. @param {string} label @param {string[]} labels */
   choice(label, labels) {
     const root = el("span", { class: "chips", role: "group", "aria-label": label });
     const group = { root, chosen: 0 };
-    const buttons = labels.map((text, k) =>
-      el("button", { class: "button ghost small", type: "button", "aria-pressed": String(k === 0), text }),
-    );
-    for (const [k, button] of buttons.entries()) {
-      button.addEventListener("click", () => {
-        group.chosen = k;
-        for (const [other, one] of buttons.entries()) one.setAttribute("aria-pressed", String(other === k));
-        void this.read(null);
-      });
-    }
+    const choose = (/** @type {HTMLButtonElement} */ pressed) => {
+      group.chosen = buttons.indexOf(pressed);
+      for (const one of buttons) one.setAttribute("aria-pressed", String(one === pressed));
+      void this.read(null);
+    };
+    const buttons = labels.map((text, k) => button(text, choose, { "aria-pressed": String(k === 0) }));
     root.append(...buttons);
     return group;
   }

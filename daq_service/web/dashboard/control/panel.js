@@ -1,7 +1,7 @@
 // Offer the commands that change the test for good: stop, disable, supply. Disabled, with the reason, where the role
 // does not allow them.
 
-import { byId, el, setText } from "../dom.js";
+import { button, byId, setText } from "../dom.js";
 import { duration, significant } from "../format.js";
 import { sendByButton } from "../commands.js";
 import { askConfirmation } from "./confirm.js";
@@ -118,22 +118,17 @@ export class RunControl {
   /** @param {string} kind @param {string} label @param {string} [position] @param {boolean} [hidden] */
   offer(kind, label, position = "", hidden = false) {
     const key = `${kind} ${position}`;
-    let button = this.buttons.get(key);
-    if (!button) {
-      button = /** @type {HTMLButtonElement} */ (
-        el("button", {
-          class: "button ghost",
-          type: "button",
-          disabled: !isAllowed(kind),
-          "aria-describedby": "control-reason",
-          text: label,
-        })
-      );
-      button.addEventListener("click", () => void this.ask(kind, position, /** @type {HTMLButtonElement} */ (button)));
-      this.buttons.set(key, button);
-      this.choices.append(button);
+    let offered = this.buttons.get(key);
+    if (!offered) {
+      offered = button(label, (pressed) => this.ask(kind, position, pressed), {
+        class: "button ghost",
+        disabled: !isAllowed(kind),
+        "aria-describedby": "control-reason",
+      });
+      this.buttons.set(key, offered);
+      this.choices.append(offered);
     }
-    button.hidden = hidden;
+    offered.hidden = hidden;
   }
 
   /** @param {string} kind @param {string} position @param {HTMLButtonElement} button */
