@@ -138,6 +138,7 @@ def are_b_and_d_on_one_axis(page, api, filled):
 
 def is_shelved_for_eight_hours(page, api, filled):
     alarm = page.locator(f'[data-alarm="{OF_C}"]')
+    expect(alarm).to_contain_text("shelved until")
     shelved = api(f"/alarms/{OF_C}/history").json()["items"][-1]
     assert (shelved["suppressed"], shelved["author"], shelved["reason"]) == ("shelved", "ann", "known leak")
     ends = shelved["shelved_until_utc"]
