@@ -142,9 +142,9 @@ def see_the_supply_and_climate(filled, page):
     write_stored_state(filled.folder, stamp_state(off, output="off", age_s=2.0))
     filled.add_environment(N_SETS)
     now = strip.locator('[data-quality="no_communication"]')
-    expect(now).to_contain_text("Supply now")
+    expect(now).to_contain_text("Supply (live)")
     expect(now).to_contain_text(
-        "unknown; off when it was read last; switch-off pending, output may be ON; tripped: no recorder"
+        "unknown; last reading off; switch-off pending, output may be ON; tripped: no recorder"
     )
     (filled.folder / DRIVE_FILE).unlink()
 
@@ -401,7 +401,9 @@ def test_tiles_are_drawn_before_other_scripts_and_answers_are_asked_for(filled, 
     with page.expect_request("**/static/main.js"):
         page.goto(f"{service.url}?position=B&set=3", wait_until="commit")
     expect(page.locator('.tile[data-position="B"] .figure')).to_have_text(re.compile(r"\d"))
-    expect(page.locator('.tile[data-position="B"]')).to_contain_text(re.compile(r"Chart\s*[\d.]+, limit 59"))
+    expect(page.locator('.tile[data-position="B"]')).to_contain_text(
+        re.compile(r"(control chart|D²) [\d.]+, limit 59")
+    )
     page.locator('.tile[data-position="C"]').click()
     before = asked.index("/static/main.js")
     assert not [path for path in asked[:before] if path.startswith("/api")]

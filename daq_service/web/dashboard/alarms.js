@@ -48,8 +48,8 @@ export class SolimonAlarms extends HTMLElement {
     this.commandStatus = new Map();
     /** @type {import("./alarm-evidence.js").Host} */
     this.host = /** @type {any} */ (null);
-    /** Whether the recorder still takes sets. */
-    this.running = true;
+    /** Whether the test has finished and nothing strikes. */
+    this.testEnded = false;
     /** @type {any[] | undefined} guidance for each kind */
     this.guidance = undefined;
     this.handover = new Handover(() => (this.details.renew(), this.render()));
@@ -203,7 +203,7 @@ export class SolimonAlarms extends HTMLElement {
     detail("history", "History", () => this.showHistory(alarm));
     if (alarm.kind === "clock_unverified" && (alarm.state === "unacknowledged" || alarm.state === "acknowledged"))
       offer("trust", "trust_clock", "Trust clock", (report) => sendCommand("trust_clock", {}, report), main);
-    if (CONFIRMABLE.has(alarm.kind) && open && this.running)
+    if (CONFIRMABLE.has(alarm.kind) && open && !this.testEnded)
       offer("strike", "strike", "Take confirmation set", (report) => sendCommand("strike", { position }, report));
     const links = { "Open set": alarm.raised_set_index, "Open confirmation set": alarm.evidence?.confirmation };
     for (const [text, set] of Object.entries(links)) {

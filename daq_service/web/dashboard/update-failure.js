@@ -23,7 +23,7 @@ export class UpdateFailure {
   /** @param {Error} error @param {number} readAt time of the last complete update, by `performance.now()`; 0: never */
   fail(error, readAt) {
     this.readAt = readAt;
-    setText(this.reason, `Update failed: ${error.message}.`);
+    setText(this.reason, `The last update failed: ${error.message}.`);
     this.root.hidden = false;
     this.tick();
   }
@@ -37,8 +37,8 @@ export class UpdateFailure {
       setText(
         this.age,
         this.readAt
-          ? `The shown data are ${duration((performance.now() - this.readAt) / 1000)} old.`
-          : "No data have arrived yet.",
+          ? `The data shown were read ${duration((performance.now() - this.readAt) / 1000)} ago.`
+          : "Nothing has been read yet.",
       );
   }
 }
